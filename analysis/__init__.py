@@ -1,1 +1,1 @@
-"""What an episode means: observations, estimators, tunings and their review."""
+"""Offline analysis: experiments, estimators, results and their review."""

@@ -12,8 +12,8 @@ from tunenet_logs.left_out import BY_CLOCK, MAX_LEFT_OUT, LeftOut
 
 Verdict = Literal["ok", "suspect", "rejected"]
 
+# At most this many digits are added so that a figure and its limit differ in print.
 _MORE_DIGITS = 3
-"""At most this many digits are added so that a figure and its limit differ in print."""
 
 
 _EVEN_CLOCK = "stamp samples by a clock that is not set meanwhile, local time by UTC"
@@ -24,12 +24,12 @@ class Check:
     """One comparison with a limit.
 
     Attributes:
-        detail: the figure that was seen, and its limit.
-        fatal: a failure means that no value can be reported at all.
-        advice: what to do at the next recording so that it passes, as one short sentence.
-        doubts_model: whether a failure puts the model behind the interval in doubt; not so where it
-            only leaves less to see, which the interval says, or where another check would see it.
-        symptom: whether a failure may follow from what another check tells: that is named first.
+        detail: The measured figure, and its limit.
+        fatal: Whether a failure means that no value can be reported at all.
+        advice: How to record so that it passes next time, as one short sentence.
+        doubts_model: Whether a failure puts the model behind the interval in doubt; not so if it
+            only leaves less data, which the interval says, or if another check would see it.
+        symptom: Whether a failure may follow from that of another check, which is named first.
     """
 
     name: str
@@ -46,14 +46,14 @@ class Check:
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """A second estimate that shares nothing with the first but the log.
+    """Second estimate that shares nothing with the first but the log.
 
     Attributes:
-        agrees: whether it is less than `tolerance` from the estimate.
-        tolerance: what was allowed between the two, by the second one's noise and what systematic
-            errors take off it in a good recording; None in a record of before that was kept.
-        noise95: half the 95 % interval that its noise alone leaves it; None where unknown.
-        advice: what to do where the two disagree, as one short sentence.
+        agrees: Whether it is less than `tolerance` from the estimate.
+        tolerance: Allowed difference: the second one's noise and the systematic errors of a good
+            recording; None in a record of before that was kept.
+        noise95: Half of its 95 % interval due to noise alone; None if unknown.
+        advice: What to do if the two disagree, as one short sentence.
     """
 
     method: str
@@ -74,27 +74,22 @@ class CrossCheck:
         sd: float | None,
         advice: str,
     ) -> CrossCheck:
-        """A second estimate beside the first.
+        """Compare a second estimate with the first.
 
         Args:
-            method: in words.
-            value: of the second.
-            estimate: the first.
-            tolerance: what may be between them.
-            sd: standard deviation of the second by its noise alone; None where it is not known.
-            advice: see `CrossCheck`.
+            method: In words.
+            value: The second estimate.
+            estimate: The first estimate.
+            tolerance: Allowed difference.
+            sd: Standard deviation of the second by its noise alone; None if unknown.
+            advice: See `CrossCheck`.
         """
         agrees = bool(abs(value - estimate) < tolerance)
         return cls(method, value, agrees, tolerance, None if sd is None else TWO_SIDED * sd, advice)
 
 
 def log_checks(episode: Episode, lacking: Sequence[LeftOut]) -> tuple[Check, ...]:
-    """What the file itself shows: samples that may have been changed, or are not there.
-
-    Args:
-        episode: that was read.
-        lacking: what is left out of each signal that is tuned to.
-    """
+    """Check the file itself: samples that may have been changed, or are missing."""
     detail = episode.tainted or "no sample that was read is known to be damaged"
     advice = "tune the log as it was before it was damaged"
     recorded = Check("samples as they were recorded", not episode.tainted, detail, advice=advice)
@@ -110,12 +105,12 @@ def log_checks(episode: Episode, lacking: Sequence[LeftOut]) -> tuple[Check, ...
 def judge(
     checks: Sequence[Check], cross_check: CrossCheck | None, occasion: str
 ) -> tuple[Verdict, str | None]:
-    """The verdict, and its reason in one line, causes first, with the remedy of the first.
+    """Return the verdict, and its reason in one line, causes first, with the remedy of the first.
 
     Args:
-        checks: all of them.
-        cross_check: None where the log allows none.
-        occasion: what a user would do again, e.g. "drop".
+        checks: All of them.
+        cross_check: None if the log allows none.
+        occasion: What a user would do again, e.g. "drop".
     """
     failed = sorted((check for check in checks if not check.passed), key=lambda one: one.symptom)
     fatal = [check for check in failed if check.fatal]
@@ -135,7 +130,7 @@ def judge(
 
 
 def figures(seen: float, limit: float, digits: int, kind: str = "f") -> tuple[str, str]:
-    """Two numbers with `digits` digits, or more where they would print alike."""
+    """Format two numbers with `digits` digits, or more where they would print alike."""
     for more in range(digits, digits + _MORE_DIGITS + 1):
         pair = f"{seen:.{more}{kind}}", f"{limit:.{more}{kind}}"
         if pair[0] != pair[1]:

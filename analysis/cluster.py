@@ -1,6 +1,6 @@
-"""Work on the machines of a Ray cluster, by Ray Data: an actor a core, libraries loaded once.
+"""Map work over a Ray cluster with Ray Data: one actor per core, libraries loaded once.
 
-What an actor that dies had under way is done again, each item alone, and once.
+Items under way when an actor dies are retried once, each alone.
 """
 
 from __future__ import annotations
@@ -25,31 +25,23 @@ from tunenet_logs.errors import UsageError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_AT_A_TIME = 16
-"""Items that an actor is given: a task of Ray's costs some milliseconds."""
-
-_TASKS_AN_ACTOR = 4
-"""Fewer items are given where there would be fewer tasks for each actor."""
-
-_ANSWERS_S = 10
-"""Within which a cluster's head takes a call."""
-
-HERE = "local"
-"""The address of a cluster that is started on this machine for the work."""
-
+_AT_A_TIME = 16  # items that an actor is given: a task of Ray's costs some milliseconds
+_TASKS_AN_ACTOR = 4  # fewer items are given where there would be fewer tasks for each actor
+_ANSWERS_S = 10  # within which a cluster's head takes a call
+HERE = "local"  # the address of a cluster that is started on this machine for the work
 _LOOPBACK = "127.0.0.1"
+# Where such a cluster listens: Ray takes an address of the network in its place, and listens on
+# all, unless this variable says that it is to stay on one machine.
 _ONLY_HERE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
-"""Where such a cluster listens: Ray takes an address of the network in its place, and listens on
-all, unless this variable says that it is to stay on one machine."""
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """Where work is done.
+    """Ray cluster to work on.
 
     Attributes:
-        address: of its head, "auto" for the one that this machine is part of, or `HERE`.
-        jobs: actors; None for all cores of the cluster.
+        address: Of its head, "auto" for the one that this machine is part of, or `HERE`.
+        jobs: Number of actors; None for all cores of the cluster.
     """
 
     address: str = HERE
@@ -62,20 +54,17 @@ def on_cluster(
     items: Sequence[Item],
     lost: Callable[[Item], Result],
 ) -> Iterator[tuple[int, Result]]:
-    """Do `work` on every item in a cluster; see `processes.streamed`.
+    """Map `work` over items on a cluster, in the order they are done; see `processes.streamed`.
 
     Args:
-        cluster: where.
-        work: a function of a module, so that an actor can find it.
-        items: what is to be done.
-        lost: the result of an item whose actor died twice.
-
-    Yields:
-        The number of an item, and its result, as they come.
+        cluster: The cluster.
+        work: A function of a module, so that an actor can import it.
+        items: Items to map.
+        lost: Builds the result of an item whose actor died twice.
 
     Raises:
         UsageError: Ray is not installed, or nobody answers at the address.
-        Exception: what `work` raised.
+        Exception: Raised by `work`.
     """
     left = set(range(len(items)))
     with _connected(cluster) as actors:
@@ -95,7 +84,7 @@ def on_cluster(
 def _done(
     work: Callable[[Item], Result], rows: list[dict[str, Any]], actors: int, at_a_time: int
 ) -> Iterator[tuple[int, Result]]:
-    """What the actors give; nothing of those that die."""
+    """Yield the actors' results; nothing of those that die."""
     import ray.data
 
     if not rows:
@@ -121,25 +110,25 @@ def _done(
 
 
 def _remote() -> dict[str, Any]:
-    """How Ray treats an actor: a new one for one that dies, but nothing is done again unasked."""
+    """Return Ray's options: dead actors restart, but tasks are not retried unasked."""
     return {"max_restarts": -1, "max_task_retries": 0}
 
 
 @dataclass(frozen=True)
 class _Raised:
-    """Stands for a result where `work` raised."""
+    """Stand-in for a result where `work` raised."""
 
     error: Exception
 
 
 class _Worker:
-    """An actor: libraries and models are loaded once in it, by the first item."""
+    """Actor: libraries and models are loaded once in it, by the first item."""
 
     def __init__(self, work: Callable[[Any], Any]) -> None:
         self._work = work
 
     def __call__(self, batch: Mapping[str, Any]) -> dict[str, Any]:
-        """Results by number; what `work` raises is raised again where they are taken."""
+        """Return results by number; errors of `work` are raised again where they are taken."""
         results = np.empty(len(batch["item"]), object)
         for at, item in enumerate(batch["item"]):
             try:
@@ -151,10 +140,10 @@ class _Worker:
 
 @contextmanager
 def _connected(cluster: Cluster) -> Iterator[int]:
-    """A cluster to work in, and for how many actors it has cores.
+    """Connect to a cluster, and yield the number of actors that its cores allow.
 
     Raises:
-        UsageError: there is none.
+        UsageError: There is none.
     """
     address, jobs = cluster.address, cluster.jobs
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")

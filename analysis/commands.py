@@ -1,43 +1,43 @@
-"""Where the commands of this package begin, before anything else is imported."""
+"""Entry points of the commands, free of heavy imports."""
 
 from tunenet_logs.starting import start
 
 
 def tune() -> int:
-    """`tunenet-tune`."""
+    """Start `tunenet-tune`."""
     return start("tunenet-tune", "analysis.cli.tune")
 
 
 def review() -> int:
-    """`tunenet-review`."""
+    """Start `tunenet-review`."""
     return start("tunenet-review", "analysis.cli.review")
 
 
 def train() -> int:
-    """`tunenet-train`."""
+    """Start `tunenet-train`."""
     return start("tunenet-train", "analysis.cli.train")
 
 
 def plan() -> int:
-    """`tunenet-plan`."""
+    """Start `tunenet-plan`."""
     return start("tunenet-plan", "analysis.cli.plan")
 
 
 def evaluate() -> int:
-    """`tunenet-eval`."""
+    """Start `tunenet-eval`."""
     return start("tunenet-eval", "analysis.evaluation.cli")
 
 
 def export() -> int:
-    """`tunenet-export`."""
+    """Start `tunenet-export`."""
     return start("tunenet-export", "analysis.cli.export")
 
 
 def compare() -> int:
-    """`tunenet-compare`."""
+    """Start `tunenet-compare`."""
     return start("tunenet-compare", "analysis.cli.compare")
 
 
 def report() -> int:
-    """`tunenet-report`."""
+    """Start `tunenet-report`."""
     return start("tunenet-report", "analysis.cli.report")

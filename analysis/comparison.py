@@ -1,4 +1,4 @@
-"""Tunings beside each other: what can be compared, and which parameters differ."""
+"""Compare tunings: group those that are comparable, and test which parameters differ."""
 
 from __future__ import annotations
 
@@ -16,19 +16,18 @@ from tunenet_logs.errors import UsageError
 if TYPE_CHECKING:
     import pandas as pd
 
-MOST_LOGS = 200
-"""Compared at once: with n logs there are n²/2 pairs, and nobody reads more."""
+MAX_LOGS = 200  # compared at once: with n logs there are n²/2 pairs, and nobody reads more
 
 
 @dataclass(frozen=True)
 class ComparedQuantity:
-    """One parameter, or one component of it, of the logs that have it.
+    """One scalar parameter, or component of one, across the logs that have it.
 
     Attributes:
-        name: the parameter's, with the component for one of several numbers: "payload_com_x".
-        unit: "1" where it has none.
-        values: one a log that has it, in the logs' order.
-        tests: of each pair of values with intervals.
+        name: The parameter's, with the component for one of several numbers: "payload_com_x".
+        unit: "1" if it has none.
+        values: One per log that has it, in the logs' order.
+        tests: Of each pair of values with intervals.
     """
 
     name: str
@@ -39,12 +38,12 @@ class ComparedQuantity:
 
 @dataclass(frozen=True)
 class ComparedGroup:
-    """Logs that can be compared: one task, one preset, and one engine if the values are its own.
+    """Comparable logs: of one task, one preset, and one engine if the values depend on it.
 
     Attributes:
-        title: what they have in common.
-        labels: of its logs.
-        quantities: in the order in which the logs have them.
+        title: What they have in common.
+        labels: Of its logs.
+        quantities: In the order in which the logs have them.
     """
 
     title: str
@@ -54,12 +53,12 @@ class ComparedGroup:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """All logs.
+    """Tunings of several logs, grouped and tested pairwise.
 
     Attributes:
-        labels: one a record, each different.
-        records: in the order that was given.
-        groups: of logs with values.
+        labels: One per record, all different.
+        records: In the order given.
+        groups: Of logs with values.
     """
 
     labels: tuple[str, ...]
@@ -68,12 +67,12 @@ class Comparison:
 
     @property
     def without_values(self) -> tuple[tuple[str, Record], ...]:
-        """Rejected logs and others that have nothing to compare, with their labels."""
+        """Logs without a value to compare, such as rejected ones, with their labels."""
         pairs = zip(self.labels, self.records, strict=True)
         return tuple((label, record) for label, record in pairs if not record.estimates)
 
     def to_frame(self) -> pd.DataFrame:
-        """A row for each quantity of each log, and one for each log without any.
+        """Return a row for each quantity of each log, and one for each log without any.
 
         Columns: log, task, preset, verdict, reason, parameter, unit, value, low, high,
         impact_speed_m_s, differs_from (labels, with "; " between them), log_sha256.
@@ -88,7 +87,7 @@ class Comparison:
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
     def pairs_frame(self) -> pd.DataFrame:
-        """A row for each test.
+        """Return a row for each pairwise test.
 
         Columns: group, parameter, unit, first, second, difference, low, high, p, p_holm, differs,
         speed_m_s, caution.
@@ -125,20 +124,20 @@ PAIR_COLUMNS += ("p_holm", "differs", "speed_m_s", "caution")
 
 
 def compare(records: Sequence[Record], names: Sequence[str] | None = None) -> Comparison:
-    """Compare what was tuned from several logs.
+    """Compare the tunings of several logs.
 
     Args:
-        records: one a log.
-        names: of the logs, one a record; their own if None. Equal ones are numbered.
+        records: One per log.
+        names: Label of each log; None for the logs' own names. Equal ones are numbered.
 
     Raises:
-        UsageError: there are more than `MOST_LOGS`, or not one name a record.
+        UsageError: There are more than `MAX_LOGS`, or not one name per record.
     """
     labels = distinct([record.log for record in records] if names is None else names)
     if len(labels) != len(records):
         raise UsageError(f"{len(records)} tunings and {len(labels)} names: give one each")
-    if len(records) > MOST_LOGS:
-        raise UsageError(f"{len(records)} tunings: compare at most {MOST_LOGS} at once")
+    if len(records) > MAX_LOGS:
+        raise UsageError(f"{len(records)} tunings: compare at most {MAX_LOGS} at once")
     members: dict[tuple[str, ...], list[int]] = {}
     for index, record in enumerate(records):
         if record.estimates:
@@ -151,7 +150,7 @@ def compare(records: Sequence[Record], names: Sequence[str] | None = None) -> Co
 
 
 def distinct(names: Sequence[str]) -> list[str]:
-    """The names, those that are there several times with a number behind them."""
+    """Number names that occur several times."""
     taken, counts = set(names), Counter(names)
     labels: list[str] = []
     for name in names:
@@ -165,7 +164,7 @@ def distinct(names: Sequence[str]) -> list[str]:
 
 
 def _kind(record: Record) -> tuple[str, ...]:
-    """What two records share whose values mean the same."""
+    """Return the key that records of comparable values share."""
     simulator = record.simulator or {}
     preset = str(simulator.get("preset", "no preset"))
     if record.physical:
@@ -200,7 +199,7 @@ def _group(kind: Sequence[str], labels: list[str], records: list[Record]) -> Com
 
 
 def _values(label: str, record: Record) -> list[tuple[tuple[str, str], ComparedValue]]:
-    """What a log says, number by number, by name and unit."""
+    """List a log's scalar values by name and unit."""
     sha256 = record.provenance.log_sha256 if record.provenance else ""
     found: list[tuple[tuple[str, str], ComparedValue]] = []
     for known in record.estimates:
@@ -239,7 +238,7 @@ def _of_record(label: str, record: Record) -> dict[str, Any]:
 
 
 def told_apart(quantity: ComparedQuantity, label: str) -> list[str]:
-    """The labels of the logs whose value differs from that of this one."""
+    """Return the labels of the logs whose value differs significantly from this one's."""
     different = [test for test in quantity.tests if test.differs]
     return [
         test.second if test.first == label else test.first

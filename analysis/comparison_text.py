@@ -1,4 +1,4 @@
-"""A comparison for the terminal: a table for each group of logs, and the tests below it."""
+"""Format a comparison for the terminal: a table for each group, and its tests."""
 
 from __future__ import annotations
 
@@ -11,27 +11,18 @@ from analysis.speed_transport import ComparedValue
 from analysis.terminal_table import interval_words, quantity
 from tunenet_logs.terminal import one_line, short_name
 
-_MOST_PAIRS = 10
-"""Of one quantity that are printed with their figures; more are named, and the CSV has all."""
+# Of one quantity that are printed with their figures; more are named, and the CSV has all.
+_MAX_PAIRS = 10
 
-_MOST_NAMED = 40
-"""Pairs that are named."""
-
-_WIDTH = 100
-"""Characters of a line of prose."""
-
-_NAME = 48
-"""Characters of a cell of a table: a value with its interval, or a log's name."""
-
-_LARGEST = 1e9
-"""Of a number that is written out."""
-
-_SMALLEST = 1e-4
-"""Of a probability: nobody needs to know how far under it one is."""
+_MAX_NAMED = 40  # pairs that are named
+_WIDTH = 100  # characters of a line of prose
+_NAME = 48  # characters of a cell of a table: a value with its interval, or a log's name
+_MAX_SIZE = 1e9  # of a number that is written out
+_MIN_SIZE = 1e-4  # of a probability: nobody needs to know how far under it one is
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Tables, tests and what could not be compared, in lines."""
+    """Format tables, tests and what could not be compared."""
     numbers = {label: str(k) for k, label in enumerate(comparison.labels, 1)}
     verdicts = {
         label: record.verdict
@@ -88,7 +79,7 @@ def _table(heads: Sequence[str], rows: Sequence[Mapping[str, str]]) -> list[str]
 
 
 def value_words(value: ComparedValue) -> str:
-    """A value with its interval; a suspect's is marked."""
+    """Format a value with its interval, and a verdict that is not ok."""
     mark = "" if value.verdict == "ok" else f" ({value.verdict})"
     if value.interval95 is None:
         return f"{number_words(value.value)} (no interval){mark}"
@@ -96,12 +87,12 @@ def value_words(value: ComparedValue) -> str:
 
 
 def number_words(value: float) -> str:
-    """Four decimals, and no minus before a zero."""
-    return f"{value:.4g}" if abs(value) > _LARGEST else f"{round(value, 4) + 0.0:.4f}"
+    """Format a number with four decimals, and no minus before a zero."""
+    return f"{value:.4g}" if abs(value) > _MAX_SIZE else f"{round(value, 4) + 0.0:.4f}"
 
 
 def summary_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """What the tests of a quantity say, in a sentence, and what could not be tested."""
+    """Summarise the tests of a quantity in a sentence, and list what could not be tested."""
     name = one_line(one.name)
     bare = [numbers[value.label] for value in one.values if value.interval95 is None]
     lines = [f"{name}: no interval, not compared: {', '.join(bare)}"] if bare else []
@@ -118,7 +109,7 @@ def _tested(one: ComparedQuantity) -> list[PairTest]:
 
 
 def named_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """Which pairs differ and which do not, by their numbers; nothing where all are alike."""
+    """List which pairs differ and which do not; nothing if all are alike."""
     tests = _tested(one)
     different = [_pair(test, numbers) for test in tests if test.differs]
     alike = [_pair(test, numbers) for test in tests if not test.differs]
@@ -128,25 +119,25 @@ def named_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
 
 
 def caution_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """What to bear in mind of some pairs, each of it once."""
+    """List the cautions, each once with its pairs."""
     pairs: dict[str, list[str]] = {}
     for test in one.tests:
         if test.caution:
             pairs.setdefault(test.caution, []).append(_pair(test, numbers))
     found = [f"{_some(some)}: {one_line(caution)}" for caution, some in pairs.items()]
-    more = [f"{len(found) - _MOST_PAIRS} more cautions"] if len(found) > _MOST_PAIRS else []
-    return [*found[:_MOST_PAIRS], *more]
+    more = [f"{len(found) - _MAX_PAIRS} more cautions"] if len(found) > _MAX_PAIRS else []
+    return [*found[:_MAX_PAIRS], *more]
 
 
 def _some(pairs: Sequence[str]) -> str:
-    more = f" and {len(pairs) - _MOST_NAMED} more" if len(pairs) > _MOST_NAMED else ""
-    return ", ".join(pairs[:_MOST_NAMED]) + more
+    more = f" and {len(pairs) - _MAX_NAMED} more" if len(pairs) > _MAX_NAMED else ""
+    return ", ".join(pairs[:_MAX_NAMED]) + more
 
 
 def quantity_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """The same, then pair by pair; of many pairs their numbers alone."""
+    """Summarise a quantity, then list its tests; of many pairs only their numbers."""
     lines = [*named_lines(one, numbers), *caution_lines(one, numbers)]
-    if len(one.tests) <= _MOST_PAIRS:
+    if len(one.tests) <= _MAX_PAIRS:
         lines = [test_words(test, numbers) for test in one.tests]
     return [*summary_lines(one, numbers), *(f"  {line}" for line in lines)]
 
@@ -165,7 +156,7 @@ def _summary(tests: Sequence[PairTest]) -> str:
 
 
 def test_words(test: PairTest, numbers: Mapping[str, str]) -> str:
-    """One test in a line."""
+    """Format one test in a line."""
     difference = f"{_pair(test, numbers)}: {round(test.difference, 4) + 0.0:+.4f}"
     caution = f"; {one_line(test.caution)}" if test.caution else ""
     if test.corrected is None:
@@ -177,7 +168,7 @@ def test_words(test: PairTest, numbers: Mapping[str, str]) -> str:
 
 
 def probability_words(probability: float) -> str:
-    """A probability after the correction."""
-    if probability < _SMALLEST:
-        return f"p < {_SMALLEST:g}"
+    """Format a corrected p-value."""
+    if probability < _MIN_SIZE:
+        return f"p < {_MIN_SIZE:g}"
     return f"p = {probability:.2g}"

@@ -1,4 +1,4 @@
-"""What an experiment is to the road: it detects, poses a problem, and checks the answer."""
+"""Interface of an experiment: detect it, pose an estimation problem, check the estimate."""
 
 from __future__ import annotations
 
@@ -38,42 +38,42 @@ class Claim(IntEnum):
 
 
 class Detection(Protocol):
-    """What an experiment found in an episode, as far as others than itself need to know."""
+    """What an experiment found in an episode, as far as others need to know."""
 
     @property
     def topic(self) -> str:
-        """Where it was found."""
+        """Topic that shows it."""
         ...
 
     @property
     def window(self) -> Mapping[str, float]:
-        """Its moments by name [s since the log's first sample]."""
+        """Times of its events by name [s since the log's first sample]."""
         ...
 
     @property
     def extent(self) -> tuple[str, str]:
-        """A measure of it, e.g. ("drop", "1.100 m"), for a table."""
+        """A measure of it for a table, e.g. ("drop", "1.100 m")."""
         ...
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know, in words."""
+        """Warnings for the user."""
         ...
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """What each signal lacks in which it was found."""
+        """Samples that are missing from each of its signals."""
         ...
 
 
 @dataclass(frozen=True)
 class Training:
-    """How the network of a preset comes about.
+    """How the network of a preset is trained.
 
     Attributes:
-        purpose: what its weights are for.
-        network: its architecture.
-        recipe: how it is trained.
+        purpose: What its weights are for.
+        network: Its architecture.
+        recipe: Its hyperparameters.
         make_pairs: (pairs wanted or None, seed, workers, progress) -> training data.
     """
 
@@ -88,12 +88,12 @@ class Preset:
     """One way of simulating and observing an experiment.
 
     Attributes:
-        physical: whether its value is the object's own, or a number of one engine's settings.
-        parameters: what is estimated with it.
-        method: which is used unless the user names another; see `registry.METHODS`.
-        training: of its network; None for an experiment without one, or whose problems train
+        physical: Whether its value is the object's own, or a number of one engine's settings.
+        parameters: That are estimated.
+        method: Default; see `registry.METHODS`.
+        training: Of its network; None for an experiment without one, or whose problems train
             their own.
-        starts_as_given: whether every method starts from the parameters' own initial values.
+        starts_as_given: Whether every method starts from the parameters' own initial values.
     """
 
     physical: bool
@@ -106,13 +106,7 @@ class Preset:
 def presets_of(
     trainings: Mapping[str, Training], ours: tuple[Parameter, ...], papers: tuple[Parameter, ...]
 ) -> dict[str, Preset]:
-    """Ours, whose answer is the object's own, and the paper's, whose answer is its engine's.
-
-    Args:
-        trainings: of their networks, by name.
-        ours: parameters that the preset default estimates.
-        papers: those of the others.
-    """
+    """Build our preset, whose estimate is physical, and the paper's, which is its engine's."""
     return {
         name: Preset(True, ours, "tunenet+refine", training)
         if name == "default"
@@ -122,21 +116,21 @@ def presets_of(
 
 
 class Experiment(Protocol):
-    """A kind of experiment, observed in one way. What `detect` returns is for its own methods."""
+    """A kind of experiment, observed in one way; only it reads what its `detect` returns."""
 
     @property
     def name(self) -> str:
-        """What `tunenet-train` and weights call it."""
+        """Name in `tunenet-train` and in weights."""
         ...
 
     @property
     def kind(self) -> str:
-        """What logs, results and `--task` call it: one kind may be observed in several ways."""
+        """Name in logs, results and `--task`: one kind may be observed in several ways."""
         ...
 
     @property
     def occasion(self) -> str:
-        """What a user does again where a log does not suffice, e.g. "drop"."""
+        """What a user repeats if a log does not suffice, e.g. "drop"."""
         ...
 
     @property
@@ -146,53 +140,53 @@ class Experiment(Protocol):
 
     @property
     def takes(self) -> frozenset[Subject]:
-        """What may be said of it beforehand; other options change nothing."""
+        """Subjects of the options that it uses; others change nothing."""
         ...
 
     @property
     def presets(self) -> Mapping[str, Preset]:
-        """By name; "default" is one of them."""
+        """Presets by name; "default" is one of them."""
         ...
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
-        """How likely the episode shows it, in the topic if one is named."""
+        """Rate how likely the episode shows it, in the topic if one is named."""
         ...
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> Any:
-        """Find it in an episode, as a `Detection`; nothing is estimated here.
+        """Detect it in an episode, as a `Detection`; nothing is estimated here.
 
         Raises:
-            NotFoundError: the selection does not show the experiment; the message says why.
+            NotFoundError: The selection does not show the experiment; the message says why.
         """
         ...
 
     def problem(self, detection: Any, initial: Array) -> Problem:
-        """The estimation problem that a detection poses; `initial` has the shape (P,).
+        """Pose the estimation problem of a detection; `initial` has the shape (P,).
 
         Raises:
-            NotFoundError: the detection is no such experiment, or cannot be simulated.
-            UsageError: the initial value is out of bounds.
+            NotFoundError: The detection is no such experiment, or cannot be simulated.
+            UsageError: The initial value is out of bounds.
         """
         ...
 
     def checks(self, detection: Any, last: Step, fit: FitResult | None) -> tuple[Check, ...]:
-        """What speaks for and against the last iterate; `fit` is what it came from, if it did."""
+        """Check the last iterate; `fit` is the exact fit that gave it, if one did."""
         ...
 
     def cross_check(self, detection: Any, estimate: Array) -> CrossCheck | None:
-        """A second estimate beside `estimate`, shape (P,); None where the log allows none."""
+        """Estimate independently of `estimate`, shape (P,); None if the log allows none."""
         ...
 
     def motion(self, detection: Any, trace: Trace) -> Motion | None:
-        """The tuned simulator's motion beside the observed one; None where it has none."""
+        """Compare the tuned simulator's motion with the observed one; None if it has none."""
         ...
 
     def rebounds(self, detection: Any, trace: Trace) -> tuple[Rebound, ...]:
-        """Impacts with a restitution of their own, in order; none for what does not bounce."""
+        """List impacts with their restitution, in order; none if nothing bounces."""
         ...
 
     def review(self, stream: RecordingStream, tuning: Tuning) -> Container | None:
-        """Send its part of the review to a stream, and return the layout that shows it.
+        """Log its part of the review to a stream, and return the layout that shows it.
 
         Of a tuning without a detection but with a refused one: what that shows, None if nothing.
         """

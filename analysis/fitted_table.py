@@ -1,4 +1,4 @@
-"""Columns as lines of text: all of them, or what fits a narrow terminal."""
+"""Lay out columns as text: all of them, or what fits a narrow terminal."""
 
 from __future__ import annotations
 
@@ -10,39 +10,38 @@ from tunenet_logs.terminal import short_name
 
 _BETWEEN = "  "
 
+# Which columns leave last, in this order; log, verdict and value never do.
 _LAST = ("fits", "95 % interval")
-"""Which columns leave last, in this order; log, verdict and value never do."""
 
+# Of a log in a table that is too wide: so many while columns can leave, so few when none can.
 _NAME_CHARACTERS = 28, 10
-"""Of a log in a table that is too wide: so many while columns can leave, so few when none can."""
 
+# Of a column's name in a table that is too wide: longer ones take several lines.
 _HEAD_CHARACTERS = 20
-"""Of a column's name in a table that is too wide: longer ones take several lines."""
 
+# Where a name goes on in the next line: `joint/`, `elbow`, `.damping `, `[N·m]`; within `left_arm`
+# where it has to.
 _MARKS, _WEAK_MARKS = re.compile(r"(?<=[/ ])|(?=[.(])"), re.compile(r"(?<=_)")
-"""Where a name goes on in the next line: `joint/`, `elbow`, `.damping `, `[N·m]`; within `left_arm`
-where it has to."""
 
-_FEWEST = 20
-"""Characters of a line: a terminal that says less is taken for one of these."""
+_MIN_COUNT = 20  # characters of a line: a terminal that says less is taken for one of these
 
 
 def laid_out(
     columns: Mapping[str, Sequence[str]], below: Sequence[Sequence[str]], most: int | None
 ) -> str:
-    """A header, a line for each row, and indented below it what its line has no room for.
+    """Format a table: a header, a line per row, and lines indented below each row.
 
-    Where that is wider than a terminal, one row stands upright, a line a column; of several, long
-    names take several lines, then the least important columns are left out, and named.
+    If it is wider than the terminal, a single row is transposed, a line per column; of several,
+    long heads are wrapped, then the least important columns are left out, and named.
 
     Args:
-        columns: cells by the column's name, N each; the most important names come first.
-        below: of each row, N.
-        most: characters of a line; None for any number.
+        columns: Cells by the column's name, N each; the most important columns come first.
+        below: Of each row, N.
+        most: Characters of a line; None for any number.
     """
     if most is None:
         return _lines(columns, below, None)
-    most = max(most, _FEWEST)
+    most = max(most, _MIN_COUNT)
     if _width(columns) <= most:
         return _lines(columns, below, most)
     if len(below) == 1:
@@ -76,9 +75,9 @@ def _lines(
 
 
 def _upright(columns: Mapping[str, Sequence[str]], below: Sequence[str], most: int) -> str:
-    """One row, a line a column; names leave room for all that is said but the log's path."""
+    """Format one row transposed; only the log's path is shortened."""
     _, *cells = (cell for cell, *_ in columns.values())
-    room = max(most - len(_BETWEEN) - max(map(len, cells), default=0), _FEWEST)
+    room = max(most - len(_BETWEEN) - max(map(len, cells), default=0), _MIN_COUNT)
     names = [short_name(name, room) for name in columns]
     width = max(map(len, names))
     lines = [
@@ -108,7 +107,7 @@ def _indented(lines: Sequence[str], most: int | None) -> list[str]:
 def _fitted(
     columns: Mapping[str, Sequence[str]], most: int
 ) -> tuple[dict[str, Sequence[str]], list[str]]:
-    """The columns that fit, and the names of the others in their order."""
+    """Return the columns that fit, and the names of the others in their order."""
     log, *_ = never = list(columns)[:3]
     many, few = _NAME_CHARACTERS
     kept = {**columns, log: [short_name(cell, many) for cell in columns[log]]}
@@ -126,7 +125,7 @@ def _fitted(
 
 
 def _head(name: str) -> list[str]:
-    """A column's name on lines that are not too long, broken at its marks."""
+    """Wrap a column's name at its marks."""
     lines = [""]
     for part in _MARKS.split(name):
         is_short = len(part.rstrip()) <= _HEAD_CHARACTERS

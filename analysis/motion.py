@@ -1,4 +1,4 @@
-"""How a tuned simulator's motion is told: beside the observed one, and in whose units."""
+"""The tuned simulator's motion beside the observed one, and the units of a log."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ from tunenet_logs.arrays import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-MOST_SAMPLES = 20_000
-"""Of one curve: a minute of what the fastest motion capture sees."""
+MAX_SAMPLES = 20_000  # of one curve: a minute of what the fastest motion capture sees
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """A recorded height and the tuned simulator's, at the observation's own stamps.
+    """Observed height and the tuned simulator's, at the observation's own stamps.
 
     Attributes:
-        start_ns: the stamp that the seconds count from [ns].
-        seconds: shape (T,), rising.
-        observed_m: heights above the table [m], shape (T,).
-        simulated_m: those of the tuned simulator [m], shape (T,); NaN where it was not simulated.
+        start_ns: Stamp that the seconds count from [ns].
+        seconds: Shape (T,), increasing.
+        observed_m: Heights above the table [m], shape (T,).
+        simulated_m: Those of the tuned simulator [m], shape (T,); NaN where not simulated.
     """
 
     start_ns: int
@@ -31,7 +30,7 @@ class Curves:
     simulated_m: Array
 
     def to_frame(self) -> pd.DataFrame:
-        """As a table: index `seconds`, columns `observed_m` and `simulated_m`."""
+        """Return a table with index `seconds`, columns `observed_m` and `simulated_m`."""
         import pandas as pd
 
         curves = {"observed_m": self.observed_m, "simulated_m": self.simulated_m}
@@ -40,18 +39,18 @@ class Curves:
 
 @dataclass(frozen=True)
 class SimulationFit:
-    """How far the tuned rollout is from what was observed, from the release to the last bounce.
+    """Residual of the tuned rollout, from the release to the last bounce.
 
     Attributes:
-        rms_percent: root mean square of the distances [% of the drop height].
-        worst_percent: the largest of them.
-        noise_percent: what the observation's own noise makes of the first.
-        held_out_percent: like `excess_percent`, for the last 40 % of the time, by a fit to the
-            first 60 %; None where that shows too little.
-        samples: compared.
-        left_out: samples that are something else than the ball.
-        noise: of a sample, in `unit`.
-        unit: "m", "px" of a film, "1" for drop heights where nothing tells metres.
+        rms_percent: Root mean square of the residual [% of the drop height].
+        worst_percent: Largest absolute residual.
+        noise_percent: RMS that the observation's noise alone would give.
+        held_out_percent: Like `excess_percent`, for the last 40 % of the time, by a fit to the
+            first 60 % (hold-out); None if that shows too little.
+        samples: Number compared.
+        left_out: Samples that are something else than the ball.
+        noise: Standard deviation of a sample, in `unit`.
+        unit: "m", "px" of a video, "1" for drop heights if metres cannot be determined.
     """
 
     rms_percent: float
@@ -65,12 +64,12 @@ class SimulationFit:
 
     @property
     def excess_percent(self) -> float:
-        """What is left of the rms without the noise."""
+        """RMS residual without the noise."""
         return excess(self.rms_percent, self.noise_percent)
 
 
 def excess(rms: float, noise: float) -> float:
-    """What is left of a root mean square without the noise in it."""
+    """Subtract the noise in quadrature from a root mean square."""
     return max(rms**2 - noise**2, 0.0) ** 0.5
 
 
@@ -79,9 +78,9 @@ class Equivalent:
     """The ball in a simulator without air, dropped from the same height at the same moment.
 
     Attributes:
-        restitution: there, the same at every impact.
-        rms_percent: how far that is from the observation [% of the drop height].
-        speeds_m_s: of its impacts, as far as bounces are in view.
+        restitution: Its coefficient, the same at every impact.
+        rms_percent: RMS difference from the observation [% of the drop height].
+        speeds_m_s: Of its impacts, as far as bounces are in view.
     """
 
     restitution: float
@@ -91,11 +90,11 @@ class Equivalent:
 
 @dataclass(frozen=True)
 class Equivalents:
-    """For simulators without air.
+    """Restitutions for simulators without air.
 
     Attributes:
-        first: with which the first rebound is as high.
-        all: which is the best over all bounces in view.
+        first: With the height of the first rebound.
+        all: With the least error over all bounces in view.
     """
 
     first: Equivalent
@@ -104,15 +103,15 @@ class Equivalents:
 
 @dataclass(frozen=True)
 class Units:
-    """Of a log's positions and stamps.
+    """Units of a log's positions and stamps.
 
     Attributes:
-        length_m: metres in the log's unit of length; None where nothing tells.
-        length_by: "named", "gravity", or None where nothing tells.
-        rate_hz: samples a second; None where nothing tells.
+        length_m: Metres in the log's unit of length; None if it cannot be determined.
+        length_by: "named", "gravity", or None if it cannot be determined.
+        rate_hz: Samples per second; None if it cannot be determined.
         rate_by: "clock", "gravity", or None.
-        doubt: how gravity contradicts what the log says, and what would fit; "" where it does not.
-        remedy: what to do about the doubt.
+        doubt: How gravity contradicts what the log says, and what would fit; "" if it does not.
+        remedy: What to do about the doubt.
     """
 
     length_m: float | None
@@ -124,22 +123,22 @@ class Units:
 
     @property
     def tell_speed(self) -> bool:
-        """Whether metres and seconds are known, and with them speeds and a drag per metre."""
+        """Whether metres and seconds are known, and so speeds and a drag per metre."""
         return self.length_m is not None and self.rate_hz is not None and not self.doubt
 
 
 @dataclass(frozen=True)
 class SoundShare:
-    """What sound adds to pictures, or to positions, of a ball.
+    """Contribution of sound to a ball's images or positions.
 
     Attributes:
-        impacts: of the ball up to the last that is seen or heard; 0 where its sound was not
+        impacts: Of the ball up to the last that is seen or heard; 0 if its sound was not
             compared with what is seen.
-        heard: of these, those in the fit; 0 where the sound is not used.
-        offset_s: by how much it is later than what is seen [s]; None where it is not used.
-        reason: why it is not used; "" where it is.
-        restitution: without it.
-        interval95: of that.
+        heard: Number of these in the fit; 0 if the sound is not used.
+        offset_s: Delay of the sound relative to what is seen [s]; None if it is not used.
+        reason: Why it is not used; "" if it is.
+        restitution: Estimate without it.
+        interval95: Of that.
     """
 
     impacts: int
@@ -160,13 +159,13 @@ class Motion:
     """The tuned simulator's motion beside the observed one.
 
     Attributes:
-        curves: both.
-        fit: how far they are apart.
-        equivalents: for simulators without air.
-        untold: what the log does not tell of the parameters, in words.
-        unknown: parameters that need units which the log does not tell, by name.
-        units: of the log; None where an experiment's log names them always.
-        sound: what was heard of it, too; None where there is no sound beside it.
+        curves: Both.
+        fit: Residual between them.
+        equivalents: For simulators without air.
+        untold: What the log cannot determine of the parameters, in words.
+        unknown: Names of parameters whose units cannot be determined.
+        units: Of the log; None for an experiment whose logs always name them.
+        sound: Contribution of sound; None if there is no sound.
     """
 
     curves: Curves | None = None

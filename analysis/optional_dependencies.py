@@ -1,4 +1,4 @@
-"""Libraries that only training, reports and the experiments need."""
+"""Import optional libraries, which only training, reports and the experiments need."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from tunenet_logs.errors import UsageError
 
 
 def needed(module: str, extra: str = "eval") -> ModuleType:
-    """An optional library, imported.
+    """Import an optional library, or say how to install it.
 
     Args:
-        module: its name, with dots where a part of it is meant ("sklearn.gaussian_process").
-        extra: of this project, which brings it.
+        module: Its name, with dots for a submodule ("sklearn.gaussian_process").
+        extra: Of this project, which installs it.
 
     Raises:
-        UsageError: it is not installed; says how to install it.
+        UsageError: It is not installed.
     """
     top = module.split(".", maxsplit=1)[0]
     try:

@@ -1,10 +1,9 @@
-"""Whether two values differ by more than their intervals allow.
+"""Test whether two values differ significantly, from their confidence intervals.
 
-The difference of two values against their errors, each error the part of a log's own 95 % interval
-that points at the other value. Both count as normal and as independent, so that they add by
-squares: the interval of a difference by Zou and Donner (2008, "MOVER"). Probabilities are
-corrected by Holm (1979) over all pairs of one parameter: if nothing differs, a parameter shows a
-difference in at most 5 % of comparisons.
+Each error is the part of a log's own 95 % interval that points at the other value. Errors count as
+normal and independent, so that they add in quadrature: the interval of a difference by Zou and
+Donner (2008, "MOVER"). Probabilities are corrected by Holm (1979) over all pairs of one parameter:
+if nothing differs, a parameter shows a difference in at most 5 % of comparisons.
 """
 
 from __future__ import annotations
@@ -18,37 +17,31 @@ from analysis.record import Interval
 from analysis.speed_transport import ComparedValue, at_one_speed
 from analysis.statistics import TWO_SIDED
 
-LEVEL = 0.05
-"""Probability, after the correction, under which values count as different."""
-
-_NOTHING = 1e-300
-"""Of an error: where both intervals have no width, any difference is one."""
-
-_BOUNDS = (0.0, 1.0)
-"""Ends of what a restitution, a drag and a mass can be."""
-
+LEVEL = 0.05  # probability, after the correction, under which values count as different
+_NOTHING = 1e-300  # of an error: where both intervals have no width, any difference is one
+_BOUNDS = (0.0, 1.0)  # ends of what a restitution, a drag and a mass can be
+# The test, for readers.
 TEST_WORDS = (
     "Two values differ where their difference is more than the logs' own 95 % intervals explain "
     "(errors normal and independent, added by squares), at 5 % after Holm's correction over the "
     "pairs of one parameter. An error that two logs share, such as a camera's or an arm's, is not "
     "in it."
 )
-"""The test, for readers."""
 
 
 @dataclass(frozen=True)
 class PairTest:
-    """Two values of one quantity.
+    """Test of two values of one quantity.
 
     Attributes:
-        first: label of the log whose value is taken.
-        second: label of the log whose value is taken from it.
-        difference: first less second, in the quantity's unit.
-        interval95: of the difference.
-        probability: of one so large or larger if both are the same, two-sided; None if not tested.
-        corrected: the same after Holm's correction; None if not tested.
-        speed_m_s: at which restitutions were compared; None for what knows no speed.
-        caution: what to bear in mind, as one short sentence; "" if nothing.
+        first: Label of the log whose value is the minuend.
+        second: Label of the log whose value is subtracted.
+        difference: First less second, in the quantity's unit.
+        interval95: Of the difference.
+        probability: Two-sided p-value; None if not tested.
+        corrected: The same after Holm's correction; None if not tested.
+        speed_m_s: At which restitutions were compared; None for other quantities.
+        caution: One short sentence; "" if nothing.
     """
 
     first: str
@@ -62,12 +55,12 @@ class PairTest:
 
     @property
     def differs(self) -> bool:
-        """Whether the two are told apart."""
+        """Whether the difference is significant."""
         return self.corrected is not None and self.corrected < LEVEL
 
 
 def pair_tests(values: Sequence[ComparedValue]) -> list[PairTest]:
-    """A test of each pair of values with intervals, not corrected yet."""
+    """Test each pair of values with intervals; p-values are not corrected yet."""
     known = [value for value in values if value.interval95 is not None]
     return [_test(*pair) for pair in combinations(known, 2)]
 
@@ -93,9 +86,9 @@ def _test(first: ComparedValue, second: ComparedValue) -> PairTest:
 
 
 def _errors(value: ComparedValue) -> Interval:
-    """How far the interval reaches down and up.
+    """Return how far the interval reaches down and up.
 
-    One that ends where physics does, as a drag's at 0, is cut: its other part tells the error.
+    One cut at a physical bound, as a drag's at 0, takes its other half for both.
     """
     assert value.interval95 is not None
     low, high = value.interval95
@@ -105,7 +98,7 @@ def _errors(value: ComparedValue) -> Interval:
 
 
 def holm(tests: Sequence[PairTest]) -> list[PairTest]:
-    """With the probabilities corrected (Holm 1979, "A simple sequentially rejective ...")."""
+    """Correct p-values for multiple tests (Holm 1979, "A simple sequentially rejective ...")."""
     order = [index for index, test in enumerate(tests) if test.probability is not None]
     order.sort(key=lambda index: tests[index].probability or 0.0)
     corrected, least = list(tests), 0.0

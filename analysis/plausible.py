@@ -1,4 +1,4 @@
-"""Values that nothing measures are taken out where a log enters, so that no sum overflows later."""
+"""Remove implausible values where a log enters, so that no sum overflows later."""
 
 from __future__ import annotations
 
@@ -10,24 +10,23 @@ from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.left_out import IMPLAUSIBLE, added
 from tunenet_logs.terminal import short_name
 
-_LARGEST = 1e12
-"""Of a position, an angle or a torque in any unit: with it, squares and their sums stay finite."""
+# Of a position, an angle or a torque in any unit: with it, squares and their sums stay finite.
+_MAX_SIZE = 1e12
 
-_SMALLEST = 1e-60
-"""Apart from 0: below, a ratio could be infinite."""
+_MIN_SIZE = 1e-60  # apart from 0: below, a ratio could be infinite
 
 
 def plausible(episode: Episode) -> Episode:
-    """The episode without values that nothing measures; a warning counts them by topic."""
+    """Remove values that nothing measures; a warning counts them by topic."""
     signals = {name: _bounded(signal) for name, signal in episode.signals.items()}
     warnings: list[str] = []
     for name, signal in episode.signals.items():
         if signals[name] is signal:
             continue
-        count = int(np.sum(np.abs(signal.values) > _LARGEST))
+        count = int(np.sum(np.abs(signal.values) > _MAX_SIZE))
         if count:
             warnings.append(
-                f"{short_name(name)}: {count} values beyond {_LARGEST:g} were left out; "
+                f"{short_name(name)}: {count} values beyond {_MAX_SIZE:g} were left out; "
                 "nothing measures them"
             )
     if all(signals[name] is signal for name, signal in episode.signals.items()):
@@ -37,7 +36,7 @@ def plausible(episode: Episode) -> Episode:
 
 def _bounded(signal: Signal) -> Signal:
     size = np.abs(signal.values)
-    is_huge, is_tiny = size > _LARGEST, (size > 0) & (size < _SMALLEST)
+    is_huge, is_tiny = size > _MAX_SIZE, (size > 0) & (size < _MIN_SIZE)
     if not is_huge.any() and not is_tiny.any():
         return signal
     values = np.where(is_huge, np.nan, np.where(is_tiny, 0.0, signal.values))

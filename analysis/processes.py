@@ -1,4 +1,4 @@
-"""Work in several processes: the same results, in the same order, however many there are."""
+"""Parallel map over processes with deterministic results and order."""
 
 from __future__ import annotations
 
@@ -21,20 +21,17 @@ from tunenet_logs.terminal import Progress
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_AHEAD = 2
-"""Items given out for each process: the next is there when one is done."""
-
-_TRIES = 2
-"""Of an item alone, after a process died: one may have been killed for another's memory."""
+_AHEAD = 2  # items given out for each process: the next is there when one is done
+_TRIES = 2  # of an item alone, after a process died: one may have been killed for another's memory
 
 
 @dataclass(frozen=True)
 class Piece(Generic[Item]):
-    """What one process does in one go.
+    """Unit of work of one process.
 
     Attributes:
-        units: how much that is, for the progress bar.
-        name: shown beside it.
+        units: How much that is, for the progress bar.
+        name: Shown beside it.
     """
 
     item: Item
@@ -49,20 +46,17 @@ def parallel_map(
     progress: Progress,
     what: tuple[str, str],
 ) -> list[Result]:
-    """`work` on every piece, in `jobs` processes.
+    """Map `work` over pieces in `jobs` processes; results keep their order.
 
     Args:
-        work: a function of a module, so that a process can find it.
-        pieces: what is to be done.
+        work: A function of a module, so that a process can import it.
+        pieces: Units of work.
         jobs: None for all cores.
-        progress: shows what is under way.
-        what: is done, and the name of a unit of it.
-
-    Returns:
-        One result for each piece, in their order.
+        progress: Shows what is under way.
+        what: Verb and unit of the progress bar.
 
     Raises:
-        BrokenProcessPool: a process died.
+        BrokenProcessPool: A process died.
     """
     total = sum(piece.units for piece in pieces)
     results: dict[int, Result] = {}
@@ -83,24 +77,23 @@ def streamed(
     may_stay: bool = False,
     lost: Callable[[Item], Result] | None = None,
 ) -> Iterator[tuple[int, Result]]:
-    """`work` on every item, in `jobs` processes; the results as they come, none of them kept.
+    """Map `work` over items in `jobs` processes, and yield results as they are done.
 
-    A process that dies takes with it what all of them had under way: each of these is done again,
-    alone.
+    A process that dies takes with it what all of them had under way: each is retried alone.
 
     Args:
-        work: a function of a module, so that a process can find it.
-        items: what is to be done.
+        work: A function of a module, so that a process can import it.
+        items: Items to map.
         jobs: None for all cores.
-        may_stay: whether one job runs in this process, with as many threads as that has.
-        lost: the result of an item whose process died alone, too, each time that it was tried;
-            without it a process that dies is an error.
+        may_stay: Whether one job runs in this process, with as many threads as that has.
+        lost: Builds the result of an item whose process died alone, too, at each try; without it a
+            process that dies is an error.
 
     Yields:
-        The number of an item, and its result.
+        The index of an item, and its result.
 
     Raises:
-        BrokenProcessPool: a process died, and there is no `lost`.
+        BrokenProcessPool: A process died, and there is no `lost`.
     """
     jobs = min(jobs or len(os.sched_getaffinity(0)), max(1, len(items)))
     if jobs == 1 and may_stay:
@@ -125,7 +118,7 @@ def _pooled(
     under_way: set[int],
     jobs: int,
 ) -> Iterator[tuple[int, Result]]:
-    """What waits is done, few at a time, so that many results never wait for whoever takes them."""
+    """Run waiting items, few ahead at a time, so that results never pile up."""
     with _pool(jobs) as pool:
         futures: dict[Future[Result], int] = {}
         while waiting or futures:
@@ -144,7 +137,7 @@ def _pooled(
 def _alone(
     work: Callable[[Item], Result], item: Item, lost: Callable[[Item], Result] | None
 ) -> Result:
-    """One item in a process of its own, as often as `_TRIES`."""
+    """Run one item in a process of its own, up to `_TRIES` times."""
     for _ in range(_TRIES):
         with suppress(BrokenProcessPool), _pool(1) as pool:
             with signals_held(), heard():
@@ -156,9 +149,9 @@ def _alone(
 
 @contextmanager
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes of one thread each; an error or Ctrl-C ends them at once.
+    """Open a pool of single-threaded processes; an error or Ctrl-C ends them at once.
 
-    The number of threads that add up a product decides its last bits.
+    The number of BLAS threads decides a product's last bits.
     """
     before = {name: os.environ.get(name) for name in BLAS_THREADS}
     os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
@@ -182,7 +175,7 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin(silently: bool) -> None:
-    """The first lines of a worker: it ends with the process that started it, however that ends."""
+    """Initialise a worker, which ends with the process that started it."""
     if silently:
         silence_libraries()
     Thread(target=_end_with_parent, daemon=True).start()

@@ -1,4 +1,4 @@
-"""Where a tuning comes from: its log and the tares by their SHA-256, the options, the versions."""
+"""Provenance of a tuning: SHA-256 of log and tares, options, versions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from analysis.selection import Options, Selection
 
 
 def provenance_of(tuning: Tuning, sha256: str, options: Options) -> Provenance:
-    """Of a tuning, by the SHA-256 of its log; that is empty where it could not be read."""
+    """Build the provenance of a tuning; `sha256` of its log is "" if it could not be read."""
     return Provenance(
         version=version("tunenet-logs"),
         log_sha256=sha256,
@@ -26,7 +26,7 @@ def provenance_of(tuning: Tuning, sha256: str, options: Options) -> Provenance:
 
 
 def _named(tare: Path) -> dict[str, str]:
-    """A tare's name and SHA-256."""
+    """Return a tare's name and SHA-256."""
     try:
         return {"log": tare.name, "sha256": log_sha256(tare)}
     except OSError:  # the tuning was rejected for it
@@ -34,7 +34,7 @@ def _named(tare: Path) -> dict[str, str]:
 
 
 def _given(options: Options | Selection, defaults: Options | Selection) -> dict[str, Any]:
-    """What differs from the defaults, as JSON has it; files by their names."""
+    """Return non-default options as JSON values; files by their names."""
     found: dict[str, Any] = {}
     for field in fields(options):
         value = getattr(options, field.name)

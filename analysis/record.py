@@ -1,4 +1,4 @@
-"""What came out for one log: a `Tuning`, with all that a review draws, and its `Record`."""
+"""Result for one log: a `Tuning`, with all that a review draws, and its `Record`."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a record comes from.
+    """Provenance of a record.
 
     Attributes:
-        version: of this package.
-        log_sha256: of the log; of a folder, of the names and contents of its files.
-        options: those that differ from the defaults, by name.
-        tares: name and SHA-256 of each empty run.
-        date: when it was tuned, ISO 8601 in UTC.
-        engine: the simulator's, with its version; None where nothing was simulated.
+        version: Of this package.
+        log_sha256: Of the log; of a folder, of the names and contents of its files.
+        options: Those that differ from the defaults, by name.
+        tares: Name and SHA-256 of each empty run.
+        date: When it was tuned, ISO 8601 in UTC.
+        engine: Simulator with its version; None if nothing was simulated.
     """
 
     version: str
@@ -46,21 +46,21 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """What came out for one log.
+    """Result for one log, with its samples.
 
     Attributes:
-        reason: why the verdict is not "ok"; None if it is.
-        experiment: None where the log could not be read.
-        episode: the log as it was read; None if it could not be.
-        detection: what the experiment found in it, a `Detection`; None if nothing.
-        refused: a detection that poses no problem, for a review to show; None if there is none.
-        trace: the iterates, each with its rollout; None where there are none.
-        parameters: what was estimated, P of them; none for a log in which nothing was.
-        rollouts: all simulator runs, those that check the answer too.
-        simulator: "engine", "preset", "step_hz"; None where nothing was simulated.
+        reason: Why the verdict is not "ok"; None if it is.
+        experiment: None if the log could not be read.
+        episode: The log as it was read; None if it could not be.
+        detection: What the experiment found in it, a `Detection`; None if nothing.
+        refused: A detection that poses no problem, for a review to show; None if there is none.
+        trace: The iterates, each with its rollout; None if there are none.
+        parameters: The P parameters that were estimated; none if nothing was.
+        rollouts: All simulator runs, those that check the answer too.
+        simulator: "engine", "preset", "step_hz"; None if nothing was simulated.
         digest: SHA-256 of the weights; "" without.
-        seconds: wall time of "read", "observe", "tune", "total".
-        provenance: where it comes from; None where nobody asked.
+        seconds: Wall time of "read", "observe", "tune", "total".
+        provenance: None if it was not recorded.
     """
 
     log: Path
@@ -86,11 +86,11 @@ class Tuning:
 
     @cached_property
     def record(self) -> Record:
-        """What is kept of it: what a JSON holds, without the log's samples."""
+        """Its `Record`: what a JSON holds, without the log's samples."""
         return record_of(self)
 
     def to_frame(self) -> pd.DataFrame:
-        """The values as a table; see `Record.to_frame`."""
+        """Return the values as a table; see `Record.to_frame`."""
         return self.record.to_frame()
 
     @property
@@ -100,17 +100,16 @@ class Tuning:
 
     @property
     def estimate(self) -> Array | None:
-        """The tuned values, shape (P,); None for a rejected log."""
+        """Tuned values, shape (P,); None for a rejected log."""
         if self.trace is None or self.verdict == "rejected":
             return None
         return self.trace.estimate
 
     @property
     def interval95(self) -> Array | None:
-        """Of the tuned values, shape (P, 2); None where none is honest.
+        """95 % intervals of the tuned values, shape (P, 2); None if no valid one exists.
 
-        An interval reflects noise. Where a check doubts the model behind it, it would only look
-        certain.
+        An interval reflects noise: where a check doubts the model, it would be overconfident.
         """
         if self.estimate is None or self.trace is None or self.trace.fit is None:
             return None
@@ -120,19 +119,18 @@ class Tuning:
         return self.trace.fit.interval95
 
 
-Interval = tuple[float, float]
-"""Lower and upper end."""
+Interval = tuple[float, float]  # lower and upper end
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A quantity that was found.
+    """Estimated quantity.
 
     Attributes:
-        name: the field's standard term, e.g. "restitution".
-        unit: "1" where it has none.
-        value: one number, or one for each component.
-        interval95: lower and upper end of each number; None where none is honest.
+        name: The field's standard term, e.g. "restitution".
+        unit: "1" if it has none.
+        value: One number, or one for each component.
+        interval95: Lower and upper end of each number; None if no valid one exists.
     """
 
     name: str
@@ -142,7 +140,7 @@ class Estimate:
 
     @property
     def components(self) -> tuple[Component, ...]:
-        """Each of its numbers by itself: `payload_com_x`, or `NAME_1` where they are no axes."""
+        """Its scalars: `payload_com_x`, or `NAME_1` if they are no axes."""
         names = [self.name]
         values = self.value if isinstance(self.value, tuple) else (self.value,)
         if isinstance(self.value, tuple):
@@ -157,10 +155,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Component:
-    """One number of an estimate.
+    """Scalar of an estimate.
 
     Attributes:
-        interval95: None where none is honest.
+        interval95: None if no valid one exists.
     """
 
     name: str
@@ -173,13 +171,13 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Rebound:
-    """One impact of a ball, with a restitution of its own.
+    """One impact of a ball, with its coefficient of restitution.
 
     Attributes:
-        impact_s: when, on the log's clock [s].
-        restitution: there.
-        interval95: of the restitution; None where none is honest.
-        impact_speed_m_s: None where nothing fixes the scale.
+        impact_s: Time of impact, on the log's clock [s].
+        restitution: At this impact.
+        interval95: Of the restitution; None if no valid one exists.
+        impact_speed_m_s: None if the scale cannot be determined.
     """
 
     impact_s: float
@@ -190,24 +188,24 @@ class Rebound:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What one tuning says.
+    """Result of one tuning, without samples.
 
     Attributes:
-        log: the file's name.
-        task: the kind of experiment; None where the log could not be read.
-        reason: why the verdict is not "ok", with a remedy; None if it is.
-        estimates: the task's parameters first; none for a rejected log.
-        physical: whether the values are the object's own, or numbers of one engine's settings.
-        method: how they were found; None where nothing was estimated.
-        rollouts: all simulator runs.
-        iterations: the task's parameters by name, for each iterate.
-        is_fitted: whether the last iterate is an exact fit's.
-        simulator: "engine", "preset" and "step_hz"; None where nothing was simulated.
+        log: The file's name.
+        task: Kind of experiment; None if the log could not be read.
+        reason: Why the verdict is not "ok", with a remedy; None if it is.
+        estimates: The task's parameters first; none for a rejected log.
+        physical: Whether the values are the object's own, or numbers of one engine's settings.
+        method: Estimation method; None if nothing was estimated.
+        rollouts: All simulator runs.
+        iterations: The task's parameters by name, for each iterate.
+        is_fitted: Whether the last iterate is an exact fit's.
+        simulator: "engine", "preset" and "step_hz"; None if nothing was simulated.
         weights: "preset" and "sha256" of the network that was used; None without one.
-        ball: as it was named when recording.
-        topic: where the experiment was found.
-        window: its moments by name [s since the log's first sample].
-        seconds: wall time by stage.
+        ball: As it was named when recording.
+        topic: Where the experiment was found.
+        window: Times of its events by name [s since the log's first sample].
+        seconds: Wall time by stage.
     """
 
     log: str
@@ -234,14 +232,14 @@ class Record:
     motion: Motion = field(default_factory=Motion)
 
     def estimate(self, name: str) -> Estimate | None:
-        """The quantity of that name; None where it was not found."""
+        """Return the quantity of that name, or None."""
         return next((known for known in self.estimates if known.name == name), None)
 
     def to_frame(self) -> pd.DataFrame:
-        """The values as a table: a row for each number, `payload_com_x` and more of several.
+        """Return the values as a table, one row per scalar, such as `payload_com_x`.
 
-        Index `parameter`; columns `value`, `low`, `high` (ends of the 95 % interval; NaN where none
-        is honest) and `unit`. No rows for a rejected log.
+        Index `parameter`; columns `value`, `low`, `high` (ends of the 95 % interval; NaN without a
+        valid one) and `unit`. No rows for a rejected log.
         """
         import pandas as pd
 
@@ -255,7 +253,7 @@ class Record:
 
 
 def record_of(tuning: Tuning) -> Record:
-    """The record of a tuning, with where it comes from if that is known."""
+    """Build the record of a tuning."""
     detection, trace, experiment = tuning.detection, tuning.trace, tuning.experiment
     intervals = tuning.interval95
     estimates: list[Estimate] = []

@@ -1,4 +1,4 @@
-"""A record as JSON, written and read. Its keys are a contract; new ones may be added."""
+"""Write and read a record as JSON. Its keys are a contract; new ones may be added."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from analysis.checks import Check, CrossCheck, Verdict
 from analysis.motion import (
-    MOST_SAMPLES,
+    MAX_SAMPLES,
     Curves,
     Equivalent,
     Equivalents,
@@ -31,21 +31,18 @@ from tunenet_logs.terminal import short_name
 
 Value = TypeVar("Value")
 
+# Of a time [s] and a height [m]: a tenth of a millimetre, and the time it takes to fall so far.
 _TIME_DECIMALS, _HEIGHT_DECIMALS = 5, 4
-"""Of a time [s] and a height [m]: a tenth of a millimetre, and the time it takes to fall so far."""
 
-MOST_RECORD_BYTES = 4_000_000
-"""Of a file that may be a record: several times one with the longest curves."""
+# Of a file that may be a record: several times one with the longest curves.
+MAX_RECORD_BYTES = 4_000_000
 
-_MOST_CHARACTERS = 200
-"""Of what is wrong with a file, as it is told."""
-
-_FARTHEST = 1e6
-"""[m] and [s] from zero: no curve of an experiment goes farther."""
+_MAX_CHARACTERS = 200  # of what is wrong with a file, as it is told
+_FARTHEST = 1e6  # [m] and [s] from zero: no curve of an experiment goes farther
 
 
 def record_fields(record: Record) -> dict[str, Any]:
-    """What the record's JSON holds, but the curves."""
+    """Return the fields of the record's JSON, without the curves."""
     last = len(record.iterations) - 1
     cross, motion = record.cross_check, record.motion
     return {
@@ -101,7 +98,7 @@ def record_fields(record: Record) -> dict[str, Any]:
 
 
 def to_json(record: Record) -> str:
-    """The record as one JSON object."""
+    """Format the record as one JSON object."""
     fields = record_fields(record)
     text = json.dumps(fields, indent=1, ensure_ascii=False, allow_nan=False)
     if record.motion.curves is not None:  # on one line: it is for programs
@@ -117,7 +114,7 @@ def to_json(record: Record) -> str:
 
 
 def _parameters(record: Record) -> dict[str, Any]:
-    """What was found; null where it needs units that the log does not tell."""
+    """Return the estimates; null if one's units cannot be determined."""
     found: dict[str, Any] = {
         known.name: {"value": known.value, "interval95": known.interval95, "unit": known.unit}
         for known in record.estimates
@@ -127,30 +124,30 @@ def _parameters(record: Record) -> dict[str, Any]:
 
 
 def _units(units: Units) -> dict[str, Any]:
-    """Who says in which units a log is."""
+    """Return a log's units, and their sources."""
     return {name: getattr(units, name) for name in ("length_m", "length_by", "rate_hz", "rate_by")}
 
 
 def _rounded(heights_m: Array) -> list[float | None]:
-    """Heights [m] as JSON has them: null where there is none."""
+    """Round heights [m] for JSON; null where there is none."""
     rounded = np.round(heights_m, _HEIGHT_DECIMALS).tolist()
     return [height_m if math.isfinite(height_m) else None for height_m in rounded]
 
 
 def read_record(path: Path) -> Record:
-    """The record in a JSON that `to_json` wrote.
+    """Read the record in a JSON that `to_json` wrote.
 
     Raises:
-        LogError: it cannot be read, is something else, or has a value that no tuning has.
+        LogError: It cannot be read, is something else, or has an invalid value.
     """
     try:
-        fields = parse_json(read_small_file(path, MOST_RECORD_BYTES))
+        fields = parse_json(read_small_file(path, MAX_RECORD_BYTES))
     except OSError as error:
         raise LogError(
             f"{path}: cannot be read ({error.strerror}); give a tuning's .json"
         ) from error
     except ValueError as error:
-        why = short_name(error, _MOST_CHARACTERS)
+        why = short_name(error, _MAX_CHARACTERS)
         message = f"{path}: is no JSON of a tuning ({why}); give the .json that tunenet-tune wrote"
         raise LogError(message) from error
     if not isinstance(fields, dict) or not {"verdict", "parameters"} <= fields.keys():
@@ -161,15 +158,15 @@ def read_record(path: Path) -> Record:
         why = f"{short_name(error)} is missing in it"
         raise LogError(f"{path}: {why}; tune the log again") from error
     except (ValueError, TypeError, AttributeError, ArithmeticError) as error:
-        why = short_name(error, _MOST_CHARACTERS)
+        why = short_name(error, _MAX_CHARACTERS)
         raise LogError(f"{path}: {why}; tune the log again") from error
 
 
 def record_in(data: bytes) -> Record:
-    """The same of a file's bytes.
+    """Parse a record from a file's bytes.
 
     Raises:
-        ValueError: they are no tuning, whatever is wrong.
+        ValueError: They are no tuning.
     """
     try:
         fields = parse_json(data)
@@ -181,7 +178,7 @@ def record_in(data: bytes) -> Record:
 
 
 def _provenance_fields(provenance: Provenance) -> dict[str, Any]:
-    """As JSON has it: of tares null, one, or a list of several."""
+    """Return its JSON fields; `tare` is null, one, or a list of several."""
     fields = asdict(provenance)
     tares = fields.pop("tares")
     fields["tare"] = list(tares) if len(tares) > 1 else next(iter(tares), None)
@@ -189,7 +186,7 @@ def _provenance_fields(provenance: Provenance) -> dict[str, Any]:
 
 
 def _provenance(fields: Mapping[str, Any]) -> Provenance:
-    """Of what `_provenance_fields` wrote."""
+    """Parse what `_provenance_fields` wrote."""
     known = dict(fields)
     tare = known.pop("tare", None)
     tares = tare if isinstance(tare, list) else [tare] if tare else []
@@ -197,10 +194,10 @@ def _provenance(fields: Mapping[str, Any]) -> Provenance:
 
 
 def record_from(fields: Mapping[str, Any]) -> Record:
-    """The record of a JSON's object; keys that are missing have their defaults.
+    """Parse a record from a JSON's object; missing keys have their defaults.
 
     Raises:
-        ValueError, TypeError, LookupError, AttributeError: a value that no tuning has.
+        ValueError, TypeError, LookupError, AttributeError: A value is invalid.
     """
     if fields["verdict"] not in get_args(Verdict):
         raise ValueError(f"verdict {short_name(fields['verdict'])} is none")
@@ -266,8 +263,7 @@ def record_from(fields: Mapping[str, Any]) -> Record:
     )
 
 
-_OF_STEPS = ("k", "refined")
-"""What an iteration has beside its parameters."""
+_OF_STEPS = ("k", "refined")  # what an iteration has beside its parameters
 
 
 def _interval(ends: Any) -> Interval:
@@ -280,11 +276,7 @@ def _optional(make: Callable[[Any], Value], given: Any) -> Value | None:
 
 
 def _number(name: str, value: Any) -> float:
-    """A finite number.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """Return a finite number; anything else is a ValueError."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{short_name(name)} {short_name(value)} is no finite number")
     return float(value)
@@ -353,11 +345,11 @@ def _read_units(fields: Mapping[str, Any]) -> Units:
 
 
 def _curves(fields: Mapping[str, Any]) -> Curves:
-    """What `to_json` wrote of curves."""
+    """Parse the curves that `to_json` wrote."""
     names = ("seconds", "observed_m", "simulated_m")
     seconds, observed_m, simulated_m = (np.array(fields[name], np.float64) for name in names)
     shapes = {seconds.shape, observed_m.shape, simulated_m.shape}
-    if shapes != {(len(seconds),)} or not 2 <= len(seconds) <= MOST_SAMPLES:
+    if shapes != {(len(seconds),)} or not 2 <= len(seconds) <= MAX_SAMPLES:
         raise ValueError("its curves have different lengths")
     far = [np.nanmax(np.abs(curve)) for curve in (seconds, observed_m, simulated_m)]
     if not all(reach < _FARTHEST for reach in far) or np.any(np.diff(seconds) <= 0):

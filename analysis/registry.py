@@ -1,6 +1,6 @@
-"""The experiments and the methods by name: a new one is its own folder or file, and a line here.
+"""Registry of experiments and estimation methods by name.
 
-The entries are texts, so that a command can list the names without loading anything.
+The entries are texts, so that a command can list the names without importing anything.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ if TYPE_CHECKING:
     from analysis.experiment import Experiment
     from tunenet_logs.episode import Episode
 
+# Name -> module:class. One kind of experiment may be observed in several ways: KIND-WAY.
 EXPERIMENTS = {
     "drop": "analysis.drop.from_positions:DropFromPositions",
     "drop-video": "analysis.drop.from_film:DropFromFilm",
     "drop-times": "analysis.drop.from_times:DropFromTimes",
     "payload": "analysis.payload.experiment:PayloadExperiment",
 }
-"""Name -> module:class. One kind of experiment may be observed in several ways: KIND-WAY."""
 
+# Name -> module:class, the usual one first.
 METHODS = {
     "tunenet+refine": "analysis.estimators.tunenet:TuneNetThenFit",
     "tunenet": "analysis.estimators.tunenet:TuneNet",
@@ -36,24 +37,23 @@ METHODS = {
     "tpe": "analysis.estimators.tpe:Tpe",
     "cma-es": "analysis.estimators.cma_es:ScaledCmaEs",
 }
-"""Name -> module:class, the usual one first."""
 
 
 def kinds() -> tuple[str, ...]:
-    """The kinds of experiments, as logs and `--task` name them."""
+    """List the kinds of experiments, as logs and `--task` name them."""
     return tuple(dict.fromkeys(name.partition("-")[0] for name in EXPERIMENTS))
 
 
 def experiment_named(name: str) -> Experiment:
-    """The experiment of that name in `EXPERIMENTS`."""
+    """Import the experiment of that name in `EXPERIMENTS`."""
     return _loaded(EXPERIMENTS[name])()
 
 
 def method_named(name: str) -> type[Estimator]:
-    """The method of that name.
+    """Import the method of that name.
 
     Raises:
-        UsageError: there is none; the message lists those that there are.
+        UsageError: There is none; the message lists those that exist.
     """
     if name not in METHODS:
         raise UsageError(f"there is no method {name!r}; choose one of: {', '.join(METHODS)}")
@@ -61,12 +61,12 @@ def method_named(name: str) -> type[Estimator]:
 
 
 def experiments_of(kind: str) -> tuple[Experiment, ...]:
-    """All ways of observing one kind of experiment; none where the kind is unknown."""
+    """List all ways of observing one kind of experiment; none if the kind is unknown."""
     return tuple(experiment_named(name) for name in EXPERIMENTS if name.partition("-")[0] == kind)
 
 
 def kinds_in(episode: Episode, topic: str | None) -> tuple[str, ...]:
-    """What an episode that does not say so may show: the kinds whose claim is the strongest."""
+    """Return the kinds whose claim on an episode is the strongest."""
     claims = {
         kind: max(way.claim(episode, topic) for way in experiments_of(kind)) for kind in kinds()
     }

@@ -1,8 +1,8 @@
-"""Files of results: by what they are known, and of which logs they tell.
+"""Recognise our own result files, and which logs they are of.
 
-What is ours says so near its beginning: pages, figures and JSONs by a mark with the names and
-SHA-256 of their logs, exported files by their heads, recordings for Rerun by their names, tables by
-their headers. `OutputPlace` replaces nothing else.
+Pages, figures and JSONs have a mark near the beginning with the names and SHA-256 of their logs;
+exported files are known by their header, Rerun recordings by their name, tables by their columns.
+`OutputPlace` replaces nothing else.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import BinaryIO, Literal
 from urllib.parse import quote, unquote
 
 from analysis.record import Record
-from analysis.record_json import MOST_RECORD_BYTES, record_in
+from analysis.record_json import MAX_RECORD_BYTES, record_in
 from tunenet_logs.commandline import is_stdout
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.json_lines import json_line
@@ -31,51 +31,45 @@ from tunenet_logs.terminal import listed, short_name
 
 _BLOCK_BYTES = 2**20
 
-_OWN_DIGITS = 32
-"""Of a log's SHA-256 where a result names it: enough to tell any two logs apart."""
-
-_MOST_MARKED = 1000
-"""Logs that a mark names; by those one page is told from another."""
-
+_OWN_DIGITS = 32  # of a log's SHA-256 where a result names it: enough to tell any two logs apart
+_MAX_MARKED = 1000  # logs that a mark names; by those one page is told from another
+# Of a file, in which its mark stands: one with the most logs, and what is around it.
 _MARK_BYTES = 2**17
-"""Of a file, in which its mark stands: one with the most logs, and what is around it."""
 
-_HEADER_BYTES = 4096
-"""Of a recording for Rerun, in which its names stand."""
-
+_HEADER_BYTES = 4096  # of a recording for Rerun, in which its names stand
 _MARK = rb"tunenet-logs ([a-z-]+) of((?: [\w.%]{0,80}@\w{0,32}){0,1000})"
 
+# How a marked file begins; of a PDF the end, where a pattern finds its last creator.
 _FORMS = {
     "html": rb"<!doctype html>\n<!-- " + _MARK,
     "json": rb'\{\n "made": "' + _MARK,
     "png": rb"\x89PNG\r\n\x1a\n.{29}tEXtSoftware\0" + _MARK,
     "pdf": rb".*/Creator \(" + _MARK,
 }
-"""How a marked file begins; of a PDF the end, where a pattern finds its last creator."""
 
+# The beginning of a recording of ours: its identity, then what it is of.
 _RECORDING = re.compile(
     rb"RRF2.{12}.{0,64}?([0-9a-z]{1,64})\x1a.\x0a.tunenet ([a-z0-9 _-]+) [0-9a-f]{16}", re.DOTALL
 )
-"""The beginning of a recording of ours: its identity, then what it is of."""
 
+# What is no review of one log.
 _OTHER_RECORDINGS = (b"campaign", b"shot", b"overview", b"eval drop")
-"""What is no review of one log."""
 
+# The head of an exported file.
 _EXPORTED = re.compile(
     rb"Exported by tunenet-export [\w.+-]{1,40} from the tuning of (.{1,400}?)"
     rb"(?:, tuned [^\n]{1,200})?\.[\"\s].{0,200}?"
     rb"(?:SHA-256 of the log: ([0-9a-f]{32})|Verdict: )",
     re.DOTALL,
 )
-"""The head of an exported file."""
 
 Form = Literal["html", "json", "png", "pdf"]
+# Names of logs by the first digits of their SHA-256, or by their names where nothing has those.
 Logs = Mapping[str, str]
-"""Names of logs by the first digits of their SHA-256, or by their names where nothing has those."""
 
 
 def logs_of(records: Iterable[Record]) -> Logs:
-    """The logs that tunings are of."""
+    """Collect the logs of tunings."""
     found: dict[str, str] = {}
     for record in records:
         sha256 = record.provenance.log_sha256 if record.provenance else ""
@@ -84,24 +78,19 @@ def logs_of(records: Iterable[Record]) -> Logs:
 
 
 def subject_of(known_by: Iterable[str]) -> str:
-    """What a recording's identity begins with: the same for the same logs or places."""
+    """Hash the logs or places of a recording into the prefix of its identity."""
     return hashlib.sha256("\0".join(sorted(known_by)).encode(errors="replace")).hexdigest()[:16]
 
 
 def in_words(logs: Logs) -> str:
-    """The logs' names, the first ones."""
+    """List the first names of the logs."""
     return listed(map(short_name, logs.values()), 3)
 
 
 def mark(kind: str, logs: Logs) -> str:
-    """What a file of ours says of itself: characters that stay the same in any format.
-
-    Args:
-        kind: of file, a word.
-        logs: of which it tells.
-    """
+    """Return the mark of our own files of these logs, in characters that no format escapes."""
     named: list[str] = []
-    for known_by, name in list(logs.items())[:_MOST_MARKED]:
+    for known_by, name in list(logs.items())[:_MAX_MARKED]:
         plain = re.sub(
             "[-~]", lambda one: f"%{ord(one.group()):02X}", quote(name, safe="", errors="replace")
         )
@@ -110,7 +99,7 @@ def mark(kind: str, logs: Logs) -> str:
 
 
 def marked(form: Form, kind: str, logs: Logs) -> Knows:
-    """Knows files of a form with the `mark` of a kind."""
+    """Recognise files of a form with the `mark` of a kind."""
     pattern = re.compile(_FORMS[form], re.DOTALL)
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
@@ -131,7 +120,7 @@ def marked(form: Form, kind: str, logs: Logs) -> Knows:
 
 
 def exported_file(record: Record) -> Knows:
-    """Knows files that `tunenet-export` wrote."""
+    """Recognise files that `tunenet-export` wrote."""
     logs = logs_of([record])
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
@@ -146,7 +135,7 @@ def exported_file(record: Record) -> Knows:
 
 
 def recording(kind: str, subject: str) -> Knows:
-    """Knows recordings for Rerun of one kind, whose identities begin with what they are of."""
+    """Recognise Rerun recordings of one kind whose identity begins with `subject`."""
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
         found = _RECORDING.match(file.read(_HEADER_BYTES))
@@ -158,7 +147,7 @@ def recording(kind: str, subject: str) -> Knows:
 
 
 def review_of(sha256: str) -> Knows:
-    """Knows reviews of logs."""
+    """Recognise reviews of logs."""
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
         found = _RECORDING.match(file.read(_HEADER_BYTES))
@@ -170,10 +159,10 @@ def review_of(sha256: str) -> Knows:
 
 
 def tuning_of(log: Path, sha256: str) -> Knows:
-    """Knows tunings' JSONs; of a log that cannot be read by its name."""
+    """Recognise tunings' JSONs; by the log's name if it cannot be read."""
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
-        record = record_in(file.read(MOST_RECORD_BYTES + 1))
+        record = record_in(file.read(MAX_RECORD_BYTES + 1))
         if record.provenance is None:
             return None
         known = record.provenance.log_sha256
@@ -187,11 +176,11 @@ def tuning_of(log: Path, sha256: str) -> Knows:
 
 
 def table(columns: Sequence[str], lost: Callable[[Mapping[str, str]], str | None]) -> Knows:
-    """Knows tables in text by their first columns.
+    """Recognise CSV tables by their first columns.
 
     Args:
-        columns: of every such table.
-        lost: what a row tells of that the new table will not; None where it will.
+        columns: Of every such table.
+        lost: Returns the subject of a row that the new table would lose, or None.
     """
     begins = ",".join(columns)
 
@@ -213,16 +202,10 @@ def table(columns: Sequence[str], lost: Callable[[Mapping[str, str]], str | None
 def check_place(
     place: OutputPlace, option: str, suffixes: Sequence[str], inputs: Iterable[Path]
 ) -> None:
-    """Find out before the work whether its result can be written.
-
-    Args:
-        place: where it goes.
-        option: that named it.
-        suffixes: one of which it must have.
-        inputs: files that are read, which nothing replaces.
+    """Check before the work that its result can be written, and replaces none of the inputs.
 
     Raises:
-        UsageError: it cannot; says why.
+        UsageError: It cannot be written, or the name has none of the suffixes.
     """
     path = place.path
     if path.suffix.lower() not in suffixes:
@@ -234,10 +217,10 @@ def check_place(
 
 @contextmanager
 def writable(path: Path, remedy: str) -> Iterator[None]:
-    """Say in one line which file could not be written, and what to do.
+    """Convert an OSError to one line with the file and the remedy.
 
     Raises:
-        LogError: what is done in the block raised an OSError.
+        LogError: The block raised an OSError.
     """
     try:
         yield
@@ -250,8 +233,8 @@ def write_json(place: OutputPlace, text: str) -> None:
     """Write a JSON to a file as it is or, for `-`, to standard output as one line of ASCII.
 
     Raises:
-        LogError: something else is there.
-        OSError: it cannot be written; it names the file.
+        LogError: A file there may not be replaced.
+        OSError: It cannot be written; names the file.
     """
     if is_stdout(place.path):
         print(json_line(json.loads(text)), flush=True)
@@ -261,10 +244,10 @@ def write_json(place: OutputPlace, text: str) -> None:
 
 
 def log_sha256(log: Path) -> str:
-    """SHA-256 of a log; of a folder, of the names and contents of its files.
+    """Hash a log; of a folder, the names and contents of its files.
 
     Raises:
-        OSError: it cannot be read, or is neither file nor folder.
+        OSError: It cannot be read, or is neither file nor folder.
     """
     if not log.is_dir():
         try:
@@ -285,5 +268,5 @@ def log_sha256(log: Path) -> str:
 
 
 def review_name(sha256: str) -> str:
-    """What a result of a log knows it by, so that it can be told from another's."""
+    """Shorten a SHA-256 to the identity of a log in its results."""
     return sha256[:_OWN_DIGITS]

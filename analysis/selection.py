@@ -1,4 +1,4 @@
-"""What a user chooses: how to tune, which part of a log, and what is known of ball or arm."""
+"""Choices of a user: how to tune, which part of a log, prior knowledge of ball or arm."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from tunenet_logs.episode import Episode
 
 
+# What options are about; an experiment says which of them have an effect on it.
 Subject = Literal["pictures", "ball", "height", "lengths", "arm"]
-"""What options are about; an experiment says which of them have an effect on it."""
 
 _BALL = "the ball's size and mass (--ball, --ball-diameter, --ball-mass)"
 
 
 @dataclass(frozen=True)
 class Hints:
-    """What a user may say about the ball in pictures; nothing is needed.
+    """Hints on the ball in images; none is needed.
 
     Attributes:
-        roi: left, top, width, height [px] of the part of the picture to look in.
-        hsv: lowest and highest hue (0 to 179), saturation and value (0 to 255) of the ball.
-        ball_at: x, y [px] of the ball, and when [s since the first picture, selected or not].
+        roi: Left, top, width, height [px] of the region of interest.
+        hsv: Lowest and highest hue (0 to 179), saturation and value (0 to 255) of the ball.
+        ball_at: x, y [px] of the ball, and when [s since the first image, selected or not].
     """
 
     roi: tuple[int, int, int, int] | None = None
@@ -41,26 +41,26 @@ class Hints:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which part of a log to look at, and what is known beforehand.
+    """Part of a log to use, and what is known beforehand.
 
     Attributes:
-        topic: which channel; None for the best.
-        start_s: what comes before is left out [s since the log's first sample].
-        end_s: what comes after is left out [s since the log's first sample].
-        hints: where the ball is in a picture.
-        ball: what was dropped: then the air's drag on it is known.
-        tares: logs of the same arm with nothing in its gripper, or what was read of them.
-        arm: a known arm's name, or a URDF and the link that holds the payload; None to go by the
+        topic: Channel; None for the best.
+        start_s: Start of the part [s since the log's first sample].
+        end_s: End of the part [s since the log's first sample].
+        hints: On the ball in an image.
+        ball: What was dropped: its drag is then known.
+        tares: Logs of the same arm with an empty gripper, or their episodes.
+        arm: A known arm's name, or a URDF and the link that holds the payload; None to go by the
             log.
-        height_m: of the drop, for a log of impact times alone [m].
+        height_m: Of the drop, for a log of impact times alone [m].
         gravity: "included" or "compensated": whether the arm's own weight is in the torques. None
-            to go by the log, as of what follows.
-        effort_sign: whose the torques are, "joint" (what it exerts) or "load" (the opposite).
-        effort_unit: of the torques, "N·m" or "A".
-        torque_constants: torque at the joint for each A [N·m/A] where efforts are currents: one a
-            joint from base to tool, or one for all.
-        arm_card: what other runs said of the arm; None for nothing.
-        reading: what is said of files, the log's and the tares', that do not say it themselves.
+            to go by the log, here and below.
+        effort_sign: Whose the torques are, "joint" (what it exerts) or "load" (the opposite).
+        effort_unit: Of the torques, "N·m" or "A".
+        torque_constants: For efforts that are currents [N·m/A at the joint]: one per joint from
+            base to tool, or one for all.
+        arm_card: What other runs identified of the arm; None for nothing.
+        reading: Options for files, the log's and the tares', that do not state them.
     """
 
     topic: str | None = None
@@ -80,12 +80,12 @@ class Selection:
 
     @property
     def of_currents(self) -> bool:
-        """Whether the torques are made of motors' currents."""
+        """Whether the torques are converted motor currents."""
         return bool(self.torque_constants or self.reading.torque_constants)
 
     @property
     def given(self) -> Mapping[Subject, tuple[str, ...]]:
-        """The options given, as a user names them, by what they are about."""
+        """Options given, by the user's names, by what they are about."""
         said: Mapping[Subject, Mapping[str, bool]] = {
             "pictures": {
                 "--roi": self.hints.roi is not None,
@@ -114,15 +114,15 @@ class Selection:
 
 @dataclass(frozen=True)
 class Options:
-    """What a user may choose; see `tunenet-tune --help`.
+    """Options of a tuning; see `tunenet-tune --help`.
 
     Attributes:
-        task: the kind of experiment; None to go by the log.
-        iterations: most rollouts of the method, before the last one, which checks its answer.
-        initial: one value a parameter; None for the method's own.
-        method: one of `registry.METHODS`; None for the preset's.
+        task: Kind of experiment; None to go by the log.
+        iterations: Maximum rollouts of the method, before the last one, which checks its answer.
+        initial: One value per parameter; None for the method's own.
+        method: One of `registry.METHODS`; None for the preset's.
         weights: None for those that the package ships.
-        source: of the user's own simulator; None for those of the experiments.
+        source: Of the user's own simulator; None for those of the experiments.
     """
 
     task: str | None = None
@@ -139,11 +139,11 @@ def check_start(start_s: float | None, length_s: float) -> None:
     """Refuse a part that begins after the end of a recording.
 
     Args:
-        start_s: where the part begins [s since the first sample]; None for there.
-        length_s: from the first sample to the last.
+        start_s: Start of the part [s since the first sample]; None for that sample.
+        length_s: From the first sample to the last.
 
     Raises:
-        NotFoundError: it does; the message states the length.
+        NotFoundError: It does; the message states the length.
     """
     if start_s is not None and start_s > length_s:
         raise NotFoundError(
@@ -153,12 +153,7 @@ def check_start(start_s: float | None, length_s: float) -> None:
 
 
 def no_topic(topic: str, usable: Iterable[str]) -> NotFoundError:
-    """A topic was named that shows nothing; the message lists those that do.
-
-    Args:
-        topic: that was named.
-        usable: those of the log that can be.
-    """
+    """Build the error for a topic that shows nothing; the message lists `usable` ones."""
     known = listed(sorted(usable), FEW_NAMES)
     remedy = "name one of these with --topic, or leave it out"
     if not known:

@@ -1,4 +1,4 @@
-"""What sound added to a tuning, as its JSON has it."""
+"""Write and read a record's contribution of sound as JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from analysis.motion import SoundShare
 
 
 def sound_fields(sound: SoundShare) -> dict[str, Any]:
-    """The key `sound` of a record."""
+    """Return the key `sound` of a record."""
     return {
         "impacts": sound.impacts,
         "heard": sound.heard,
@@ -22,10 +22,10 @@ def sound_fields(sound: SoundShare) -> dict[str, Any]:
 
 
 def read_sound(fields: Mapping[str, Any]) -> SoundShare:
-    """What `sound_fields` wrote.
+    """Parse what `sound_fields` wrote.
 
     Raises:
-        ValueError, TypeError, LookupError: a value that no tuning has.
+        ValueError, TypeError, LookupError: A value is invalid.
     """
     offset_s, without = fields["offset_s"], fields["without"]
     low, high = without["interval95"]

@@ -1,4 +1,4 @@
-"""A restitution at another impact's speed, so that two drops are compared at one."""
+"""Convert a restitution to another impact speed, so that two drops are compared at one."""
 
 from __future__ import annotations
 
@@ -7,27 +7,26 @@ from dataclasses import dataclass, replace
 
 from analysis.checks import Verdict
 from analysis.record import Interval, Record
-from recorders.simulators.speed_law import SLOWEST_M_S
+from recorders.simulators.speed_law import MIN_SPEED_M_S
 
-_SAME_RATIO = 1.02
-"""Of two speeds: a ball's restitution changes by a thousandth between them."""
+_SAME_RATIO = 1.02  # of two speeds: a ball's restitution changes by a thousandth between them
 
 
 @dataclass(frozen=True)
 class ComparedValue:
-    """What one log says of one number.
+    """One log's value of one scalar.
 
     Attributes:
-        label: of the log.
-        value: in the quantity's unit.
-        interval95: None where none is honest.
-        verdict: of the log.
-        sha256: of the recording; "" where that is not known.
-        is_restitution: whether it holds at one speed only.
-        speed_m_s: of the impact that it holds for; None where that is not known.
-        slowest_m_s: of the impacts that this log shows; None where that is not known.
-        slope: p of e(v) = e (v / speed)^-p; None where that is not known.
-        slope_half: half of its 95 % interval; None where it has none.
+        label: Of the log.
+        value: In the quantity's unit.
+        interval95: None if no valid one exists.
+        verdict: Of the log.
+        sha256: Of the recording; "" if unknown.
+        is_restitution: Whether it holds at one speed only.
+        speed_m_s: Impact speed that it holds for; None if unknown.
+        slowest_m_s: Least impact speed in this log; None if unknown.
+        slope: p of e(v) = e (v / speed)^-p; None if unknown.
+        slope_half: Half of its 95 % interval; None if it has none.
     """
 
     label: str
@@ -43,7 +42,7 @@ class ComparedValue:
 
 
 def restitution_value(value: ComparedValue, record: Record) -> ComparedValue:
-    """With what the record says of speeds: those of its impacts, and how it falls with them.
+    """Add the record's impact speeds and slope to a restitution.
 
     The restitution is that of the impact nearest to the window's: a record may show other bounces
     of the same ball before and after it.
@@ -70,15 +69,15 @@ def restitution_value(value: ComparedValue, record: Record) -> ComparedValue:
 
 
 def moved(value: ComparedValue, speed_m_s: float) -> ComparedValue:
-    """The same ball's restitution at another speed, e (v / v_1)^-p.
+    """Convert a ball's restitution to another speed by the power law e (v / v_1)^-p.
 
-    The record has no correlation of e and p, so their errors are added as if they always went
-    together: the interval is at least as wide as it has to be.
+    The record has no correlation of e and p, so their errors are added as if fully correlated: the
+    interval is conservative.
     """
     assert value.speed_m_s is not None
     assert value.slope is not None
     assert value.slope_half is not None
-    change = math.log(max(speed_m_s, SLOWEST_M_S) / max(value.speed_m_s, SLOWEST_M_S))
+    change = math.log(max(speed_m_s, MIN_SPEED_M_S) / max(value.speed_m_s, MIN_SPEED_M_S))
     factor = math.exp(-value.slope * change)
     middle, ends = value.value * factor, None
     if value.interval95 is not None:
@@ -91,10 +90,10 @@ def moved(value: ComparedValue, speed_m_s: float) -> ComparedValue:
 def at_one_speed(
     first: ComparedValue, second: ComparedValue
 ) -> tuple[ComparedValue, ComparedValue, float | None, str]:
-    """Two restitutions at the lower of their speeds, which the faster ball has later, too.
+    """Convert two restitutions to the lower of their speeds, which the faster ball also reaches.
 
     Returns:
-        Both, the speed if there is one for both, and what to bear in mind.
+        Both, the common speed if there is one, and a caution.
     """
     if first.speed_m_s is None or second.speed_m_s is None:
         return first, second, None, "no impact speed is known: a difference may be the speed's"

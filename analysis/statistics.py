@@ -1,4 +1,4 @@
-"""Statistics that every fit shares: noise, correlation, and the average of several models."""
+"""Statistics shared by all fits: noise, autocorrelation, and Bayesian model averaging."""
 
 from __future__ import annotations
 
@@ -10,28 +10,23 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-TWO_SIDED = 1.96
-"""Standard deviations of a normal distribution to either end of its 95 % interval."""
+TWO_SIDED = 1.96  # standard deviations of a normal distribution to either end of its 95 % interval
+# Standard deviations beyond which a third difference is an impact's, and by how much what is left
+# of a normal distribution is narrower.
+_TYPICAL_SDS, _TRIMMED = 3.0, 1.0137
 
-_USUAL_SDS, _TRIMMED = 3.0, 1.0137
-"""Standard deviations beyond which a third difference is an impact's, and by how much what is left
-of a normal distribution is narrower."""
-
-_NOTHING = 1e-12
-"""Weight in a mixture that moves no quantile."""
-
-_TAILS = (0.025, 0.975)
-"""Probabilities at the ends of a 95 % interval."""
+_NOTHING = 1e-12  # weight in a mixture that moves no quantile
+_TAILS = (0.025, 0.975)  # probabilities at the ends of a 95 % interval
 
 
 @dataclass(frozen=True)
 class ModelEstimate:
-    """One model's.
+    """Estimate of one model.
 
     Attributes:
-        middle: the value.
-        sds: standard deviations to below and above.
-        weight: of the model, beside those of the others: they need not add up to 1.
+        middle: The value.
+        sds: Standard deviations to below and above.
+        weight: Of the model, relative to those of the others.
     """
 
     middle: float
@@ -42,12 +37,12 @@ class ModelEstimate:
 def average(
     estimates: Sequence[ModelEstimate], least: float = 0.0, most: float = 1.0
 ) -> tuple[float, tuple[float, float]]:
-    """Bayesian model averaging (Hoeting et al. 1999) of normal distributions.
+    """Average normal distributions by Bayesian model averaging (Hoeting et al. 1999).
 
     Args:
-        estimates: one a model.
-        least: smallest value that physics allows.
-        most: largest.
+        estimates: One per model.
+        least: Lower physical bound.
+        most: Upper physical bound.
 
     Returns:
         The mean, and the 95 % interval of the mixture, both within `least` and `most`.
@@ -76,14 +71,13 @@ def average(
 
 
 def correlation_time(residuals: Array, unknowns: int) -> float:
-    """How many neighbouring samples carry as much as one: 1 for white noise, more for smoothed.
+    """Return the integrated autocorrelation time in samples: 1 for white noise, more for smoothed.
 
-    The integrated autocorrelation time up to the first lag within chance, or that of a first-order
-    autoregression where that is longer.
+    Summed up to the first lag within chance, or that of an AR(1) process if longer.
 
     Args:
-        residuals: of a fit, in order, shape (T,).
-        unknowns: how many were fitted: that takes some of the correlation away.
+        residuals: Of a fit, in order, shape (T,).
+        unknowns: Number that was fitted: that removes some of the correlation.
     """
     count, power = len(residuals), float(residuals @ residuals)
     if not power:
@@ -98,35 +92,35 @@ def correlation_time(residuals: Array, unknowns: int) -> float:
 
 
 def noise_of(heights: Array) -> float:
-    """Standard deviation of the noise of heights, shape (T,), in their unit.
+    """Estimate the noise's standard deviation of heights, shape (T,), by third differences.
 
-    By third differences, which a parabola does not have: sqrt(20) is what they make of white noise,
-    .6745 the median of a normal distribution's modulus.
+    A parabola has none: they multiply white noise by sqrt(20), and 0.6745 is the median absolute
+    value of a normal distribution.
     """
     return float(np.median(np.abs(np.diff(heights, 3)))) / (0.6745 * np.sqrt(20.0))
 
 
 def surer_noise_of(heights: Array) -> float:
-    """The same by the mean square of those third differences that are no impact's.
+    """Estimate the same by the trimmed mean square of third differences, impacts left out.
 
     It takes a third of the samples for the same certainty.
     """
     bends = np.diff(heights, 3) / np.sqrt(20.0)
     usual = noise_of(heights)
-    noise = bends[np.abs(bends) <= _USUAL_SDS * usual]
+    noise = bends[np.abs(bends) <= _TYPICAL_SDS * usual]
     if not len(noise):
         return usual
     return float(np.sqrt(np.mean(noise**2))) * _TRIMMED
 
 
 def mixture_quantile(probability: float, middles: Array, sds: Array, weights: Array) -> float:
-    """Of a mixture of normal distributions.
+    """Return a quantile of a Gaussian mixture (Brent's method).
 
     Args:
-        probability: from 0 to 1.
-        middles: shape (M,).
-        sds: standard deviations, shape (M,).
-        weights: adding up to 1, shape (M,).
+        probability: From 0 to 1.
+        middles: Shape (M,).
+        sds: Standard deviations, shape (M,).
+        weights: Adding up to 1, shape (M,).
     """
     from scipy.optimize import brentq
     from scipy.special import ndtr

@@ -1,4 +1,4 @@
-"""Tunings in words: a table for the terminal, and what it shares with the review."""
+"""Format tunings for the terminal, and texts shared with the review."""
 
 from __future__ import annotations
 
@@ -15,22 +15,20 @@ from analysis.record import Estimate, Record, Tuning
 from tunenet_logs.addresses import Address
 from tunenet_logs.terminal import one_line
 
-_FEWEST_DECIMALS, _MOST_DECIMALS = 4, 6
-"""Of an interval's ends."""
-
-_LARGEST = 1e9
-"""Of them, that is written out: no quantity is so large, but a stranger's file may say so."""
+_MIN_DECIMALS, _MAX_DECIMALS = 4, 6  # of an interval's ends
+# Of them, that is written out: no quantity is so large, but a stranger's file may say so.
+_MAX_SIZE = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """What a table shows of a tuning: small, so that it travels between processes.
+    """Table row of a tuning: small, so that it travels between processes.
 
     Attributes:
-        is_read: whether the log could be read at all.
-        parameter: name and unit of what was tuned; "" where that is not known.
-        extent: see `Detection.extent`; None where nothing was found.
-        truth: what a simulator was set to, where the log says so; shown, never used.
+        is_read: Whether the log could be read at all.
+        parameter: Name and unit of what was tuned; "" if unknown.
+        extent: See `Detection.extent`; None if nothing was found.
+        truth: Ground truth of a simulator, if the log has it; shown, never used.
     """
 
     log: Path | Address
@@ -43,7 +41,7 @@ class Row:
 
 
 def row_of(tuning: Tuning, record: Record) -> Row:
-    """The row of a tuning and its record."""
+    """Build the row of a tuning and its record."""
     presets = tuning.experiment.presets if tuning.experiment else {}
     parameter = presets[tuning.preset].parameters[0] if tuning.preset in presets else None
     truth = None
@@ -61,11 +59,11 @@ def row_of(tuning: Tuning, record: Record) -> Row:
 
 
 def table(rows: Sequence[Row], most: int | None = None) -> str:
-    """One line a log, and lines below for what is more to say; a table for each parameter.
+    """Format a line per log, with indented lines below it; a table for each parameter.
 
     Args:
-        rows: of the logs.
-        most: characters of a line on a terminal, to which it is fitted; None for all of it.
+        rows: Of the logs.
+        most: Width of the terminal, to which it is fitted; None for all of it.
     """
     parameters = list(dict.fromkeys(row.parameter for row in rows if row.parameter)) or [""]
     parts = [
@@ -80,7 +78,7 @@ def table(rows: Sequence[Row], most: int | None = None) -> str:
 
 
 def _columns(parameter: str, rows: Sequence[Row]) -> dict[str, list[str]]:
-    """The cells of each column, by its name."""
+    """Return the cells of each column, by its name."""
     records = [row.record for row in rows]
     crosses = [record.cross_check for record in records]
     extents = [row.extent[0] for row in rows if row.extent is not None]
@@ -104,14 +102,14 @@ def _columns(parameter: str, rows: Sequence[Row]) -> dict[str, list[str]]:
 
 
 def _cross(cross: CrossCheck | None) -> str:
-    """A second estimate, and how far from the first it may be to agree."""
+    """Format a second estimate, and its tolerance."""
     if cross is None:
         return "-"
     return f"{cross.value:.4f}" + ("" if cross.tolerance is None else f" ({cross.tolerance:.4f})")
 
 
 def cross_words(cross: CrossCheck) -> str:
-    """A second estimate with its noise, its way, and the tolerance that it was judged by."""
+    """Format a second estimate with its noise, its method, and its tolerance."""
     noise = "" if cross.noise95 is None else f" ± {cross.noise95:.4f} by its noise alone"
     allowed = (
         "" if cross.tolerance is None else f"; up to {cross.tolerance:.4f} off counts as agreed"
@@ -120,7 +118,7 @@ def cross_words(cross: CrossCheck) -> str:
 
 
 def _lines_below(row: Row) -> list[str]:
-    """What a table's line has no room for."""
+    """List what a table's line has no room for."""
     record = row.record
     lines = [extra_words(known) for known in record.estimates[1:] if isinstance(known.value, tuple)]
     if record.estimates:
@@ -133,12 +131,11 @@ def _lines_below(row: Row) -> list[str]:
     return lines
 
 
-_SHORT = {"restitution_slope": "slope"}
-"""What a table calls a parameter whose name is long."""
+_SHORT = {"restitution_slope": "slope"}  # what a table calls a parameter whose name is long
 
 
 def _other_parameters(records: Sequence[Record]) -> dict[str, list[str]]:
-    """A column for each further parameter of one number, with half its interval."""
+    """Build a column for each further scalar parameter, with half its interval."""
     others = [known for record in records for known in record.estimates[1:]]
     names = dict.fromkeys(
         (known.name, known.unit) for known in others if isinstance(known.value, float)
@@ -159,13 +156,13 @@ def _value(known: Sequence[Estimate]) -> str:
 
 
 def _fits(record: Record) -> str:
-    """How far the tuned simulator is from what was observed, beyond the noise."""
+    """Format the RMS residual beyond the noise."""
     fit = record.motion.fit
     return "-" if fit is None or not record.estimates else f"{fit.excess_percent:.2f} %"
 
 
 def _interval(record: Record) -> str:
-    """That of the first parameter; a suspect's is marked."""
+    """Format the first parameter's interval; a suspect's is marked."""
     known = record.estimates[0] if record.estimates else None
     if known is None or known.interval95 is None:
         return "-"
@@ -176,20 +173,20 @@ def _interval(record: Record) -> str:
 
 
 def interval_mark(record: Record) -> str:
-    """Beside an interval: what it says holds as far as the doubts are unfounded."""
+    """Return a mark for the interval of a verdict that is not ok."""
     return "" if record.verdict == "ok" else f" ({record.verdict})"
 
 
 def interval_words(low: float, high: float) -> str:
-    """An interval with as many decimals as its width needs: equal ends would read as certainty.
+    """Format an interval with enough decimals: equal ends would read as certainty.
 
-    The last digits differ by two or more. Where six decimals do not show that, the ends are rounded
+    The last digits differ by two or more. If six decimals do not show that, the ends are rounded
     away from each other.
     """
-    if max(abs(low), abs(high)) > _LARGEST:
+    if max(abs(low), abs(high)) > _MAX_SIZE:
         return f"{low:.4g} to {high:.4g}"
-    decimals = _FEWEST_DECIMALS
-    while decimals < _MOST_DECIMALS and round(high * 10**decimals) - round(low * 10**decimals) < 2:
+    decimals = _MIN_DECIMALS
+    while decimals < _MAX_DECIMALS and round(high * 10**decimals) - round(low * 10**decimals) < 2:
         decimals += 1
     unit = 10**decimals
     first, last = round(low * unit), round(high * unit)
@@ -199,12 +196,12 @@ def interval_words(low: float, high: float) -> str:
 
 
 def quantity(name: str, unit: str) -> str:
-    """A quantity's name with its unit: "restitution", "payload_mass [kg]"."""
+    """Format a quantity's name with its unit: "restitution", "payload_mass [kg]"."""
     return name if unit == "1" else f"{name} [{unit}]"
 
 
 def extra_words(known: Estimate) -> str:
-    """A quantity of several numbers, each with half its interval where it has one."""
+    """Format a quantity of several numbers, each with half its interval if it has one."""
     return f"{quantity(known.name, known.unit)} {_numbers(known)}"
 
 
@@ -217,12 +214,11 @@ def _numbers(known: Estimate) -> str:
     return ", ".join(f"{value:.4f}{half}" for value, half in zip(values, halves, strict=True))
 
 
-_SAME = 0.001
-"""Of a restitution: with a ball that differs by less, a simulator needs no air."""
+_SAME = 0.001  # of a restitution: with a ball that differs by less, a simulator needs no air
 
 
 def equivalent_words(record: Record) -> str:
-    """The ball for a simulator without air; "" where it is the same there."""
+    """Describe the ball for a simulator without air; "" if it is the same there."""
     known = record.motion.equivalents
     if known is None or not record.estimates:
         return ""
@@ -237,7 +233,7 @@ def equivalent_words(record: Record) -> str:
 
 
 def sound_words(record: Record) -> str:
-    """What a sound added to what is seen, or why nothing; "" where there is none."""
+    """Describe the contribution of sound, or why it is not used; "" if there is none."""
     sound = record.motion.sound
     if sound is None:
         return ""
@@ -253,6 +249,6 @@ def sound_words(record: Record) -> str:
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table of text cells."""
+    """Format a Markdown table of text cells."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)

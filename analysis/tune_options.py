@@ -1,4 +1,4 @@
-"""What a user may say to a tuning, by name: one list for the commands and for Python."""
+"""Options of a tuning by name: one list for the commands and for Python."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ PresetName = Literal["default", "paper", "paper-code"]
 Gravity = Literal["included", "compensated"]
 EffortSign = Literal["joint", "load"]
 
+# Least, greatest and unit of each number that may be said.
 RANGES: Mapping[str, tuple[float, float, str]] = {
     "start_s": (0.0, 1e9, "s"),
     "end_s": (0.0, 1e9, "s"),
@@ -37,46 +38,44 @@ RANGES: Mapping[str, tuple[float, float, str]] = {
     "ball_diameter_m": (0.001, 10.0, "m"),
     "ball_mass_kg": (0.0001, 1000.0, "kg"),
 }
-"""Least, greatest and unit of each number that may be said."""
 
-MOST_ITERATIONS = 1000
+MAX_ITERATIONS = 1000
 
 
 class TuneOptions(ReadingOptions, total=False):
-    """What may be said to a tuning; each is the option of `tunenet-tune` of that name.
+    """Options of a tuning; each is the option of `tunenet-tune` of that name.
 
     Attributes:
         task: "drop" or "payload"; None to go by the log.
-        preset: simulator, observation and network: ours, or those of the paper's text or code.
-        method: one of `analysis.registry.METHODS`; None for the preset's.
-        iterations: rollouts that the method may spend, 1 to 1000 (5).
-        initial: where to start, one value a parameter; None for the method's own.
-        weights: a file by `tunenet-train`; None for those that the package ships.
-        topic: which channel of the log; None for the best.
-        start_s: what comes before is left out [s since the log's first sample].
-        end_s: what comes after is left out [s since the log's first sample].
-        height_m: of the drop, for a log of impact times alone [m].
-        roi: left, top, width, height [px] of the part of the picture in which the ball is.
-        hsv: lowest and highest hue (0 to 179), saturation and value (0 to 255) of the ball.
-        ball_at: x, y [px] of the ball, and when [s since the first picture].
-        ball: a ball of known size and mass by its name, such as "table-tennis", or a `Ball`.
-        ball_diameter_m: of the ball [m]; goes before what the name says.
-        ball_mass_kg: of the ball [kg], with its diameter.
-        tares: logs of the same arm with nothing in its gripper.
-        arm: a known arm's name, such as "ur5e"; None to go by the log.
-        urdf: a file of any other serial arm, with `tool_link`.
-        tool_link: the link of that file in whose frame the payload is.
-        gravity: whether the arm's own weight is in the torques; None to go by the log.
-        effort_sign: whose the torques are, what the joint exerts or the load; None likewise.
-        effort_unit: "N·m", or "A" for currents that `torque_constants` make torques.
-        arm_card: what earlier runs said of the arm, a file.
-        model: a MuJoCo model of one's own, MJCF or URDF, that is tuned in place of an experiment.
-        parameters: what of it is tuned, "KIND/NAME.FIELD" with "=LOW:HIGH" where the range is not
+        preset: Simulator, observation and network: ours, or those of the paper's text or code.
+        method: One of `analysis.registry.METHODS`; None for the preset's.
+        iterations: Rollouts that the method may spend, 1 to 1000 (5).
+        initial: Initial guess, one value per parameter; None for the method's own.
+        weights: A file by `tunenet-train`; None for those that the package ships.
+        topic: Channel of the log; None for the best.
+        start_s: Start of the part to use [s since the log's first sample].
+        end_s: End of the part to use [s since the log's first sample].
+        height_m: Of the drop, for a log of impact times alone [m].
+        roi: Left, top, width, height [px] of the image region in which the ball is.
+        hsv: Lowest and highest hue (0 to 179), saturation and value (0 to 255) of the ball.
+        ball_at: x, y [px] of the ball, and when [s since the first image].
+        ball: A ball of known size and mass by its name, such as "table-tennis", or a `Ball`.
+        ball_diameter_m: Diameter [m]; overrides that of the named ball.
+        ball_mass_kg: Mass [kg], with the diameter.
+        tares: Logs of the same arm with an empty gripper.
+        arm: A known arm's name, such as "ur5e"; None to go by the log.
+        urdf: A file of any other serial arm, with `tool_link`.
+        tool_link: Link of that file in whose frame the payload is.
+        gravity: Whether the arm's own weight is in the torques; None to go by the log.
+        effort_sign: Whose the torques are, what the joint exerts or the load; None likewise.
+        effort_unit: "N·m", or "A" for currents that `torque_constants` convert to torques.
+        arm_card: File of what earlier runs identified of the arm.
+        model: The user's own MuJoCo model, MJCF or URDF, to tune instead of an experiment.
+        parameters: Parameters of it to tune, "KIND/NAME.FIELD" with "=LOW:HIGH" if the range is not
             the usual one, such as "joint/elbow.damping=0:5"; or YAML files with them.
-        mapping: what of the log is what of the model, where their names differ: a signal, a topic
-            or "SIGNAL.COLUMN" -> "joint/NAME", "actuator/NAME", "body/NAME", "site/NAME" (with a
-            "-" before it, a wrench of the other sign), "commands", "states", or "-" to leave it
-            out.
+        mapping: Names of the log to names of the model where they differ: a signal, a topic or
+            "SIGNAL.COLUMN" -> "joint/NAME", "actuator/NAME", "body/NAME", "site/NAME" (with a "-"
+            before it, a wrench of the other sign), "commands", "states", or "-" to leave it out.
     """
 
     task: str | None
@@ -109,14 +108,14 @@ class TuneOptions(ReadingOptions, total=False):
 
 
 def options_of(given: TuneOptions, logs: Sequence[Path] = ()) -> Options:
-    """The options of a tuning, each checked.
+    """Check named options, and build those of a tuning.
 
     Args:
-        given: by name; what is missing or None is as usual.
-        logs: that will be tuned, which no arm card may have seen already.
+        given: By name; missing ones and None are the defaults.
+        logs: That will be tuned, which the arm card must not be from already.
 
     Raises:
-        UsageError: an option that there is not, or a value that makes no sense.
+        UsageError: There is no such option, or a value is invalid.
     """
     known = TuneOptions.__annotations__
     if unknown := [name for name in given if name not in known]:
@@ -131,7 +130,7 @@ def options_of(given: TuneOptions, logs: Sequence[Path] = ()) -> Options:
     _check_choice("gravity", said, get_args(Gravity))
     _check_choice("effort_sign", said, get_args(EffortSign))
     iterations = said.get("iterations", Options.iterations)
-    if not isinstance(iterations, int) or not 1 <= iterations <= MOST_ITERATIONS:
+    if not isinstance(iterations, int) or not 1 <= iterations <= MAX_ITERATIONS:
         raise UsageError(f"iterations {iterations!r} is not a whole number from 1 to 1000")
     initial = said.get("initial")
     weights = said.get("weights")
@@ -148,7 +147,7 @@ def options_of(given: TuneOptions, logs: Sequence[Path] = ()) -> Options:
 
 
 def _source(said: Mapping[str, Any]) -> SimulatorSource | None:
-    """The user's own simulator; None where none is named."""
+    """Return the user's own simulator, or None."""
     wanted = said.get("parameters") or ()
     if "model" not in said:
         for name, option in (("parameters", "--tune"), ("mapping", "--map")):
@@ -193,10 +192,10 @@ def _selection(said: Mapping[str, Any], logs: Sequence[Path]) -> Selection:
 
 
 def effort_unit(text: str) -> str:
-    """The unit of torques: N·m in one of its spellings, or A.
+    """Parse the unit of torques: N·m in one of its spellings, or A.
 
     Raises:
-        UsageError: it is neither.
+        UsageError: It is neither.
     """
     unit = "N·m" if text in ("N·m", "Nm", "N.m", "N*m") else text
     if unit not in ("N·m", "A"):
@@ -205,9 +204,9 @@ def effort_unit(text: str) -> str:
 
 
 def _of_efforts(reading: ReadOptions, unit: str | None) -> tuple[ReadOptions, tuple[float, ...]]:
-    """How to read a log, and the torque for each A of its efforts [N·m/A] if these are currents.
+    """Return how to read a log, and the torque constants [N·m/A] if its efforts are currents.
 
-    Where they are, the constants are theirs, and none of a table's currents.
+    If they are, the constants are theirs, and none of a table's currents.
     """
     if unit != "A":
         return reading, ()
@@ -219,7 +218,7 @@ def _of_efforts(reading: ReadOptions, unit: str | None) -> tuple[ReadOptions, tu
 
 
 def _ball(said: Mapping[str, Any]) -> Ball:
-    """The ball; what was measured goes before the table."""
+    """Return the ball; measured values override the table."""
     named = said.get("ball", UNKNOWN_BALL)
     ball = named if isinstance(named, Ball) else ball_named(named)
     diameter_m, mass_kg = said.get("ball_diameter_m"), said.get("ball_mass_kg")
@@ -235,11 +234,11 @@ def _ball(said: Mapping[str, Any]) -> Ball:
 
 
 def ball_doubts(given: TuneOptions, ball: Ball) -> tuple[str, ...]:
-    """What is odd about the ball that was said, in words; nothing of most.
+    """Describe what is odd about the stated ball.
 
     Args:
-        given: as to `options_of`, which does not refuse it.
-        ball: that it made of it.
+        given: As to `options_of`, which does not refuse it.
+        ball: That it made of it.
     """
     doubts: list[str] = []
     named = given.get("ball")
@@ -256,7 +255,7 @@ def ball_doubts(given: TuneOptions, ball: Ball) -> tuple[str, ...]:
 
 
 def _tares(tares: Sequence[AnyPath | Episode]) -> tuple[Path | Episode, ...]:
-    """The empty runs, each once."""
+    """Return the empty runs; refuse one that is named twice."""
     runs = tuple(Path(tare) if isinstance(tare, str | PathLike) else tare for tare in tares)
     found: set[Path] = set()
     for run in runs:
@@ -268,7 +267,7 @@ def _tares(tares: Sequence[AnyPath | Episode]) -> tuple[Path | Episode, ...]:
 
 
 def _arm(said: Mapping[str, Any]) -> str | tuple[Path, str] | None:
-    """The arm's name, or its URDF and the link; None to go by the log."""
+    """Return the arm's name, or its URDF and the link; None to go by the log."""
     urdf, link = said.get("urdf"), said.get("tool_link")
     urdf = None if urdf is None else Path(urdf)
     if "arm" in said:
@@ -280,7 +279,7 @@ def _arm(said: Mapping[str, Any]) -> str | tuple[Path, str] | None:
 
 
 def _card(file: AnyPath | None, runs: Sequence[Path]) -> ArmCard | None:
-    """What is known of the arm, from other runs than these."""
+    """Read the arm card, which must be from other runs than these."""
     if file is None:
         return None
     from analysis.payload.arm_card import read_arm_card

@@ -1,4 +1,4 @@
-"""The road of one log: read, detect, pose the problem, estimate, judge. It knows no experiment."""
+"""Pipeline of one log: read, detect, pose the problem, estimate, check; for any experiment."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Stopwatch:
         self.seconds: dict[str, float] = {}
 
     def lap(self, name: str) -> None:
-        """End the stage `name`; the next one begins."""
+        """Record the time of stage `name` and start the next."""
         now = time.perf_counter()
         self.seconds[name] = now - self._last
         self.seconds["total"] = now - self._start
@@ -44,10 +44,10 @@ class Stopwatch:
 
 
 def tune_log(path: Path, options: Options) -> Tuning:
-    """Tune from one log. What cannot be tuned comes back as "rejected", with the reason.
+    """Tune from one log; one that cannot be tuned is returned as "rejected", with the reason.
 
     Raises:
-        UsageError, WeightsError: the options fit no log: preset, initial value or weights.
+        UsageError, WeightsError: The options fit no log: preset, initial value or weights.
     """
     watch = Stopwatch()
     try:
@@ -117,15 +117,15 @@ def tune_detected(
     path: Path = Path(),
     episode: Episode | None = None,
 ) -> Tuning:
-    """Tune to what `detect` finds: pose the problem, estimate, evaluate, check, judge.
+    """Tune to a detection: pose the problem, estimate, evaluate, check, judge.
 
     Args:
-        experiment: what is detected.
-        detect: gives its detection.
-        options: of the user.
-        watch: runs since the log was opened.
-        path: of the log.
-        episode: the log as it was read; None for a detection that was made without one.
+        experiment: That detects.
+        detect: Returns its detection.
+        options: Of the user.
+        watch: Started when the log was opened.
+        path: Of the log.
+        episode: The log as read; None for a detection that was made without one.
     """
     if options.preset not in experiment.presets:
         known = ", ".join(experiment.presets)
@@ -195,7 +195,7 @@ def tune_detected(
 
 
 def _initial(preset: Preset, method: type[Estimator], options: Options) -> Array:
-    """The user's first values, and the usual ones of what the user did not name, shape (P,)."""
+    """Return the user's initial values, completed by the defaults, shape (P,)."""
     parameters = preset.parameters[:1] if method.takes_one_parameter else preset.parameters
     given = list(options.initial or ())
     if len(given) > len(parameters):
@@ -211,7 +211,7 @@ def _initial(preset: Preset, method: type[Estimator], options: Options) -> Array
 
 
 def _setup(preset: Preset, method: type[Estimator], options: Options) -> Setup:
-    """What the method is built from; weights are read only for one that uses them."""
+    """Build the method's setup; weights are read only if it uses them."""
     if not method.uses_network:
         return Setup()
     if preset.training is None and preset.starts_as_given:
@@ -225,7 +225,7 @@ def _setup(preset: Preset, method: type[Estimator], options: Options) -> Setup:
 
 
 def _evaluated(trace: Trace, problem: Problem) -> Trace:
-    """The iterates, each with a rollout: what is checked and shown was simulated and counted."""
+    """Roll out iterates that have no rollout: what is checked was simulated and counted."""
     steps = [
         step
         if step.evaluation is not None

@@ -1,4 +1,4 @@
-"""The tunings that a user names: JSONs of `tunenet-tune`, and folders with them."""
+"""Read the tunings that a user names: JSONs of `tunenet-tune`, and folders with them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.outcome_reading import Warn
 from tunenet_logs.regular_file import real_path
 
-_DEEPEST = 4
-"""Folders in front of a name, at most, that tell it from an equal one."""
+_MAX_DEPTH = 4  # folders in front of a name, at most, that tell it from an equal one
 
 
 @dataclass(frozen=True, eq=False)
 class TuningFile:
-    """A JSON and what it says.
+    """JSON of a tuning, and its record.
 
     Attributes:
-        label: the log's name; with folders in front where several logs have it.
+        label: The log's name; with folders in front if several logs have it.
     """
 
     path: Path
@@ -33,14 +32,10 @@ class TuningFile:
 
 
 def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
-    """Read tunings, in the order they are named; those of a folder by their names.
-
-    Args:
-        places: files, and folders, which are searched with those in them.
-        warn: called with what of a folder cannot be read.
+    """Read tunings in the order they are named; those of a folder, searched recursively, by name.
 
     Raises:
-        LogError: there is no such place, no tuning in any of them, or a file that is named is none.
+        LogError: There is no such place, no tuning in any of them, or a named file is none.
     """
     named = {real_path(place) for place in places if place.is_file()}
     found: list[tuple[Path, Record]] = []
@@ -63,16 +58,16 @@ def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
 
 
 def in_order(tunings: Sequence[TuningFile]) -> tuple[TuningFile, ...]:
-    """Sorted by their labels, as people count."""
+    """Sort by labels in natural order."""
     return tuple(sorted(tunings, key=lambda tuning: natural(tuning.label)))
 
 
 def _labels(found: Sequence[tuple[Path, Record]]) -> list[str]:
-    """Names of logs; equal ones with as many folders of their JSON as tell them apart."""
+    """Label logs; equal names get as many folders of their JSON as distinguish them."""
     names = [record.log or path.stem for path, record in found]
     counts = Counter(names)
     labels = list(names)
-    for depth in range(_DEEPEST):
+    for depth in range(_MAX_DEPTH):
         again = Counter(labels)
         for index, (path, _) in enumerate(found):
             if counts[names[index]] > 1 and again[labels[index]] > 1:

@@ -1,4 +1,4 @@
-"""Options that change nothing of one log: nobody should think that they had an effect."""
+"""Report options that have no effect on a log."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def unused_options(
     episode: Episode | None,
     detection: Any,
 ) -> list[str]:
-    """What was given for nothing, one line each with the reason.
+    """List options without effect, one line each with the reason.
 
     Args:
-        options: of the user.
-        experiment: that was looked for.
-        method: that estimates.
-        episode: the log as it was read; None for a detection that was made without one.
-        detection: of it; None where it was not found.
+        options: Of the user.
+        experiment: That was looked for.
+        method: That estimates.
+        episode: The log as read; None for a detection that was made without one.
+        detection: Of it; None if nothing was found.
     """
     selection = options.selection
     found: list[str] = []

@@ -1,4 +1,4 @@
-"""Every ratio of this project's speed in one run, to be compared with an earlier one.
+"""Measure every ratio of this project's speed in one run, to compare with an earlier one.
 
 `python -m benchmarks --json now.json` keeps the figures; `--compare before.json` prints what
 changed since. docs/performance.md says what each of them means.
@@ -19,7 +19,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Section:
-    """A module of `benchmarks` whose `figures(**counts)` prints its lines and returns its figures.
+    """Module of `benchmarks` whose `figures(**counts)` prints its lines and returns its figures.
 
     Attributes:
         counts: of the whole run.
@@ -42,7 +42,7 @@ SECTIONS = {
 
 
 def flat(figures: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, float]]:
-    """All numbers below one mapping, by their names joined with dots."""
+    """Yield all numbers of a nested mapping, by their names joined with dots."""
     for name, value in figures.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{before}{name}.")
@@ -51,7 +51,7 @@ def flat(figures: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, fl
 
 
 def print_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Each figure then and now; those that only one run has are left out."""
+    """Print each figure then and now; those that only one run has are left out."""
     old, width = dict(flat(before)), 64
     print(f"\n{'':{width}} {'before':>10} {'now':>10} {'change':>8}")
     for name, value in flat(now):

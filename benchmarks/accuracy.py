@@ -1,4 +1,4 @@
-"""Accuracy of `tunenet-tune`, K = 5, on fresh drops, clean and noisy.
+"""Measure the accuracy of `tunenet-tune`, K = 5, on fresh drops, clean and noisy.
 
 `python -m benchmarks.accuracy` prints mean and median absolute errors; beside those of the result,
 the network's alone, and those of the speeds just after and before the first impact, which need no
@@ -23,10 +23,7 @@ SEEDS = (1, 2, 3)
 
 
 def errors(noise_m: float, hold_s: float, seed: int) -> np.ndarray:
-    """Absolute errors of result, network and cross-check; whether the interval holds the truth.
-
-    Shape (answered, 4); the last is NaN where there is no interval.
-    """
+    """Return errors of result, network and cross-check, and coverage, shape (answered, 4)."""
     rng = np.random.default_rng(seed)
     rows = []
     with tempfile.TemporaryDirectory() as folder:

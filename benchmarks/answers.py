@@ -1,4 +1,4 @@
-"""What `tunenet-tune` answers to a fixed set of logs, to hold later versions of the code against.
+"""Compare the answers of `tunenet-tune` to a fixed set of logs between versions.
 
     python -m benchmarks.answers --write DIR     tune the set, keep its logs and answers in DIR
     python -m benchmarks.answers --compare DIR   tune the same logs again: what has changed?
@@ -34,12 +34,12 @@ from benchmarks.fixed_logs import SAMPLES, FixedLog, given_logs, make_logs
 
 BIN = Path(sys.executable).parent
 LOGS, ANSWERS = "logs", "answers.json"
-_MOST_S = 900
+_MAX_S = 900
 
 
 @dataclass(frozen=True)
 class Answers:
-    """All that one version of the code said.
+    """Answers of one version of the code.
 
     Attributes:
         logs: by name.
@@ -51,7 +51,7 @@ class Answers:
 
 
 def tuned(log: FixedLog) -> Answer:
-    """What `tunenet-tune` says of one log, in a process of its own."""
+    """Tune one log in a process of its own."""
     tare = [] if log.tare is None else ["--tare", log.tare]
     with tempfile.TemporaryDirectory() as folder:
         words = [BIN / "tunenet-tune", log.path, *tare, "-o", folder, "--jobs", "1", "--quiet"]
@@ -74,17 +74,17 @@ def tuned(log: FixedLog) -> Answer:
 
 def _run(words: Sequence[object]) -> subprocess.CompletedProcess[str]:
     command = [str(word) for word in words]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=_MOST_S)
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=_MAX_S)
 
 
 def _digest(path: Path) -> str:
-    """SHA-256 of a file, or of all files of a folder."""
+    """Return the SHA-256 of a file, or of all files of a folder."""
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     return hashlib.sha256(b"".join(one.read_bytes() for one in files if one.is_file())).hexdigest()
 
 
 def campaign_words() -> str:
-    """What `tunenet-review` prints of the sample campaign."""
+    """Return what `tunenet-review` prints of the sample campaign."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "campaign"
         shutil.copytree(SAMPLES / "campaign", folder)
@@ -114,7 +114,7 @@ def write(folder: Path, jobs: int) -> None:
 
 
 def compare(folder: Path, jobs: int) -> bool:
-    """Tune the kept logs again and print what has changed; whether nothing has."""
+    """Tune the kept logs again and print the changes; return whether there are none."""
     told = json.loads((folder / ANSWERS).read_text())
     before = {name: Answer(**one) for name, one in told["logs"].items()}
     given = {log.name: log for log in given_logs()}

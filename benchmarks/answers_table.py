@@ -1,4 +1,4 @@
-"""Two sets of answers to the same logs, side by side."""
+"""Compare two sets of answers to the same logs."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-MOVED = 0.1
-"""Share of the half width of an interval by which a value may differ."""
-
-_EXACT = 1e-9
-"""Largest difference of values in a group without any interval."""
+MOVED = 0.1  # share of the half width of an interval by which a value may differ
+_EXACT = 1e-9  # largest difference of values in a group without any interval
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What was said of one log.
+    """Answer to one log.
 
     Attributes:
         group: the line of the table that it counts in.
@@ -39,13 +36,13 @@ class Answer:
     failed: Sequence[str]
 
     def half_width(self, name: str) -> Array | None:
-        """Half the width of a parameter's interval, one for each of its numbers."""
+        """Return half the width of a parameter's interval, one for each of its numbers."""
         ends = self.intervals[name]
         return None if ends is None else np.ptp(np.reshape(ends, (-1, 2)), axis=1) / 2
 
     @property
     def error(self) -> float:
-        """Of the first parameter, absolute; NaN where that is not known."""
+        """Absolute error of the first parameter; NaN where that is unknown."""
         if self.truth is None or not self.values:
             return np.nan
         return abs(float(np.ravel(next(iter(self.values.values())))[0]) - self.truth)
@@ -64,12 +61,7 @@ Named = Mapping[str, Answer]
 
 
 def compared(before: Named, after: Named) -> tuple[str, bool]:
-    """The paired table and what has changed, log by log; whether nothing has.
-
-    Args:
-        before: by name of the log.
-        after: of the same logs.
-    """
+    """Tabulate the pairs and the changes, log by log; return whether there are none."""
     groups = list(dict.fromkeys(one.group for one in before.values()))
     changes = [
         (name, text)
@@ -89,7 +81,7 @@ def _of(answers: Named, group: str) -> Named:
 
 
 def _changes(before: Named, after: Named) -> list[tuple[str, str]]:
-    """What differs in one group: verdicts, failed checks, values."""
+    """List what differs in one group: verdicts, failed checks, values."""
     usual = {
         name: float(np.median(widths))
         for name in {name for one in before.values() for name in one.values}
@@ -144,7 +136,7 @@ def _line(group: str, before: Named, after: Named, changed: set[str]) -> str:
 
 
 def _mean(values: Array, scale: float = 1.0) -> str:
-    """With its standard error; in percent for a scale of 100."""
+    """Format a mean with its standard error; in percent for a scale of 100."""
     if len(values) < 2:
         return "-"
     mean, error = values.mean() * scale, values.std(ddof=1) / np.sqrt(len(values)) * scale

@@ -1,4 +1,4 @@
-"""Torques of the arm: inverse dynamics against a rollout, how alike and how much faster.
+"""Compare arm torques by inverse dynamics and by a rollout: difference and speed.
 
 `python -m benchmarks.arm` prints both, over 5 s of the paper's circle with a payload.
 """
@@ -22,7 +22,7 @@ ROUNDS = 30
 
 
 def milliseconds(work: Callable[[], object]) -> float:
-    """The best of a few rounds."""
+    """Return the best of a few rounds [ms]."""
     times = []
     for _ in range(ROUNDS):
         start = time.perf_counter()
@@ -36,7 +36,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def agreement(settings: RolloutSettings) -> tuple[float, float]:
-    """Difference from inverse dynamics [N·m rms] along the circle, and where the arm went."""
+    """Return RMS differences from inverse dynamics [N·m]: along the circle, and the arm's path."""
     times = settings.times()
     rollout = roll_out(ARM, circle_at(times), HELD, settings)
     recorded = circle_at(times[settings.burn_in : -1])

@@ -1,4 +1,4 @@
-"""What an arm's card is worth beside tares of the log itself.
+"""Measure what an arm's card is worth beside tares of the log itself.
 
     python -m benchmarks.arm_cards                 36 arms, ten minutes
     python -m benchmarks.arm_cards --arms 4 --troubles LIGHT
@@ -71,7 +71,7 @@ def _mean(values: Array) -> str:
 
 
 def one_arm(work: tuple[int, stranger_arm.Troubles]) -> Array:
-    """Mass, lower and upper end, truth [kg] in each way, shape (W, 4)."""
+    """Return mass, lower and upper end, truth [kg] in each way, shape (W, 4)."""
     seed, troubles = work
     rng = np.random.default_rng([seed, 77])
     mass_kg, other_kg = rng.uniform(0.0, 2.5), rng.uniform(0.2, 2.5)

@@ -1,4 +1,4 @@
-"""What many logs cost together: processes against one, Ray against processes, memory, kills.
+"""Measure batches of many logs: processes against one, Ray, memory, kills.
 
 `python -m benchmarks.batches` makes small logs of a ball's positions (those of
 `benchmarks.state_logs`), 5 % of them damaged, and tunes them to JSON and ledger without reviews.
@@ -35,11 +35,11 @@ from benchmarks.state_logs import write_log
 from tunenet_logs.terminal import Progress
 
 _DIFFERENT, _DAMAGED_EVERY, _STARTING = 100, 20, 64
-_SLEEP_S, _MOST_S = 0.01, 600.0
+_SLEEP_S, _MAX_S = 0.01, 600.0
 
 
 def make_logs(folder: Path, count: int) -> None:
-    """Logs of which one in twenty is cut in its middle or no log at all."""
+    """Write logs of which one in twenty is cut in its middle or no log at all."""
     folder.mkdir()
     for index in range(count):
         path = folder / f"{index:06}.mcap"
@@ -53,7 +53,7 @@ def make_logs(folder: Path, count: int) -> None:
 
 
 class Timed:
-    """A stream of results that notes when they come, and what its workers hold in memory."""
+    """Stream of results that notes when they come, and what its workers hold in memory."""
 
     def __init__(self, stream: Callable[..., Iterator[tuple[int, Result]]]) -> None:
         self._stream = stream
@@ -75,13 +75,13 @@ class Timed:
 
     @property
     def rate(self) -> float:
-        """Results a second, after the first ones."""
+        """Return the results a second, after the first ones."""
         moments = self.moments_s[_STARTING:]
         return (len(moments) - 1) / (moments[-1] - moments[0])
 
 
 def rates(folder: Path, out: Path) -> dict[str, Any]:
-    """Logs a second by one process, by two, by two of Ray's."""
+    """Measure logs a second by one process, by two, by two of Ray's."""
     logs = find_logs([folder]).logs
     ways: dict[str, Timed] = {
         "one process": Timed(partial(streamed, jobs=1)),
@@ -115,7 +115,7 @@ def rates(folder: Path, out: Path) -> dict[str, Any]:
 
 
 def figures(count: int = 2000) -> dict[str, Any]:
-    """See `rates`, of so many logs."""
+    """Measure `rates` of so many logs."""
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "logs"
         make_logs(folder, count)
@@ -123,12 +123,12 @@ def figures(count: int = 2000) -> dict[str, Any]:
 
 
 def killed(folder: Path, out: Path, kills: int) -> dict[str, Any]:
-    """The ledger of a batch whose driver and workers were killed so often."""
+    """Measure a batch whose driver and workers are killed so often, by its ledger."""
     words = [sys.executable, "-m", "analysis.cli.tune", str(folder), "-o", str(out), "--resume"]
     words += ["--no-review", "--quiet", "--jobs", "2"]
     rng, left, starts = random.Random(5), kills, 0
     began_s = time.monotonic()
-    while time.monotonic() - began_s < _MOST_S:
+    while time.monotonic() - began_s < _MAX_S:
         starts += 1
         with subprocess.Popen(words, stdout=subprocess.DEVNULL) as driver:
             at_s = time.monotonic() + rng.uniform(1.5, 5.0)
@@ -165,7 +165,7 @@ def _rows(out: Path) -> list[dict[str, Any]]:
 
 
 def _descendants(process: int) -> list[int]:
-    """Processes below one that tune: of the pool, or of Ray."""
+    """List processes below one that tune: of the pool, or of Ray."""
     found: list[int] = []
     try:
         children = Path(f"/proc/{process}/task/{process}/children").read_text().split()

@@ -1,4 +1,4 @@
-"""Time and size of `tunenet-review`: 60 attempts with six balls, every drop filmed.
+"""Measure time and size of `tunenet-review`: 60 attempts with six balls, every drop filmed.
 
 `python -m benchmarks.campaign [FOLDER]` films one drop of each ball at 640 x 480 and 60 frames a
 second, tunes it, copies log and tuning for ten attempts, of which every fourth has a rejected drop
@@ -35,7 +35,7 @@ START_NS = 1_800_000_000_000_000_000
 
 
 def film(folder: Path) -> list[Path]:
-    """One tuned log a ball."""
+    """Film and tune one log a ball."""
     logs: list[Path] = []
     for index, (ball, restitution) in enumerate(BALLS.items()):
         log = folder / f"{ball.replace(' ', '_')}.mcap"
@@ -55,7 +55,7 @@ def film(folder: Path) -> list[Path]:
 
 
 def run(module: str, *words: object) -> str:
-    """A command's output; it may call a log rejected."""
+    """Return a command's output; it may call a log rejected."""
     told = [sys.executable, "-m", module, *(str(one) for one in words)]
     return subprocess.run(told, stdout=subprocess.PIPE, text=True, check=False).stdout
 
@@ -94,7 +94,7 @@ def fill(folder: Path) -> None:
 
 
 def copy(log: Path, to: Path, told: dict, rng: np.random.Generator, *, is_rejected: bool) -> None:
-    """A log and its tuning under another name, the value as a repeated drop would have it."""
+    """Copy a log and its tuning under another name, with a value as of a repeated drop."""
     shutil.copyfile(log, to)
     told = {**told, "log": to.name}
     if is_rejected:

@@ -1,4 +1,4 @@
-"""Makes `recorders/simulators/arm/circle.csv`: one turn of the paper's circle by the Jaco.
+"""Make `recorders/simulators/arm/circle.csv`: one turn of the paper's circle by the Jaco.
 
 `python -m benchmarks.circle FILE.csv`. Seven joints leave four ways to hold the tool at a point. Of
 these each sample takes the one nearest to a posture, so that the turn closes and is smooth.
@@ -31,14 +31,14 @@ def main() -> None:
 
 
 def circle_m(angle_rad: Array) -> Array:
-    """The paper's circle, 0.3 m over the base, shape (T, 3)."""
+    """Return the paper's circle, 0.3 m over the base, shape (T, 3)."""
     return np.column_stack(
         [np.full(len(angle_rad), -0.4), 0.2 * np.cos(angle_rad), 0.3 + 0.2 * np.sin(angle_rad)]
     )
 
 
 def nearest_to_posture(arm: Arm, tool_m: Array) -> Array:
-    """Joint positions [rad] with the tool at these points, shape (T, 7)."""
+    """Solve inverse kinematics at these points near a posture [rad], shape (T, 7)."""
     posture = np.array([POSTURE_RAD])
     position_rad = np.repeat(posture, len(tool_m), axis=0)
     for _ in range(ROUNDS):
@@ -53,7 +53,7 @@ def nearest_to_posture(arm: Arm, tool_m: Array) -> Array:
 
 
 def tool(arm: Arm, position_rad: Array) -> tuple[Array, Array]:
-    """Where the tool is [m], shape (T, 3), and how each joint moves it [m/rad], (T, 3, J)."""
+    """Return tool positions [m], shape (T, 3), and Jacobians [m/rad], shape (T, 3, J)."""
     poses = link_poses(arm, position_rad)
     reached_m = poses.position_m[:, -1]
     columns = [

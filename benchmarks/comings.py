@@ -1,4 +1,4 @@
-"""Cameras that come and go: recorded live, each fault many times, and what is tuned of them.
+"""Record cameras that come and go, each fault many times, and tune the logs.
 
 `python -m benchmarks.comings` lets a camera of MJPEG (our own) and one of RTSP (GStreamer's server)
 start late, be cut off, freeze and be killed at a random moment of a drop that it shows over and
@@ -42,7 +42,7 @@ BEGUN_BYTES = 100_000
 
 @dataclass(frozen=True)
 class Ran:
-    """One recording.
+    """Result of one recording.
 
     Attributes:
         wrong: what is, in words; "" where nothing.
@@ -58,7 +58,7 @@ class Ran:
 
 
 def shown_film(folder: Path) -> Path:
-    """A drop of restitution .63, 3 s, 60 Hz."""
+    """Render a drop of restitution .63, 3 s, 60 Hz."""
     path = folder / "film.mcap"
     words = ["--simulate", "drop", "--render", "--seed", "7", "--seconds", "3", "-o", str(path)]
     subprocess.run([sys.executable, "-m", "recorders.cli", *words], check=True, capture_output=True)
@@ -67,7 +67,7 @@ def shown_film(folder: Path) -> Path:
 
 @contextmanager
 def recording(address: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """The recorder; what it says is in FOLDER/said."""
+    """Open the recorder; what it says is in FOLDER/said."""
     words = ["--camera", address, "--stall", str(STALL_S), "--wait", "60"]
     with (folder / "said").open("w") as said:
         process = subprocess.Popen(
@@ -79,7 +79,7 @@ def recording(address: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def run(camera: ComingCamera, planned: Planned, folder: Path) -> Ran:
-    """Record a camera with a fault, and look at the log."""
+    """Record a camera with a fault, and check the log."""
     fault, returns = planned.fault, planned.returns
     log, active = folder / "a.mcap", folder / "a.mcap.active"
     if fault != "late":
@@ -126,7 +126,7 @@ def _let_it_go(camera: ComingCamera, fault: str, *, returns: bool) -> None:
 
 
 def _looked_at(log: Path, line: str, planned: Planned) -> tuple[str, str, float]:
-    """What is wrong with a log, its verdict, and the length of its gap [s]."""
+    """Return what is wrong with a log, its verdict, and the length of its gap [s]."""
     fault, returns = planned.fault, planned.returns
     episode = read_episode(log)
     stamps_ns = np.array([frame.stamp_ns for frame in episode.frames()])
@@ -150,7 +150,7 @@ def _looked_at(log: Path, line: str, planned: Planned) -> tuple[str, str, float]
 
 
 def _tuned(log: Path, gaps: tuple[Gap, ...], first_ns: int) -> tuple[str, str]:
-    """What is wrong with the tuning of a log, and its verdict."""
+    """Return what is wrong with the tuning of a log, and its verdict."""
     tuning = tune_log(log, Options())
     if tuning.detection is not None:
         start_s, end_s = (tuning.detection.window[name] for name in ("start_s", "end_s"))
@@ -186,7 +186,7 @@ class Planned:
         return self.fault == "late" or self.number % 2 == 0
 
     def run(self) -> Ran:
-        """Do it, in a folder of its own."""
+        """Record in a folder of its own."""
         random.seed(f"{self.kind} {self.fault} {self.number}")
         camera = KINDS[self.kind](self.film)
         with tempfile.TemporaryDirectory() as folder:
@@ -200,7 +200,7 @@ class Planned:
 
 
 def tell(kind: str, fault: str, runs: list[Ran]) -> None:
-    """One line about all runs of a fault."""
+    """Print one line about all runs of a fault."""
     verdicts = [one.verdict for one in runs]
     counts = ", ".join(f"{verdicts.count(one)} {one}" for one in sorted(set(verdicts)))
     right = sum(not one.wrong for one in runs)

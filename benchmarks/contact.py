@@ -1,4 +1,4 @@
-"""Effective against set restitution: PyBullet as it comes, and with the calibrated settings.
+"""Compare effective with set restitution: PyBullet's defaults, and the calibrated settings.
 
 `python -m benchmarks.contact` prints, for each setting, the worst deviation over 25 drop heights
 from 0.3 to 5 m. Effective means the ratio of the speeds that the energies in mid-flight after and

@@ -1,4 +1,4 @@
-"""Damaged logs on the road that tuning and checking take: is anything ever wrong without a word?
+"""Damage logs on the way through tuning and checking: is anything ever wrong silently?
 
 `python -m benchmarks.damage` flips 5,000 single bits in logs of positions, joints and pictures, in
 chunks and without; and cuts a log of 2 kB at every byte. It prints how often what was read differed
@@ -30,7 +30,7 @@ Contents = tuple[tuple[Any, ...], ...]
 
 
 def write_log(path: Path, *, samples: int, pictures: int) -> None:
-    """A log by our writer."""
+    """Write a log by our writer."""
     rng = np.random.default_rng(0)
     with EpisodeWriter(
         path, EpisodeInfo(kind="drop", truth={"restitution": 0.5}), live=False
@@ -47,7 +47,7 @@ def write_log(path: Path, *, samples: int, pictures: int) -> None:
 
 
 def contents(path: Path) -> tuple[Contents, bool]:
-    """All that a tuning would see of a log, and whether anything was said about it."""
+    """Return all that a tuning would see of a log, and whether anything was said about it."""
     episode = read_episode(path)
     seen: list[tuple[Any, ...]] = [
         (name, one.stamps_ns.tobytes(), one.values.tobytes(), one.columns)
@@ -60,7 +60,7 @@ def contents(path: Path) -> tuple[Contents, bool]:
 
 
 def flipped(whole: bytes, count: int, seed: int) -> Iterator[bytes]:
-    """The file with one bit changed, again and again."""
+    """Yield the file with one bit flipped, again and again."""
     rng = random.Random(seed)
     for _ in range(count):
         data = bytearray(whole)
@@ -69,7 +69,7 @@ def flipped(whole: bytes, count: int, seed: int) -> Iterator[bytes]:
 
 
 def outcome(path: Path, data: bytes, truth: Contents) -> str:
-    """What came of a damaged log, in a word or two."""
+    """Classify the result for a damaged log in a word or two."""
     path.write_bytes(data)
     try:
         seen, said = contents(path)
@@ -81,7 +81,7 @@ def outcome(path: Path, data: bytes, truth: Contents) -> str:
 
 
 def is_prefix(seen: Contents, truth: Contents) -> bool:
-    """Whether all that was read of a cut log is in the whole one."""
+    """Check whether all that was read of a cut log is in the whole one."""
     whole = {entry[0]: entry for entry in truth}
     return all(
         bytes(whole[name][1]).startswith(stamps) and bytes(whole[name][2]).startswith(values)

@@ -1,4 +1,4 @@
-"""What a recording loses when it is killed, and whether signals leave it whole.
+"""Measure what a killed recording loses, and whether signals leave it whole.
 
 `python -m benchmarks.durability` records a camera at 60 Hz (640 x 480 JPEG) and an arm at 1 kHz
 (seven joints) in processes of their own, and ends them at random moments: 100 with SIGKILL, 60
@@ -33,7 +33,7 @@ _BOTH = (PICTURES, JOINTS)
 
 
 def end_one(number: int, seconds: float, topics: Sequence[str]) -> float:
-    """Record, end it with a signal after so long, and check what is left.
+    """Record, end it with a signal after so long, check the log, and return what is missing [s].
 
     Args:
         number: of the signal.
@@ -63,7 +63,7 @@ def end_one(number: int, seconds: float, topics: Sequence[str]) -> float:
 def end_many(
     number: int, count: int, rng: random.Random, topics: Sequence[str] = _BOTH
 ) -> tuple[int, list[float]]:
-    """End so many recordings; bad files, and the data missing in the others [s]."""
+    """End so many recordings; count bad files, and list the missing data of the others [s]."""
     bad, missing = 0, []
     for done in range(count):
         seconds = rng.uniform(*_SECONDS)

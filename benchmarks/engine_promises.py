@@ -1,4 +1,4 @@
-"""What is promised of the engines beside what is seen: docs/engines.md's second table.
+"""Check the engines' promised accuracies by measurement: docs/engines.md's second table.
 
 `python -m benchmarks.engine_promises` measures MuJoCo's simulator and its exported file on drops
 and throws that no constant was chosen on, its torques beside Pinocchio's, and the cost of its steps
@@ -42,15 +42,11 @@ from recorders.simulators.engines import engine, simulated_by
 library: Any = mujoco
 dynamics: Any = import_module("pinocchio")
 
-DROPS, SEED = 40, 20_261
-"""Heights, radii and throws are drawn anew: none is a test's."""
-
+DROPS, SEED = 40, 20_261  # heights, radii and throws are drawn anew: none is a test's
 HEIGHTS_M, RADII_M, SPEEDS_M_S = (0.2, 5.0), (0.01, 0.2), (1.5, 10.0)
 SET = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 EXPORTED = SET[1:]
-SLIDING, STICKING = 0.1, 1.0
-"""Coefficients of friction of the throws."""
-
+SLIDING, STICKING = 0.1, 1.0  # coefficients of friction of the throws
 BOUNCES = 4
 STEPS, STEP_S, ROUNDS = 6_400, 1 / 240, 60
 HELD = (None, Payload(0.8, (0.03, -0.02, 0.01)), Payload(2.0))
@@ -59,7 +55,7 @@ PATHS = 5
 
 @dataclass(frozen=True)
 class Promised:
-    """A line of the table: the largest that is allowed, and what was seen."""
+    """Line of the table: the largest that is allowed, and what was seen."""
 
     what: str
     unit: str
@@ -67,13 +63,13 @@ class Promised:
     seen: float
 
     def line(self) -> str:
-        """With what is missed said so."""
+        """Format the line, marking what is missed."""
         kept = "" if self.seen <= self.limit else "  MISSED"
         return f"{self.what:66}{self.limit:10.4g}{self.seen:12.3g} {self.unit:5}{kept}"
 
 
 def drawn(low_high: tuple[float, float], seed: int) -> list[float]:
-    """`DROPS` numbers, even in their logarithm."""
+    """Draw `DROPS` numbers, uniform in their logarithm."""
     low, high = np.log(low_high)
     return np.exp(np.random.default_rng([SEED, seed]).uniform(low, high, DROPS)).tolist()
 
@@ -96,7 +92,7 @@ def simulator() -> Promised:
 
 
 def scene(restitution: float, radius_m: float = 0.02) -> tuple[Any, Any]:
-    """The exported file of a ball, loaded, and a state of it."""
+    """Load the exported file of a ball, and a state of it."""
     record = Record(
         log="made.mcap",
         task="drop",
@@ -112,7 +108,7 @@ def scene(restitution: float, radius_m: float = 0.02) -> tuple[Any, Any]:
 
 
 def file_rebounds() -> Promised:
-    """By the energy right after the impact."""
+    """Measure rebounds by the energy right after the impact."""
     worst = 0.0
     for height_m, radius_m in heights_and_radii():
         for restitution in EXPORTED:
@@ -132,13 +128,13 @@ def step_until_it_rises(model: Any, data: Any) -> None:
 
 @dataclass(frozen=True)
 class Throw:
-    """A ball without spin that hits the floor at an angle."""
+    """Ball without spin that hits the floor at an angle."""
 
     along_m_s: float
     down_m_s: float
 
     def left_m_s(self, restitution: float, friction: float) -> float:
-        """Speed along the floor that a rigid solid ball keeps."""
+        """Return the speed along the floor that a rigid solid ball keeps."""
         most = friction * (1 + restitution) * self.down_m_s  # that Coulomb's law takes
         return self.along_m_s - min(2 / 7 * self.along_m_s, most)
 
@@ -150,7 +146,7 @@ def throws() -> list[Throw]:
 
 
 def slid_in_file(throw: Throw, restitution: float, friction: float) -> float:
-    """Speed along the floor after the impact of a ball that is let go 10 mm over it."""
+    """Return the speed along the floor after an impact, of a ball let go 10 mm over it."""
     model, data = scene(restitution)
     model.pair_friction[0, :2] = friction
     data.qpos[2] = 0.02 + 0.01
@@ -161,7 +157,7 @@ def slid_in_file(throw: Throw, restitution: float, friction: float) -> float:
 
 
 def slid_in_simulator(throw: Throw, restitution: float, friction: float) -> float:
-    """Likewise, by the impact of a simulated shot."""
+    """Return that speed by the impact of a simulated shot."""
     world = engine("mujoco").ball_world(0.02, CALIBRATED)
     before_m_s = np.array([throw.along_m_s, 0.0, -throw.down_m_s])
     after_m_s, _ = world.impact(before_m_s, np.zeros(3), restitution, friction, 0.4)
@@ -169,7 +165,7 @@ def slid_in_simulator(throw: Throw, restitution: float, friction: float) -> floa
 
 
 def slip() -> Iterator[Promised]:
-    """Relative error of the speed along the floor."""
+    """Yield the relative errors of the speed along the floor."""
     for name, slid in (("simulator", slid_in_simulator), ("file", slid_in_file)):
         for friction, law in ((STICKING, "5/7 of the speed"), (SLIDING, "Coulomb's law")):
             worst = max(
@@ -182,7 +178,7 @@ def slip() -> Iterator[Promised]:
 
 
 def file_rest() -> Iterator[Promised]:
-    """10 s, after 5 s in which the ball bounces and comes to rest."""
+    """Measure 10 s of rest, after 5 s in which the ball bounces and comes to rest."""
     jitter_m = sinking_m = 0.0
     for restitution in (0.0, 0.3, 0.6, 0.8):
         model, data = scene(restitution)
@@ -200,7 +196,7 @@ def file_rest() -> Iterator[Promised]:
 
 
 def air() -> Promised:
-    """Balls of a table, with slope and drag, up to the impact that ends their bounces."""
+    """Measure balls of a table, with slope and drag, up to the impact that ends their bounces."""
     worst_m = 0.0
     for table_ball in TABLE_BALLS:
         for height_m in drawn(HEIGHTS_M, 5):
@@ -214,7 +210,7 @@ def air() -> Promised:
 
 
 def arms() -> Iterator[tuple[str, Arm]]:
-    """The shipped one, and those that come with PyBullet where it is installed."""
+    """Yield the shipped arm, and those that come with PyBullet where it is installed."""
     yield "Jaco", jaco()
     try:
         import pybullet_data  # pyright: ignore[reportMissingImports]  (not on every Python)
@@ -243,7 +239,7 @@ def torques(name: str, arm: Arm) -> Promised:
 
 
 def cost() -> Promised:
-    """Processor time of a world's steps over a bare loop's on the same model, least of many."""
+    """Measure the CPU time of a world's steps over a bare loop's, least of many."""
     world: Any = engine("mujoco").ball_world(0.05, CALIBRATED)
     model, data = (vars(world)[name] for name in ("_model", "_data"))
     step = library.mj_step
@@ -263,7 +259,7 @@ def cost() -> Promised:
 
 
 def main() -> None:
-    """Every line, as soon as it is measured."""
+    """Print every line as soon as it is measured."""
 
     def rows() -> Iterator[Promised]:
         yield simulator()

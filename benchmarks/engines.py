@@ -1,4 +1,4 @@
-"""Effective against wanted restitution in the engines that are installed: docs/engines.md's table.
+"""Compare effective with wanted restitution in the installed engines: docs/engines.md's table.
 
 `python -m benchmarks.engines [ENGINE...]` records simulated balls of several restitutions, tunes
 them, exports them as `tunenet-export` does, lets each file drop its ball from 0.3 to 3 m, and
@@ -39,13 +39,13 @@ COARSE_S = 1 / 240
 
 @cache
 def tuned(restitution: float) -> Record:
-    """Of a ball that fell 1 m in a simulation, recorded for 3 s at 240 Hz."""
+    """Tune a ball that fell 1 m in a simulation, recorded for 3 s at 240 Hz."""
     order = DropOrder(restitution=restitution, height_m=1.0, rate_hz=240.0, seconds=3.0)
     return record_of(tune_episode(simulate_drop(order), Options(task="drop")))
 
 
 def ball(engine: ExportFormat, record: Record, options: ExportOptions) -> ExportedBall:
-    """As `tunenet-export` gives it to an engine's file."""
+    """Export the ball as `tunenet-export` gives it to an engine's file."""
     item = exported(record, options)
     assert isinstance(item, ExportedBall)
     return item.in_air() if hasattr(engine, "HAS_AIR") else item
@@ -54,7 +54,7 @@ def ball(engine: ExportFormat, record: Record, options: ExportOptions) -> Export
 def rebound(
     engine: ExportFormat, item: ExportedBall, height_m: float, how: Mapping[str, float]
 ) -> tuple[float, float]:
-    """Effective restitution of the file's ball, and wall milliseconds a simulated second."""
+    """Return the effective restitution of the file's ball, and ms a simulated second."""
     seconds = math.sqrt(2 * height_m / GRAVITY_M_S2) * (1.2 + 2 * item.restitution)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"ball{engine.SUFFIX}"
@@ -68,12 +68,12 @@ def rebound(
 
 @dataclass(frozen=True)
 class Row:
-    """A way to use an engine's file.
+    """Way to use an engine's file.
 
     Attributes:
         label: in the table.
         step: in words.
-        step_s: that the file is told; None for its own.
+        step_s: given to the file; None for its own.
         for_each: whether each height has a file for its own impact's speed.
         how: passed on to `dropped`.
     """
@@ -85,12 +85,12 @@ class Row:
     how: Mapping[str, float] = field(default_factory=dict)
 
     def options(self, height_m: float) -> ExportOptions:
-        """What the user says for a drop from a height."""
+        """Return what the user says for a drop from a height."""
         speed_m_s = math.sqrt(2 * GRAVITY_M_S2 * height_m) if self.for_each else None
         return ExportOptions(speed_m_s=speed_m_s, step_s=self.step_s)
 
     def line(self, engine: ExportFormat) -> str:
-        """Of the table."""
+        """Measure and format the line of the table."""
         worst, costs_ms = [], []
         for wanted in WANTED:
             off = []
@@ -105,7 +105,7 @@ class Row:
 
 
 def rows(engine: ExportFormat) -> list[Row]:
-    """As its file comes, and what goes wrong with it."""
+    """List the rows of an engine: its file as it comes, and what goes wrong with it."""
     if engine.NAME == "drake":  # by its model, restitution depends on speed
         return [
             Row("drake, a file for 1 m", "continuous"),
@@ -121,7 +121,7 @@ def rows(engine: ExportFormat) -> list[Row]:
 
 
 def main() -> None:
-    """The table, a row as soon as it is measured."""
+    """Print the table, a row as soon as it is measured."""
     head = "".join(f"{f'e = {one:g}':>9}" for one in WANTED)
     print("worst |effective - wanted|, 9 heights from .3 to 3 m")
     print(f"{'engine':30}{'step':12}{head}{'ms per s':>10}")

@@ -1,4 +1,4 @@
-"""How exact any fit of a filmed ideal ball can be: the Cramér-Rao bound, for the sets of tracks.
+"""Compute the Cramér-Rao bound of any fit of a filmed ideal ball, for the sets of tracks.
 
 `python -m benchmarks.film_bound` prints, for each set, noise and range of restitutions of
 `tunenet-eval video`, the mean absolute error that an efficient estimator would have which knows
@@ -28,7 +28,7 @@ ROUNDING_PX2 = 1 / 12
 
 
 def bound(scene: TrackScene) -> float:
-    """Standard deviation of the restitution by an efficient estimator."""
+    """Return the standard deviation of the restitution by an efficient estimator."""
     places, depths = scene.view.image_from_world(upright(np.array([0.0, scene.ball.drop_m])))
     fall_s = scene.ball.fall_s
     span_px = float(np.linalg.norm(places[1] - places[0]))

@@ -1,4 +1,4 @@
-"""What tuning a film costs beside decoding it once, and beside its duration.
+"""Measure the cost of tuning a film beside decoding it once, and beside its duration.
 
 `python -m benchmarks.films` draws films of 1920 x 1080 at 30 Hz and of 640 x 480 at 60 Hz, stores
 them as phones do (H.264, arithmetic coding), and tunes each from the file to JSON and review, in
@@ -28,6 +28,8 @@ from analysis.selection import Options
 from benchmarks.fixed_logs import REAL, SAMPLES
 
 _SEED = 77
+# Number of a drawn clip, and of the film made of it: size [px], pictures a second, seconds before
+# the release, and in all.
 _FILMS = {
     "1080p, 7 s": (10, (1920, 1080), 30, 2.5, 7.2),
     "640 x 480, 10 s": (19, (640, 480), 60, 3.0, 10.0),
@@ -35,8 +37,6 @@ _FILMS = {
     "640 x 480, 10 s, another": (23, (640, 480), 60, 3.0, 10.0),
     "1080p, the fall alone": (10, (1920, 1080), 30, 2.5, 2.8),
 }
-"""Number of a drawn clip, and of the film made of it: size [px], pictures a second, seconds before
-the release, and in all."""
 
 _GIVEN = {
     "slow motion of another": "videos/red_ball_drop_120fps.mp4",
@@ -48,7 +48,7 @@ _GIVEN = {
 def drawn_film(
     path: Path, number: int, size_px: tuple[int, int], rate_hz: int, held_s: float, whole_s: float
 ) -> Path:
-    """A drawn clip in another size and length, as a phone stores it."""
+    """Render a clip in another size and length, and store it as a phone does."""
     import av
 
     order = _order(number, size_px, rate_hz, held_s, whole_s)
@@ -74,7 +74,7 @@ def _order(
 
 
 def luma(path: Path) -> tuple[float, float]:
-    """CPU time of decoding every picture to luma, and the film's duration [s]."""
+    """Return the CPU time of decoding every picture to luma, and the film's duration [s]."""
     import av
 
     begin_s = time.process_time()
@@ -88,7 +88,7 @@ def luma(path: Path) -> tuple[float, float]:
 
 
 def cost(path: Path, out: Path) -> dict[str, Any]:
-    """Of one film, from the file to JSON and review."""
+    """Measure one film, from the file to JSON and review."""
     bare_s, duration_s = min(luma(path) for _ in range(2))
     cpu_s, wall_s = time.process_time(), time.perf_counter()
     result = tuned_and_written(Work(path, out / path.stem), Options(), Writing())
@@ -103,7 +103,7 @@ def cost(path: Path, out: Path) -> dict[str, Any]:
 
 
 def figures(drawn: int) -> dict[str, Any]:
-    """Of so many drawn films and of all given ones, printed as they come."""
+    """Measure so many drawn films and all given ones, printed as they come."""
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -1,4 +1,4 @@
-"""The fixed set of logs that `benchmarks.answers` tunes: where each comes from, what is true of it.
+"""Fixed set of logs that `benchmarks.answers` tunes, with their sources and truths.
 
 The made ones are written once and kept, so that a later run tunes the same bytes whatever has
 become of the code that made them. Balls among positions come from generators that share no code
@@ -32,7 +32,7 @@ _BALL_START_NS = 1_700_000_000_000_000_000
 
 @dataclass(frozen=True)
 class FixedLog:
-    """One log of the set.
+    """Log of the set.
 
     Attributes:
         name: its key, the same in every run.
@@ -49,7 +49,7 @@ class FixedLog:
 
 
 def given_logs() -> list[FixedLog]:
-    """The samples, and the recordings that others made where they are there."""
+    """List the samples, and the recordings that others made where they are there."""
     truths = {"bouncy": 0.85, "dull": 0.35, "noisy": 0.62, "filmed": 0.74, "payload": 0.8}
     samples = [
         FixedLog(
@@ -63,7 +63,7 @@ def given_logs() -> list[FixedLog]:
 
 
 def _recordings(folder: Path) -> Iterator[Path]:
-    """Files below a folder, a bag's own folder as one."""
+    """Yield the files below a folder, a bag's own folder as one."""
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.is_dir() and not (path / "metadata.yaml").exists():
             yield from _recordings(path) if path.name != "licences" else ()
@@ -89,7 +89,7 @@ _FORMATS: tuple[tuple[str, Callable[..., object]], ...] = (
 
 
 def _ideal(folder: Path, index: int) -> FixedLog:
-    """An ideal ball as another laboratory records it, each format in turn."""
+    """Write an ideal ball as another laboratory records it, each format in turn."""
     rng = np.random.default_rng([SEED, 1, index])
     truth = float(rng.uniform(0.2, 0.92))
     ball = strangers.Stranger(
@@ -107,7 +107,7 @@ def _ideal(folder: Path, index: int) -> FixedLog:
 
 
 def _not_ideal(folder: Path, index: int) -> FixedLog:
-    """A ball in air whose restitution falls with speed, 1 mm of noise."""
+    """Write a ball in air whose restitution falls with speed, 1 mm of noise."""
     rng = np.random.default_rng([SEED, 2, index])
     truth = float(rng.uniform(0.3, 0.92))
     ball = DroppedBall(
@@ -127,7 +127,7 @@ def _not_ideal(folder: Path, index: int) -> FixedLog:
 
 
 def _film(folder: Path, index: int) -> FixedLog:
-    """A rendered film by the paper's random camera."""
+    """Write a rendered film by the paper's random camera."""
     rng = np.random.default_rng([SEED, 3, index])
     truth = round(float(rng.uniform(0.2, 0.92)), 4)
     path = folder / f"film_{index:02}.mcap"
@@ -141,7 +141,7 @@ def _film(folder: Path, index: int) -> FixedLog:
 
 
 def _payload(folder: Path, index: int) -> FixedLog:
-    """A payload as a real arm's driver tells of it, and the same run with an empty gripper."""
+    """Write a payload as a real arm's driver reports it, and a run with an empty gripper."""
     rng = np.random.default_rng([SEED, 4, index])
     truth = round(float(rng.uniform(0.05, 1.5)), 4)
     path, tare = (folder / f"{kind}_{index:02}.mcap" for kind in ("payload", "tare"))

@@ -1,4 +1,4 @@
-"""Fuzzing of all that reads a log: nothing but our own errors may come out, and soon.
+"""Fuzz all that reads a log: nothing but our own errors may come out, and soon.
 
 `python -m benchmarks.fuzz` runs for three minutes over logs of every kind that the tests can make.
 It needs the extra `fuzz` (atheris), whose coverage guides it, but makes all slower; `--plain` does
@@ -22,30 +22,20 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-_SMALL_BYTES = 64 * 1024
-"""What is smaller is measured as a whole, what is larger by the byte."""
-
-_MOST_SMALL_S = 2.0
-"""CPU that a small log may take, to be checked and recovered."""
-
-_MOST_RATIO = 10.0
-"""How much more a byte of a large log may cost than one of a whole log."""
-
-_FROM_SLOW = 0.5
-"""Of the logs made without coverage: so many come from one that was slow."""
-
-_MOST_SLOW = 40
-"""Slow logs that are gone on from."""
-
-_MOST_BYTES = 200_000
+_SMALL_BYTES = 64 * 1024  # what is smaller is measured as a whole, what is larger by the byte
+_MAX_SMALL_S = 2.0  # CPU that a small log may take, to be checked and recovered
+_MAX_RATIO = 10.0  # how much more a byte of a large log may cost than one of a whole log
+_FROM_SLOW = 0.5  # of the logs made without coverage: so many come from one that was slow
+_MAX_SLOW = 40  # slow logs that are gone on from
+_MAX_BYTES = 200_000
 _REPORT_EVERY = 2_000
+# Numbers that lengths and counts are set to.
 _EDGES = (0, 1, 8, 22, 255, 65_535, 2**31 - 1, 2**32 - 1)
-"""Numbers that lengths and counts are set to."""
 
 
 @dataclass
 class Costs:
-    """What the logs have cost until now.
+    """CPU costs of the logs until now.
 
     Attributes:
         usual_s: CPU for a byte of a whole log, the median.
@@ -57,8 +47,8 @@ class Costs:
     ratios: list[float] = field(default_factory=list)
 
     def is_over(self, size: int, cpu_s: float) -> bool:
-        """Whether a log took more than one of its size may."""
-        most_s = _MOST_SMALL_S if size <= _SMALL_BYTES else _MOST_RATIO * self.usual_s * size
+        """Check whether a log took more than one of its size may."""
+        most_s = _MAX_SMALL_S if size <= _SMALL_BYTES else _MAX_RATIO * self.usual_s * size
         return cpu_s > most_s
 
     def add(self, size: int, cpu_s: float) -> None:
@@ -79,7 +69,7 @@ class Costs:
             raise RuntimeError(f"{size} bytes took {cpu_s:.2f} s, usual are {usual_s:.2f} s")
 
     def told(self) -> str:
-        """The figures, in a line."""
+        """Format the figures as a line."""
         cpu_s, size = self.slowest_small
         line = f"{self.logs} logs; slowest small one {cpu_s:.2f} s for {size} bytes"
         if self.ratios:
@@ -89,13 +79,7 @@ class Costs:
 
 
 def mutant(data: bytes, most: int, seed: int) -> bytes:
-    """Blocks doubled many times, cut out or put elsewhere, and lengths changed.
-
-    Args:
-        data: of a log.
-        most: bytes that may come of it.
-        seed: of the choice.
-    """
+    """Mutate a log of at most `most` bytes: double, cut or move blocks, and change lengths."""
     chance = random.Random(seed)
     made = bytearray(data)
     for _ in range(chance.randint(1, 3)):
@@ -120,11 +104,7 @@ def mutant(data: bytes, most: int, seed: int) -> bytes:
 
 
 class Bench:
-    """Checks and recovers logs, and measures what that costs.
-
-    Args:
-        folder: for the files.
-    """
+    """Bench that checks and recovers logs, and measures what that costs."""
 
     def __init__(self, folder: Path) -> None:
         from benchmarks.logs_of_all_kinds import write_all
@@ -140,7 +120,7 @@ class Bench:
         self.costs = Costs(usual_s)
 
     def cost_s(self, data: bytes) -> float:
-        """CPU of a log [s]."""
+        """Return the CPU time of a log [s]."""
         from tunenet_logs.checking import check
         from tunenet_logs.errors import TuneNetError
         from tunenet_logs.recovery import recover
@@ -158,7 +138,7 @@ class Bench:
         return time.process_time() - start
 
     def one(self, data: bytes) -> float:
-        """Count a log; gives its CPU [s].
+        """Count a log, and return its CPU time [s].
 
         Raises:
             RuntimeError: it took more than it may.
@@ -171,7 +151,7 @@ class Bench:
 
 
 def _guided(folder: Path, seconds: int) -> None:
-    """Go by coverage."""
+    """Fuzz by coverage."""
     import atheris  # pyright: ignore[reportMissingImports] (an extra)
 
     with atheris.instrument_imports(  # type: ignore[attr-defined]
@@ -183,7 +163,7 @@ def _guided(folder: Path, seconds: int) -> None:
         return mutant(data, most, seed) if seed % 2 else atheris.Mutate(data, most)
 
     words = [sys.argv[0], str(bench.corpus), f"-max_total_time={seconds}"]
-    words += [f"-max_len={_MOST_BYTES}", "-len_control=0"]
+    words += [f"-max_len={_MAX_BYTES}", "-len_control=0"]
     # it keeps what a mutator gives it
     words += ["-rss_limit_mb=8192", "-timeout=60", "-print_final_stats=1"]
 
@@ -195,14 +175,14 @@ def _guided(folder: Path, seconds: int) -> None:
 
 
 def _plain(folder: Path, seconds: int) -> None:
-    """Go on from the logs that took longest, by the byte, and from the whole ones."""
+    """Fuzz from the logs that took longest, by the byte, and from the whole ones."""
     bench = Bench(folder)
     slow: list[tuple[float, bytes]] = []
     end_s = time.monotonic() + seconds
     chance = random.Random(seconds)
     while time.monotonic() < end_s:
         known = [data for _, data in slow] if chance.random() < _FROM_SLOW else []
-        data = mutant(chance.choice(known or bench.whole), _MOST_BYTES, chance.getrandbits(32))
+        data = mutant(chance.choice(known or bench.whole), _MAX_BYTES, chance.getrandbits(32))
         try:
             spent_s = bench.one(data)
         except Exception as error:  # noqa: BLE001 (whatever comes out is what is looked for)
@@ -212,7 +192,7 @@ def _plain(folder: Path, seconds: int) -> None:
             continue
         slow.append((spent_s / max(len(data), _SMALL_BYTES // 8), data))
         slow.sort(key=lambda one: -one[0])
-        del slow[_MOST_SLOW:]
+        del slow[_MAX_SLOW:]
     print(bench.costs.told())
 
 

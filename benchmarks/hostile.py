@@ -1,4 +1,4 @@
-"""What small files that claim much cost every command: CPU, memory, and how it ends.
+"""Measure what small files that claim much cost every command: CPU, memory, exit.
 
 `python -m benchmarks.hostile` makes each of them, and gives it to `tunenet-logs info`, `check` and
 `recover` and to `tunenet-tune`, each in a process of its own; `--only NAME ...` makes some.
@@ -21,12 +21,11 @@ COMMANDS = {
     "recover": ("tunenet-logs", "recover", "{}", "-o", "saved.mcap", "--overwrite"),
     "tune": ("tunenet-tune", "{}", "-o", "tuned", "--overwrite"),
 }
-SUFFIXES = {"empty_lines": ".csv"}
-"""Of files that are known by their names."""
+SUFFIXES = {"empty_lines": ".csv"}  # of files that are known by their names
 
 
 def _made(bomb: Callable[[Path], Path | None], folder: Path) -> Path:
-    """The file, made by a function that is given its path, or a folder for it."""
+    """Make the file by a function that is given its path, or a folder for it."""
     if bomb in export_bombs.BOMBS:
         path = bomb(folder)
         assert path is not None

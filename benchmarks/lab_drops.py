@@ -1,4 +1,4 @@
-"""Dropped balls for `benchmarks.lab_files` and `benchmarks.lab_units`: a truth that no fit shares.
+"""Simulate dropped balls for `benchmarks.lab_files` and `lab_units`: a truth no fit shares.
 
 The motion is stepped (classical Runge-Kutta, fourth order) with the air's drag on the whole
 velocity; each impact is met within its step by halving it. Nothing of the analysis or of the
@@ -16,22 +16,15 @@ from tunenet_logs.arrays import Array
 
 GRAVITY_M_S2 = 9.80665
 
-_STEP_S = 0.004
-"""Longest step: far below what any fit could see."""
-
-_REST_M_S = 0.03
-"""An impact slower than this is the last one."""
-
-_AFTER_S, _LONGEST_S = 0.6, 7.0
-"""How long a ball is seen at rest, and how long a recording is at most."""
-
-VERDICTS = ("ok", "suspect", "rejected")
-"""In the order of the tables."""
+_STEP_S = 0.004  # longest step: far below what any fit could see
+_REST_M_S = 0.03  # an impact slower than this is the last one
+_AFTER_S, _MAX_S = 0.6, 7.0  # how long a ball is seen at rest, and how long a recording is at most
+VERDICTS = ("ok", "suspect", "rejected")  # in the order of the tables
 
 
 @dataclass(frozen=True, eq=False)
 class LabDrop:
-    """A drop as a laboratory sees it.
+    """Drop as a laboratory sees it.
 
     Attributes:
         restitution: at the first impact.
@@ -49,14 +42,14 @@ class LabDrop:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Which samples were seen, bool, shape (T,)."""
+        """Mask of the samples that were seen, bool, shape (T,)."""
         return np.isfinite(self.xyz_m[:, 2])
 
 
 def random_drop(
     rng: np.random.Generator, *, most_unseen: float = 0.3, with_gaps: bool = False
 ) -> LabDrop:
-    """A ball held, let go, bouncing, and at rest if there is time.
+    """Draw a ball held, let go, bouncing, and at rest if there is time.
 
     Args:
         rng: of all that is drawn.
@@ -68,7 +61,7 @@ def random_drop(
     heading, drift = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 0.3)
     held_s = float(rng.uniform(0.3, 1.2))
     rate_hz = float(rng.choice([60, 100, 120, 150, 200, 240, 250, 300, 360]))
-    seconds = np.arange(round((held_s + _LONGEST_S) * rate_hz)) / rate_hz
+    seconds = np.arange(round((held_s + _MAX_S) * rate_hz)) / rate_hz
     velocity = np.array([drift * np.cos(heading), drift * np.sin(heading), 0.0])
     places, speed, rest_s = _motion(
         seconds - held_s, velocity, drop_m, restitution, slope, drag_1_m
@@ -88,7 +81,7 @@ def random_drop(
 
 
 def hand_waved(rng: np.random.Generator, seconds: Array) -> Array:
-    """A thing in a hand: smooth, never falling freely [m], shape (T, 3)."""
+    """Draw the motion of a hand: smooth, never falling freely [m], shape (T, 3)."""
     places = np.tile(rng.uniform(-1, 1, 3), (len(seconds), 1))
     for hertz in rng.uniform(0.15, 1.1, 4):
         swing, phase = rng.uniform(0.01, 0.12, 3), rng.uniform(0, 2 * np.pi, 3)
@@ -97,7 +90,7 @@ def hand_waved(rng: np.random.Generator, seconds: Array) -> Array:
 
 
 def still(rng: np.random.Generator, seconds: Array) -> Array:
-    """A thing that stands there [m], shape (T, 3)."""
+    """Draw a thing that stands there [m], shape (T, 3)."""
     return rng.uniform(-1, 1, 3) + rng.normal(0.0, 0.0005, (len(seconds), 3))
 
 
@@ -109,7 +102,7 @@ def _motion(
     slope: float,
     drag_1_m: float,
 ) -> tuple[Array, float, float]:
-    """Places over the contact, shape (T, 3), the first impact's speed, and when it rests.
+    """Integrate places over the contact, (T, 3), the first impact's speed, and when it rests.
 
     Restitution is e_n = e_1 (v_n / v_1)^-slope, at most 1. Before 0 s the ball is held.
     """
@@ -133,7 +126,7 @@ def _motion(
 
 
 def _met(state: Array, step: float, drag_1_m: float) -> tuple[float, Array]:
-    """The part of a step after which the ball touches the table, and its state there."""
+    """Bisect for the part of a step after which the ball touches, and its state there."""
     low, high = 0.0, step
     for _ in range(50):
         middle = (low + high) / 2
@@ -145,7 +138,7 @@ def _met(state: Array, step: float, drag_1_m: float) -> tuple[float, Array]:
 
 
 def _stepped(state: Array, step: float, drag_1_m: float) -> Array:
-    """One step of the Runge-Kutta method; the state is x, y, z and their speeds."""
+    """Take one step of the Runge-Kutta method; the state is x, y, z and their speeds."""
     one = _slope_of(state, drag_1_m)
     two = _slope_of(state + step / 2 * one, drag_1_m)
     three = _slope_of(state + step / 2 * two, drag_1_m)

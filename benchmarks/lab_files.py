@@ -1,4 +1,4 @@
-"""Files as laboratories export them, each beside the same drop as a plain table.
+"""Tune files as laboratories export them, each beside the same drop as a plain table.
 
     python -m benchmarks.lab_files --drops 400 --seed 1
 
@@ -28,22 +28,19 @@ from analysis.tuning import tune_log
 from benchmarks.lab_drops import VERDICTS, LabDrop, hand_waved, random_drop, still
 from benchmarks.lab_layouts import LAYOUTS, OF_BODIES, Written, write_layout, write_plain
 
-_SEEDS = 23_000_000
-"""Drops are drawn from these and a seed: nothing was chosen on them."""
-
-_SAME, _WRONG, _USUAL = 0.1, 3.0, 0.02
-"""Share of an interval's width that is the same, half widths that are wrong, and the width that is
-taken where a value has no interval."""
+_SEEDS = 23_000_000  # drops are drawn from these and a seed: nothing was chosen on them
+# Share of an interval's width that is the same, half widths that are wrong, and the width that is
+# taken where a value has no interval.
+_SAME, _WRONG, _TYPICAL = 0.1, 3.0, 0.02
 
 _BODIES_EVERY = 20
 
-_ANOTHER = 0.05
-"""Distance from the truth from which on it was not the ball that was looked at."""
+_ANOTHER = 0.05  # distance from the truth from which on it was not the ball that was looked at
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was said of one file.
+    """Result for one file.
 
     Attributes:
         layout: and, of several bodies, what they were.
@@ -64,7 +61,7 @@ class Outcome:
 
 
 def tuned(path: Path) -> Tuning:
-    """What is said of a file; an error that is no one's fault but the tuner's is a finding too."""
+    """Tune a file; an error that is no one's fault but the tuner's is a finding too."""
     try:
         return tune_log(path, Options())
     except Exception as error:  # noqa: BLE001 - whatever it is, it is counted and named
@@ -73,7 +70,7 @@ def tuned(path: Path) -> Tuning:
 
 
 def outcome_of(seed: int, index: int, folder: Path) -> Outcome:
-    """One drop in one layout and as a plain table."""
+    """Tune one drop in one layout and as a plain table."""
     rng = np.random.default_rng([_SEEDS, seed, index])
     layout = list(LAYOUTS)[index % len(LAYOUTS)]
     most = float(rng.choice([0.02, 0.3]))
@@ -104,7 +101,7 @@ def _compared(
 
 
 def bodies_of(seed: int, index: int, folder: Path) -> list[Outcome]:
-    """Bodies of which one is a ball or none is."""
+    """Tune bodies of which one is a ball or none is."""
     rng = np.random.default_rng([_SEEDS, seed, index, 1])
     drop = random_drop(rng)
     layout = OF_BODIES[index % len(OF_BODIES)]
@@ -141,13 +138,13 @@ def _value(tuning: Tuning) -> float:
 
 
 def _width(tuning: Tuning) -> float:
-    """Of the 95 % interval of a fit, whether it is reported or not."""
+    """Return the width of a fit's 95 % interval, reported or not."""
     fit = tuning.trace.fit if tuning.trace else None
-    return float(np.ptp(fit.interval95[0])) if fit else _USUAL
+    return float(np.ptp(fit.interval95[0])) if fit else _TYPICAL
 
 
 def table_of(outcomes: Sequence[Outcome]) -> str:
-    """A line for each layout."""
+    """Tabulate a line for each layout."""
     lines = [
         f"{'layout':42} {'files':>5} {'ok':>4} {'susp.':>5} {'rej.':>4} {'table ok':>8} "
         f"{'apart: median':>13} {'worst':>7} {'wrong and ok':>12}"

@@ -1,4 +1,4 @@
-"""One drop in the layouts that motion capture, video trackers, sensors and programs export."""
+"""Write one drop in the layouts that motion capture, trackers, sensors and programs export."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tunenet_logs.arrays import Array
 
 @dataclass(frozen=True)
 class Written:
-    """A file of a layout.
+    """File of a layout.
 
     Attributes:
         path: of it.
@@ -31,7 +31,7 @@ class Written:
 
 
 def write_plain(path: Path, drop: LabDrop) -> None:
-    """The plain table beside each file: seconds and metres, both named; unseen rows left out."""
+    """Write the plain table: seconds and metres, both named; unseen rows left out."""
     rows = ["t [s],x [m],y [m],z [m]"]
     for time, place in zip(drop.seconds[drop.seen], drop.xyz_m[drop.seen], strict=True):
         rows.append(f"{time:.9f}," + ",".join(f"{one:.9f}" for one in place))
@@ -45,15 +45,7 @@ def write_layout(
     folder: Path,
     bodies: Mapping[str, Array] | None = None,
 ) -> Written:
-    """The drop in one of `LAYOUTS`, its unit and orientation drawn.
-
-    Args:
-        layout: its name.
-        rng: of what is drawn.
-        drop: seconds and rate of the file.
-        folder: for the file.
-        bodies: places [m] by name, shape (T, 3) each; None for the ball alone.
-    """
+    """Write the drop in one of `LAYOUTS`, its unit and orientation drawn."""
     return LAYOUTS[layout](layout, rng, drop, folder, bodies or {"A": drop.xyz_m})
 
 
@@ -63,7 +55,7 @@ _Bodies = Mapping[str, Array]
 def _capture(
     layout: str, rng: np.random.Generator, drop: LabDrop, folder: Path, bodies: _Bodies
 ) -> Written:
-    """Motive, Nexus, QTM, TRC, C3D; QTM names no unit."""
+    """Write Motive, Nexus, QTM, TRC or C3D; QTM names no unit."""
     path = folder / f"{layout}{capture.SUFFIXES[layout]}"
     units = {"nexus": ("mm",), "qualisys": ("mm",), "c3d": ("mm", "m")}
     unit = str(rng.choice(units.get(layout, ("m", "mm", "cm"))))
@@ -88,7 +80,7 @@ def _capture(
 def _video(
     layout: str, rng: np.random.Generator, drop: LabDrop, folder: Path, bodies: _Bodies
 ) -> Written:
-    """Trackers of film, calibrated or in pixels; some count frames and tell no rate."""
+    """Write trackers of film, calibrated or in pixels; some count frames and give no rate."""
     path = folder / layout
     names = {1.0: "m", 100.0: "cm", 1000.0: "mm"}
     is_calibrated = bool(rng.random() < 0.6)
@@ -115,7 +107,7 @@ def _video(
 def _arrays(
     layout: str, rng: np.random.Generator, drop: LabDrop, folder: Path, bodies: _Bodies
 ) -> Written:
-    """Sensors' programs and arrays of one's own; the ball alone."""
+    """Write sensors' programs and arrays of one's own; the ball alone."""
     path = folder / layout
     unit, up = str(rng.choice(["m", "cm", "mm"])), str(rng.choice(["z", "-z", "y", "x"]))
     if layout in ("pasco.csv", "vernier.csv"):
@@ -125,16 +117,16 @@ def _arrays(
     return Written(path, f"{unit}, {up} up")
 
 
+# By name; each is drawn as often as the others.
 LAYOUTS: Mapping[str, Callable[[str, np.random.Generator, LabDrop, Path, _Bodies], Written]] = {
     **dict.fromkeys(capture.WRITERS, _capture),
     **dict.fromkeys(video.WRITERS, _video),
     **dict.fromkeys(arrays.WRITERS, _arrays),
 }
-"""By name; each is drawn as often as the others."""
 
+# Layouts that hold several bodies.
 OF_BODIES = tuple(
     name
     for name in LAYOUTS
     if name not in arrays.WRITERS and name not in ("tracker.txt", "imagej_results.csv")
 )
-"""Layouts that hold several bodies."""

@@ -1,4 +1,4 @@
-"""Logs in other units, clocks and orientations than they say: what is told of them, and how well.
+"""Tune logs in other units, clocks and orientations than they say.
 
     python -m benchmarks.lab_units --logs 1000 --seed 1
 
@@ -33,22 +33,17 @@ from tests.strangers import write_poses
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
-_SEEDS = 29_000_000
-"""Logs are drawn from these and a seed: nothing was chosen on them."""
-
+_SEEDS = 29_000_000  # logs are drawn from these and a seed: nothing was chosen on them
+# How far a value may be off, and by which fraction a speed, a unit of length and a rate.
 _NEAR, _SPEED, _LENGTH, _RATE = 0.01, 0.05, 0.01, 0.02
-"""How far a value may be off, and by which fraction a speed, a unit of length and a rate."""
 
-_FILE_EVERY = 8
-"""Logs of poses of which one goes through a file."""
-
-Stamps = NDArray[np.int64]
-"""In ns, shape (T,)."""
+_FILE_EVERY = 8  # logs of poses of which one goes through a file
+Stamps = NDArray[np.int64]  # in ns, shape (T,)
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What is done to a log.
+    """Kind of modification of a log.
 
     Attributes:
         is_pose: whether metres are named; else nothing is.
@@ -69,6 +64,7 @@ class Kind:
 
 _LENGTHS = {"mm": 0.001, "cm": 0.01, "ft": 0.3048, "in": 0.0254}
 
+# By their line in the table.
 KINDS: Mapping[str, Kind] = {
     "poses, m": Kind(True),
     **{
@@ -92,17 +88,16 @@ KINDS: Mapping[str, Kind] = {
     "table, 25 degrees": Kind(False, tilt_deg=25.0),
     **{f"table, {times} times slow": Kind(False, clock=float(times)) for times in (2, 4, 8)},
 }
-"""By their line in the table."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What was said of one log.
+    """Answer to one log.
 
     Attributes:
         off: of the restitution; NaN where it was rejected.
         held: whether its interval holds the truth; None without an interval.
-        speed_off: of the first impact, as a fraction; NaN where none is told.
+        speed_off: of the first impact, as a fraction; NaN where none is reported.
         failures: in words.
     """
 
@@ -116,7 +111,7 @@ class Answer:
 
 
 def made_log(kind: Kind, rng: np.random.Generator) -> tuple[LabDrop, float, Stamps, Array]:
-    """A drop, metres in the log's unit of length, its stamps [ns] and places in its unit."""
+    """Draw a drop, metres in the log's unit, its stamps [ns] and places in its unit."""
     drop = random_drop(rng, most_unseen=0.02)
     length_m = kind.length_m or 1 / float(np.exp(rng.uniform(np.log(150), np.log(3000))))
     places = oriented(drop.xyz_m, kind.up)
@@ -129,7 +124,7 @@ def made_log(kind: Kind, rng: np.random.Generator) -> tuple[LabDrop, float, Stam
 
 
 def _tilt(rng: np.random.Generator, degrees: float) -> Array:
-    """A turn about a random horizontal axis, shape (3, 3)."""
+    """Return a rotation about a random horizontal axis, shape (3, 3)."""
     heading, angle = rng.uniform(0, 2 * np.pi), np.radians(degrees)
     x, y = np.cos(heading), np.sin(heading)
     cross = np.array([[0, 0, y], [0, 0, -x], [-y, x, 0]])
@@ -139,7 +134,7 @@ def _tilt(rng: np.random.Generator, degrees: float) -> Array:
 def told_of(
     kind: Kind, stamps_ns: Stamps, places: Array, folder: Path, *, is_file: bool
 ) -> dict[str, Any]:
-    """The JSON of a tuning."""
+    """Return the JSON of a tuning."""
     if kind.is_pose and not is_file:
         signal = Signal("/ball/pose", stamps_ns, places, ("x", "y", "z"), "m")
         episode = Episode(EpisodeInfo(), {signal.name: signal})
@@ -156,7 +151,7 @@ def told_of(
 
 
 def answer_to(name: str, seed: int, index: int, folder: Path) -> Answer:
-    """One log of a kind of `KINDS`."""
+    """Tune one log of a kind of `KINDS`."""
     kind, rng = KINDS[name], np.random.default_rng([_SEEDS, seed, index])
     drop, length_m, stamps_ns, places = made_log(kind, rng)
     is_file = index // len(KINDS) % _FILE_EVERY == 0
@@ -190,7 +185,7 @@ def answer_to(name: str, seed: int, index: int, folder: Path) -> Answer:
 def _wrong_units(
     units: Mapping[str, Any] | None, length_m: float, rates_hz: Sequence[float], verdict: str
 ) -> list[str]:
-    """What `units` says that is not so; nothing counts that a verdict doubts."""
+    """List what `units` says that is not so; nothing counts that a verdict doubts."""
     if units is None or verdict != "ok":
         return []
     wrong = []
@@ -203,7 +198,7 @@ def _wrong_units(
 
 
 def table_of(answers: Sequence[Answer]) -> str:
-    """A line for each kind."""
+    """Tabulate a line for each kind."""
     lines = [
         f"{'log':24} {'logs':>4} {'ok':>4} {'susp.':>5} {'rej.':>4} {'MAE':>7} {'worst':>7} "
         f"{'held %':>6} {'speed told':>10} {'wrong speed, ok':>15} {'wrong unit, ok':>14} "

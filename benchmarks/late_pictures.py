@@ -1,4 +1,4 @@
-"""Pictures over a network that delays them: their stamps, and what is tuned from them.
+"""Delay pictures over a network: check their stamps, and what is tuned from them.
 
 `python -m benchmarks.late_pictures` films twelve drops (30 to 120 Hz), sends each as MJPEG over the
 loopback, in real time and with delays, to `tunenet-record` in a process of its own, and tunes what
@@ -42,7 +42,7 @@ AT_ONCE = 2
 
 
 class Film(NamedTuple):
-    """A film of a drop.
+    """Film of a drop.
 
     Attributes:
         path: its log.
@@ -56,7 +56,7 @@ class Film(NamedTuple):
 
 
 def film(folder: Path, number: int) -> Film:
-    """The film of that number, made if it is not there yet."""
+    """Return the film of that number, made if it is not there yet."""
     rate_hz, restitution = RATES_HZ[number % 4], RESTITUTIONS[number // 4]
     path = folder / f"film_{number:02d}_{rate_hz}hz.mcap"
     if not path.exists():
@@ -69,13 +69,13 @@ def film(folder: Path, number: int) -> Film:
 
 
 def run(*words: object) -> str:
-    """What a command prints; its exit code does not matter."""
+    """Return what a command prints; its exit code does not matter."""
     command = [str(BIN / str(words[0])), *map(str, words[1:])]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout
 
 
 def sent(film: Film, delay: str, missing: float, seed: int) -> tuple[NDArray, NDArray]:
-    """Numbers of the pictures that are sent, and when [s]: none overtakes another."""
+    """Return the numbers of the pictures that are sent, and when [s]: none overtakes another."""
     rng = np.random.default_rng(seed)
     kept = rng.random(len(film.pictures)) >= missing
     kept[[0, -1]] = True
@@ -93,7 +93,7 @@ def sent(film: Film, delay: str, missing: float, seed: int) -> tuple[NDArray, ND
 
 
 class Server(ThreadingHTTPServer):
-    """Sends one film as MJPEG to whoever asks."""
+    """Server that sends one film as MJPEG to whoever asks."""
 
     daemon_threads = True
 
@@ -118,11 +118,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(b"--frame--\r\n")
 
     def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
-        """Says nothing."""
+        """Log nothing."""
 
 
 def recorded(film: Film, delay: str, missing: float, seed: int, path: Path) -> tuple[float, float]:
-    """Send a film and record it; the stamps' rms errors [ms]: of all, and away from a loss."""
+    """Send a film and record it; return the stamps' RMS errors [ms]: of all, and off losses."""
     numbers, at_s = sent(film, delay, missing, seed)
     server = Server([film.pictures[number] for number in numbers], at_s)
     address = f"http://127.0.0.1:{server.server_address[1]}/video"
@@ -143,7 +143,7 @@ def recorded(film: Film, delay: str, missing: float, seed: int, path: Path) -> t
 
 
 def rms(values: NDArray[np.float64]) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -195,12 +195,12 @@ def report(
 
 
 def tuned(folder: Path, log: Path) -> dict:
-    """What was written of a log's tuning."""
+    """Read what was written of a log's tuning."""
     return json.loads((folder / f"{log.stem}.json").read_text())
 
 
 def holds(truth: dict, found: dict) -> bool:
-    """Whether a value lies in the film's interval, or where the film has none, within .01 of it."""
+    """Check whether a value lies in the film's interval, or without one within .01 of it."""
     if truth["parameters"] is None or found["parameters"] is None:
         return truth["parameters"] is found["parameters"]
     own = truth["parameters"]["restitution"]

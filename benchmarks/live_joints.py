@@ -1,4 +1,4 @@
-"""Joint states live from ROS 2: what is missing in the log, and the share of a core it takes.
+"""Record joint states live from ROS 2: missing messages, and the share of a core.
 
 `python -m benchmarks.live_joints` publishes JointState at 1 kHz for a minute from a process of its
 own over loopback and DDS, and records it with `tunenet-record`, which is stopped (SIGSTOP) twice
@@ -29,12 +29,12 @@ _STOPPED_S = 0.5
 
 
 def stopped_at(seconds: float) -> tuple[float, float]:
-    """When the recorder is stopped, from the first message on [s]."""
+    """Return when the recorder is stopped, from the first message on [s]."""
     return 0.25 * seconds, 0.65 * seconds
 
 
 def small_buffer(size: int) -> dict[str, str]:
-    """The recorder's environment, with so many bytes for what the network delivers."""
+    """Return the recorder's environment, with so many bytes for network receipt."""
     if not size:
         return dict(os.environ)
     text = f'<SocketReceiveBufferSize min="default" max="{size}B"/>'
@@ -43,7 +43,7 @@ def small_buffer(size: int) -> dict[str, str]:
 
 
 def check(log: Path, first_ns: int, count: int) -> tuple[int, int]:
-    """How many of the messages are not in the log, and how many there are wrong."""
+    """Count the messages that are not in the log, and the wrong ones."""
     signals = read_episode(log).signals
     parts = [signals[f"{STATES}.{label}"] for label in ("position", "velocity", "effort")]
     due_ns = first_ns + np.round(np.arange(count) * 1e9 / _RATE_HZ).astype(np.int64)

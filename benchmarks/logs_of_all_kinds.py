@@ -1,4 +1,4 @@
-"""One small log of every kind that is read, for those who break them."""
+"""Write one small log of every kind that is read, for those who break them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests import hostile, strangers
 
 
 def write_all(folder: Path) -> None:
-    """The logs, each under a name that tells its kind."""
+    """Write the logs, each under a name that says its kind."""
     samples = strangers.Stranger(0.6, seconds=0.4, hold_s=0.1).samples()
     write_log(folder / "ours.mcap", samples=24, pictures=2)
     strangers.without_chunks(folder / "ours.mcap", folder / "plain.mcap")

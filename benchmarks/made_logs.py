@@ -1,4 +1,4 @@
-"""Logs at random for `benchmarks.network_worth`, by generators that share no code with the fit."""
+"""Draw logs for `benchmarks.network_worth`, by generators that share no code with the fit."""
 
 from __future__ import annotations
 
@@ -20,29 +20,21 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
 
-_SEEDS = 19_000_000
-"""Logs are drawn from these and a seed: nothing was chosen on them."""
-
-_DROP_M = (0.3, 2.0)
-"""How far a ball falls: on a table, in a room."""
-
+_SEEDS = 19_000_000  # logs are drawn from these and a seed: nothing was chosen on them
+_DROP_M = (0.3, 2.0)  # how far a ball falls: on a table, in a room
 _BALL_START_NS = 1_700_000_000_000_000_000
+# Of an integrated ball: a usual tracker's rate, 4 s, and some of them before the release.
 _BALL_HZ, _BALL_SAMPLES, _HELD_S = 120.0, 480, 0.4
-"""Of an integrated ball: a usual tracker's rate, 4 s, and some of them before the release."""
 
-_TRACKER_M = 0.001
-"""Noise of a motion capture system."""
-
-_MASS_KG = (0.05, 1.5)
-"""From what a driver's torques just show to what a Jaco lifts."""
-
+_TRACKER_M = 0.001  # noise of a motion capture system
+_MASS_KG = (0.05, 1.5)  # from what a driver's torques just show to what a Jaco lifts
+# Samples of an arm's motion, its duration, and messages of a Jaco's driver.
 _PATH_HZ, _PATH_S, _DRIVER_HZ = 500.0, 5.2, 65.0
-"""Samples of an arm's motion, its duration, and messages of a Jaco's driver."""
 
 
 @dataclass(frozen=True, eq=False)
 class MadeLog:
-    """A log, the first parameter as it was made with, and the empty run that goes with it."""
+    """Log, the first parameter as it was made with, and the empty run that goes with it."""
 
     episode: Episode
     truth: float
@@ -50,7 +42,7 @@ class MadeLog:
 
 
 def made_log(kind: str, seed: int, index: int, folder: Path) -> MadeLog:
-    """One log of a kind of `MAKERS`; the folder is to stay as long as the log is in use."""
+    """Draw one log of a kind of `MAKERS`; the folder is to stay as long as the log is in use."""
     return MAKERS[kind](np.random.default_rng([_SEEDS, seed, index, *kind.encode()]), folder)
 
 
@@ -59,7 +51,7 @@ def _ideal(rng: np.random.Generator, folder: Path) -> MadeLog:
 
 
 def _coarse(rng: np.random.Generator, folder: Path) -> MadeLog:
-    """Few samples and much noise: where a fit may lose its way."""
+    """Draw few samples and much noise: where a fit may lose its way."""
     return _strangers_ball(rng, folder, (20.0, 40.0), (0.01, 0.03))
 
 
@@ -69,7 +61,7 @@ def _strangers_ball(
     rates_hz: tuple[float, float],
     noises_m: tuple[float, float],
 ) -> MadeLog:
-    """An ideal ball in closed form, as another laboratory's tracker records it."""
+    """Draw an ideal ball in closed form, as another laboratory's tracker records it."""
     ball = strangers.Stranger(
         restitution=float(rng.uniform(0.1, 0.95)),
         gap_m=float(rng.uniform(*_DROP_M)),
@@ -82,7 +74,7 @@ def _strangers_ball(
 
 
 def _not_ideal(rng: np.random.Generator, folder: Path) -> MadeLog:
-    """A ball in air whose restitution falls with speed, integrated."""
+    """Integrate a ball in air whose restitution falls with speed."""
     ball = DroppedBall(
         drop_m=float(rng.uniform(*_DROP_M)),
         restitution=float(rng.uniform(0.1, 0.92)),
@@ -104,13 +96,13 @@ def _written(stamps_ns: np.ndarray, positions_m: Array, folder: Path) -> Episode
 
 
 def _film(rng: np.random.Generator, folder: Path) -> MadeLog:
-    """A drawn clip, as a phone's file or a log of JPEGs."""
+    """Draw a clip, as a phone's file or a log of JPEGs."""
     order = draw_clip(int(rng.integers(2**31)), 0)
     return MadeLog(read_episode(write_clip(order, folder)), order.ball.restitution)
 
 
 def _payload(rng: np.random.Generator, folder: Path) -> MadeLog:
-    """A payload as a real arm's driver tells of it; torques are the engine's inverse dynamics."""
+    """Draw a payload as a real arm's driver reports it; torques by inverse dynamics."""
     del folder
     arm, seed, truth = jaco(), int(rng.integers(2**31)), float(rng.uniform(*_MASS_KG))
     is_circle = rng.random() < 0.5
@@ -122,6 +114,7 @@ def _payload(rng: np.random.Generator, folder: Path) -> MadeLog:
 
 
 PAYLOADS, FILMS = "payloads with a tare", "films"
+# By their line in the table.
 MAKERS: Mapping[str, Callable[[np.random.Generator, Path], MadeLog]] = {
     "positions, ideal balls": _ideal,
     "positions, air and slope": _not_ideal,
@@ -129,4 +122,3 @@ MAKERS: Mapping[str, Callable[[np.random.Generator, Path], MadeLog]] = {
     FILMS: _film,
     PAYLOADS: _payload,
 }
-"""By their line in the table."""

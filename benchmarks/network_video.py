@@ -1,4 +1,4 @@
-"""Video from a camera in the network: what is lost, how late it is, what it costs, and its times.
+"""Record video from a network camera: what is lost, how late it is, its cost and stamps.
 
 `python -m benchmarks.network_video` plays films over RTSP by GStreamer's server (Debian's
 gir1.2-gst-rtsp-server-1.0 and python3-gi), each to `tunenet-record` in a process of its own:
@@ -36,9 +36,10 @@ from tests.recorders.rtsp_servers import file_pictures, gst_rtsp_server
 from tunenet_logs.episode import Frame
 from tunenet_logs.reader import read_episode
 
+# Name, size, rate [Hz] and bits a second, as IP cameras have them.
 LOADS = (("4K", "3840x2160", 30, "16M"), ("1080p", "1920x1080", 60, "8M"))
-"""Name, size, rate [Hz] and bits a second, as IP cameras have them."""
 
+# GStreamer's codec and FFmpeg's encoder of a film, and how it is told.
 CODERS = {
     "h264": ("h264", "libx264", ("-bf", "0")),
     "h264, B-frames": ("h264", "libx264", ("-bf", "2")),
@@ -46,8 +47,8 @@ CODERS = {
     "h265, B-frames": ("h265", "libx265", ("-x265-params", "log-level=none:bframes=3")),
     "mjpeg": ("jpeg", "mjpeg", ("-pix_fmt", "yuvj420p", "-huffman", "default", "-q:v", "5")),
 }
-"""GStreamer's codec and FFmpeg's encoder of a film, and how it is told."""
 
+# How a film comes, and what a network does to it.
 WAYS = {
     "udp": "",
     "tcp": "",
@@ -55,19 +56,16 @@ WAYS = {
     "tcp, bursts": "bursts",
     "tcp, stall": "stall",
 }
-"""How a film comes, and what a network does to it."""
 
 RATES_HZ = (30, 60, 120)
 _LOOP_S = 4
-_SPARE_S = 1e-4
-"""Beyond a film's last picture, for its recording: stamps of RTP are rounded."""
-
+_SPARE_S = 1e-4  # beyond a film's last picture, for its recording: stamps of RTP are rounded
 _BEGUN_BYTES = 500_000
 _BUSY = "while True: pass"
 
 
 def film(path: Path, size: str, rate_hz: int, seconds: float, coder: str, *options: str) -> Path:
-    """A moving test picture with noise, compressed as cameras do: a key frame every second."""
+    """Encode a moving test picture with noise as cameras do: a key frame every second."""
     scene = f"testsrc2=size={size}:rate={rate_hz}:duration={seconds:g},noise=alls=12:allf=t"
     words = ["-f", "lavfi", "-i", scene, "-c:v", coder, "-preset", "ultrafast"]
     words += ["-g", str(rate_hz), "-pix_fmt", "yuv420p", *options, str(path)]
@@ -76,7 +74,7 @@ def film(path: Path, size: str, rate_hz: int, seconds: float, coder: str, *optio
 
 
 def looped(path: Path, seconds: float) -> Path:
-    """The same film again and again."""
+    """Loop the same film."""
     long = path.with_name("long.mp4")
     words = ["-stream_loop", "-1", "-i", str(path), "-t", f"{seconds:g}", "-c", "copy", str(long)]
     _ffmpeg(words)
@@ -101,7 +99,7 @@ def busy_core() -> Iterator[None]:
 
 
 class Watched:
-    """A recording in a process of its own, and what it uses.
+    """Recording in a process of its own, and what it uses.
 
     The server begins its film anew for each caller, so the recording is as long as the film.
     """
@@ -116,11 +114,11 @@ class Watched:
         )  # fmt: skip
 
     def has_begun(self) -> bool:
-        """Whether pictures are in the log, so that what belongs to the start is over."""
+        """Check whether pictures are in the log, so that what belongs to the start is over."""
         return self._active.exists() and self._active.stat().st_size > _BEGUN_BYTES
 
     def used(self) -> tuple[float, float]:
-        """Processor time [s] and memory [MiB] so far."""
+        """Return processor time [s] and memory [MiB] so far."""
         fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
         ticks = int(fields[11]) + int(fields[12])
         pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
@@ -128,13 +126,13 @@ class Watched:
         return ticks / os.sysconf("SC_CLK_TCK"), pages * page_bytes / 2**20
 
     def last_line(self) -> str:
-        """What it said last."""
+        """Return what it said last."""
         out, err = self.process.communicate()
         return (out.strip() or err.strip()).splitlines()[-1]
 
 
 def run_load(seconds: float) -> None:
-    """Large and fast pictures, with another core busy."""
+    """Record large and fast pictures, with another core busy."""
     for name, size, rate_hz, bits in LOADS:
         with tempfile.TemporaryDirectory() as folder, busy_core():
             short = film(
@@ -164,7 +162,7 @@ def run_load(seconds: float) -> None:
 
 
 def run_films(seconds: float) -> None:
-    """Codecs, rates and ways: pictures and stamps against the film's own."""
+    """Record codecs, rates and ways: pictures and stamps against the film's own."""
     for name, (codec, coder, options) in CODERS.items():
         for rate_hz in RATES_HZ:
             with tempfile.TemporaryDirectory() as name_of_folder, ThreadPoolExecutor() as pool:
@@ -183,7 +181,7 @@ def run_films(seconds: float) -> None:
 
 
 def _come(path: Path, codec: str, seconds: float, way: str) -> str:
-    """Record a film that comes in such a way; how the log differs."""
+    """Record a film that comes in such a way; return how the log differs."""
     log = path.with_name(f"{way}.mcap")
     with gst_rtsp_server(file_pictures(path, codec)) as address, slowed(address, WAYS[way]) as near:
         line = Watched(near, log, seconds, "--rtsp-transport", way[:3]).last_line()
@@ -191,7 +189,7 @@ def _come(path: Path, codec: str, seconds: float, way: str) -> str:
 
 
 def _compared(path: Path, log: Path) -> str:
-    """A log's pictures and stamps beside the film's."""
+    """Compare a log's pictures and stamps with the film's."""
     same, stamps_ns, film_s = 0, [], []
     with av.open(str(path)) as container:
         frames = read_episode(log).frames()
@@ -211,7 +209,7 @@ def _compared(path: Path, log: Path) -> str:
 
 
 def _pixels(frame: Frame) -> bytes:
-    """Of a log's picture, as FFmpeg makes them of a film's."""
+    """Decode a log's picture, as FFmpeg does a film's."""
     if frame.encoding != "jpeg":
         return frame.data
     decoder = av.CodecContext.create("mjpeg", "r")

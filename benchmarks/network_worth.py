@@ -1,4 +1,4 @@
-"""What the network's start is worth beside one from the middle of the range.
+"""Measure what the network's start is worth beside one from the middle of the range.
 
     python -m benchmarks.network_worth                   all tables, tens of minutes
     python -m benchmarks.network_worth --seeds 1 --logs 5 --films 2 --targets 10
@@ -45,28 +45,21 @@ from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 
+# After which answers are compared: 5 is what `tunenet-tune` lets a method spend.
 ROLLOUTS = (3, 5, 10)
-"""After which answers are compared: 5 is what `tunenet-tune` lets a method spend."""
 
-NOISES_M = (0.0, 0.01)
-"""Of every height of a target: none, and what a good tracker leaves."""
-
-FAILURE = 0.02
-"""Error of a restitution that nobody would call tuned: what cross-checks object to."""
-
+NOISES_M = (0.0, 0.01)  # of every height of a target: none, and what a good tracker leaves
+FAILURE = 0.02  # error of a restitution that nobody would call tuned: what cross-checks object to
+# Of a payload: between two and three times the mean error of a tuning without a tare.
 FAILURE_KG = 0.1
-"""Of a payload: between two and three times the mean error of a tuning without a tare."""
 
 LOG_METHODS = ("tunenet+refine", "fit")
-_BATCH = 10
-"""Logs and targets in a piece of work: few, so that the processes end together."""
-
-LogWork = tuple[str, int, int]
-"""Kind, seed, index."""
+_BATCH = 10  # logs and targets in a piece of work: few, so that the processes end together
+LogWork = tuple[str, int, int]  # kind, seed, index
 
 
 def tuned_pair(work: LogWork) -> Pair:
-    """One log by both methods, which take turns to be the first."""
+    """Tune one log by both methods, which take turns to be the first."""
     kind, seed, index = work
     values, rollouts, seconds = np.full((3, len(LOG_METHODS)), np.nan)
     half_width = np.nan
@@ -84,7 +77,7 @@ def tuned_pair(work: LogWork) -> Pair:
 
 
 def tuned_pairs(work: Sequence[LogWork]) -> list[Pair]:
-    """`tuned_pair` of each, in one thread: there is a process for each core."""
+    """Run `tuned_pair` on each, in one thread: there is a process for each core."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -92,12 +85,7 @@ def tuned_pairs(work: Sequence[LogWork]) -> list[Pair]:
 
 
 def methods_with(network: Model, middle: float | None) -> dict[str, tuple[Method, float | None]]:
-    """Methods by their line in a table, each with its start; None for the target's own guess.
-
-    Args:
-        network: for the simulator.
-        middle: of the parameter's range; None where the guess is there already.
-    """
+    """Return methods by their line in a table, each with its start; None for the own guess."""
     estimators = {
         "network": (TuneNet(network), None),
         "network, then lines": (TuneNetThenLine(network), None),
@@ -120,7 +108,7 @@ def _middle(bounds: tuple[float, float]) -> float:
 def rollout_table(
     networks: dict[int, Model], count: int, jobs: int | None, progress: Progress
 ) -> str:
-    """Table 2: every method on `count` targets of each seed, by its own network."""
+    """Tabulate every method on `count` targets of each seed, by its own network (table 2)."""
     cells = [(which, noise_m) for which in (EASY, HARD) for noise_m in NOISES_M]
     batches: list[TargetBatch] = []
     keys: list[tuple[str, int]] = []
@@ -152,7 +140,7 @@ def _from(target: DropTarget, start: float | None) -> DropTarget:
 
 
 def payload_errors(work: Sequence[LogWork]) -> Array:
-    """Absolute errors [kg], shape (logs, methods, 1 + rollouts)."""
+    """Return absolute errors [kg], shape (logs, methods, 1 + rollouts)."""
     experiment, methods = PayloadExperiment(), methods_with(_payload_network(), None)
     errors = np.empty((len(work), len(methods), ROLLOUTS[-1] + 1))
     for rows, (kind, seed, index) in zip(errors, work, strict=True):
@@ -171,7 +159,7 @@ def _payload_network() -> Model:
 
 
 def payload_table(errors: Array) -> str:
-    """Table 3, of `payload_errors`."""
+    """Tabulate `payload_errors` (table 3)."""
     lines = head("method", *(f"{spent} rollouts" for spent in ROLLOUTS))
     labels = methods_with(_payload_network(), None)
     for label, rows in zip(labels, errors.swapaxes(0, 1), strict=True):
@@ -180,7 +168,7 @@ def payload_table(errors: Array) -> str:
 
 
 def trained(seed: int) -> Model:
-    """Our network for the paper's simulator."""
+    """Train our network for the paper's simulator."""
     return train_on_papers(seed, 1, Progress(quiet=True))
 
 

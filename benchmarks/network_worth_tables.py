@@ -1,4 +1,4 @@
-"""How `benchmarks.network_worth` writes what it measured."""
+"""Tabulate what `benchmarks.network_worth` measured."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import numpy as np
 from analysis.evaluation.text import short
 from tunenet_logs.arrays import Array
 
-SAME = 0.1
-"""Of an interval's half width: a smaller difference of two values tells nobody anything."""
+SAME = 0.1  # of an interval's half width: a smaller difference of two values tells nobody anything
 
 
 @dataclass(frozen=True)
 class Pair:
-    """What `LOG_METHODS` made of one log, in that order; NaN where nothing was answered.
+    """Results of `LOG_METHODS` on one log, in that order; NaN where nothing was answered.
 
     Attributes:
         half_width: of the exact fit's 95 % interval, shown or not.
@@ -33,7 +32,7 @@ class Pair:
 
     @property
     def apart(self) -> float:
-        """The difference of the two values, in half widths."""
+        """Difference of the two values, in half widths."""
         return abs(self.values[0] - self.values[1]) / self.half_width
 
     @property
@@ -44,7 +43,7 @@ class Pair:
 
 
 def _failures(pairs: Sequence[Pair]) -> str:
-    """How many, and in how many of them each method is nearer to the truth, or alone answers."""
+    """Count failures, and in how many each method is nearer to the truth, or alone answers."""
     off = np.array([np.abs(np.array(pair.values) - pair.truth) for pair in pairs if pair.failed])
     if not len(off):
         return "0"
@@ -53,7 +52,7 @@ def _failures(pairs: Sequence[Pair]) -> str:
 
 
 def log_table(pairs: Sequence[Pair]) -> str:
-    """Table 1."""
+    """Tabulate table 1."""
     lines = head(
         "logs",
         "answered",
@@ -84,7 +83,7 @@ def log_table(pairs: Sequence[Pair]) -> str:
 
 
 def summary(errors: Array, failure: float) -> str:
-    """Mean; median; share of failures."""
+    """Format mean; median; share of failures."""
     share = 100 * float(np.mean(errors > failure))
     return f"{short(float(errors.mean()))}; {short(float(np.median(errors)))}; {share:.3g} %"
 

@@ -1,4 +1,4 @@
-"""Whether a recording's file is its own: two writers to one name, and files that are taken away.
+"""Test whether a recording's file is its own: two writers to one name, and files taken away.
 
 `python -m benchmarks.ownership` has two processes begin to record to one name at one moment 2,000
 times, half of them with `overwrite`, over nothing, a log, or what a killed recorder left. Then
@@ -18,12 +18,12 @@ from pathlib import Path
 from tests.recorders.contender import contend, contenders
 from tests.recorders.lost_file import ATTACKS, attack
 
+# Whether with `overwrite`, and what lies there.
 _WAYS = ((False, ""), (True, ""), (False, ""), (True, "log"), (False, ""), (True, "active"))
-"""Whether with `overwrite`, and what lies there."""
 
 
 def contend_often(tries: int, rng: random.Random) -> int:
-    """Two writers, so many times; how often it went wrong."""
+    """Run two writers, so many times; count how often it went wrong."""
     bad = 0
     with tempfile.TemporaryDirectory() as name, contenders(2) as both:
         for number in range(tries):
@@ -39,7 +39,7 @@ def contend_often(tries: int, rng: random.Random) -> int:
 
 
 def attack_often(moments: int, rng: random.Random) -> tuple[int, Counter[str]]:
-    """Take the file away, so many times; how often a message was lost, and of each kind."""
+    """Take the file away, so many times; count lost messages, and each kind."""
     bad, kinds = 0, Counter[str]()
     for number in range(moments):
         how = list(ATTACKS)[number % len(ATTACKS)]

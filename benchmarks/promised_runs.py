@@ -21,15 +21,13 @@ from tests.recorders.films import film
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
-JOBS = 2
-"""Commands at a time."""
-
+JOBS = 2  # commands at a time
 _START = "import sys; sys.argv[0] = {name!r}; from {module} import {call}; sys.exit({call}())"
 _TOLD = {
     "PYTHONPATH": str(ROOT), "COLUMNS": "100", "LC_ALL": "C.UTF-8", "TZ": "UTC",
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
 }  # fmt: skip
-_MOST_S = 120
+_MAX_S = 120
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ def ran(words: Sequence[str], folder: Path, stdin: bytes = b"") -> Ran:
     code = _START.format(name=words[0], module=module, call=call)
     done = subprocess.run(
         [sys.executable, "-P", "-c", code, *words[1:]], cwd=folder, env={**os.environ, **_TOLD},
-        input=stdin, capture_output=True, timeout=_MOST_S, check=False,
+        input=stdin, capture_output=True, timeout=_MAX_S, check=False,
     )  # fmt: skip
     out, err = (one.decode().replace(str(folder), "DIR") for one in (done.stdout, done.stderr))
     return Ran(done.returncode, out, err)

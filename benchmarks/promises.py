@@ -30,25 +30,24 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parents[1]
+# Recordings and cases of others, where they are there.
 SHARED = next(
     (one / "shared" for one in ROOT.parents if (one / "shared" / "real").is_dir()), ROOT / "shared"
 )
-"""Recordings and cases of others, where they are there."""
 
 INPUTS = "inputs"
 
 Texts = dict[str, str]
-Part = Callable[[Path], Texts]
-"""From `DIR/inputs` to what is promised, by name: a digest or a text."""
-
+Part = Callable[[Path], Texts]  # from `DIR/inputs` to what is promised, by name: a digest or a text
+# Each has `PARTS` of its own, by the name of the file that keeps what they say.
 MODULES = (
     "benchmarks.promises_logs",
     "benchmarks.promises_results",
     "benchmarks.promises_commands",
 )
-"""Each has `PARTS` of its own, by the name of the file that keeps what they say."""
 
 JOBS = 2  # at a time
+# Of what is started.
 SETTINGS = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -56,11 +55,10 @@ SETTINGS = {
     "TZ": "UTC",
     "PYTHONHASHSEED": "0",  # the order of some warnings is that of a set
 }
-"""Of what is started."""
 
 _PRELOADED = ["numpy", "tqdm", "tunenet_logs.reader"]  # once for all fresh processes
-_MOST_S = 600  # that one job may take
-_MOST_LINES = 12  # of a difference, that are shown
+_MAX_S = 600  # that one job may take
+_MAX_LINES = 12  # of a difference, that are shown
 
 
 def all_parts() -> dict[str, Part]:
@@ -86,7 +84,7 @@ def apart(name: str, work: Callable[..., Texts], *arguments: object) -> Texts:
     process.start()
     theirs.close()
     try:
-        return ours.recv() if ours.poll(_MOST_S) else {name: f"took over {_MOST_S} s"}
+        return ours.recv() if ours.poll(_MAX_S) else {name: f"took over {_MAX_S} s"}
     except EOFError:
         process.join()
         return {name: f"ended by {process.exitcode}"}
@@ -150,9 +148,9 @@ def _difference(before: str | None, after: str | None) -> str:
         return "is new" if before is None else "is gone"
     both = difflib.unified_diff(before.splitlines(), after.splitlines(), n=0, lineterm="")
     lines = [line[:200] for line in list(both)[2:] if not line.startswith("@@")]
-    rest = len(lines) - _MOST_LINES
+    rest = len(lines) - _MAX_LINES
     more = [f"... {rest} more lines"] if rest > 0 else []
-    text = "\n    ".join(["", *lines[:_MOST_LINES], *more])
+    text = "\n    ".join(["", *lines[:_MAX_LINES], *more])
     return text.encode("utf-8", "backslashreplace").decode()
 
 

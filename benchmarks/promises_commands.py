@@ -26,12 +26,12 @@ _NOT_SWEPT = {"--help", "--version", "--debug", "--print-completion", "--output"
 _CLOCK = re.compile(
     r"""(?<=such as ')[\d-]+ [\d:]+(?=')|(?<="seconds": ){[^{}]*}|(?<="date": )"[^"]*\""""
 )
+# What is said of the time now and in JSON of how long it took; the latter by `tunenet-tune`.
 _TOOK = re.compile(
     r" {2,}\d+\.\d+ s(?=  |$)| in [\d.]+ s, [\d.]+ a second|(read|total) [\d.]+ s"
     r"|(?<=rollouts  )time *",
     re.MULTILINE,
 )
-"""What is said of the time now and in JSON of how long it took; the latter by `tunenet-tune`."""
 
 
 def all_help(folder: Path) -> dict[str, str]:

@@ -25,15 +25,15 @@ from tunenet_logs.errors import TuneNetError
 from tunenet_logs.reader import read_episode
 
 _LOGS_A_JOB = 24
-_MOST_FRAMES = 40
-_LARGEST_BYTES, _LARGEST_BOMB_BYTES = 300_000, 8_000_000
+_MAX_FRAMES = 40
+_MAX_BYTES, _MAX_BOMB_BYTES = 300_000, 8_000_000
+# Bombs that take seconds to make or to refuse.
 _DEAR = {"workbook_of_zeros", "bz2_table", "zip_of_many", "dense_table", "long_motive",
          "long_table", "zip_of_blanks", "zeros_npz", "zeros_mat", "zip_of_one_file",
          "bag_of_tiny_messages", "gzip_table", "zstd_table", "poses_in_chunks"}  # fmt: skip
-"""Bombs that take seconds to make or to refuse."""
 
+# Tests whose files are kept: small ones, made in a minute or two.
 _CHEAP = "not (bomb or fuzz or hostile or many or full_disk or test_work or test_video)"
-"""Tests whose files are kept: small ones, made in a minute or two."""
 
 _NO_INPUTS = {".md", ".py", ".rrd", ".sh", ".lock"}
 
@@ -104,7 +104,7 @@ def _frames_words(episode: Episode, topic: str) -> str:
     """Say what the first frames are, and what the last of them shows."""
     found: list[Frame] = []
     try:
-        found.extend(islice(episode.frames(topic), _MOST_FRAMES))
+        found.extend(islice(episode.frames(topic), _MAX_FRAMES))
         stamps = [frame.stamp_ns for frame in found]
         last = found[-1:]
         told = [(one.encoding, one.size_px(), digest(one.data)) for one in last]
@@ -136,7 +136,7 @@ def _make_logs(folder: Path) -> None:
 
     for name, given in {"samples": ROOT / "sample_logs", "real": SHARED / "real",
                         "cases": SHARED / "cases"}.items():  # fmt: skip
-        _keep_files(folder, given, name, _LARGEST_BOMB_BYTES)
+        _keep_files(folder, given, name, _MAX_BOMB_BYTES)
     (folder / "kinds").mkdir()
     for name, make in small_exports.KINDS.items():
         make(folder / "kinds" / name)
@@ -149,7 +149,7 @@ def _make_logs(folder: Path) -> None:
         place.mkdir()
         bomb(place if bomb in in_a_folder else place / "bomb.mcap")  # type: ignore[arg-type]
         size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
-        if size > _LARGEST_BOMB_BYTES:
+        if size > _MAX_BOMB_BYTES:
             shutil.rmtree(place)
     with tempfile.TemporaryDirectory() as left:
         words = [
@@ -166,7 +166,7 @@ def _make_logs(folder: Path) -> None:
         words += ["-m", "not slow and not docs and not live", "-o", "tmp_path_retention_policy=all"]
         words = [sys.executable, "-m", "pytest", "tests/tunenet_logs", *words]
         subprocess.run([*words, f"--basetemp={left}/all"], check=False, cwd=ROOT, stdout=2)
-        _keep_files(folder, Path(left), "tests", _LARGEST_BYTES)
+        _keep_files(folder, Path(left), "tests", _MAX_BYTES)
 
 
 def _keep_files(folder: Path, given: Path, name: str, largest: int) -> None:

@@ -27,8 +27,7 @@ from tests.recorders.ros2_publisher import STATES, TORQUES, publishing
 from tests.recorders.ros2_recorder import free_domain
 from tests.recorders.rtsp_camera import rtsp_camera
 
-_STAMP_BYTES = 12
-"""Of a message with a header: CDR's own four bytes, seconds and nanoseconds."""
+_STAMP_BYTES = 12  # of a message with a header: CDR's own four bytes, seconds and nanoseconds
 
 
 @dataclass(frozen=True)

@@ -26,17 +26,18 @@ from benchmarks.promises import ROOT, SETTINGS, SHARED, Part, Texts, apart, dige
 from docs.make_pictures import sections
 
 _TEXTS = {".json", ".html", ".csv", ".xml", ".sdf", ".urdf", ".usda", ".py", ".yaml"}
+# Columns of a ledger that tell when, or how long it took.
 _CLOCK = re.compile("second|date|time_s|modified|tuned")
-"""Columns of a ledger that tell when, or how long it took."""
 
+# Reviews of the tests that the bench makes, too.
 _AS_OTHERS = {"payload_of_no_arm", "filmed_drop", "payload_without_tare"}
-"""Reviews of the tests that the bench makes, too."""
 
 _ARM_BAG = SHARED / "real" / "ros1" / "jaco_names_recorded_by_rosbag.bag"
 _MODEL = (
     "sample_logs/models/{0}.mcap --model sample_logs/models/{0}.xml "
     "--tune sample_logs/models/{0}.yaml"
 )
+# Tunings that are kept, to be exported, compared and reported.
 _TUNED = {
     "light": "sample_logs/light.mcap",
     "filmed": "sample_logs/filmed.mcap",
@@ -45,7 +46,6 @@ _TUNED = {
     "pendulum": _MODEL.format("pendulum"),
     "rejected": "sample_logs/campaign/drop_6.mcap",
 }
-"""Tunings that are kept, to be exported, compared and reported."""
 
 _MORE_RUNS = {
     "untared": "tunenet-tune sample_logs/payload.mcap -o demo",

@@ -1,4 +1,4 @@
-"""Reading speed: joint states from a log into arrays, here and by rosbags in one run.
+"""Measure reading speed: joint states from a log into arrays, here and by rosbags.
 
 `python -m benchmarks.reading` writes 60,000 JointState messages of seven joints, reads them in
 turns by both, and prints the ratio of the best times.
@@ -25,7 +25,7 @@ JOINTS = 7
 
 
 def write_joints(path: Path, count: int) -> None:
-    """A log of joint states at 1 kHz, by the libraries alone."""
+    """Write a log of joint states at 1 kHz, by the libraries alone."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = store.types
     rng = np.random.default_rng(0)
@@ -51,7 +51,7 @@ def write_joints(path: Path, count: int) -> None:
 
 
 def theirs(path: Path) -> np.ndarray:
-    """Positions, velocities and efforts by rosbags' reader, shape (T, 21)."""
+    """Read positions, velocities and efforts by rosbags' reader, shape (T, 21)."""
     stamps, rows = [], []
     with AnyReader([path]) as reader:
         for connection, _, raw in reader.messages():
@@ -63,14 +63,14 @@ def theirs(path: Path) -> np.ndarray:
 
 
 def ours(path: Path) -> np.ndarray:
-    """The same by `read_episode`."""
+    """Read the same by `read_episode`."""
     signals = read_episode(path).signals
     names = ("position", "velocity", "effort")
     return np.hstack([signals[f"/joint_states.{name}"].values for name in names])
 
 
 def best(read: Callable[[Path], np.ndarray], path: Path) -> float:
-    """Seconds of one reading."""
+    """Return the seconds of one reading."""
     start = time.perf_counter()
     read(path)
     return time.perf_counter() - start

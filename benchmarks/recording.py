@@ -1,4 +1,4 @@
-"""Recording in real time: messages dropped, and the share of a core it takes.
+"""Measure recording in real time: messages dropped, and the share of a core it takes.
 
 `python -m benchmarks.recording` runs, for a minute each:
 
@@ -39,7 +39,7 @@ _QUALITY = 90
 
 
 def measured(words: list[object]) -> tuple[float, float, str]:
-    """Run a process: its wall time [s], its processor time [s], and a line on memory and exit."""
+    """Run a process; return wall and processor time [s], and a line on memory and exit."""
     start = time.perf_counter()
     process = subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
@@ -54,7 +54,7 @@ def in_words(counts: Mapping[str, int]) -> str:
 
 
 def run_stream(seconds: float) -> None:
-    """A network camera, through the command."""
+    """Record a network camera through the command."""
     frames = round(seconds * _CAMERA_HZ)
     plan = {"frames": frames, "rate_hz": _CAMERA_HZ, "size": _SIZE, "distinct": 120}
     with playing(**plan) as address, tempfile.TemporaryDirectory() as folder:
@@ -70,7 +70,7 @@ def run_stream(seconds: float) -> None:
 
 
 def run_live(seconds: float) -> None:
-    """Pictures and joints, through LiveRecording; and making them alone."""
+    """Record pictures and joints through LiveRecording, and make them alone."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "a.mcap"
         program = [sys.executable, "-m", "benchmarks.recording", "--seconds", seconds]
@@ -86,7 +86,7 @@ def run_live(seconds: float) -> None:
 
 
 def _write(log: str, seconds: float) -> None:
-    """What the measured process does: make messages on time, and record them."""
+    """Make messages on time and record them, in the measured process."""
     if log == "nothing":
         _make(seconds, lambda _stamp_ns, _data: True, lambda _stamp_ns, _values: True)
         return
@@ -130,7 +130,7 @@ def _make(
 
 
 def _repeat(work: Callable[[int], None], rate_hz: float, seconds: float) -> None:
-    """Do it at a rate; what is late is made up for."""
+    """Repeat work at a rate; what is late is made up for."""
     start = time.monotonic()
     for number in range(round(rate_hz * seconds)):
         if (early_s := start + number / rate_hz - time.monotonic()) > 0:

@@ -1,4 +1,4 @@
-"""Bytes that a bucket sends for a batch, against those of its logs.
+"""Measure the bytes that a bucket sends for a batch, against those of its logs.
 
 `python -m benchmarks.remote` puts logs of `benchmarks.state_logs` into a real S3 server on this
 machine (moto), behind a relay that counts what the server sends: listing, headers and contents.
@@ -17,11 +17,11 @@ from typing import Any
 from benchmarks.state_logs import write_log
 from tests.analysis.batch.relay import CountingRelay
 
-MOST_RATIO = 1.1
+MAX_RATIO = 1.1
 
 
 def figures(count: int = 100) -> dict[str, Any]:
-    """Bytes sent for tuning `count` logs once, and again with `--resume`, over the logs' own."""
+    """Measure bytes sent for tuning `count` logs once, and with `--resume`, over the logs' own."""
     import boto3
     from moto.server import ThreadedMotoServer
 
@@ -53,7 +53,7 @@ def figures(count: int = 100) -> dict[str, Any]:
     server.stop()
     first, again = (one / size for one in sent)
     print(f"{count} logs of {size / count / 1e3:.1f} kB: {sent[0]} bytes sent for {size}")
-    print(f"{first:.3f} times the logs (wanted: at most {MOST_RATIO}), {again:.3f} with --resume")
+    print(f"{first:.3f} times the logs (wanted: at most {MAX_RATIO}), {again:.3f} with --resume")
     return {"logs": count, "bytes": size, "times_read": round(first, 4), "again": round(again, 4)}
 
 

@@ -1,4 +1,4 @@
-"""How long the road of a tuning is: the files and functions of ours that one passes, by tracing.
+"""Trace a tuning: the files and functions of ours that one passes.
 
     python -m benchmarks.road            counts for a log of positions, a film, a payload
     python -m benchmarks.road --list     and the files, with the functions of each
@@ -29,12 +29,11 @@ LOGS = {
     "payload": ("payload.mcap", "--tare", "payload_empty.mcap"),
 }
 
-Road = dict[str, set[str]]
-"""Functions by file, both as they are called."""
+Road = dict[str, set[str]]  # functions by file, both as they are called
 
 
 def road_of(*words: str) -> Road:
-    """What `tunenet-tune` passes with these words, files of the samples among them."""
+    """Trace what `tunenet-tune` passes with these words, files of the samples among them."""
     inside = tuple(f"{ROOT / package}/" for package in PACKAGES)
     passed: Road = defaultdict(set)
 

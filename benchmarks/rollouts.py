@@ -1,4 +1,4 @@
-"""What many training rollouts cost, beside stepping the engine and nothing else.
+"""Measure what many training rollouts cost, beside stepping the engine and nothing else.
 
 `python -m benchmarks.rollouts --count 100000` makes rollouts of the preset `paper-code`, each of
 them 400 steps of the engine, and of `default`, which flies in closed form between impacts; beside
@@ -18,19 +18,18 @@ from typing import Any
 from analysis.drop.presets import TRAININGS
 from benchmarks.training import QUIET, bare_stepping_s, timed
 
-MOST_RATIO = 1.3
+MAX_RATIO = 1.3
 _PARTS = 3
-_MOST_OF_DEFAULT = 4096
-"""Rollouts: however many pairs are wanted, they are drawn among these."""
+_MAX_OF_DEFAULT = 4096  # rollouts: however many pairs are wanted, they are drawn among these
 
 
 def figures(count: int = 10_000) -> dict[str, Any]:
-    """Seconds of `count` rollouts of each preset, bare and ours, and their ratio."""
+    """Measure seconds of `count` rollouts of each preset, bare and ours, and their ratio."""
     jobs = len(os.sched_getaffinity(0))
     found: dict[str, Any] = {"processes": jobs}
     for name, most, wanted in (
-        ("paper-code", count, f"wanted: at most {MOST_RATIO}"),
-        ("default", _MOST_OF_DEFAULT, ""),
+        ("paper-code", count, f"wanted: at most {MAX_RATIO}"),
+        ("default", _MAX_OF_DEFAULT, ""),
     ):
         each = min(count // _PARTS, most)
         ours_s = bare_s = 0.0
@@ -54,7 +53,7 @@ def figures(count: int = 10_000) -> dict[str, Any]:
 
 
 def _made(name: str, rollouts: int, seed: int, jobs: int) -> int:
-    """Makes rollouts, and says how many."""
+    """Make rollouts, and return how many."""
     pairs = TRAININGS[name].make_pairs(rollouts // 2, seed, jobs, QUIET)
     return len(pairs.values)
 

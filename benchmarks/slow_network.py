@@ -1,4 +1,4 @@
-"""A network between a camera and a recorder that delays what is sent, and loses nothing.
+"""Delay what is sent between a camera and a recorder, and lose nothing.
 
 `python -m benchmarks.slow_network PORT HOW` passes one connection on to a port of this machine, and
 says in a line at which port of its own. What the server sends is held back:
@@ -24,6 +24,7 @@ from contextlib import contextmanager, suppress
 _JITTER_S, _BURST_S = 0.04, 0.1
 _STALLS_AT_S, _STALL_S = 2.0, 2.0
 
+# When a piece is passed on that came so long after the first [s].
 HOW: dict[str, Callable[[float], float]] = {
     "jitter": lambda since_s: since_s + random.uniform(0, _JITTER_S),
     "bursts": lambda since_s: math.ceil(since_s / _BURST_S) * _BURST_S,
@@ -31,12 +32,11 @@ HOW: dict[str, Callable[[float], float]] = {
         max(since_s, _STALLS_AT_S + _STALL_S) if since_s > _STALLS_AT_S else since_s
     ),
 }
-"""When a piece is passed on that came so long after the first [s]."""
 
 
 @contextmanager
 def slowed(address: str, how: str) -> Iterator[str]:
-    """The same address by way of such a network; as it is where `how` is ""."""
+    """Open the same address by way of such a network; as it is where `how` is ""."""
     if not how:
         yield address
         return
@@ -84,7 +84,7 @@ def _hold_back(
     held: queue.SimpleQueue[tuple[float, bytes]],
     how: Callable[[float], float],
 ) -> None:
-    """Take what the server sends, and say when it is due; nothing in the end."""
+    """Queue what the server sends with its due time; nothing in the end."""
     start_s = time.monotonic()
     data = b"any"
     while data:

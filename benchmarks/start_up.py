@@ -1,4 +1,4 @@
-"""How long commands take to start, and one tuning, beside what their libraries take alone."""
+"""Measure how long commands take to start, and one tuning, beside their libraries alone."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SAMPLE = Path(__file__).resolve().parents[1] / "sample_logs" / "bouncy.mcap"
 
 
 def seconds(*words: str | Path, best_of: int) -> float:
-    """Wall time of a whole process, the best of a few."""
+    """Return the wall time of a whole process, the best of a few [s]."""
     times = []
     for _ in range(best_of):
         start = time.perf_counter()
@@ -32,7 +32,7 @@ def seconds(*words: str | Path, best_of: int) -> float:
 
 
 def figures(best_of: int = 5) -> dict[str, Any]:
-    """Each command's help over a bare interpreter; a tuning over loading its libraries."""
+    """Measure each command's help over a bare interpreter; a tuning over loading its libraries."""
     bare = seconds(sys.executable, "-c", "pass", best_of=best_of)
     print(f"bare interpreter                 {bare:6.2f} s")
     found: dict[str, Any] = {"bare_interpreter_s": round(bare, 3)}

@@ -1,4 +1,4 @@
-"""How fast small logs of a ball's positions are tuned, against what none can do without.
+"""Measure how fast small logs of positions are tuned, against what none can do without.
 
 `python -m benchmarks.state_logs` makes logs of 1 to 3 s at 60 to 240 Hz, of ideal balls and of ones
 with air and slope, 1 mm of noise, and tunes each from reading to JSON, without the review. Printed,
@@ -31,12 +31,11 @@ from recorders.simulators.drop import DropSimulator
 from tests import strangers
 
 _SEED, _START_NS, _NOISE_M = 24, 1_700_000_000_000_000_000, 0.001
-_STARTING = 6
-"""Logs that are tuned before the clock runs: libraries load, engines start."""
+_STARTING = 6  # logs that are tuned before the clock runs: libraries load, engines start
 
 
 def write_log(path: Path, index: int) -> None:
-    """One drop; balls with air and slope take turns with ideal ones."""
+    """Write one drop; balls with air and slope take turns with ideal ones."""
     rng = np.random.default_rng([_SEED, index])
     restitution, gap_m = float(rng.uniform(0.3, 0.92)), float(rng.uniform(0.3, 1.6))
     rate_hz, lasts_s, hold_s = (
@@ -55,7 +54,7 @@ def write_log(path: Path, index: int) -> None:
 
 
 def tuned(path: Path) -> Tuning:
-    """A log tuned as `tunenet-tune` does it, and its JSON made."""
+    """Tune a log as `tunenet-tune` does, and make its JSON."""
     log_sha256(path)
     tuning = tune_log(path, Options())
     to_json(record_of(tuning))
@@ -63,7 +62,7 @@ def tuned(path: Path) -> Tuning:
 
 
 def least_s(path: Path, tuning: Tuning) -> float:
-    """CPU time [s] of bare reading, K + 2 rollouts and the fit alone."""
+    """Return the CPU time [s] of bare reading, K + 2 rollouts and the fit alone."""
     detection, trace = tuning.detection, tuning.trace
     if detection is None or trace is None:
         return _cpu_s(lambda: _read(path))
@@ -98,7 +97,7 @@ def _resident_mb() -> float:
 
 
 def figures(count: int = 200) -> dict[str, Any]:
-    """Logs a CPU second, what they cost over the least, and the memory of one process."""
+    """Measure logs a CPU second, their cost over the least, and the memory of one process."""
     count = max(count, 4)
     with tempfile.TemporaryDirectory() as folder:
         logs = [Path(folder) / f"{index:05}.mcap" for index in range(count)]

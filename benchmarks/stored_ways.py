@@ -1,4 +1,4 @@
-"""Stores one rendered drop in 37 ways, tunes to each, and compares.
+"""Store one rendered drop in 37 ways, tune to each, and compare.
 
 `python -m benchmarks.stored_ways` prints for each way its verdict, the restitution, and how far it
 is from what the log of the camera's own JPEGs gives. All of them should be "ok" and within that
@@ -41,16 +41,13 @@ from tunenet_logs.terminal import Progress
 
 ORDER = DropOrder(restitution=0.7, height_m=1.0, seconds=1.7, hold_s=0.3, rate_hz=240, seed=5)
 FILM = FilmOrder(size_px=(640, 480), exposure_s=0.002)
-RATE_HZ = 60
-"""Of all ways that say nothing else: every fourth picture."""
-
-DOUBTFUL = ("160 x 120", "six of a hundred twice")
-"""Ways that need not be "ok"."""
+RATE_HZ = 60  # of all ways that say nothing else: every fourth picture
+DOUBTFUL = ("160 x 120", "six of a hundred twice")  # ways that need not be "ok"
 
 
 @dataclass(frozen=True)
 class Way:
-    """How a drop is stored.
+    """Way to store a drop.
 
     Attributes:
         name: of the file; its suffix is part of what is tried.
@@ -64,14 +61,14 @@ class Way:
 
 
 def rendered() -> Episode:
-    """The drop as a camera of 240 pictures a second films it, its pictures in memory."""
+    """Render the drop at 240 pictures a second, its pictures in memory."""
     episode = film_drop(ORDER, FILM)
     frames = list(episode.frames())
     return replace(episode, open_frames=lambda _topic: iter(frames))
 
 
 def at_rate(episode: Episode, rate_hz: float) -> Episode:
-    """As a slower camera would have filmed it."""
+    """Subsample the episode as a slower camera would have filmed it."""
     frames = list(episode.frames())[:: round(240 / rate_hz)]
     channel = replace(
         episode.channels[0], log_ns=np.array([one.stamp_ns for one in frames], np.int64)
@@ -80,12 +77,12 @@ def at_rate(episode: Episode, rate_hz: float) -> Episode:
 
 
 def pictures_of(episode: Episode) -> Pictures:
-    """Decoded, RGB."""
+    """Decode the pictures, RGB."""
     return [frame.decode() for frame in episode.frames()]
 
 
 def ways(episode: Episode) -> dict[str, Way]:
-    """All but the log, by what they are called."""
+    """Return all ways but the log, by name."""
     usual = pictures_of(at_rate(episode, RATE_HZ))
     return {
         **_codecs(usual),
@@ -97,7 +94,7 @@ def ways(episode: Episode) -> dict[str, Way]:
 
 
 def _codecs(usual: Pictures) -> dict[str, Way]:
-    """Codecs in containers: (suffix, encoder, pixels, its options)."""
+    """Return codecs in containers: (suffix, encoder, pixels, its options)."""
     x264 = "libx264"
     table: Mapping[str, tuple[str, str, str, dict[str, str]]] = {
         "H.264, mp4": ("mp4", x264, "yuv420p", {}),
@@ -135,7 +132,7 @@ def _codecs(usual: Pictures) -> dict[str, Way]:
 
 
 def _without_a_rate(usual: Pictures) -> dict[str, Way]:
-    """Streams that no container holds."""
+    """Return streams that no container holds."""
     table = {
         "H.264, bare": ("h264", "libx264", "h264", "yuv420p"),
         "H.265, bare": ("h265", "libx265", "hevc", "yuv420p"),
@@ -160,7 +157,7 @@ def _without_a_rate(usual: Pictures) -> dict[str, Way]:
 
 
 def _rates(episode: Episode, usual: Pictures) -> dict[str, Way]:
-    """Other rates than the usual one."""
+    """Return other rates than the usual one."""
 
     def filmed_at(rate_hz: int, plays_hz: int) -> Store:
         def store(path: Path) -> None:
@@ -194,7 +191,7 @@ def _rates(episode: Episode, usual: Pictures) -> dict[str, Way]:
 
 
 def _cuts(usual: Pictures) -> dict[str, Way]:
-    """What phones do to a film."""
+    """Return what phones do to a film."""
 
     def hidden(path: Path) -> None:
         whole = path.with_name("whole.mp4")
@@ -220,7 +217,7 @@ def _cuts(usual: Pictures) -> dict[str, Way]:
 
 
 def _picture_files(usual: Pictures) -> dict[str, Way]:
-    """One file for each picture, or one of many without being a video."""
+    """Return one file for each picture, or one of many without being a video."""
     return {
         "folder of PNG": Way("a", partial(write_files, pictures=usual, suffix=".png"), RATE_HZ),
         "folder of JPEG, no rate said": Way(
@@ -239,7 +236,7 @@ def _picture_files(usual: Pictures) -> dict[str, Way]:
 
 
 def tuned(way: Way) -> Tuning:
-    """What comes out for one way, its file written and removed."""
+    """Tune one way, its file written and removed."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / way.name
         way.store(path)
@@ -249,7 +246,7 @@ def tuned(way: Way) -> Tuning:
 
 
 def row(name: str, tuning: Tuning, reference: Tuning) -> tuple[str, bool]:
-    """A line of the table, and whether it is as promised."""
+    """Format a line of the table; return whether it is as promised."""
     found, wanted, interval = tuning.estimate, reference.estimate, reference.interval95
     assert wanted is not None
     assert interval is not None

@@ -1,4 +1,4 @@
-"""Writes one film's pictures to files of many kinds, for `benchmarks.stored_ways`."""
+"""Write one film's pictures to files of many kinds, for `benchmarks.stored_ways`."""
 
 from __future__ import annotations
 
@@ -14,11 +14,8 @@ import numpy as np
 from av import logging
 from numpy.typing import NDArray
 
-Pictures = Sequence[NDArray[np.uint8]]
-"""RGB, each of shape (H, W, 3)."""
-
-TICKS_HZ = 90_000
-"""Of containers that can count so finely."""
+Pictures = Sequence[NDArray[np.uint8]]  # RGB, each of shape (H, W, 3)
+TICKS_HZ = 90_000  # of containers that can count so finely
 
 
 def write_video(
@@ -33,10 +30,10 @@ def write_video(
     rotated_deg: int = 0,
     options: Mapping[str, str] | None = None,
 ) -> None:
-    """A video file.
+    """Write a video file.
 
     Args:
-        path: its suffix tells the container where that is not named.
+        path: its suffix gives the container where that is not named.
         pictures: to store.
         codec: as FFmpeg calls its encoder.
         rate_hz: at which the file plays.
@@ -64,7 +61,7 @@ def write_video(
 
 
 def copy_from(source: Path, target: Path, hidden_s: float) -> None:
-    """The same packets, the start hidden by an edit list, as phones trim.
+    """Copy packets with the start hidden by an edit list, as phones trim.
 
     The file begins at the last picture that needs no other before the cut.
     """
@@ -83,7 +80,7 @@ def copy_from(source: Path, target: Path, hidden_s: float) -> None:
 
 
 def copy_until(source: Path, target: Path, length_s: float) -> None:
-    """The packets of the first seconds, in the order in which they are stored."""
+    """Copy the packets of the first seconds, in the order in which they are stored."""
     with av.open(str(source)) as whole, av.open(str(target), "w") as cut:
         stream = cut.add_stream_from_template(whole.streams.video[0])
         packets: list[Any] = [one for one in whole.demux(video=0) if one.size]
@@ -95,28 +92,21 @@ def copy_until(source: Path, target: Path, length_s: float) -> None:
 
 
 def write_files(folder: Path, pictures: Pictures, suffix: str, *, sixteen: bool = False) -> None:
-    """A folder of numbered pictures, without leading zeros.
-
-    Args:
-        folder: to be made.
-        pictures: to store.
-        suffix: of the files, as OpenCV knows it.
-        sixteen: in grey of 12 bits, in 16.
-    """
+    """Write a folder of numbered pictures, without leading zeros; `sixteen` is grey of 12 bits."""
     folder.mkdir()
     for name, data in named(pictures, suffix, sixteen=sixteen):
         (folder / name).write_bytes(data)
 
 
 def write_zip(path: Path, pictures: Pictures, suffix: str) -> None:
-    """The same, in a folder of a zip."""
+    """Write the same, in a folder of a zip."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in named(pictures, suffix):
             archive.writestr(f"drop/{name}", data)
 
 
 def named(pictures: Pictures, suffix: str, *, sixteen: bool = False) -> Iterator[tuple[str, bytes]]:
-    """Names and bytes of picture files."""
+    """Yield names and bytes of picture files."""
     for number, picture in enumerate(pictures):
         stored: Any = picture[:, :, ::-1]
         if sixteen:
@@ -126,14 +116,7 @@ def named(pictures: Pictures, suffix: str, *, sixteen: bool = False) -> Iterator
 
 
 def write_animation(path: Path, pictures: Pictures, rate_hz: int, tick_ms: int = 1) -> None:
-    """A WebP or GIF of several pictures.
-
-    Args:
-        path: its suffix tells which.
-        pictures: to store.
-        rate_hz: at which it plays, on the whole.
-        tick_ms: to which each picture's time is rounded.
-    """
+    """Write a WebP or GIF of several pictures, times rounded to `tick_ms`."""
     animation: Any = cv2.Animation()
     ticks = np.round(np.arange(len(pictures) + 1) * 1000 / rate_hz / tick_ms).astype(int) * tick_ms
     animation.durations = np.diff(ticks).tolist()
@@ -142,5 +125,4 @@ def write_animation(path: Path, pictures: Pictures, rate_hz: int, tick_ms: int =
         raise RuntimeError(f"{path} cannot be written")
 
 
-Store = Callable[[Path], None]
-"""Writes a file, or a folder, of the name given."""
+Store = Callable[[Path], None]  # writes a file, or a folder, of the name given

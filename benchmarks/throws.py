@@ -1,4 +1,4 @@
-"""Bounces that do not begin at rest: what `tunenet-tune` finds in thrown and dribbled balls.
+"""Tune thrown and dribbled balls: bounces that do not begin at rest.
 
 The balls fly by an integrator of this file's own (Runge and Kutta's, 20 kHz), in air, with a
 restitution that may fall with speed; a hand moves them along quintics. Nothing is shared with the
@@ -22,20 +22,19 @@ from analysis.tuning import tune_episode
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
+# How the ball comes to fly: thrown down and caught at last; by hand again and again; bouncing when
+# the recording begins; rolled off an edge; tossed from hand to hand, which is no bounce.
 KINDS = ("thrown", "dribbled", "bouncing", "edge", "tossed")
-"""How the ball comes to fly: thrown down and caught at last; by hand again and again; bouncing when
-the recording begins; rolled off an edge; tossed from hand to hand, which is no bounce."""
 
 _RATES_HZ = (60.0, 120.0, 200.0, 360.0)
 _STEP_S = 1 / 20_000
 _GRAVITY_M_S2 = 9.81
-_NEAR_S = 0.03
-"""Of an impact: a bounce that is found farther from all is none."""
+_NEAR_S = 0.03  # of an impact: a bounce that is found farther from all is none
 
 
 @dataclass(frozen=True)
 class Hit:
-    """An impact: when [s], its restitution, its speed [m/s]."""
+    """Impact: when [s], its restitution, its speed [m/s]."""
 
     seconds: float
     restitution: float
@@ -44,7 +43,7 @@ class Hit:
 
 @dataclass
 class _World:
-    """A ball in a hand, in the air and on the ground; times and heights as they come."""
+    """Ball in a hand, in the air and on the ground; times and heights as they come."""
 
     restitution: float
     slope: float
@@ -57,12 +56,12 @@ class _World:
     heights: list[Array] = field(default_factory=list)
 
     def hold(self, seconds: float) -> None:
-        """The hand keeps it where it is."""
+        """Hold the ball where it is."""
         self._moved(np.full(round(seconds / _STEP_S), self.height_m))
         self.speed_m_s = 0.0
 
     def carry(self, height_m: float, speed_m_s: float, seconds: float) -> None:
-        """The hand takes it somewhere, where it has that speed."""
+        """Carry the ball to a height and speed, along a quintic."""
         powers = np.array([3, 4, 5])
         ends = np.array([seconds**powers, powers * seconds ** (powers - 1)])
         ends = np.vstack([ends, powers * (powers - 1) * seconds ** (powers - 2)])
@@ -74,7 +73,7 @@ class _World:
         self.height_m, self.speed_m_s = height_m, speed_m_s
 
     def fly(self, until: Callable[[float], bool] = lambda _: False) -> bool:
-        """Free flight to the ground, or until something ends it [s since]; whether it hit."""
+        """Fly to the ground, or until something ends it [s since]; return whether it hit."""
         path: list[float] = []
         while True:
             before_m, before_m_s = self.height_m, self.speed_m_s
@@ -116,7 +115,7 @@ class _World:
 
 @dataclass(frozen=True, eq=False)
 class Throw:
-    """One recording: times [s], positions [m] with noise, shape (T, 3), and its impacts."""
+    """Recording: times [s], positions [m] with noise, shape (T, 3), and its impacts."""
 
     kind: str
     seconds: Array
@@ -124,14 +123,14 @@ class Throw:
     hits: tuple[Hit, ...]
 
     def episode(self) -> Episode:
-        """As a log has it."""
+        """Return the recording as a log has it."""
         stamps_ns = np.round(self.seconds * 1e9).astype(np.int64)
         signal = Signal("/mocap/thing", stamps_ns, self.positions_m, ("x", "y", "z"), "m")
         return Episode(EpisodeInfo(), {signal.name: signal})
 
 
 def throw(rng: np.random.Generator, kind: str, noise_m: float = 0.001) -> Throw:
-    """A recording of one of `KINDS`."""
+    """Draw a recording of one of `KINDS`."""
     slope, drag = rng.uniform(0, 0.12), rng.uniform(0.003, 0.05)
     world = _World(
         rng.uniform(0.45, 0.92),
@@ -215,7 +214,7 @@ def _tossed(rng: np.random.Generator, world: _World) -> None:
 
 @dataclass
 class _Line:
-    """What came of one kind."""
+    """Results of one kind."""
 
     errors: list[float] = field(default_factory=list)
     held: list[bool] = field(default_factory=list)
@@ -224,7 +223,7 @@ class _Line:
     bounces: list[float] = field(default_factory=list)
 
     def add(self, made: Throw) -> None:
-        """Tune one."""
+        """Tune one recording."""
         tuning = tune_episode(made.episode(), Options())
         self.verdicts[tuning.verdict] += 1
         found = record_of(tuning).rebounds

@@ -1,4 +1,4 @@
-"""Speed and memory of tuning from a film, and how well the ball is followed.
+"""Measure speed and memory of tuning from a film, and how well the ball is followed.
 
 `python -m benchmarks.tracking` prints how much longer a clip of 640 x 480 at 60 fps lasts than it
 takes to tune from it on one core, imports left out, as an mp4 and as a log of JPEGs; the peak
@@ -31,16 +31,14 @@ from tunenet_logs.errors import NotFoundError
 from tunenet_logs.reader import read_episode
 
 SEED = 1000
-CLIP = 34
-"""640 x 480 at 60 fps."""
-
+CLIP = 34  # 640 x 480 at 60 fps
 CLIP_S = 5.0
 LONGER = 10
 COUNT = 12
 
 
 def the_clip(*, as_log: bool, longer: int = 1) -> ClipOrder:
-    """The clip whose speed is measured; a longer one is held longer."""
+    """Return the clip whose speed is measured; a longer one is held longer."""
     order = draw_clip(SEED, CLIP)
     assert (order.view.size_px, order.rate_hz) == ((640, 480), 60.0)
     held_s = longer * CLIP_S - order.length_s
@@ -48,7 +46,7 @@ def the_clip(*, as_log: bool, longer: int = 1) -> ClipOrder:
 
 
 def speed() -> None:
-    """How much faster than real time, on one core."""
+    """Measure how much faster than real time it is, on one core."""
     import cv2
 
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -75,7 +73,7 @@ def peak_mib(path: str) -> None:
 
 
 def memory() -> None:
-    """Peak of a process for a clip, and for a longer one."""
+    """Measure the peak of a process for a clip, and for a longer one."""
     peaks = []
     for longer in (1, LONGER):
         with tempfile.TemporaryDirectory() as name:
@@ -89,7 +87,7 @@ def memory() -> None:
 
 
 def centres() -> None:
-    """Distances of tracked from true centres."""
+    """Measure the distances of tracked from true centres."""
     rms, found = [], 0
     for index in range(COUNT):
         order = draw_clip(SEED, index)

@@ -1,4 +1,4 @@
-"""Data and training at the paper's size, beside the bare cost of the engine and of the optimizer.
+"""Measure data and training at the paper's size, beside bare engine and optimizer.
 
 `python -m benchmarks.training`: 800 pairs of 400 steps, 200 epochs of SGD, all in one run, a few
 rounds of it. All figures are of one round, the one whose ratio is the median, so that both sides of
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 PRESET = TRAININGS["paper-code"]
 PAIRS, STEPS, WIDTH = 800, 400, 32
-MOST_S, MOST_RATIO = 6.0, 1.5
+MAX_S, MAX_RATIO = 6.0, 1.5
 ROUNDS = 3
 QUIET = Progress(quiet=True)
 Round = tuple[float, float, float, float, float]
 
 
 def figures(rounds: int = ROUNDS) -> dict[str, Any]:
-    """Seconds and ratios of the round whose ratio is the median."""
+    """Measure seconds and ratios of the round whose ratio is the median."""
     jobs = len(os.sched_getaffinity(0))
     loading_s, _ = timed(load_torch)
     done = sorted((one_round(jobs) for _ in range(rounds)), key=ratio)
@@ -52,7 +52,7 @@ def figures(rounds: int = ROUNDS) -> dict[str, Any]:
     epochs = PRESET.recipe.epochs
     print(line(f"training, {epochs} epochs", training_s, optimizing_s, "the optimizer's steps"))
     print(line("data and training", ours_s, bare_s, "both"))
-    print(f"wanted: at most {MOST_S:g} s on 2 idle cores, and at most {MOST_RATIO:g} times")
+    print(f"wanted: at most {MAX_S:g} s on 2 idle cores, and at most {MAX_RATIO:g} times")
     return {
         "seconds": round(ours_s, 2),
         "data_times_stepping": round(data_s / stepping_s, 3),
@@ -72,13 +72,13 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def ratio(seconds: Round) -> float:
-    """Ours over bare, both of one round."""
+    """Return ours over bare, both of one round."""
     starting_s, whole_s, stepping_s, training_s, optimizing_s = seconds
     return (whole_s - starting_s + training_s) / (stepping_s + optimizing_s)
 
 
 def one_round(jobs: int) -> Round:
-    """Seconds: processes' start, that and the data, bare stepping, training, bare optimizing."""
+    """Time the processes' start, that and the data, bare stepping, training, bare optimizing."""
     # One rollout each: all the rest of it is loading and starting.
     starting_s, _ = timed(lambda: PRESET.make_pairs((jobs + 1) // 2, 0, jobs, QUIET))
     whole_s, pairs = timed(lambda: PRESET.make_pairs(PAIRS, 0, jobs, QUIET))
@@ -88,7 +88,7 @@ def one_round(jobs: int) -> Round:
 
 
 def load_torch() -> None:
-    """The first optimizer loads hundreds of modules."""
+    """Load torch: the first optimizer loads hundreds of modules."""
     import torch
 
     torch.set_num_threads(1)
@@ -96,7 +96,7 @@ def load_torch() -> None:
 
 
 def bare_stepping_s(jobs: int, rollouts: int) -> float:
-    """Of the slowest of the processes, which start together and share the rollouts."""
+    """Time the slowest of the processes, which start together and share the rollouts."""
     context = get_context("spawn")
     ready = context.Barrier(jobs)
     with context.Pool(jobs, initializer=_wait_for_all, initargs=(ready,)) as pool:
@@ -109,7 +109,7 @@ def _wait_for_all(ready: Barrier) -> None:
 
 
 def _step_bare_world(rollouts: int) -> float:
-    """Seconds of so many drops from 4.5 m with restitution 0.5."""
+    """Time so many drops from 4.5 m with restitution 0.5."""
     engine = pybullet()
     engine.connect(engine.DIRECT)
     engine.setGravity(0, 0, -9.8)
@@ -130,7 +130,7 @@ def _step_bare_world(rollouts: int) -> float:
 
 
 def bare_optimizing_s() -> float:
-    """As many steps as the training makes."""
+    """Time as many steps as the training makes."""
     import torch
 
     recipe = PRESET.recipe

@@ -1,4 +1,4 @@
-"""Accuracy of `tunenet-tune` on filmed drops: fresh ones, rendered, recorded to MCAP, read back.
+"""Measure the accuracy of `tunenet-tune` on filmed drops: rendered, recorded, read back.
 
 `python -m benchmarks.video` prints for each seed how many of its drops were answered, the mean and
 median absolute error of the answers, and how many were called suspect. Cameras are the paper's, in
@@ -29,7 +29,7 @@ SEEDS = (1, 2, 3)
 
 
 def tuned(seed: int, index: int) -> tuple[float, float | None, str, float]:
-    """Truth, estimate, verdict and cross-check of one fresh drop."""
+    """Return truth, estimate, verdict and cross-check of one fresh drop."""
     rng = np.random.default_rng([seed, index])
     order = DropOrder(
         restitution=float(rng.uniform(0.1, 0.95)),

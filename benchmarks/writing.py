@@ -1,4 +1,4 @@
-"""Writing speed: EpisodeWriter beside the bare mcap library, in one run.
+"""Measure writing speed: EpisodeWriter beside the bare mcap library, in one run.
 
 `python -m benchmarks.writing` writes joint states and JPEG frames with both: the same options, the
 same serialisation by rosbags, nobody waiting for the disk. The queue of a live recording is
@@ -55,7 +55,7 @@ def bare(log: Path, type_name: str, make: Callable[[int], object], count: int) -
 
 @dataclass(frozen=True)
 class Stream:
-    """What is written: the same with both, number by number."""
+    """Messages to write: the same with both, number by number."""
 
     name: str
     count: int
@@ -65,7 +65,7 @@ class Stream:
 
 
 def compare(stream: Stream, log: Path, repeats: int) -> None:
-    """Write it in turns with each, and print the best of each beside the bare library's."""
+    """Write in turns with each, and print the best of each beside the bare library's."""
     put, count = stream.put, stream.count
     works: dict[str, Callable[[], None]] = {
         "EpisodeWriter, live": lambda: ours(log, put, count, live=True),

@@ -38,7 +38,7 @@ SIZE_PX = (1280, 720)
 BAR_PX = 37
 """The viewer's own, with words about the machine that draws."""
 
-_LONGEST_S, _NOTICES_S, _EVERY_S = 90.0, 9.0, 1.5
+_MAX_S, _NOTICES_S, _EVERY_S = 90.0, 9.0, 1.5
 """Until a viewer shows all; after which its notices are gone; between two looks."""
 
 
@@ -106,7 +106,7 @@ def screenshot(review: Path, moment: float | None) -> bytes:
     began_s = time.monotonic()
     try:
         before = b""
-        while time.monotonic() - began_s < _LONGEST_S:
+        while time.monotonic() - began_s < _MAX_S:
             time.sleep(_EVERY_S)
             try:
                 client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
@@ -117,7 +117,7 @@ def screenshot(review: Path, moment: float | None) -> bytes:
             if now == before and time.monotonic() - began_s > _NOTICES_S:
                 return now
             before = now
-        raise TimeoutError(f"{review}: the viewer shows no still picture in {_LONGEST_S:.0f} s")
+        raise TimeoutError(f"{review}: the viewer shows no still picture in {_MAX_S:.0f} s")
     finally:
         os.killpg(viewer.pid, signal.SIGTERM)  # the command, and the viewer that it started
         viewer.wait()

@@ -1,1 +1,1 @@
-"""Where episodes come from: simulators today, sensors next to them."""
+"""Sources of episodes: cameras, microphones, ROS 2 topics and simulators."""

@@ -1,4 +1,4 @@
-"""tunenet-record: from a source of episodes to a log."""
+"""Entry point of `tunenet-record`: record an episode to a log."""
 
 from __future__ import annotations
 
@@ -59,6 +59,7 @@ _EXAMPLES = """\
   tunenet-record --outcome failure --ball racquetball --reason short --miss 0.04 \\
       --tuning campaign/drop_3.json -o campaign/"""
 
+# The option of each source, as errors name it.
 _SOURCES = {
     "camera": "--camera",
     "drop": "--simulate drop",
@@ -67,18 +68,17 @@ _SOURCES = {
     "joints": "--joint-states",
     "outcome": "--outcome",
 }
-"""The option of each source, as errors name it."""
 
+# What a log is called after where that is not its source.
 _WHAT = {"camera": "drop", "bounce_shot": "shot"}
-"""What a log is called after where that is not its source."""
 
 
+# Options of a drop that a bounce shot has, too.
 _OF_SHOTS_TOO = ("restitution", "slope", "drag", "height")
-"""Options of a drop that a bounce shot has, too."""
 
 
 def build_parser() -> Parser:
-    """The command's arguments; `..._only` are those of one source alone."""
+    """Build the command's parser; `..._only` are the options of one source alone."""
     parser = Parser(
         "tunenet-record",
         _DESCRIPTION,
@@ -173,7 +173,7 @@ def _shared_options(group: argparse._ArgumentGroup) -> None:
 
 
 def _simulated_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Those of every simulated source; None where they are not given."""
+    """Add the options of all simulated sources; None where they are not given."""
     return [
         group.add_argument(
             "--seed",
@@ -193,7 +193,7 @@ def _simulated_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def _check_log_name(parser: Parser, path: Path | None) -> None:
-    """Refuse another name than a log's; what is wrong with a folder is told later."""
+    """Refuse a name that is not a log's; a folder's errors come later."""
     if path is not None and path.suffix != ".mcap" and not path.is_dir():
         name = path.with_suffix(".mcap")
         parser.error(f"-o {str(path)!r}: what is written is MCAP; name it {name}")
@@ -220,7 +220,7 @@ def _source(arguments: argparse.Namespace) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-record`."""
+    """Run `tunenet-record`."""
     parser = build_parser()
 
     def record(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""What is half made is closed where making it fails."""
+"""Close half-made objects where making them fails."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class _Closable(Protocol):
 
 @contextmanager
 def closed_on_failure(thing: _Closable) -> Iterator[None]:
-    """Close something if the block ends by an error, whatever it is; else it stays open."""
+    """Close `thing` if the block raises; else leave it open."""
     with ExitStack() as failed:
         failed.callback(thing.close)
         yield

@@ -1,8 +1,8 @@
-"""Where the commands of this package begin, before anything else is imported."""
+"""Console entry points, which run before anything else is imported."""
 
 from tunenet_logs.starting import start
 
 
 def record() -> int:
-    """`tunenet-record`."""
+    """Start `tunenet-record`."""
     return start("tunenet-record", "recorders.cli")

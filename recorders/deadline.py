@@ -1,4 +1,4 @@
-"""A time by which the other side of a connection has delivered, however many bytes drip."""
+"""A deadline for a whole exchange over sockets, however slowly bytes trickle in."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class Deadline:
-    """When what is asked of the other side must be there.
+    """A time by which the other side must have answered.
 
     Args:
         silence_s: the longest to wait for the next byte.
@@ -21,55 +21,47 @@ class Deadline:
         self.silence_s = silence_s
         self._sockets: list[socket.socket] = []
         self._lock = threading.Lock()
-        self._broken_off = threading.Event()
+        self._is_broken_off = False
         self.renew(whole_s)
 
     def renew(self, whole_s: float) -> None:
-        """Begin to wait anew."""
+        """Restart the wait."""
         self.whole_s = whole_s
         self._end = time.monotonic() + whole_s
 
     @property
     def is_over(self) -> bool:
-        """Whether all of it should be there by now."""
+        """Whether the deadline has passed."""
         return time.monotonic() >= self._end
 
     def next_s(self) -> float:
-        """How long the next read may take [s].
+        """Return how long the next read may take [s].
 
         Raises:
-            TimeoutError: it is too late for one.
+            TimeoutError: the deadline has passed.
         """
         if self.is_over:
             raise TimeoutError("too late")
         return max(1e-3, min(self.silence_s, self._end - time.monotonic()))
 
-    def pause(self, seconds: float) -> bool:
-        """Wait so long; False where it was broken off.
-
-        Raises:
-            TimeoutError: it is too late.
-        """
-        return not self._broken_off.wait(min(seconds, self.next_s()))
-
     def watch(self, connected: socket.socket) -> None:
-        """Let `break_off` end what waits for this socket, until it is closed."""
+        """Let `break_off` shut this socket down, until it is closed."""
         with self._lock:
             self._sockets = [one for one in self._sockets if one.fileno() >= 0]
             self._sockets.append(connected)
-            if self._broken_off.is_set():
+            if self._is_broken_off:
                 _shut(connected)
 
     def break_off(self) -> None:
         """End running reads, from any thread."""
         with self._lock:
-            self._broken_off.set()
+            self._is_broken_off = True
             for connected in self._sockets:
                 _shut(connected)
 
 
 def with_deadline(kind: type[socket.socket], deadline: Deadline) -> type[socket.socket]:
-    """A kind of socket that reads until then: its own time-out is for each of its reads alone."""
+    """Make a socket class whose reads share a deadline: a socket's own time-out is per read."""
 
     class Limited(kind):
         def recv_into(self, *words: Any, **more: Any) -> int:

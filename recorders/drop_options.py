@@ -1,4 +1,4 @@
-"""What `tunenet-record --simulate drop` can be told, and what it does with it."""
+"""Command-line options of `tunenet-record --simulate drop`, and the recording they ask for."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def drop_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Add the options that are the simulated drop's alone; None where they are not given."""
+    """Add the options of the simulated drop; None where they are not given."""
     add = group.add_argument
     return [
         add(
@@ -77,7 +77,7 @@ def drop_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def _film_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Those of `--render` alone."""
+    """Add the options of `--render`."""
     add = group.add_argument
     return [
         add(
@@ -121,10 +121,10 @@ def _film_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
-    """Record a simulated drop; what to say of it on the last line.
+    """Record a simulated drop; return the summary for the last line.
 
     Raises:
-        TuneNetError: a value that makes no sense, or a log that cannot be written.
+        TuneNetError: a value is invalid, or the log cannot be written.
     """
     from recorders.session import record_episode
     from recorders.simulated_drop import DropOrder, simulate_drop
@@ -172,8 +172,8 @@ def record_drop_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     )
 
 
+# Options that mean something to a camera alone: refused without --render.
 _FILM_OPTIONS = ("camera_at", "look_at", "fov", "blur", "pixel_noise", "lost", "size")
-"""Options that mean something to a camera alone: refused without --render."""
 
 
 def _refuse_film_options(arguments: argparse.Namespace) -> None:

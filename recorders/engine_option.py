@@ -1,4 +1,4 @@
-"""`--engine`, which every command has that simulates."""
+"""The `--engine` option of all commands that simulate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def engine_option(group: argparse._ActionsContainer) -> argparse.Action:
 
 
 def in_engine(body: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
-    """A command's body, simulating with the engine of its `--engine`."""
+    """Wrap a command's body to simulate with the engine of `--engine`."""
 
     def chosen(arguments: argparse.Namespace) -> int:
         with simulated_by(arguments.engine):

@@ -1,4 +1,4 @@
-"""What `tunenet-record --simulate drop --render` records: a drop as a camera films it."""
+"""Simulate a drop as a camera films it, for `tunenet-record --simulate drop --render`."""
 
 from __future__ import annotations
 
@@ -18,17 +18,12 @@ from tunenet_logs.episode import Channel, Episode, Frame
 from tunenet_logs.errors import UsageError
 from tunenet_logs.messages import CAMERA_TOPIC, COMPRESSED_IMAGE
 
+# The camera is drawn from a stream of its own: a seed gives one drop, filmed or not.
 CAMERA_SEED = 0xCA3E
-"""The camera is drawn from a stream of its own: a seed gives one drop, filmed or not."""
 
-_JPEG_QUALITY = 92
-"""Of 100; webcams are near it: artefacts as in a real recording."""
-
-_SUBFRAMES = 8
-"""Positions of the ball while the shutter is open, whose mean is its blur."""
-
-_FILMED_HEIGHT_M = (0.4, 2.0)
-"""Range of drop heights before a camera: those of a table or a person."""
+_JPEG_QUALITY = 92  # of 100; webcams are near it: artefacts as in a real recording
+_SUBFRAMES = 8  # positions of the ball while the shutter is open, whose mean is its blur
+_FILMED_HEIGHT_M = (0.4, 2.0)  # range of drop heights before a camera: those of a table or a person
 
 
 @dataclass(frozen=True)
@@ -38,7 +33,7 @@ class FilmOrder:
     Attributes:
         camera: the paper's random camera if None.
         size_px: (width, height) of a random camera's picture.
-        fov_deg: field of view of a random camera, from the upper to the lower edge.
+        fov_deg: vertical field of view of a random camera.
         exposure_s: how long the shutter is open, centred on a frame's stamp; 0 for no blur.
         noise: standard deviation of a pixel, of 255.
         lost_share: share of the frames that are missing.
@@ -53,10 +48,10 @@ class FilmOrder:
 
 
 def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
-    """Simulate one drop and film it. The same orders give the same bits.
+    """Simulate and film one drop; the same orders give the same bits.
 
     Raises:
-        UsageError: a value that is out of range, or no random camera sees the whole drop.
+        UsageError: a value is out of range, or no random camera sees the whole drop.
     """
     rng = np.random.default_rng([order.seed, CAMERA_SEED])
     if order.height_m is None:
@@ -98,7 +93,7 @@ def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
 
 
 def _shutter_centers(drop: Episode, order: DropOrder, film: FilmOrder) -> Array:
-    """Where the ball is while the shutter is open, shape (T, S, 3)."""
+    """Return the ball's centres while the shutter is open, shape (T, S, 3) [m]."""
     signal = drop.signals[TOPIC]
     if not film.exposure_s:
         return signal.values[:, None]

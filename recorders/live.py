@@ -1,4 +1,4 @@
-"""Several live streams, from several threads, into one log."""
+"""Record several live streams, from several threads, to one log."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ _Encoded = tuple[str, bytes]  # type name, CDR
 class LiveRecording:
     """A log that any thread may put messages into; a thread of its own writes it.
 
-    Messages are encoded in the thread that puts them, so arrays may be used again afterwards, and
-    what cannot be encoded fails where it is put. When the writer falls behind by `queue_bytes`,
-    the newest messages are dropped and counted. Used as a context, it raises at the end what
-    ended it early.
+    Messages are encoded in the thread that puts them, so arrays may be reused afterwards, and
+    encoding errors are raised there. When the writer falls behind by `queue_bytes`, the newest
+    messages are dropped and counted. A context manager, it raises at the end what ended it early.
 
         with stop_flag() as stop, LiveRecording(path, info, stop=stop) as recording:
             ...  # threads that put
@@ -35,15 +34,15 @@ class LiveRecording:
 
     Args:
         path: the finished log.
-        info: what is known beside the samples.
+        info: metadata beside the samples.
         stop: ends the recording once it is set, as `session.stop_flag` does.
         overwrite: replace an existing log.
         queue_bytes: messages received and not yet written.
-        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
+        min_free_bytes: space to leave free on the disk; 0 for no such bound.
 
     Attributes:
         error: what ended the recording early; None if nothing did.
-        summary: what was counted, once it is over.
+        summary: counts, once it is over.
 
     Raises:
         LogError: `path` exists or cannot be written, or its disk has too little space.
@@ -99,10 +98,10 @@ class LiveRecording:
         return self.put_message(topic, messages.JOINT_STATE, stamp_ns, data)
 
     def put_message(self, topic: str, type_name: str, stamp_ns: int, cdr: bytes) -> bool:
-        """Put a message that is CDR already; False once the recording is over.
+        """Put a message already encoded as CDR; False once the recording is over.
 
         Raises:
-            ValueError: a type that is not known, or another than the topic's.
+            ValueError: the type is unknown, or differs from the topic's.
         """
         known = self._types.get(topic)
         if known is None:
@@ -113,19 +112,19 @@ class LiveRecording:
         return self._queue.put(topic, stamp_ns, (type_name, cdr), len(cdr))
 
     def note(self, name: str, text: str) -> None:
-        """Say something in the log's info that became known while recording."""
+        """Add a note to the log's info while recording."""
         self._writer.note(name, text)
 
     def count(self, name: str, number: int) -> None:
-        """Say a number among the counts of the log's info, such as samples that a bus lost."""
+        """Add a number to the counts of the log's info, such as samples lost on a bus."""
         self._counted[name] = number
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until the recording is over, or so long; whether it is over."""
+        """Wait until the recording is over, at most `seconds`; True if it is over."""
         return self._is_over.wait(seconds)
 
     def close(self, ended: str = "") -> Summary:
-        """End the recording, and wait until the log is whole. Safe to call twice.
+        """End the recording, and wait until the log is complete. Safe to call twice.
 
         Args:
             ended: why, where that is not its usual end.
@@ -141,7 +140,7 @@ class LiveRecording:
         return self.summary
 
     def discard(self) -> None:
-        """End the recording and leave no log: nothing came that is worth one."""
+        """End the recording and leave no log."""
         self._is_discarded = True
         self.close()
 
@@ -158,17 +157,17 @@ class LiveRecording:
 
     @property
     def captured(self) -> int:
-        """Messages that were put in so far, those dropped too."""
+        """Number of messages put so far, including those dropped."""
         return self._queue.captured
 
     @property
     def dropped(self) -> int:
-        """Messages that came too fast so far."""
+        """Number of messages dropped so far."""
         return self._queue.dropped
 
     @property
     def written(self) -> int:
-        """Messages that are in the file, and would survive this process."""
+        """Number of messages in the file, which survive a crash of this process."""
         return self._writer.written
 
     def _run(self) -> None:
@@ -197,7 +196,7 @@ class LiveRecording:
             self._is_over.set()
 
     def _write(self) -> str:
-        """Write until the queue is done; why it is, "" for the usual end."""
+        """Write until the queue is done; return why, "" for the usual end."""
         queue, writer = self._queue, self._writer
         ended = ""
         while not queue.is_done:
@@ -214,7 +213,7 @@ class LiveRecording:
         return ended or self._ended
 
     def _count(self) -> dict[str, int]:
-        """What came; nothing more comes after that."""
+        """Close the queue; return the counts."""
         self._queue.close()
         counts = {"captured": self._queue.captured}
         for topic in self._queue.topics:

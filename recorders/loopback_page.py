@@ -1,4 +1,4 @@
-"""A page that this machine alone can open: what every such page needs, whatever it shows."""
+"""Serve a web page that this machine alone can open."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ from typing import Any, Protocol
 
 from recorders.deadline import Deadline, with_deadline
 
-_MAX_BODY_BYTES = 1024
-"""Of a request: the page sends a few numbers."""
-
+_MAX_BODY_BYTES = 1024  # of a request: the page sends a few numbers
+# Of a body that is too long: with less taken, the sender might not hear the answer.
 _DRAINED_BYTES = 64 * 1024
-"""Of a body that is too long: with less taken, the sender might not hear the answer."""
 
+# For all of a request, and for a viewer to take what it is sent: beyond that, it is gone.
 _REQUEST_SECONDS = 10.0
-"""For all of a request, and for a viewer to take what it is sent: beyond that, it is gone."""
 
-_MOST_VIEWERS = 32
-"""At the same time; a page needs three. Others are turned away, so that no threads pile up."""
+# At the same time; a page needs three. Others are turned away, so that no threads pile up.
+_MAX_VIEWERS = 32
 
+# In a page's address: other users of this machine can connect, but cannot guess it.
 _SECRET_BYTES = 16
-"""In a page's address: other users of this machine can connect, but cannot guess it."""
 
+# Between two looks whether the server is to end: closing it waits for the next one.
 _LOOK_SECONDS = 0.1
-"""Between two looks whether the server is to end: closing it waits for the next one."""
 
+# Of every answer: nothing is kept, and no other page can show, load or feed this one.
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; img-src 'self'; connect-src 'self'; "
@@ -42,18 +41,17 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
-"""Of every answer: nothing is kept, and no other page can show, load or feed this one."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a site says to a request.
+    """A response to a request.
 
     Attributes:
-        code: HTTP's.
+        code: HTTP status.
         kind: content type; "" for an answer without a body.
         body: whole, or part after part for as long as the viewer stays.
-        then: what to do once the answer is out: an end of the process takes the page with it.
+        then: called once the answer is sent: an end of the process takes the page with it.
     """
 
     code: int = 204
@@ -66,22 +64,22 @@ _NO_PAGE = Answer(404, "text/plain", b"no such page\n")
 
 
 class Site(Protocol):
-    """What a page shows and takes. It is asked from several threads at once."""
+    """What a page shows and accepts; called from several threads at once."""
 
     def get(self, path: str) -> Answer | None:
-        """The answer to a GET; None where there is no such page."""
+        """Answer a GET; None where there is no such page."""
         ...
 
     def post(self, path: str, body: Mapping[str, Any]) -> Answer | None:
-        """The answer to a POST with a JSON object; None for what cannot be done."""
+        """Answer a POST with a JSON object; None for an invalid request."""
         ...
 
 
 class LoopbackPage:
-    """Serves a site on 127.0.0.1 alone, at a port that was free, until `close`.
+    """A server of a site on 127.0.0.1 alone, at a free port, until `close`.
 
     Attributes:
-        url: where it is; with a secret, so that whoever knows it was told.
+        url: contains a secret that others on this machine cannot guess.
     """
 
     def __init__(self, site: Site) -> None:
@@ -95,18 +93,18 @@ class LoopbackPage:
         threading.Thread(target=serve, args=(_LOOK_SECONDS,), daemon=True).start()
 
     def close(self) -> None:
-        """Take the page down."""
+        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
 
 
 def as_json(value: object) -> Answer:
-    """An answer that a script reads."""
+    """Answer with JSON."""
     return Answer(200, "application/json", json.dumps(value).encode())
 
 
 def place_in(body: Mapping[str, Any]) -> tuple[float, float] | None:
-    """The finite numbers "x" and "y" of a body; None where it lacks one."""
+    """Return the finite numbers "x" and "y" of a body; None where one is missing."""
     with suppress(ValueError, KeyError, TypeError, OverflowError):
         x, y = float(body["x"]), float(body["y"])
         return (x, y) if math.isfinite(x) and math.isfinite(y) else None
@@ -118,30 +116,30 @@ class _Server(ThreadingHTTPServer):
 
     def __init__(self, place: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(place, handler)
-        self._free = threading.BoundedSemaphore(_MOST_VIEWERS)
+        self._free = threading.BoundedSemaphore(_MAX_VIEWERS)
 
     def get_request(self) -> tuple[socket.socket, Any]:
-        """A caller, who has so long for all of what it asks."""
+        """Accept a connection, with a deadline for the whole request."""
         caller, place = super().get_request()
         kind = with_deadline(socket.socket, Deadline(_REQUEST_SECONDS, _REQUEST_SECONDS))
         return kind(fileno=caller.detach()), place
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread, if there are not too many."""
+        """Answer in a thread, unless there are too many."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer, and let the next one in."""
+        """Answer, then free the thread's place."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Standard error is for the command; a caller that breaks off is no error."""
+        """Print nothing: standard error is the command's, and a broken connection no error."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -150,25 +148,25 @@ class _Handler(BaseHTTPRequestHandler):
     hosts: tuple[str, ...]
 
     def log_message(self, format: str, *_words: object) -> None:  # noqa: A002
-        """Standard error is for the command."""
+        """Print nothing: standard error is the command's."""
 
     def do_GET(self) -> None:
-        """Show what the site has there."""
+        """Answer a GET."""
         if (path := self._path()) is not None:
             self._send(self.site.get(path) or _NO_PAGE)
 
     def do_POST(self) -> None:
-        """Hand the site what was pressed or clicked."""
+        """Answer a POST."""
         if (path := self._path()) is not None:
             nothing = Answer(400, "text/plain", b"that is nothing that can be done here\n")
             body = self._body()
             self._send((None if body is None else self.site.post(path, body)) or nothing)
 
     def _path(self) -> str | None:
-        """What is asked for behind the secret; None for what was refused.
+        """Return the path after the secret; None for what was refused.
 
-        That is what another site's page asks for, be it under a host name of its own, and what
-        anybody asks for who was not told the secret.
+        Refused are requests from another site's page, be it under a host name of its own, and those
+        without the secret.
         """
         origins = [f"http://{host}" for host in self.hosts]
         origin = self.headers.get("Origin")
@@ -182,7 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
         return None
 
     def _body(self) -> dict[str, Any] | None:
-        """The JSON object that was sent, {} for nothing; None for anything else, or too much."""
+        """Parse the JSON object sent, {} for nothing; None if it is anything else or too large."""
         length = self.headers.get("Content-Length", "0")
         if not (length.isascii() and length.isdecimal()):
             return None

@@ -1,4 +1,4 @@
-"""What `tunenet-record --outcome` can be told, and what it does with it."""
+"""Command-line options of `tunenet-record --outcome`, and the recording they ask for."""
 
 from __future__ import annotations
 
@@ -21,24 +21,15 @@ from tunenet_logs.terminal import one_line, short_name
 if TYPE_CHECKING:
     from tunenet_logs.outcome import Outcome
 
-_TASK = "bounce-shot"
-"""Of an outcome whose task is not given: the one task that is simulated here."""
-
-_MOST_LETTERS = 1000
-"""Of a text or path: it is one line of a table later."""
-
-_MOST_TUNING_BYTES = 4_000_000
-"""Far more than a tuning's JSON has; what is larger is another file."""
-
-_LONGEST_LOCK_S = 10.0
-"""For other recorders to write their outcomes: each takes a moment."""
-
-_LOOK_S = 0.02
-"""Between two tries to be the one that writes."""
+_TASK = "bounce-shot"  # of an outcome whose task is not given: the one task that is simulated here
+_MAX_LETTERS = 1000  # of a text or path: it is one line of a table later
+_MAX_TUNING_BYTES = 4_000_000  # far more than a tuning's JSON has; what is larger is another file
+_MAX_LOCK_S = 10.0  # for other recorders to write their outcomes: each takes a moment
+_LOOK_S = 0.02  # between two tries to be the one that writes
 
 
 def outcome_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Add the options that are those of outcomes alone; None where they are not given."""
+    """Add the options of outcomes; None where they are not given."""
     add = group.add_argument
     return [
         add("--task", type=_text, metavar="NAME", help=f"what was tried (default: {_TASK})"),
@@ -80,7 +71,7 @@ def outcome_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def record_outcome_as_asked(arguments: argparse.Namespace) -> str:
-    """Record the outcome; what to say of it.
+    """Record the outcome of a shot; return the summary line.
 
     Raises:
         TuneNetError: something is missing or wrong, or it cannot be written.
@@ -108,7 +99,7 @@ def record_outcome_as_asked(arguments: argparse.Namespace) -> str:
 
 
 def _outcome(arguments: argparse.Namespace, folder: Path) -> Outcome:
-    """As told; the first attempt where none is."""
+    """Make the outcome from the arguments; the first attempt where none is given."""
     from tunenet_logs.clock import now_ns
     from tunenet_logs.outcome import Outcome
 
@@ -133,16 +124,16 @@ def _outcome(arguments: argparse.Namespace, folder: Path) -> Outcome:
 
 
 def _next(ball: str, earlier: list[Outcome]) -> int:
-    from tunenet_logs.outcome import MOST_ATTEMPTS
+    from tunenet_logs.outcome import MAX_ATTEMPTS
 
     number = 1 + max((other.attempt for other in earlier), default=0)
-    if number > MOST_ATTEMPTS:
-        raise UsageError(f"{ball}: has an attempt {MOST_ATTEMPTS}, the last; say --attempt N")
+    if number > MAX_ATTEMPTS:
+        raise UsageError(f"{ball}: has an attempt {MAX_ATTEMPTS}, the last; say --attempt N")
     return number
 
 
 def _which_counts(outcome: Outcome, earlier: list[Outcome]) -> str:
-    """What reviews will make of several outcomes of an attempt: that of the latest time counts."""
+    """Say which of an attempt's outcomes counts in reviews: that of the latest time."""
     times = [
         other.stamp_ns
         for other in earlier
@@ -157,12 +148,12 @@ def _which_counts(outcome: Outcome, earlier: list[Outcome]) -> str:
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Let no other recorder count outcomes until this one is written, where locks are known."""
+    """Lock the folder against other recorders, where the file system has locks."""
     import fcntl
 
     opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        end = time.monotonic() + _LONGEST_LOCK_S
+        end = time.monotonic() + _MAX_LOCK_S
         is_waiting = True
         while is_waiting:
             is_waiting = False
@@ -171,7 +162,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
             except BlockingIOError as error:
                 if time.monotonic() > end:
                     raise LogError(
-                        f"{folder}: another program has locked it for over {_LONGEST_LOCK_S:g} s; "
+                        f"{folder}: another program has locked it for over {_MAX_LOCK_S:g} s; "
                         "end that, or choose another folder with -o"
                     ) from error
                 time.sleep(_LOOK_S)
@@ -184,7 +175,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Whether everything is there that must be, and nothing that cannot."""
+    """Check that no needed option is missing and none conflicts."""
     if arguments.ball is None:
         raise UsageError("--outcome needs --ball NAME: which ball it was")
     for option in ("rate", "seconds", "size"):
@@ -203,7 +194,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _is_there(path: Path) -> bool:
-    """Also of a path that no file system takes."""
+    """Return whether a path exists; False for one that no file system takes."""
     try:
         return path.exists()
     except OSError:
@@ -211,7 +202,7 @@ def _is_there(path: Path) -> bool:
 
 
 def _earlier(folder: Path, outcome: Outcome) -> list[Outcome]:
-    """Those of its task and ball that the campaign holds; damaged ones do not stop a new one."""
+    """Read the campaign's outcomes of this task and ball; damaged ones only warn."""
     from tunenet_logs.outcome_reading import numbered, outcome_files, read_outcomes
 
     def warn(text: str) -> None:
@@ -228,12 +219,12 @@ def _earlier(folder: Path, outcome: Outcome) -> list[Outcome]:
 
 
 def _told_by(tuning: Path | None) -> tuple[float | None, Path | None]:
-    """The restitution that a tuning's JSON holds, and the log beside it that it is of."""
+    """Read the restitution from a tuning's JSON, and the path of its log beside it."""
     if tuning is None:
         return None, None
     remedy = "name a JSON that tunenet-tune wrote, or leave --tuning out"
     try:
-        told = parse_json(read_small_file(tuning, _MOST_TUNING_BYTES))
+        told = parse_json(read_small_file(tuning, _MAX_TUNING_BYTES))
         log = tuning.parent / Path(told["log"]).name
         return _restitution(told["parameters"]), (log if _is_there(log) else None)
     except OSError as error:
@@ -243,10 +234,10 @@ def _told_by(tuning: Path | None) -> tuple[float | None, Path | None]:
 
 
 def _restitution(parameters: Any) -> float | None:
-    """That of a tuning; None of one that was rejected, or is of something else.
+    """Read a tuning's restitution; None if it was rejected or is of something else.
 
     Raises:
-        ValueError: there is something that no tuning says.
+        ValueError: it is no tuning.
     """
     if parameters is None:
         return None
@@ -261,23 +252,23 @@ def _restitution(parameters: Any) -> float | None:
 
 
 def _place(path: Path | None, folder: Path) -> str:
-    """A file as an outcome names it: from the campaign's folder on where it lies in it."""
+    """Return a path relative to the campaign's folder where it lies inside."""
     if path is None:
         return ""
     full, root = real_path(path), real_path(folder)
     text = os.fspath(full.relative_to(root) if full.is_relative_to(root) else full)
-    if len(text) > _MOST_LETTERS:
+    if len(text) > _MAX_LETTERS:
         raise UsageError(
-            f"{short_name(text)}: is a path of over {_MOST_LETTERS} letters; lay it into the "
+            f"{short_name(text)}: is a path of over {_MAX_LETTERS} letters; lay it into the "
             "campaign's folder"
         )
     return text
 
 
 def _text(text: str) -> str:
-    if not text.strip() or not text.isprintable() or len(text) > _MOST_LETTERS:
+    if not text.strip() or not text.isprintable() or len(text) > _MAX_LETTERS:
         raise argparse.ArgumentTypeError(
-            f"{text[:40]!r} is not a line of 1 to {_MOST_LETTERS} printable characters"
+            f"{text[:40]!r} is not a line of 1 to {_MAX_LETTERS} printable characters"
         )
     return text
 

@@ -1,4 +1,4 @@
-"""What `tunenet-record --simulate payload` can be told, and what it does with it."""
+"""Command-line options of `tunenet-record --simulate payload`, and the recording they ask for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def payload_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Add the options that are the simulated arm's alone; None where they are not given."""
+    """Add the options of the simulated arm; None where they are not given."""
     add = group.add_argument
     return [
         add(
@@ -58,7 +58,7 @@ def payload_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def _driver_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """What comes between ideal torques and a log."""
+    """Add the options that make ideal torques a real driver's."""
     add = group.add_argument
     return [
         add(
@@ -103,10 +103,10 @@ def _driver_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def record_payload_as_asked(arguments: argparse.Namespace, path: Path) -> str:
-    """Record a simulated arm; what to say of it on the last line.
+    """Record a simulated arm; return the summary for the last line.
 
     Raises:
-        TuneNetError: a value that makes no sense, or a log that cannot be written.
+        TuneNetError: a value is invalid, or the log cannot be written.
     """
     from recorders.session import record_episode
     from recorders.simulated_payload import simulate_payload
@@ -125,7 +125,7 @@ def record_payload_as_asked(arguments: argparse.Namespace, path: Path) -> str:
 
 
 def save_path_as_asked(arguments: argparse.Namespace) -> str:
-    """Write the path that a real arm is to follow; what to say of it.
+    """Write the path for a real arm to follow; return the summary line.
 
     Raises:
         TuneNetError: as `record_payload_as_asked`.

@@ -1,4 +1,4 @@
-"""What every recording shares, a stop and a summary; and a simulated episode as a recording."""
+"""Common parts of recorders: stop on signals, summarize, and record a simulated episode."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from tunenet_logs.writer import EpisodeWriter
 
 @dataclass(frozen=True)
 class Summary:
-    """What a recorder counted.
+    """Counts of a recording.
 
     Attributes:
         ended: why it ended before its source did; "" if it did not.
-        damaged: what came and was no whole picture; not captured.
-        rate_hz: measured, where the source is a camera.
-        gaps: in which that was away.
-        lag_s: the longest between a picture's time and its writing, where that is worth a word.
-        stamps: whose time they are, where that had to be found.
+        damaged: incomplete pictures; not in `captured`.
+        rate_hz: measured, of a camera.
+        gaps: in which the camera was away.
+        lag_s: longest lag of the writer, where it is worth mentioning.
+        stamps: which clock they come from, where it had to be fitted.
         sound: what was recorded beside them, in words.
     """
 
@@ -45,7 +45,7 @@ class Summary:
     sound: str = ""
 
     def in_words(self, unit: str) -> str:
-        """For the last line that a recorder prints."""
+        """Summarize the recording for the recorder's last line."""
         words = f"{self.captured} {unit} captured, {self.written} written, {self.dropped} dropped"
         if self.damaged:
             words += f", {self.damaged} damaged"
@@ -66,7 +66,7 @@ class Summary:
 
 @contextmanager
 def stop_flag() -> Iterator[threading.Event]:
-    """An event that SIGINT, SIGTERM and SIGHUP set; handlers that raise leave logs half written.
+    """Yield an event that SIGINT, SIGTERM and SIGHUP set: raising would leave a torn log.
 
     SIGHUP, which a closed terminal or a lost connection sends, stays ignored under `nohup`.
     """
@@ -89,7 +89,7 @@ def stop_flag() -> Iterator[threading.Event]:
 def record_episode(
     episode: Episode, path: Path, *, overwrite: bool, progress: Progress, min_free_bytes: int = 0
 ) -> Summary:
-    """Write positions, joints and pictures of a simulated episode as if they came from sensors.
+    """Record positions, joints and pictures of a simulated episode as if from sensors.
 
     Raises:
         LogError: `path` exists or cannot be written, or its disk has less than `min_free_bytes`
@@ -120,7 +120,7 @@ def record_episode(
 
 
 def _samples(episode: Episode) -> Iterator[Callable[[EpisodeWriter], None]]:
-    """What writes each position and each state of joints, in the order of its topic."""
+    """Yield a writer call for each position and joint state, topic by topic."""
     joints = joint_topics(episode)
     of_joints = {id(part) for parts in joints.values() for part in parts.values()}
     for topic, positions in episode.signals.items():

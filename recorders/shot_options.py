@@ -1,4 +1,4 @@
-"""What `tunenet-record --simulate bounce-shot` can be told, and what it does with it."""
+"""Command-line options of `tunenet-record --simulate bounce-shot`, and their recording."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from tunenet_logs.errors import UsageError
 
-_LEAST_RATE_HZ = 50.0
-"""A flight between two impacts lasts some tenths of a second; a lower rate leaves few samples."""
+# A flight between two impacts lasts some tenths of a second; a lower rate leaves few samples.
+_MIN_RATE_HZ = 50.0
 
 
 def shot_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Add the options that are the bounce shot's alone; None where they are not given."""
+    """Add the options of the bounce shot; None where they are not given."""
     add = group.add_argument
     return [
         add(
@@ -25,10 +25,10 @@ def shot_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def record_shot_as_asked(arguments: argparse.Namespace, path: Path) -> str:
-    """Record a simulated shot; what to say of it on the last line.
+    """Record a simulated shot; return the summary for the last line.
 
     Raises:
-        TuneNetError: a value that makes no sense, or a log that cannot be written.
+        TuneNetError: a value is invalid, or the log cannot be written.
     """
     from recorders.session import record_episode
     from recorders.simulated_shot import ShotOrder, simulate_shot
@@ -41,7 +41,7 @@ def record_shot_as_asked(arguments: argparse.Namespace, path: Path) -> str:
             raise UsageError(f"--{name} is {why}; it does not go with --simulate bounce-shot")
     if arguments.preset == "paper":
         raise UsageError("--preset paper is for drop and payload; leave it out")
-    if arguments.rate is not None and arguments.rate < _LEAST_RATE_HZ:
+    if arguments.rate is not None and arguments.rate < _MIN_RATE_HZ:
         raise UsageError(f"--rate {arguments.rate:g} is too slow for a shot; 50 Hz or more")
     given = {
         "rig": ShotRig() if arguments.rig is None else read_rig(arguments.rig),

@@ -1,4 +1,4 @@
-"""What `tunenet-record --simulate drop` records: as ordered, the rest drawn from the seed."""
+"""Simulate a drop as ordered for `tunenet-record --simulate drop`, the rest drawn by the seed."""
 
 from __future__ import annotations
 
@@ -11,14 +11,10 @@ from recorders.simulators.drop import DRAG, RESTITUTION, SLOPE, TOPIC, DropRig, 
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.errors import UsageError
 
-_PAPER_RATE_HZ, _PAPER_SAMPLES = 60.0, 400
-"""The paper's recordings of a drop."""
-
-_RADIUS_M = {"default": 0.05, "paper": 0.5}
-"""Of the ball, by preset; the paper's is its authors'."""
-
+_PAPER_RATE_HZ, _PAPER_SAMPLES = 60.0, 400  # the paper's recordings of a drop
+_RADIUS_M = {"default": 0.05, "paper": 0.5}  # of the ball, by preset; the paper's is its authors'
+# Ranges of what is not ordered: several impacts are then in the usual 6.7 s.
 _DRAWN_RESTITUTION, _DRAWN_HEIGHT_M = (0.1, 0.95), (0.3, 5.0)
-"""Ranges of what is not ordered: several impacts are then in the usual 6.7 s."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +22,9 @@ class DropOrder:
     """A drop to simulate; None is drawn from the seed or left to the preset.
 
     Attributes:
-        restitution: at the first impact's speed.
-        slope: how it falls with speed; see `SpeedLaw`.
-        drag_1_m: of the air on the ball.
+        restitution: coefficient of restitution at the first impact's speed.
+        slope: its exponent over speed; see `SpeedLaw`.
+        drag_1_m: air drag on the ball.
         height_m: the ball's underside over the table.
         seconds: recorded after the release.
         hold_s: recorded before it.
@@ -49,10 +45,10 @@ class DropOrder:
 
 
 def simulate_drop(order: DropOrder) -> Episode:
-    """Simulate one drop. The same order gives the same bits.
+    """Simulate one drop; the same order gives the same bits.
 
     Raises:
-        UsageError: a value that is out of range.
+        UsageError: a value is out of range.
     """
     rng = np.random.default_rng(order.seed)
     restitution, height_m = rng.uniform(*_DRAWN_RESTITUTION), rng.uniform(*_DRAWN_HEIGHT_M)

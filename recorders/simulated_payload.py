@@ -1,4 +1,4 @@
-"""What `tunenet-record --simulate payload` records: as ordered, the rest drawn from the seed."""
+"""Simulate an arm as ordered for `tunenet-record --simulate payload`, the rest by the seed."""
 
 from __future__ import annotations
 
@@ -33,40 +33,29 @@ from tunenet_logs.errors import UsageError
 
 CIRCLE, RANDOM = "circle", "random"
 
-_DRAWN_MASS_KG = (0.1, 1.5)
-"""Range of a payload that is not ordered: what a Jaco can lift."""
-
-_RATE_HZ = 60.0
-"""Of an ideal log: the paper's."""
-
-_DRIVER_RATE_HZ = 65.0
-"""Messages of a Kinova driver, as measured in a log of one."""
-
-_COMMAND_RATE_HZ = 100.0
-"""Rows of a path for a real arm: what its position interface takes."""
-
+_DRAWN_MASS_KG = (0.1, 1.5)  # range of a payload that is not ordered: what a Jaco can lift
+_RATE_HZ = 60.0  # of an ideal log: the paper's
+_DRIVER_RATE_HZ = 65.0  # messages of a Kinova driver, as measured in a log of one
+_COMMAND_RATE_HZ = 100.0  # rows of a path for a real arm: what its position interface takes
+# Of the motion between whose samples a driver's messages are interpolated: the engine's steps.
 _FINE_RATE_HZ = 240.0
-"""Of the motion between whose samples a driver's messages are interpolated: the engine's steps."""
 
-_SECONDS = 5.0
-"""Of a motion: about one turn of the circle, 5.2 s."""
-
-_EASED_S = 1.0
-"""In which a real arm gets to its speed, and to rest."""
+_SECONDS = 5.0  # of a motion: about one turn of the circle, 5.2 s
+_EASED_S = 1.0  # in which a real arm gets to its speed, and to rest
 
 
 @dataclass(frozen=True)
 class PayloadOrder:
-    """An arm's run to simulate; None is drawn from the seed or left to what else is ordered.
+    """An arm's run to simulate; None is drawn from the seed or left to other fields.
 
     Attributes:
         com_m: the payload's centre of mass in the tool frame.
         is_empty: nothing is held (a tare); all else is as the seed draws it for a payload.
         path: "circle" (the paper's), "random", or a CSV's name; the Jaco's circle if None.
         arm: a known arm's name; None for the Jaco, or the URDF's.
-        urdf: an arm of one's own, whose payload is in the frame of `tool_link`.
-        is_driver: all disturbances, in the messages of a real driver. What is ordered of the
-            following replaces its share.
+        urdf: the user's arm, whose payload is in the frame of `tool_link`.
+        is_driver: all disturbances, in the messages of a real driver. Each of the following
+            overrides its part.
         torque_noise_nm: standard deviation, as `friction_nm`, `offset_nm` and `gain_error` are.
         lag_s: of the torques.
         preset: "default", or "paper": the paper's rollout, at 240 Hz.
@@ -92,10 +81,10 @@ class PayloadOrder:
 
 
 def simulate_payload(order: PayloadOrder) -> Episode:
-    """Simulate one run. The same order gives the same bits.
+    """Simulate one run; the same order gives the same bits.
 
     Raises:
-        UsageError: a value, file or mixture that makes no sense.
+        UsageError: a value, file or combination is invalid.
     """
     arm = ordered_arm(order)
     drawn_kg = float(np.random.default_rng(order.seed).uniform(*_DRAWN_MASS_KG))
@@ -119,7 +108,7 @@ def simulate_payload(order: PayloadOrder) -> Episode:
 
 
 def command_path(order: PayloadOrder) -> tuple[Arm, JointPath]:
-    """The path for a real arm: from rest and to rest again, one turn where it is the circle.
+    """Plan the path for a real arm, from rest to rest; one turn where it is the circle.
 
     Raises:
         UsageError: as `simulate_payload`.
@@ -134,7 +123,7 @@ def command_path(order: PayloadOrder) -> tuple[Arm, JointPath]:
 
 
 def ordered_arm(order: PayloadOrder) -> Arm:
-    """The Jaco, the arm of that name, or the arm of a file.
+    """Load the ordered arm: the Jaco, a known arm, or a file's.
 
     Raises:
         UsageError: no such arm.
@@ -155,7 +144,7 @@ def _usual_path(order: PayloadOrder) -> str:
 
 
 def _is_on_circle(order: PayloadOrder) -> bool:
-    """Whether the ordered arm is a Jaco with 7 joints, for which the paper's circle is."""
+    """Return whether the arm is a Jaco with 7 joints, which the paper's circle is for."""
     return order.urdf is None and (order.arm or DEFAULT).lower().startswith("jaco7")
 
 
@@ -164,7 +153,7 @@ def _rate_hz(order: PayloadOrder) -> float:
 
 
 def _path(arm: Arm, order: PayloadOrder, rate_hz: float, seconds: float | None) -> JointPath:
-    """The ordered path; a file's whole length if `seconds` is None."""
+    """Make the ordered path; a file's whole length if `seconds` is None."""
     wanted = order.path or _usual_path(order)
     if wanted == CIRCLE:
         if not _is_on_circle(order):

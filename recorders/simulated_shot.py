@@ -1,4 +1,4 @@
-"""What `tunenet-record --simulate bounce-shot` records: as ordered, or drawn from the seed."""
+"""Simulate a bounce shot for `tunenet-record --simulate bounce-shot`, the rest by the seed."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from recorders.simulators.drop import RESTITUTION
 from recorders.simulators.shot.rig import ShotRig
 from tunenet_logs.episode import Episode
 
-_DRAWN_RESTITUTION = (0.5, 0.85)
-"""Of balls that bounce well: table tennis, squash, tennis, golf."""
+_DRAWN_RESTITUTION = (0.5, 0.85)  # of balls that bounce well: table tennis, squash, tennis, golf
 
 
 @dataclass(frozen=True)
@@ -20,12 +19,10 @@ class ShotOrder:
     """A shot to simulate; None is drawn from the seed.
 
     Attributes:
-        rig: where.
-        restitution: at 3 m/s along the plane's normal.
-        slope: how it falls with speed.
-        drag_1_m: of the air on the ball; the rig's ball's if None.
+        restitution: coefficient of restitution at 3 m/s along the plane's normal.
+        slope: its exponent over speed; see `SpeedLaw`.
+        drag_1_m: air drag on the ball; by the rig's ball if None.
         height_m: how far the ball falls; drawn from what the rig reaches.
-        rate_hz: samples a second.
     """
 
     rig: ShotRig = field(default_factory=ShotRig)
@@ -38,10 +35,10 @@ class ShotOrder:
 
 
 def simulate_shot(order: ShotOrder) -> Episode:
-    """Simulate one shot. The same order gives the same bits.
+    """Simulate one shot; the same order gives the same bits.
 
     Raises:
-        UsageError: a value that is out of range.
+        UsageError: a value is out of range.
     """
     rng = np.random.default_rng(order.seed)
     rig = order.rig if order.drag_1_m is None else order.rig.with_drag(order.drag_1_m)

@@ -1,4 +1,4 @@
-"""Messages on their way from the threads that receive them to the one that writes them."""
+"""Queue messages from the receiving threads to the writing one."""
 
 from __future__ import annotations
 
@@ -12,23 +12,20 @@ from tunenet_logs.clock import now_ns
 
 Payload = TypeVar("Payload")
 
+# How long messages gather before they are written in one go: a small part of the 0.25 s that may be
+# lost with the process, and long enough that waking up costs nothing.
 _PAUSE_SECONDS = 0.03
-"""How long messages gather before they are written in one go: a small part of the 0.25 s that may
-be lost with the process, and long enough that waking up costs nothing."""
 
-_STAMPS_KEPT = 100_000
-"""Of each topic, to measure its rate: half an hour of a camera."""
+_STAMPS_KEPT = 100_000  # of each topic, to measure its rate: half an hour of a camera
 
 
 class Item(NamedTuple, Generic[Payload]):
-    """One message that waits.
+    """A queued message.
 
     Attributes:
-        topic: where it belongs.
         stamp_ns: of its acquisition.
         received_ns: when it came, on the clock of `tunenet_logs.clock`; never less than before.
-        payload: what it is.
-        size_bytes: of that.
+        size_bytes: of the payload.
         follows_drop: whether the one before it on its topic was dropped.
     """
 
@@ -42,10 +39,10 @@ class Item(NamedTuple, Generic[Payload]):
 
 @dataclass
 class Tally:
-    """What came on one topic.
+    """Counts of one topic.
 
     Attributes:
-        captured: messages that were put in, those dropped too.
+        captured: messages put in, including those dropped.
         dropped: messages that found the queue full.
         stamps_ns: of the captured ones, the first 100,000.
     """
@@ -55,7 +52,7 @@ class Tally:
     stamps_ns: array[int] = field(default_factory=lambda: array("q"))
 
     def add(self, stamp_ns: int, *, is_dropped: bool) -> None:
-        """Count one."""
+        """Count one message."""
         self.captured += 1
         self.dropped += is_dropped
         if len(self.stamps_ns) < _STAMPS_KEPT:
@@ -63,9 +60,9 @@ class Tally:
 
 
 class TopicQueue(Generic[Payload]):
-    """A queue for any number of topics and threads, bounded in bytes, which counts what passes.
+    """A counting queue for any number of topics and threads, bounded in bytes.
 
-    Bounded in bytes, not in messages: a picture is a thousand times larger than a joint's state. A
+    Bounded in bytes, not in messages: a picture is a thousand times larger than a joint state. A
     message that is larger than the bound alone passes through an empty queue.
 
     Args:
@@ -96,16 +93,9 @@ class TopicQueue(Generic[Payload]):
         *,
         stands_alone: bool = True,
     ) -> bool:
-        """Add a message; False once the queue is closed: it was not counted then.
+        """Add a message; False once the queue is closed: it is not counted then.
 
-        Args:
-            topic: where it belongs.
-            stamp_ns: of its acquisition.
-            payload: what it is.
-            size_bytes: of that.
-            received_ns: when it came; now if None.
-            stands_alone: whether it is worth anything where the one before it was dropped; else it
-                is dropped too.
+        One that does not stand alone is dropped where the one before it on its topic was.
         """
         with self._changed:
             while not self._drops and self._is_full(size_bytes) and not self._closed:
@@ -133,7 +123,7 @@ class TopicQueue(Generic[Payload]):
             return True
 
     def take(self) -> Item[Payload] | None:
-        """The oldest message; None when there is none. Never waits."""
+        """Return the oldest message without waiting; None when there is none."""
         with self._changed:
             if not self._items:
                 return None
@@ -144,7 +134,7 @@ class TopicQueue(Generic[Payload]):
             return item
 
     def pause(self) -> None:
-        """Let messages gather for a moment; over at once when the queue is closed.
+        """Let messages gather for a moment; return at once when the queue is closed.
 
         Messages do not end it: at a thousand a second, waking up for each is most of the work.
         """
@@ -152,7 +142,7 @@ class TopicQueue(Generic[Payload]):
             self._changed.wait_for(lambda: self._closed, _PAUSE_SECONDS)
 
     def start(self) -> None:
-        """Forget the messages inside, and count from here on."""
+        """Discard the queued messages, and count from here on."""
         with self._changed:
             self._items.clear()
             self._held_bytes = 0
@@ -160,13 +150,13 @@ class TopicQueue(Generic[Payload]):
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Take no more messages; those inside can still be taken."""
+        """Accept no more messages; those inside can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def cut(self, topic: str, taken: int) -> None:
-        """Take no more messages; those inside count as if they had never come.
+        """Accept no more messages; those inside count as if they had never come.
 
         Args:
             topic: the only one in use.
@@ -181,25 +171,25 @@ class TopicQueue(Generic[Payload]):
             self._changed.notify_all()
 
     def tally(self, topic: str) -> Tally:
-        """What came on a topic so far."""
+        """Return the counts of a topic so far."""
         with self._changed:
             return self._tallies.get(topic) or Tally()
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Those on which something came, in that order."""
+        """Topics with messages, in order of their first."""
         with self._changed:
             return tuple(self._tallies)
 
     @property
     def captured(self) -> int:
-        """Messages that were put in, those dropped too."""
+        """Number of messages put in, including those dropped."""
         with self._changed:
             return sum(tally.captured for tally in self._tallies.values())
 
     @property
     def dropped(self) -> int:
-        """Messages that found the queue full."""
+        """Number of messages that found the queue full."""
         with self._changed:
             return sum(tally.dropped for tally in self._tallies.values())
 

@@ -12,8 +12,7 @@ import pytest
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
-WIDTHS = {"desktop": (1280, 720), "phone": (390, 844)}
-"""Of a window [px]: name to width and height."""
+WIDTHS = {"desktop": (1280, 720), "phone": (390, 844)}  # of a window [px]: name to width and height
 
 
 @dataclass(frozen=True)

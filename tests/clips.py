@@ -11,11 +11,8 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-RATE_HZ = 48_000
-"""Samples a second."""
-
-PICTURES_HZ = 30
-"""Pictures a second."""
+RATE_HZ = 48_000  # samples a second
+PICTURES_HZ = 30  # pictures a second
 
 
 def clicks(

@@ -26,11 +26,9 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 TF = "tf2_msgs/msg/TFMessage"
 
-START_NS = 1_700_000_000_000_000_000
-"""When the first message of a log is received."""
-
+START_NS = 1_700_000_000_000_000_000  # when the first message of a log is received
+# Topic, type, when it is received after `START_NS` [ns], and the fields of one message.
 Sent = tuple[str, str, int, dict[str, Any]]
-"""Topic, type, when it is received after `START_NS` [ns], and the fields of one message."""
 
 
 def time_of(stamp_ns: int) -> dict[str, int]:
@@ -156,13 +154,13 @@ def write_json(path: Path, sent: Sequence[Sent]) -> Path:
     return path
 
 
+# By the name of a log.
 DRIVEN_WRITERS = {
     "cdr.mcap": write_cdr,
     "one.bag": write_ros1,
     "folder": write_db3,
     "json.mcap": write_json,
 }
-"""By the name of a log."""
 
 
 def _made(store: Any, kind: str, fields: dict[str, Any]) -> Any:

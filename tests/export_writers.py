@@ -14,18 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from tests.c3d_writer import c3d_bytes
 
+# Where bodies or markers were, by name: metres, z up, NaN where unseen, shape (T, 3) each.
 Tracks = Mapping[str, ArrayLike]
-"""Where bodies or markers were, by name: metres, z up, NaN where unseen, shape (T, 3) each."""
 
+# What each unit of length is in metres.
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-"""What each unit of length is in metres."""
 
+# Which of a z-up world's axes stand in x, y and z: a turn, so that right hands stay right.
 _AXES = {
     "x": (2, 0, 1),
     "y": (1, 2, 0),
     "z": (0, 1, 2),
 }
-"""Which of a z-up world's axes stand in x, y and z: a turn, so that right hands stay right."""
 
 
 def oriented(xyz: ArrayLike, up: str = "z", unit: str = "m") -> NDArray[np.float64]:
@@ -283,6 +283,7 @@ def write_c3d(
     )
 
 
+# By layout: `(path, seconds, tracks, *, rate_hz, unit, up)`, all but the rate as it is usual.
 WRITERS: dict[str, Callable[..., None]] = {
     "motive": write_motive,
     "nexus": write_nexus,
@@ -290,10 +291,9 @@ WRITERS: dict[str, Callable[..., None]] = {
     "trc": write_trc,
     "c3d": write_c3d,
 }
-"""By layout: `(path, seconds, tracks, *, rate_hz, unit, up)`, all but the rate as it is usual."""
 
+# Of files by layout.
 SUFFIXES = {"motive": ".csv", "nexus": ".csv", "qualisys": ".tsv", "trc": ".trc", "c3d": ".c3d"}
-"""Of files by layout."""
 
 
 def _cells(row: Sequence[float] | NDArray[np.float64], digits: int, *, significant=False):

@@ -77,6 +77,7 @@ def json_lines(path: Path, seconds: Floats, xyz: Floats, unit: str = "") -> None
     path.write_text("\n".join(lines) + "\n")
 
 
+# By the name of the file that each of them writes.
 WRITERS: dict[str, Callable[..., None]] = {
     "pasco.csv": pasco,
     "vernier.csv": vernier,
@@ -85,4 +86,3 @@ WRITERS: dict[str, Callable[..., None]] = {
     "track.mat": matlab,
     "track.jsonl": json_lines,
 }
-"""By the name of the file that each of them writes."""

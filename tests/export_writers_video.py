@@ -254,6 +254,7 @@ def _cell(row: int, column: int, value: object) -> str:
     return f'<c r="{letters}{row}"><v>{value!r}</v></c>'
 
 
+# By the name of the file that each of them writes.
 WRITERS: dict[str, Callable[[Path, FilmedTrack], None]] = {
     "tracker.txt": tracker,
     "tracker_multi.txt": tracker_multi,
@@ -264,4 +265,3 @@ WRITERS: dict[str, Callable[[Path, FilmedTrack], None]] = {
     "trackmate.xml": trackmate_xml,
     "track.xlsx": xlsx_track,
 }
-"""By the name of the file that each of them writes."""

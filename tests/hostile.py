@@ -17,6 +17,8 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
+# A small process between: the peak of one that is forked counts its parent's memory too. What hangs
+# is ended by its CPU time.
 LAUNCHER = """
 import resource, subprocess, sys
 resource.setrlimit(resource.RLIMIT_CPU, (300, 300))
@@ -25,8 +27,6 @@ sys.stdout.flush()
 print("peak", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
 sys.exit(code)
 """
-"""A small process between: the peak of one that is forked counts its parent's memory too. What
-hangs is ended by its CPU time."""
 
 
 class Spent(NamedTuple):

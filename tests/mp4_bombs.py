@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import struct
 
-FILE_TYPE = struct.pack(">I4s4sI", 16, b"ftyp", b"isom", 0)
-"""The box with which a file begins."""
+FILE_TYPE = struct.pack(">I4s4sI", 16, b"ftyp", b"isom", 0)  # the box with which a file begins
 
 
 def box(kind: bytes, *parts: bytes) -> bytes:

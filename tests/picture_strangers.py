@@ -28,8 +28,8 @@ STORE.register(
     )
 )
 
+# Stamp [ns], type, and the fields of a message beside its header.
 Fields = tuple[int, str, dict[str, Any]]
-"""Stamp [ns], type, and the fields of a message beside its header."""
 
 
 def write_pictures(path: Path, messages: Iterable[Fields], topic: str = "/eye") -> Path:
@@ -177,6 +177,7 @@ def _rgba(rgb: np.ndarray) -> np.ndarray:
     return np.dstack([rgb, np.full(rgb.shape[:2], 77, np.uint8)])
 
 
+# From RGB, shape (H, W, 3), to the bytes of an encoding of sensor_msgs/Image.
 ENCODED: dict[str, Callable[[np.ndarray], bytes]] = {
     "rgb8": lambda rgb: rgb.tobytes(),
     "bgr8": lambda rgb: rgb[..., ::-1].tobytes(),
@@ -200,11 +201,9 @@ ENCODED: dict[str, Callable[[np.ndarray], bytes]] = {
         for bits, scale in ((8, 1), (16, 256))
     },
 }
-"""From RGB, shape (H, W, 3), to the bytes of an encoding of sensor_msgs/Image."""
 
 
-Taken = Iterable[tuple[int, np.ndarray]]
-"""Stamps [ns], and pictures: RGB, shape (H, W, 3)."""
+Taken = Iterable[tuple[int, np.ndarray]]  # stamps [ns], and pictures: RGB, shape (H, W, 3)
 
 
 def write_jpegs_bag(path: Path, pictures: Taken, topic: str = "/eye") -> Path:

@@ -2,6 +2,7 @@
 
 import re
 
+# First words of a clause that tells a user what to do.
 ORDERS = frozenset(
     [
         "add",
@@ -66,7 +67,6 @@ ORDERS = frozenset(
         "write",
     ]
 )
-"""First words of a clause that tells a user what to do."""
 
 _CONDITION = re.compile(r"(?:if|where|first|then|or|and|either)\b[^,;:]*, |first ", re.I)
 

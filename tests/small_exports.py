@@ -160,6 +160,7 @@ def _defined_type(path: Path) -> None:
 
 _track = FilmedTrack(SECONDS, {"A": BALL}, rate_hz=60)
 
+# By the name of the file: what writes it.
 KINDS: dict[str, Callable[[Path], object]] = {
     **{f"{name}{suffix}": partial(_captured, name)
        for name, suffix in export_writers.SUFFIXES.items()},
@@ -191,10 +192,9 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "unknown.mcap": _unknown_type,
     "defined.mcap": _defined_type,
 }  # fmt: skip
-"""By the name of the file: what writes it."""
 
+# Kinds that are read in a process of their own.
 SLOW = ("track.xlsx", "phyphox.xlsx", "phyphox.zip", "book.xlsx", "a.parquet")
-"""Kinds that are read in a process of their own."""
 
 
 @cache

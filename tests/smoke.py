@@ -22,8 +22,9 @@ from tests.wheel import ROOT, built_wheel
 PYTHONS = ("3.11", "3.12", "3.13")
 RESTITUTION = 0.72
 TOLERANCE = 0.002
+# What pip says where no index answers.
 NO_NETWORK = ("connection broken by", "Failed to establish a new connection", "Could not fetch URL")
-"""What pip says where no index answers."""
+# Run one after the other in an empty folder.
 COMMANDS = (
     f"tunenet-record --simulate drop --restitution {RESTITUTION} --height 1.1 -o drop.mcap",
     "tunenet-tune drop.mcap",
@@ -31,7 +32,6 @@ COMMANDS = (
     "tunenet-export drop.json --to mujoco -o ball.xml",
     "tunenet-compare drop.json --csv all.csv",
 )
-"""Run one after the other in an empty folder."""
 WRITTEN = ("drop.mcap", "drop.json", "drop.rrd", "all.rrd", "ball.xml", "all.csv", "all_pairs.csv")
 VERSIONS = """
 import platform

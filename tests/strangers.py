@@ -186,6 +186,7 @@ def write_table(path: Path, stamps_ns: np.ndarray, positions: np.ndarray) -> Non
     path.write_text("\n".join(rows) + "\n")
 
 
+# Writers of the same positions, by the name of a file.
 WRITERS: dict[str, Callable[[Path, np.ndarray, np.ndarray], None]] = {
     "cdr.mcap": write_poses,
     "ros1.mcap": write_ros1,
@@ -193,7 +194,6 @@ WRITERS: dict[str, Callable[[Path, np.ndarray, np.ndarray], None]] = {
     "json.mcap": write_json,
     "table.csv": write_table,
 }
-"""Writers of the same positions, by the name of a file."""
 
 
 def without_chunks(source: Path, path: Path, *, chunks: bool = False, crcs: bool = True) -> None:

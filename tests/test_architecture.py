@@ -37,13 +37,13 @@ HEAVY |= {
     "ray",
     "sounddevice",
 }
+# The folders, by name, whose modules may import a library at module level.
 OWNERS = {"rerun": "review", "cyclonedds": "ros2", "matplotlib": "report", "jinja2": "report"}
-"""The folders, by name, whose modules may import a library at module level."""
+# The one package that may import a physics engine at all, or speak its keywords.
 ENGINE_FOLDERS = {name: f"recorders.simulators.{name}" for name in ("pybullet", "mujoco")}
-"""The one package that may import a physics engine at all, or speak its keywords."""
+# The room that writes files for engines: it speaks their words, and its file of an engine's name
+# may import that engine in functions.
 ENGINE_EXPORTS = "analysis.export."
-"""The room that writes files for engines: it speaks their words, and its file of an engine's name
-may import that engine in functions."""
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 

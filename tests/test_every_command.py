@@ -161,6 +161,7 @@ _CAUGHT = {
     "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
 }
 
+# What each of them writes, as shortly as it can.
 WRITING = {
     "tunenet-tune": ("LOG -o OUT --no-review", "bouncy.json"),
     "tunenet-logs": ("import flat.csv -o OUT/a.mcap", "a.mcap"),
@@ -173,7 +174,6 @@ WRITING = {
     "tunenet-eval": ("--help", ""),
     "tunenet-train": ("--help", ""),
 }
-"""What each of them writes, as shortly as it can."""
 
 
 def words_of(name: str, out: Path) -> list[str]:
@@ -181,8 +181,8 @@ def words_of(name: str, out: Path) -> list[str]:
     return [str(BIN / name), *text.replace("LOG", str(SAMPLE)).replace("OUT", str(out)).split()]
 
 
+# Of which the results are looked at; the streams of all ten are prepared in one place.
 LISTENED_TO = ("tunenet-tune", "tunenet-logs", "tunenet-export", "tunenet-compare")
-"""Of which the results are looked at; the streams of all ten are prepared in one place."""
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

@@ -1,3 +1,3 @@
-"""What a log is: episodes, and the crash-safe, schema'd MCAP files that hold them."""
+"""Episodes, and the crash-safe MCAP files with schemas that hold them."""
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""Addresses of logs and cameras, with what must never be shown kept apart: logins and signatures.
+"""Parse addresses of logs and cameras, keeping logins and signatures apart from what may be shown.
 
 An address is public by accident: it stands in ledgers, recordings and terminals that people hand
 on. So `str()` of one is what may be shown, and what else it holds is asked for by name.
@@ -13,92 +13,85 @@ from urllib.parse import unquote, urlsplit
 
 from tunenet_logs.errors import UsageError
 
+# What an address begins with, by RFC 3986; a device or a file has none.
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
-"""What an address begins with, by RFC 3986; a device or a file has none."""
 
+# Schemes of addresses whose path is a key: any character may stand in it.
 _OBJECT_STORES = ("s3", "gs", "gcs", "az", "abfs")
-"""Schemes of addresses whose path is a key: any character may stand in it."""
 
-_AT_ACCOUNTS = ("az", "abfs")
-"""Of these, those that are written container@account: no login."""
-
+_AT_ACCOUNTS = ("az", "abfs")  # of these, those that are written container@account: no login
+# User and password before a host, as RFC 3986 has them.
 _LOGIN = re.compile(r"[^\s/?#]*@")
-"""User and password before a host, as RFC 3986 has them."""
 
+# The same with a `/`, `?` or `#` left in the password.
 _UNQUOTED_LOGIN = re.compile(r"[^\s/?#@:\[]*:(?!\d{1,5}(?:[/?#]|$))[^\s@]*@")
-"""The same with a `/`, `?` or `#` left in the password."""
 
+# A host of one word, a port and an @ behind: it may as well be a password that begins so.
 _LIKE_A_LOGIN = re.compile(r"(?!localhost\b)[^\s/?#@:\[.]+:\d{1,5}[/?#]\S*@")
-"""A host of one word, a port and an @ behind: it may as well be a password that begins so."""
 
 _LOGIN_IN_TEXT = re.compile(
     r"(\b\w{1,10}:/{1,3})(?!@)"
     r"([^\s/?#]{0,400}@|[^\s/?#@:\[]{0,100}:(?!\d{1,5}(?:[/?#]|$))\S{0,400}@)(?=[^\s@])"
 )
+# One without a scheme before it, as in `user:password@192.168.1.20/video`.
 _BARE_LOGIN = re.compile(
     r"(?<![^\s'\"(])[^/@\s:'\"]{0,100}:[^/@\s]{1,400}@(?=\[|\d+\.\d+\.\d+\.|[\w.-]+(?:/|:\d))"
 )
-"""One without a scheme before it, as in `user:password@192.168.1.20/video`."""
 
 _VALUE_IN_TEXT = re.compile(r"(?<=[?&;#])([\w.%-]+)=([^\s&;,#'\"<>()\[\]]+)")
 
-_TOKEN_IN_TEXT = re.compile(r"(?<=\?)[^\s=&?'\"<>()\[\]]{12,}")
-"""A query without a name."""
-
+_TOKEN_IN_TEXT = re.compile(r"(?<=\?)[^\s=&?'\"<>()\[\]]{12,}")  # a query without a name
+# In the name of a query's parameter: it is, or belongs to, what proves a right.
 _SECRET_PARTS = re.compile(
     r"signature|token|secret|passw|passphrase|credential|api-?key|access-?key|auth-?key|"
     r"private-?key|subscription-?key|key-?pair|oauth|authori[sz]|authent|hmac|jwt|rl-?key|"
     r"session-?id|access-?id|bearer|temp-?auth|temp-?url|expire|login|hdnea|hdnts|hdntl|cookie"
 )
-"""In the name of a query's parameter: it is, or belongs to, what proves a right."""
 
+# The same as a whole word of such a name.
 _SECRET_WORDS = re.compile(r"sig|sign|sas|pass|pwd|pw|psw|pswd|auth|gda|cred|creds|verify")
-"""The same as a whole word of such a name."""
 
+# Of names that belong to the signatures of object stores.
 _SECRET_STARTS = ("x-amz-", "x-goog-", "x-oss-", "x-cos-", "x-obs-", "x-tos-", "x-ms-", "q-")
-"""Of names that belong to the signatures of object stores."""
 
+# Names beside `sig` in a shared access signature.
 _AZURE = re.compile(
     r"sv|ss|srt|sp|se|st|spr|sr|si|sip|sdd|ses|skoid|sktid|skt|ske|sks|skv|saoid|suoid|scid|"
     r"rscc|rscd|rsce|rscl|rsct"
 )
-"""Names beside `sig` in a shared access signature."""
 
+# Names that go with a signature where there is one; alone they may pick what is sent.
 _BESIDE = re.compile(
     r"user|username|usr|u|policy|key|kid|ak|algorithm|hash-algorithm|alg|md5|hash|h|s|e|t|st|et|"
     r"ts|exp|deadline|timestamp|nonce|tid"
 )
-"""Names that go with a signature where there is one; alone they may pick what is sent."""
 
+# Names that may be a password's, or may pick what is sent.
 _GUESSABLE = re.compile(r"user|username|usr|key|code|pin|ticket|session|sid|u|p|k|s|h")
-"""Names that may be a password's, or may pick what is sent."""
 
+# Names whose values are long, and no secrets.
 _PICKS = re.compile(r"version-id|version|generation|snapshot|ref|rev|revision|commit|sha")
-"""Names whose values are long, and no secrets."""
 
-_FILE = re.compile(r"(?:.*/)?[^/]+\.([A-Za-z]\w{1,6})", re.DOTALL)
-"""What names a file; its ending."""
-
+_FILE = re.compile(r"(?:.*/)?[^/]+\.([A-Za-z]\w{1,6})", re.DOTALL)  # what names a file; its ending
+# Endings of what a server runs to send a file that the query names.
 _PROGRAMS = re.compile(r"php|cgi|asp|aspx|jsp")
-"""Endings of what a server runs to send a file that the query names."""
 
-_LONGEST_WORD, _LONGEST_MIXED = 20, 12
-"""Letters and digits in a row of what people write, and where both are mixed."""
+# Letters and digits in a row of what people write, and where both are mixed.
+_MAX_WORD, _MAX_MIXED = 20, 12
 
 
 def scheme_of(text: str) -> str:
-    """What an address begins with, in lower case; "" where it is none."""
+    """Return the scheme of an address in lower case; "" where there is none."""
     return found[1].lower() if (found := _SCHEME.match(text)) else ""
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where a log or a network camera is; two are equal that differ in what proves a right to it.
+    """Address of a log or a network camera; equality ignores credentials.
 
     Attributes:
-        identity: without login and what belongs to a signature; it is the address's `str()`. A
-            parameter of the query that picks what is sent stays, by a digest where it could be a
-            secret.
+        identity: without login and signature; it is the address's `str()`. A parameter of the query
+            that picks what is sent stays, as a digest where it could be a secret.
         shown: scheme, host, port and path alone.
         url: with the query as it was given, without user and password: to ask with.
         full_url: as it was given.
@@ -114,15 +107,15 @@ class Address:
     password: str | None = field(default=None, repr=False, compare=False)
 
     def __str__(self) -> str:
-        """What may be shown."""
+        """Return what may be shown."""
         return self.identity
 
     @classmethod
     def of(cls, text: str) -> Address:
-        """Take an address apart.
+        """Parse an address.
 
         Raises:
-            UsageError: it has no host, or a port that is none.
+            UsageError: it has no host, or an invalid port.
         """
         scheme = scheme_of(text)
         rest = text[len(scheme) + 3 :]
@@ -164,7 +157,7 @@ class Address:
 
     @property
     def name(self) -> str:
-        """What the log is called: the path's last part, or the file's name in the query."""
+        """Name of the log: the last part of the path, or the file name in the query."""
         place, _, query = self.identity.partition("?")
         name = PurePosixPath(place).name
         if (found := _FILE.fullmatch(name)) and not _PROGRAMS.fullmatch(found[1].lower()):
@@ -174,11 +167,11 @@ class Address:
 
     @property
     def parent_name(self) -> str:
-        """What the folder, or the host, is called in which it lies."""
+        """Name of the parent folder, or of the host."""
         return PurePosixPath(self.shown).parent.name
 
     def beside(self, url: str) -> Address:
-        """Another address, with the same login where it is of the same host."""
+        """Return another address, with the same login if it is on the same host."""
         if scheme_of(url) not in _OBJECT_STORES:
             url = url.replace("@", "%40")  # of a path: whose login it is stands in this one
         other, own = Address.of(url), urlsplit(self.url)
@@ -190,7 +183,7 @@ class Address:
 
 
 def without_secrets(text: str) -> str:
-    """A text with `…` for each login and each signature in the addresses that it names.
+    """Replace each login and signature in the addresses of a text by `…`.
 
     For what libraries say: they quote the addresses that they were given.
     """
@@ -203,7 +196,7 @@ def without_secrets(text: str) -> str:
 
 
 def _has_host(url: str, scheme: str) -> bool:
-    """Whether there is a host, and a port that is one."""
+    """Check whether there is a host, and that its port is valid."""
     if scheme in _OBJECT_STORES:
         return bool(re.match(r"[^/?#]", url[len(scheme) + 3 :]))
     try:
@@ -219,7 +212,7 @@ def _parameters(query: str) -> list[tuple[str, str]]:
 
 
 def _picking(query: str) -> list[str]:
-    """The parameters that pick what is sent, in the order of their names."""
+    """Return the parameters that select what is sent, sorted by name."""
     pairs = [(name, value, _plain_name(name)) for name, value in _parameters(query)]
     is_signed = any(_is_secret(name) for name, _, _ in pairs)
     is_azure = any(plain == "sig" for _, _, plain in pairs)
@@ -241,14 +234,14 @@ def _picking(query: str) -> list[str]:
 
 
 def _digest(value: str) -> str:
-    """What tells a value from others without telling it."""
+    """Return a short SHA-256 digest, which tells a value from others without revealing it."""
     from hashlib import sha256  # every command imports this file, few get here
 
     return "~" + sha256(value.encode(errors="replace")).hexdigest()[:12]
 
 
 def _plain_name(name: str) -> str:
-    """A parameter's name in lower case, its words joined with `-`."""
+    """Return a parameter's name in lower case, its words joined with `-`."""
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", unquote(name))
     return re.sub(r"[^a-z0-9]+", "-", words.lower()).strip("-")
 
@@ -263,7 +256,7 @@ def _is_secret(name: str) -> bool:
 
 
 def _is_told(name: str, value: str) -> bool:
-    """Whether a value is no secret, by the name and by itself."""
+    """Check whether a value is no secret, by its name and by itself."""
     if _PICKS.fullmatch(name) or not _is_plain(value):
         return _PICKS.fullmatch(name) is not None
     return len(value) < 2 or not _GUESSABLE.fullmatch(name) or _is_file(value)
@@ -274,10 +267,10 @@ def _is_file(value: str) -> bool:
 
 
 def _is_plain(value: str) -> bool:
-    """Whether a value is what people write: words, numbers, paths; a token is none."""
+    """Check whether a value is what people write (words, numbers, paths) and not a token."""
     for word in re.findall(r"[A-Za-z0-9]+", unquote(value)):
         is_mixed = not word.isdecimal() and not word.isalpha()
-        if len(word) >= (_LONGEST_MIXED if is_mixed else _LONGEST_WORD):
+        if len(word) >= (_MAX_MIXED if is_mixed else _MAX_WORD):
             return False
     return True
 
@@ -292,7 +285,7 @@ def _without_login(found: re.Match[str]) -> str:
 
 
 def _hidden(found: re.Match[str]) -> str:
-    """A parameter within a text, its value hidden where it could be a secret."""
+    """Hide the value of a parameter within a text where it could be a secret."""
     name, value = found[1], found[2]
     is_secret = _is_secret(name) or not _is_told(_plain_name(name), value)
     return f"{name}=…" if is_secret and not value.startswith("~") else found[0]

@@ -1,4 +1,4 @@
-"""Fields of messages that their user names: positions, joints and impacts of any log."""
+"""Read the message fields that the user names: positions, joints and impacts of any log."""
 
 from __future__ import annotations
 
@@ -14,13 +14,7 @@ from tunenet_logs.hand_rows import AXES, HandRows, listed
 
 
 class HandPicked:
-    """What `--columns` names, gathered while the log is read.
-
-    Args:
-        path: the log, for messages.
-        options: what its user says of it.
-        budget: for definitions.
-    """
+    """The user's columns (`--columns`), gathered while the log is read."""
 
     def __init__(self, path: Path, options: ReadOptions, budget: SchemaBudget) -> None:
         self._path = path
@@ -32,7 +26,7 @@ class HandPicked:
         self._missed: dict[str, LogError] = {}  # why not, by topic
 
     def rows_of(self, channel: RawChannel) -> HandRows | None:
-        """What gathers the fields of a channel; None where none is named, or it has not all."""
+        """Return the collector of a channel's named fields; None if one is absent."""
         self._channels.append(channel)
         picks = {
             target: rest
@@ -55,10 +49,10 @@ class HandPicked:
         return rows
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """What was named, and what was repaired.
+        """Return the signals of the user's columns, and notes on what was repaired.
 
         Raises:
-            LogError: a topic is not there, or what was named does not go together.
+            LogError: a topic is missing, or the columns do not go together.
         """
         for target, text in self._options.columns.items():
             if target not in self._found:
@@ -82,7 +76,7 @@ class HandPicked:
         return found, notes
 
     def _check(self) -> None:
-        """Whether each group of what is named is of one topic."""
+        """Check that each group of columns comes from one topic."""
         groups: dict[str, set[str]] = {}
         for rows in self._topics:
             for target in rows.targets:
@@ -116,7 +110,7 @@ class HandPicked:
 
 
 def _behind(text: str, topic: str) -> str | None:
-    """What stands behind a topic's name; None where that is not how a text begins."""
+    """Return what follows a topic's name in a text; None where the text does not begin with it."""
     for name in (topic, topic.lstrip("/")):
         if name and text.startswith(name):
             rest = text[len(name) :]

@@ -1,35 +1,32 @@
-"""How the rate of samples changes, as a camera's does in the dark."""
+"""Detect a change of the sampling rate, such as a camera's in the dark."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-_PARTS, _FEWEST_OF_PART = 8, 10
-"""A rate that changes is sought in so many parts of equal length, with so many samples each."""
+# A rate that changes is sought in so many parts of equal length, with so many samples each.
+_PARTS, _MIN_OF_PART = 8, 10
 
-_OTHER_RATE = 0.1
-"""Of a rate: parts differ by more where it changes."""
-
+_OTHER_RATE = 0.1  # of a rate: parts differ by more where it changes
+# Of a usual step, and of the steps of a part that is left out because its samples had waited.
 _AT_ONCE, _OFTEN_AT_ONCE = 0.1, 0.2
-"""Of a usual step, and of the steps of a part that is left out because its samples had waited."""
 
-_SURELY = 8.0
-"""Usual deviations of a part's rate that are no change."""
+_SURELY = 8.0  # usual deviations of a part's rate that are no change
 
 
 def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
-    """How the rate of samples changes, in words: "goes from 60.0 to 30.0 Hz"; "" if it does not.
+    """Describe a change of sampling rate, as "goes from 60.0 to 30.0 Hz"; "" if there is none.
 
-    By the median step in each of some parts, so neither pauses nor missing samples are a change;
-    nor is what the steps' own scatter makes likely.
+    Compares the median step of up to eight parts: neither pauses nor missing samples are a change,
+    nor is what the scatter of the steps makes likely.
 
     Args:
         stamps_ns: not decreasing, shape (T,) [ns].
         lag: samples that a step goes over; many where each is late by its own time.
     """
     steps = 1e-6 * (stamps_ns[lag:] - stamps_ns[:-lag]) / lag
-    parts = min(_PARTS, len(steps) // max(_FEWEST_OF_PART, 2 * lag))
+    parts = min(_PARTS, len(steps) // max(_MIN_OF_PART, 2 * lag))
     if parts < 2:
         return ""
     # What waited on its way comes at once: no rate of a sensor.

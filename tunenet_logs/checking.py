@@ -1,4 +1,4 @@
-"""Whether a log is whole: every record, checksum, message and picture of it."""
+"""Check the integrity of a log: every record, checksum, message and picture."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tunenet_logs.terminal import Progress, one_line
 
 @dataclass(frozen=True, eq=False)
 class Health:
-    """What a check found.
+    """Result of an integrity check.
 
     Attributes:
         damage: what is wrong and where, one a line; empty for a whole log.
@@ -31,12 +31,12 @@ class Health:
 
     @property
     def whole(self) -> bool:
-        """Whether all of it is there, and used."""
+        """Whether nothing is damaged and everything is used."""
         return not self.damage and not self.left_out
 
 
 def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> Health:
-    """Read all of a log, and decode all of its pictures and its sound.
+    """Check a log by reading all of it and decoding all of its pictures and sound.
 
     Raises:
         LogError: nothing of it can be read.
@@ -56,13 +56,13 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
 
 
 def _heard(episode: Episode, topic: str) -> tuple[str, ...]:
-    """What is doubtful of the sound of a topic."""
+    """Return the warnings on the sound of a topic."""
     sound = episode.sounds(topic)
     return () if sound is None else sound.warnings
 
 
 def _picture_damage(episode: Episode, topic: str, progress: Progress) -> list[str]:
-    """What is wrong with the pictures of a topic, beside messages that are damaged themselves."""
+    """List the pictures of a topic that cannot be decoded, beside damaged messages."""
     stated = sum(channel.messages for channel in episode.channels if channel.topic == topic)
     bad: list[int] = []
     count = 0

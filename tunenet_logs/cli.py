@@ -1,4 +1,4 @@
-"""tunenet-logs: what is in a log, is it whole, save what can be saved, bring one in."""
+"""Command line of tunenet-logs: inspect, check, recover and import logs."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _VERBS = {
     "import": "bring a bag, a CSV table or a video into a log of our own format",
 }
 
+# What exit code 1 means, by the verb.
 _FAILED = {
     "info": "a log could not be read",
     "check": "a log is damaged or could not be read",
     "recover": "nothing could be saved",
     "import": "nothing was imported",
 }
-"""What exit code 1 means, by the verb."""
 
 _EXAMPLES = """\
   tunenet-logs info drop.mcap
@@ -88,16 +88,14 @@ _IMPORT_EXAMPLES = """\
   tunenet-logs import rosbag2_2026_11_02/ -o drop.mcap"""
 
 
-_MOST_LINES = 100
-"""Of what is said of one kind; a log of thousands is no reason to scroll."""
-
+_MAX_LINES = 100  # of what is said of one kind; a log of thousands is no reason to scroll
 _UNSAID = "what a file does not say itself"
 
 _JSON_HELP = "for scripts: one JSON object a log, each on a line of its own (docs/logs.md)"
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the parser of the command's arguments."""
     parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES, failed=_FAILED["check"])
     verbs = parser.add_subparsers(
         dest="verb", title="what to do", metavar=f"{{{','.join(_VERBS)}}}", required=True
@@ -142,7 +140,7 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-logs`."""
+    """Run `tunenet-logs`."""
     return run(build_parser(), lambda arguments: arguments.body(arguments), argv)
 
 
@@ -151,13 +149,7 @@ def _each(
     body: Callable[[Path], bool],
     unread: Callable[[Path, str], None] = lambda *_: None,
 ) -> int:
-    """Run for every log; one that cannot be read does not stop the rest.
-
-    Args:
-        logs: in this order.
-        body: shows one, and says whether it is as it should be.
-        unread: shows one that cannot be read, by the reason.
-    """
+    """Run `body` for every log; return 1 if one fails. One that cannot be read stops no other."""
     good = True
     for log in logs:
         try:
@@ -232,11 +224,11 @@ def _print_json(fields: Mapping[str, Any]) -> None:
 
 
 def _say(what: str, facts: Sequence[str]) -> None:
-    """Facts of one kind, one a line; of very many the first."""
-    for fact in facts[:_MOST_LINES]:
+    """Print facts of one kind, one a line; of very many the first."""
+    for fact in facts[:_MAX_LINES]:
         print(one_line(f"  {what}: {fact}"))
-    if len(facts) > _MOST_LINES:
-        print(f"  {what}: and {len(facts) - _MOST_LINES} more")
+    if len(facts) > _MAX_LINES:
+        print(f"  {what}: and {len(facts) - _MAX_LINES} more")
 
 
 def _recover(arguments: argparse.Namespace) -> int:

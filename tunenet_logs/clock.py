@@ -1,4 +1,4 @@
-"""The clock of live stamps: wall time that nothing can bend while it is being recorded."""
+"""Clock of live stamps: wall time that no adjustment can bend during a recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def _anchor_ns() -> int:
 
 
 def wall_ns(monotonic_ns: int) -> int:
-    """A monotonic time [ns] on the wall clock [ns], as that stood when it was first asked for.
+    """Convert monotonic time to wall time [ns].
 
     Anchored once in a process: a wall clock that is set while recording must not bend the stamps.
     """
@@ -20,5 +20,5 @@ def wall_ns(monotonic_ns: int) -> int:
 
 
 def now_ns() -> int:
-    """Now on that clock [ns since 1970]."""
+    """Return the current time on that clock [ns since 1970]."""
     return _anchor_ns() + time.monotonic_ns()

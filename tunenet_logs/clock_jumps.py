@@ -1,17 +1,17 @@
-"""Where a clock jumps: the part of some stamps that one clock gave, and why not the rest.
+"""Detect clock jumps, and keep the longest part of the stamps that one clock gave.
 
 Clocks are set while a log is recorded: a computer that starts in 1970 hears of today, a network's
-time steps by seconds, a single message is stamped by nobody. What was recorded before such a jump
-and what came after it have no known distance, and a grid over both has no bound.
+time steps by seconds, a single message is stamped by nobody. The time between what was recorded
+before such a jump and after it is unknown, and a grid over both has no bound.
 
 A pause is no jump: an arm rests, a recorder waits for the next ball. It differs from a jump by its
 length, and by what is on both sides. Half a day is longer than any experiment waits; a few samples
 many minutes from all others are no recording.
 
-A step back is told from mere disorder by the time that is there twice. Samples that overtook each
-other on their way lie, once they are sorted, as far apart as ever: each fills a hole. Where a clock
-was set back, the stretches before and after it lie in the same time, and sorted there are too many.
-Nor is it an order where all that was written later lies in a time before, far from the rest.
+A step back differs from mere disorder by time that occurs twice. Samples that overtook each other
+on their way lie, once they are sorted, as far apart as ever: each fills a hole. Where a clock was
+set back, the stretches before and after it lie in the same time, and sorted there are too many.
+Nor is it disorder where all that was written later lies in a time before, far from the rest.
 """
 
 from __future__ import annotations
@@ -21,46 +21,37 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-_LONGEST_PAUSE_S = 43_200.0
-"""Between two samples of one recording: half a day."""
-
+_MAX_PAUSE_S = 43_200.0  # between two samples of one recording: half a day
+# So many samples, so far from all others, are no part of a recording: their stamps are off.
 _ALONE_S, _ALONE_SAMPLES = 600.0, 2
-"""So many samples, so far from all others, are no part of a recording: their stamps are off."""
 
+# Samples before and after a step back: where their medians step back too, the clock was set. Where
+# they do not, a few samples overtook each other, or one stamp is off.
 _AROUND = 5
-"""Samples before and after a step back: where their medians step back too, the clock was set. Where
-they do not, a few samples overtook each other, or one stamp is off."""
 
-_BURST = 3
-"""Samples in a row that may be far off without being a stretch of a clock."""
-
+_BURST = 3  # samples in a row that may be far off without being a stretch of a clock
+# Samples over which a period is looked at, and within which samples overtake each other; sorted
+# steps of less than so much of the period of such neighbours are those of two stretches.
 _LAG, _NEARBY, _HALVED = 32, 128, 0.75
-"""Samples over which a period is looked at, and within which samples overtake each other; sorted
-steps of less than so much of the period of such neighbours are those of two stretches."""
 
+# Samples too many where a clock was set back: at least, of those that lie in the time of others,
+# and in standard deviations of what uneven steps make.
 _MIN_TOO_MANY, _TOO_MANY, _UNLIKELY = 2.5, 0.3, 5.0
-"""Samples too many where a clock was set back: at least, of those that lie in the time of others,
-and in standard deviations of what uneven steps make."""
 
+# Samples too many, for each that is between, by which a step back is worth less than another.
 _EXPLAINED = 0.5
-"""Samples too many, for each that is between, by which a step back is worth less than another."""
 
+# Periods between what was written later and what was written before, all of it later in time:
+# nearer ones are one recording in another order.
 _APART = 10.0
-"""Periods between what was written later and what was written before, all of it later in time:
-nearer ones are one recording in another order."""
 
-_EVEN = 0.1
-"""Of a period, by which sorted steps of an even clock are too short on average."""
-
-_MOST_CUTS = 32
-"""At one longest pause after the other."""
-
-_S = 1e-9
-"""A nanosecond."""
+_EVEN = 0.1  # of a period, by which sorted steps of an even clock are too short on average
+_MAX_CUTS = 32  # at one longest pause after the other
+_S = 1e-9  # a nanosecond
 
 
 class SoundPart(NamedTuple):
-    """The samples of one clock.
+    """Contiguous samples of one clock.
 
     Attributes:
         keep: their indices, increasing, shape (K,).
@@ -72,11 +63,7 @@ class SoundPart(NamedTuple):
 
 
 def sound_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
-    """The longest part of sorted stamps in which the clock does not jump.
-
-    Args:
-        stamps_ns: not decreasing, shape (T,) [ns].
-    """
+    """Return the longest part of sorted stamps, shape (T,) [ns], without a clock jump."""
     steps_s = _steps_s(stamps_ns)
     if not np.any(steps_s > _ALONE_S):
         return SoundPart(np.arange(len(stamps_ns)))
@@ -86,9 +73,9 @@ def sound_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
     alone, kept = np.flatnonzero(is_alone), np.flatnonzero(~is_alone)
     words = [_alone_words(stamps_ns, alone, kept)] if len(alone) else []
     steps_s = _steps_s(stamps_ns[kept])
-    jumps = np.flatnonzero(steps_s > _LONGEST_PAUSE_S)
+    jumps = np.flatnonzero(steps_s > _MAX_PAUSE_S)
     if len(jumps):
-        rows = _longest(_stretches(steps_s > _LONGEST_PAUSE_S))
+        rows = _longest(_stretches(steps_s > _MAX_PAUSE_S))
         what = f"jumps by {steps_s[jumps[0]]:.1f} s"
         words.append(_jump_words(what, jumps + 1, len(kept), rows))
         kept = kept[rows]
@@ -96,7 +83,7 @@ def sound_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
 
 
 def written_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
-    """The longest part of stamps in the order of their file in which the clock is not set back.
+    """Return the longest part of stamps in file order in which the clock is not set back.
 
     All are kept where what was written later fills holes, or goes before what was written first
     without a pause: then sorting mends it.
@@ -113,7 +100,7 @@ def written_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
 
 
 def is_disorder(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> bool:
-    """Whether stamps that run back and forth are those of an even clock, in another order.
+    """Check whether stamps that run back and forth are those of a uniform clock, reordered.
 
     Args:
         stamps_ns: shape (T,) [ns], in the order in which they were written.
@@ -129,30 +116,22 @@ def is_disorder(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> b
 
 
 def fill_holes(stamps_ns: NDArray[np.int64], at: int) -> bool:
-    """Whether what is written from a sample on fills the holes of what was written before it.
-
-    Args:
-        stamps_ns: shape (T,) [ns], in the order in which they were written.
-        at: the sample.
-    """
+    """Check whether stamps from index `at` on, in file order [ns], fill holes of those before."""
     both, before = (_unevenness(np.sort(one)) for one in (stamps_ns, stamps_ns[:at]))
     return both < before / 2
 
 
 def _unevenness(ordered: NDArray[np.int64]) -> float:
-    """By how much of the median step other steps differ, 1 at most, on average."""
+    """Return the mean deviation of steps from their median, relative to it and clipped at 1."""
     steps = np.diff(ordered.astype(np.float64))
     usual = float(np.median(steps)) if len(steps) else 0.0
     return float(np.mean(np.minimum(np.abs(steps / usual - 1), 1))) if usual else 1.0
 
 
 def filmed_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
-    """The longest part of pictures, in the order of their file, in which the clock does not jump.
+    """Return the longest part of pictures, stamped in file order [ns], without a clock jump.
 
     Pictures are not sorted: what follows a step back is another part, wherever it lies.
-
-    Args:
-        stamps_ns: shape (T,) [ns], in the order of the file.
     """
     order = np.argsort(stamps_ns, kind="stable")
     in_time = sound_part(stamps_ns[order])
@@ -165,20 +144,15 @@ def filmed_part(stamps_ns: NDArray[np.int64]) -> SoundPart:
 
 
 def part_on_grid(seconds: NDArray[np.float64], longest_s: float) -> SoundPart:
-    """The part of sorted times that an even grid may span: what is left, cut at its longest steps.
-
-    Args:
-        seconds: not decreasing, shape (T,) [s].
-        longest_s: what the grid may span.
-    """
+    """Cut sorted times [s] at their longest steps until a grid of `longest_s` may span them."""
     keep = np.arange(len(seconds))
     words = ""
-    for cuts in range(_MOST_CUTS + 1):
+    for cuts in range(_MAX_CUTS + 1):
         if not len(keep) or seconds[keep[-1]] - seconds[keep[0]] <= longest_s:
             break
         steps_s = np.diff(seconds[keep])
         is_end = steps_s == steps_s.max()
-        if cuts == _MOST_CUTS:  # no part without such a step is longer than the grid
+        if cuts == _MAX_CUTS:  # no part without such a step is longer than the grid
             is_end = steps_s > longest_s / len(keep)
         at = int(steps_s.argmax()) + 1
         rows = _longest(_stretches(is_end))
@@ -192,31 +166,31 @@ def part_on_grid(seconds: NDArray[np.float64], longest_s: float) -> SoundPart:
 
 
 def _steps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Steps between stamps [s], shape (T - 1,): as int64, the longest would not fit."""
+    """Return the steps between stamps [s], shape (T - 1,); as int64, the longest would not fit."""
     return np.diff(stamps_ns.astype(np.float64)) * _S
 
 
 def _stretches(is_end: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The number of each sample's stretch, shape (T,); one ends where `is_end`, shape (T - 1,)."""
+    """Number the stretch of each sample, shape (T,); one ends where `is_end`, shape (T - 1,)."""
     stretch = np.zeros(len(is_end) + 1, np.int64)
     stretch[1:] = np.cumsum(is_end)
     return stretch
 
 
 def _longest(stretch: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Indices of the stretch with the most samples, the first of equals."""
+    """Return the indices of the stretch with the most samples, the first of equals."""
     return np.flatnonzero(stretch == np.bincount(stretch).argmax())
 
 
 def _ends_before(firsts: NDArray[np.intp], count: int) -> NDArray[np.bool_]:
-    """Whether a stretch ends with a sample, shape (count - 1,), by the first of the others."""
+    """Mark the samples that end a stretch, shape (count - 1,), given the firsts of the others."""
     is_end = np.zeros(count - 1, np.bool_)
     is_end[firsts - 1] = True
     return is_end
 
 
 def _set_back(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Indices of the first samples after stamps step back, stragglers aside, shape (J,)."""
+    """Return the first samples after stamps step back, stragglers aside, shape (J,)."""
     reversals = np.flatnonzero(stamps_ns[1:] < stamps_ns[:-1]) + 1
     if not len(reversals) or len(stamps_ns) < 2 * _AROUND:
         return reversals[:0]
@@ -228,7 +202,7 @@ def _set_back(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
 
 
 def _repeats_time(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Whether the same or an earlier time comes after each step back, shape (J,)."""
+    """Check after each step back whether the same or an earlier time follows, shape (J,)."""
     ordered, near = np.sort(stamps_ns), _sorted_nearby(stamps_ns)
     usual_ns, nearby_ns = _usual_ns(ordered[None]), _usual_ns(near)
     period_ns = nearby_ns if usual_ns < _HALVED * nearby_ns else usual_ns
@@ -267,14 +241,10 @@ def _repeats_time(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> NDAr
 
 
 def _strongest(backs: NDArray[np.intp], too_many: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which steps back are no mere disorder around a set clock, shape (J,).
+    """Select the steps back that are no mere disorder around a set clock, shape (J,).
 
     Such have fewer samples too many, the farther from it they are; near it one is as good as
     another.
-
-    Args:
-        backs: shape (J,).
-        too_many: samples at each; -inf where no clock is set.
     """
     far = _EXPLAINED * backs
     is_set = too_many > -np.inf
@@ -291,33 +261,33 @@ def _strongest(backs: NDArray[np.intp], too_many: NDArray[np.float64]) -> NDArra
 
 
 def _without_strays(stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The earliest and the latest of each `_BURST` stamps in a row, shape (T - 2,) each."""
+    """Return the minimum and maximum of each `_BURST` stamps in a row, shape (T - 2,) each."""
     one, two, three = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
     return np.minimum(np.minimum(one, two), three), np.maximum(np.maximum(one, two), three)
 
 
 def _sorted_nearby(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stamps sorted among those that were written with them, shape (blocks, `_NEARBY` or fewer)."""
+    """Sort stamps in blocks of those written together, shape (blocks, `_NEARBY` or fewer)."""
     size = max(2 * _AROUND, min(_NEARBY, len(stamps_ns) // 4))
     blocks = stamps_ns[: len(stamps_ns) // size * size].reshape(-1, size)
     return np.sort(blocks, axis=1)
 
 
 def _short(stamps_ns: NDArray[np.int64], period_ns: float) -> NDArray[np.float64]:
-    """By how much of a period each step is too short, 1 at most, shape (..., T - 1)."""
+    """Return by how much of a period each step is too short, 1 at most, shape (..., T - 1)."""
     steps_ns = np.diff(stamps_ns.astype(np.float64))
     return np.clip(1.0 - steps_ns / period_ns, 0.0, 1.0) if period_ns > 0 else 1.0 + 0.0 * steps_ns
 
 
 def _usual_ns(rows_ns: NDArray[np.int64]) -> float:
-    """The usual step in rows of stamps [ns], over many of them, shape (rows, T)."""
+    """Return the median step over many samples [ns], of rows of stamps, shape (rows, T)."""
     far = rows_ns.astype(np.float64)
     lag = max(1, min(_LAG, far.shape[1] // 4))
     return float(np.median(far[:, lag:] - far[:, :-lag])) / lag if far.shape[1] > lag else 0.0
 
 
 def _longest_between(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> SoundPart:
-    """The longest stretch between steps back, and words on the first of them."""
+    """Return the longest stretch between steps back, with a reason that names the first."""
     count, at = len(stamps_ns), int(backs[0])
     before, after = stamps_ns[max(at - _AROUND, 0) : at], stamps_ns[at : at + _AROUND]
     by_s = (float(before.max()) - float(after.min())) * _S
@@ -326,14 +296,7 @@ def _longest_between(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> S
 
 
 def _jump_words(what: str, jumps: NDArray[np.intp], count: int, rows: NDArray[np.intp]) -> str:
-    """That the clock jumps, and which part is used.
-
-    Args:
-        what: the clock does at its first jump.
-        jumps: indices of the first samples after each, shape (J,).
-        count: of all samples.
-        rows: indices of those that are used.
-    """
+    """Say that the clock jumps (J firsts after a jump), and which rows of `count` are used."""
     where = f"the clock {what} after sample {jumps[0]} of {count}"
     used = f"is used ({len(rows)} samples)"
     if len(jumps) > 1:
@@ -344,7 +307,7 @@ def _jump_words(what: str, jumps: NDArray[np.intp], count: int, rows: NDArray[np
 def _alone_words(
     stamps_ns: NDArray[np.int64], alone: NDArray[np.intp], kept: NDArray[np.intp]
 ) -> str:
-    """That samples lie far from all others, and how far the first of them."""
+    """Say that samples lie far from all others, and how far the first of them does."""
     count = f"{len(alone)} of {len(stamps_ns)} samples"
     if not np.any(stamps_ns[alone]):
         return f"{count} without a stamp: not used"

@@ -1,4 +1,4 @@
-"""From decoded messages, one at a time, to the signals of an episode."""
+"""Build the signals of an episode from decoded messages, one at a time."""
 
 from __future__ import annotations
 
@@ -21,36 +21,30 @@ from tunenet_logs.sample_order import distinct, places_ahead, sorted_stamps, tru
 from tunenet_logs.sources import disagree, take_turns, two_sources
 from tunenet_logs.terminal import listed, short_name
 
-_MOST_NAMES = 1000
-"""Bodies or joints of one topic; more are no robot's, but a damaged or hostile log's."""
+# Bodies or joints of one topic; more are no robot's, but a damaged or hostile log's.
+_MAX_NAMES = 1000
 
-_NAMES = tuple(f"joint{number}" for number in range(1, _MOST_NAMES + 2))
-"""What joints without names are called; one more than there may be, so that too many are seen."""
+# What joints without names are called; one more than there may be, so that too many are seen.
+_NAMES = tuple(f"joint{number}" for number in range(1, _MAX_NAMES + 2))
 
-MOST_NUMBERS = 2**25
-"""Of the joints of a topic, as many as seven have in 25 minutes at 1 kHz: 268 MB."""
+# Of the joints of a topic, as many as seven have in 25 minutes at 1 kHz: 268 MB.
+MAX_NUMBERS = 2**25
 
-_SOMETIMES = 1024
-"""Messages after which it is looked whether there are too many."""
-
-_LOOKED_AT = 20_000
-"""Messages that tell whether two publishers take turns."""
-
+_SOMETIMES = 1024  # messages after which it is looked whether there are too many
+_LOOKED_AT = 20_000  # messages that tell whether two publishers take turns
+# Of ros2_control: a joint and what of it.
 _INTERFACE = re.compile(
     r"(.*[^/.])[/.](position|velocity|effort|acceleration|current|voltage|temperature|torque)"
 )
-"""Of ros2_control: a joint and what of it."""
 
-_MOST_BLOCKS = 50
-"""Sets of joints that are compared each with each."""
-
+_MAX_BLOCKS = 50  # sets of joints that are compared each with each
 _SEVERAL = {2: "two", 3: "three"}
 
-_NOTHING = array("d", [float("nan")] * _MOST_NAMES).tobytes()
-"""A quantity that a message does not give, as the bytes of its values."""
+# A quantity that a message does not give, as the bytes of its values.
+_NOTHING = array("d", [float("nan")] * _MAX_NAMES).tobytes()
 
-_MOST_REORDERED = 16
-"""Pictures that a video's decoder holds until they are shown, by H.264 and H.265."""
+# Pictures that a video's decoder holds until they are shown, by H.264 and H.265.
+_MAX_REORDERED = 16
 
 
 @dataclass(eq=False)
@@ -82,7 +76,7 @@ class _JointBlock:
         return len(self.quantities) * len(self.quantities[0])
 
     def add(self, header_ns: int, log_ns: int, quantities: Sequence[bytes]) -> None:
-        """One message."""
+        """Append one message."""
         if self.count % self.step == 0:
             self.header_ns.append(header_ns)
             self.log_ns.append(log_ns)
@@ -91,7 +85,7 @@ class _JointBlock:
         self.count += 1
 
     def add_all(self, samples: Sequence[NDArray[Any]]) -> None:
-        """Messages: stamps of the header and the log, shape (N,), quantities, shape (N, width)."""
+        """Append messages: header and log stamps, shape (N,), and quantities, shape (N, width)."""
         stores = (self.header_ns, self.log_ns, *self.quantities)
         rows = slice(-self.count % self.step, None, self.step)
         for store, values in zip(stores, samples, strict=True):
@@ -99,7 +93,7 @@ class _JointBlock:
         self.count += len(samples[0])
 
     def values(self, quantity: int) -> NDArray[np.float64]:
-        """One quantity, shape (T, width)."""
+        """Return one quantity, shape (T, width)."""
         return np.frombuffer(self.quantities[quantity], np.float64).reshape(-1, self.width)
 
     @property
@@ -116,7 +110,7 @@ class _JointBlock:
         return not np.any(np.nan_to_num(self.places - self.places[:1]))
 
     def part(self, rows: NDArray[np.bool_]) -> _JointBlock:
-        """Some of them, `rows` of shape (T,)."""
+        """Return the samples in a mask `rows`, shape (T,)."""
         stamps = [np.frombuffer(own, np.int64)[rows] for own in (self.header_ns, self.log_ns)]
         part = _JointBlock(self.width)
         part.add_all([*stamps, *(self.values(k)[rows] for k in range(len(self.quantities)))])
@@ -124,7 +118,7 @@ class _JointBlock:
         return part
 
     def thin(self) -> None:
-        """Keep half of it."""
+        """Decimate the samples by two."""
         if self.step == 1:
             self.is_mixed = two_sources(self.places[:_LOOKED_AT]) is not None
         self.step *= 2
@@ -136,13 +130,13 @@ class _JointBlock:
         self.quantities = tuple(thinned)
 
 
+# Names of joints, and what messages with these say.
 _Blocks = list[tuple[tuple[str, ...], _JointBlock]]
-"""Names of joints, and what messages with these say."""
 
 
 @dataclass(eq=False)
 class JointRows:
-    """Joints of one topic: positions [rad], velocities [rad/s] and efforts [N·m], each a signal.
+    """Joint states of one topic: positions [rad], velocities [rad/s] and efforts [N·m].
 
     Attributes:
         topic: its name.
@@ -150,14 +144,14 @@ class JointRows:
     """
 
     topic: str
-    most_numbers: float = MOST_NUMBERS
+    most_numbers: float = MAX_NUMBERS
     _blocks: dict[tuple[str, ...], _JointBlock] = field(default_factory=dict, init=False)
 
     QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("effort", "N·m"))
     """Name and unit of each signal, in the order of a `JointSample`."""
 
     def add(self, log_ns: int, sample: JointSample) -> None:
-        """One message.
+        """Append one message.
 
         Raises:
             ValueError, OverflowError: it makes no sense.
@@ -171,7 +165,7 @@ class JointRows:
             self._bound()
 
     def add_all(self, parts: Sequence[tuple[NDArray[np.intp], NDArray[np.int64], Any]]) -> None:
-        """Messages of one layout or several, all or none.
+        """Append messages of one layout or several, all or none.
 
         Args:
             parts: of each layout the places of its messages among all, shape (N,), the log's stamps
@@ -197,19 +191,15 @@ class JointRows:
         self._bound()
 
     def _block(self, names: tuple[str, ...], widths: set[int]) -> _JointBlock:
-        """The samples of these joints.
-
-        Args:
-            names: of the joints.
-            widths: how many values the quantities of a message have.
+        """Return the block of these joints, whose quantities must have `widths` values or none.
 
         Raises:
-            ValueError: that makes no sense.
+            ValueError: names repeat, are too many, or do not match the values.
         """
         block = self._blocks.get(names)
         if block is None:
-            if sum(map(len, self._blocks)) + len(names) > _MOST_NAMES:
-                raise BeyondLimitError(f"over {_MOST_NAMES} joints")
+            if sum(map(len, self._blocks)) + len(names) > _MAX_NAMES:
+                raise BeyondLimitError(f"over {_MAX_NAMES} joints")
             if len(set(names)) < len(names):
                 raise ValueError("two joints have one name")
         if not widths <= {0, len(names)}:
@@ -219,7 +209,7 @@ class JointRows:
         return block
 
     def signals(self, joint_names: tuple[str, ...] = ()) -> tuple[list[Signal], list[str]]:
-        """Those of the three quantities that have any value, and what was repaired.
+        """Return the quantities that have any value as signals, and notes on what was repaired.
 
         Messages with one stamp and different joints make one sample: several may publish them. Of
         publishers that say different things of the same joints, each is by itself.
@@ -248,8 +238,8 @@ class JointRows:
         return found, notes
 
     def _publishers(self, every: _Blocks) -> list[_Blocks]:
-        """What each of those says that contradict each other."""
-        if len(every) > _MOST_BLOCKS:
+        """Group blocks by publisher: blocks that contradict each other are of different ones."""
+        if len(every) > _MAX_BLOCKS:
             return [every]
         found: list[_Blocks] = []
         for names, samples in every:
@@ -269,7 +259,7 @@ class JointRows:
     def _signals_of(
         self, topic: str, blocks: _Blocks, joint_names: tuple[str, ...]
     ) -> tuple[list[Signal], list[str]]:
-        """What one publisher says, or several that go together."""
+        """Build the signals of one publisher, or of several that agree."""
         columns = tuple(dict.fromkeys(name for names, _ in blocks for name in names))
         headers = [np.frombuffer(block.header_ns, np.int64) for _, block in blocks]
         logs = [np.frombuffer(block.log_ns, np.int64) for _, block in blocks]
@@ -312,7 +302,7 @@ class JointRows:
         return found, [f"{topic}: {note}" for note in dict.fromkeys(notes)]
 
     def _bound(self) -> None:
-        """Thin out the largest block where there is too much."""
+        """Decimate the largest block while too many numbers are held."""
         while sum(block.numbers for block in self._blocks.values()) > self.most_numbers:
             max(self._blocks.values(), key=lambda block: block.numbers).thin()
 
@@ -320,9 +310,9 @@ class JointRows:
 def _by_interface(
     names: tuple[str, ...], samples: _JointBlock, notes: list[str]
 ) -> tuple[tuple[str, ...], _JointBlock]:
-    """Samples of joints, where their names were those of interfaces: "joint_1/position".
+    """Split joints named after ros2_control interfaces ("joint_1/position") into quantities.
 
-    So ros2_control names states, all in one field. `notes` gets what is to be said.
+    ros2_control names states so, all in one field. `notes` gets what is to be said.
     """
     found = [_INTERFACE.fullmatch(name) for name in names]
     given = [k for k in range(3) if np.isfinite(samples.values(k)).any()]
@@ -355,7 +345,7 @@ def _by_interface(
 def _contradict(
     one: tuple[tuple[str, ...], _JointBlock], two: tuple[tuple[str, ...], _JointBlock]
 ) -> bool:
-    """Whether two series of messages say different things of the same joints by turns."""
+    """Check whether two series of messages disagree on the same joints by turns."""
     shared = [name for name in one[0] if name in two[0]]
     if not shared or not take_turns(*(np.array(part.log_ns, np.int64) for _, part in (one, two))):
         return False
@@ -372,7 +362,7 @@ def _contradict(
 
 
 def _thinned(blocks: _Blocks) -> list[str]:
-    """What was left out of too many messages."""
+    """Say what was left out of too many messages."""
     most = max((samples for _, samples in blocks), key=lambda samples: samples.step)
     if most.step == 1:
         return []
@@ -385,7 +375,7 @@ def _thinned(blocks: _Blocks) -> list[str]:
 
 @dataclass(eq=False)
 class PictureStamps:
-    """When the pictures of one topic were taken; they themselves are read when asked for.
+    """Acquisition stamps of one topic's pictures, which are themselves read on demand.
 
     Attributes:
         topic: the topic.
@@ -402,7 +392,7 @@ class PictureStamps:
     _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
 
     def add(self, log_ns: int, picture: PictureSample) -> None:
-        """One picture.
+        """Append one picture.
 
         Raises:
             OverflowError: its stamp lies beyond the year 2262.
@@ -411,7 +401,7 @@ class PictureStamps:
         self._log_ns.append(log_ns)
 
     def trusts_header(self) -> tuple[bool, list[str]]:
-        """Whether the pictures' own stamps tell the time, and why not, or where they jump."""
+        """Check whether the header stamps can be trusted; if not, say why, and where they jump."""
         header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
         if self.is_video:
             header_ns = _as_shown(header_ns)
@@ -430,7 +420,7 @@ class PictureStamps:
 
 @dataclass(eq=False)
 class SoundStamps:
-    """When the pieces of one topic's sound were taken; they are read when asked for.
+    """Acquisition stamps of the pieces of one topic's sound, which are read on demand.
 
     Attributes:
         topic: the topic.
@@ -441,7 +431,7 @@ class SoundStamps:
     _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
 
     def add(self, log_ns: int, sound: SoundSample) -> None:
-        """One piece.
+        """Append one piece.
 
         Raises:
             OverflowError: its stamp lies beyond the year 2262.
@@ -450,29 +440,25 @@ class SoundStamps:
         self._log_ns.append(log_ns)
 
     def trusts_header(self) -> tuple[bool, list[str]]:
-        """Whether the pieces' own stamps tell the time, and why not."""
+        """Check whether the header stamps of the pieces can be trusted; if not, say why."""
         header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
         is_header, reasons = trusts_header(header_ns, log_ns)
         return is_header, [f"{self.topic}: {reason}" for reason in reasons]
 
 
 def _taken(values: NDArray[np.float64], rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Some rows, in their order; the same array where they are all."""
+    """Select some rows in order, without a copy where they are all."""
     if len(rows) == len(values) and np.all(rows[1:] > rows[:-1]):
         return values
     return values[rows]
 
 
 def _as_shown(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stamps of a video's pictures as a decoder gives them out; those that jump stay jumps.
-
-    Args:
-        stamps_ns: in the order in which they were written, shape (T,) [ns].
-    """
+    """Return stamps of a video [ns] in decoder output order; those that jump stay jumps."""
     waiting: list[int] = []
     shown: list[int] = []
     for stamp_ns in stamps_ns.tolist():
         heappush(waiting, stamp_ns)
-        if len(waiting) > _MOST_REORDERED:
+        if len(waiting) > _MAX_REORDERED:
             shown.append(heappop(waiting))
     return np.array(shown + sorted(waiting), np.int64)

@@ -1,4 +1,4 @@
-"""What all commands share: one-line errors, exit codes, help that starts at once."""
+"""Shared command-line machinery: one-line errors, exit codes, help that starts at once."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HELP_COLUMNS = 80
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line, with exit code 2.
+    """Argument parser whose errors are one line, with exit code 2.
 
     Args:
         prog: the command, with its verb where it has some.
@@ -80,26 +80,26 @@ class Parser(argparse.ArgumentParser):
         return super()._get_value(action, arg_string)
 
     def error(self, message: str) -> NoReturn:
-        """Refuse the arguments with one line."""
+        """Raise UsageError with one line."""
         raise UsageError(f"{message} (see {self.prog} --help)")
 
 
+# Where NumPy looks, when it is loaded, for how many threads to use.
+#
+# Our matrices are small: a second thread mostly waits for the first, and on a busy machine both
+# wait.
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Where NumPy looks, when it is loaded, for how many threads to use.
-
-Our matrices are small: a second thread mostly waits for the first, and on a busy machine both wait.
-"""
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# What a disk says that takes no more, and the remedy.
 _MORE_SPACE = "free some space, or write to another disk"
-"""What a disk says that takes no more, and the remedy."""
 
 
 def run(
     parser: Parser, body: Callable[[argparse.Namespace], int], argv: Sequence[str] | None
 ) -> int:
-    """Parse and run; a known error is one line on stderr.
+    """Parse the arguments and run `body`, reporting a known error as one line on stderr.
 
     Returns:
         The exit code: that of `body`, 1 or 2 for a known error, 128 and its number for a
@@ -171,7 +171,7 @@ def reading_options(group: argparse._ArgumentGroup) -> None:
 
 
 def read_options_of(arguments: argparse.Namespace) -> ReadOptions:
-    """What `reading_options` were given.
+    """Return the `ReadOptions` that the arguments of `reading_options` give.
 
     Raises:
         UsageError: one is not understood.
@@ -189,7 +189,7 @@ def read_options_of(arguments: argparse.Namespace) -> ReadOptions:
 
 
 def print_traceback() -> None:
-    """Show where the error being handled was raised, on stderr."""
+    """Print the traceback of the error being handled on stderr."""
     for part in traceback.format_exception(sys.exc_info()[1]):
         # A place in our code has lines of its own; what an error says may be anybody's words.
         is_place = part.startswith("  File ")
@@ -197,7 +197,7 @@ def print_traceback() -> None:
 
 
 def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:
-    """An argparse type: a finite number within [low, high]."""
+    """Return an argparse type: a finite number within [low, high]."""
 
     def parse(text: str) -> float:
         try:
@@ -213,7 +213,7 @@ def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """An argparse type: a whole number within [low, high]."""
+    """Return an argparse type: an integer within [low, high]."""
 
     def parse(text: str) -> int:
         try:
@@ -228,12 +228,12 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def is_stdout(path: Path) -> bool:
-    """Whether a path that an option names stands for standard output: `-`."""
+    """Check whether a path option stands for standard output: `-`."""
     return str(path) == "-"
 
 
 def size_px(text: str) -> tuple[int, int]:
-    """An argparse type: WxH, a picture's size [px]."""
+    """Parse a picture size WxH [px], as an argparse type."""
     width, _, height = text.lower().partition("x")
     parts = [int(part) if part.isascii() and part.isdecimal() else 0 for part in (width, height)]
     if not all(0 < part < 100_000 for part in parts):

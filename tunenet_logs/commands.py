@@ -1,8 +1,8 @@
-"""Where the commands of this package begin, before anything else is imported."""
+"""Entry points of this package's commands, which run before anything else is imported."""
 
 from tunenet_logs.starting import start
 
 
 def logs() -> int:
-    """`tunenet-logs`."""
+    """Run `tunenet-logs`."""
     return start("tunenet-logs", "tunenet_logs.cli")

@@ -1,4 +1,4 @@
-"""Completion for shells: `--print-completion bash`, of every command."""
+"""Complete commands in a shell: `--print-completion bash`, of every command."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any
 
 SHELLS = ("bash", "zsh", "tcsh")
 
+# Metavars of what may be a file and need not: an address, a camera's number.
 _PATHS = ("LOG", "SOURCE")
-"""Metavars of what may be a file and need not: an address, a camera's number."""
 
 _OFFERED = "offered"
 
 
 def offering(action: argparse.Action, words: Iterable[str]) -> None:
-    """Have a shell offer words for an option that takes others too, or says itself what is wrong.
+    """Let a shell complete `words` for an option without restricting its values to them.
 
     `choices` would refuse all others in argparse's words.
     """
@@ -25,12 +25,12 @@ def offering(action: argparse.Action, words: Iterable[str]) -> None:
 
 
 class PrintCompletion(argparse.Action):
-    """Prints the script that completes this command in a shell, and ends, as `--version` does."""
+    """Action that prints a shell's completion script and exits, as `--version` does."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, _namespace: object, values: Any, _option: object = ""
     ) -> None:
-        """Print it, and end."""
+        """Print the script and exit."""
         print(_script(parser, str(values)), flush=True)
         sys.exit(0)
 
@@ -43,7 +43,7 @@ def _script(parser: argparse.ArgumentParser, shell: str) -> str:
 
 
 def _annotate(parser: argparse.ArgumentParser, file: Any, folder: Any) -> None:
-    """Say of each argument what completes it; the parser parses nothing any more."""
+    """Attach to each argument what completes it; the parser parses nothing any more."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for verb in action.choices.values():

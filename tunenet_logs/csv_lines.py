@@ -1,4 +1,4 @@
-"""Tables of results as CSV: no cell of them is a formula, whatever names a log holds.
+"""Write results as CSV in which no cell is a formula, regardless of the names in a log.
 
 A spreadsheet runs a cell that begins with `=`, `+`, `-` or `@`, be it a topic's name
 (https://owasp.org/www-community/attacks/CSV_Injection).
@@ -9,13 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
+# How a text begins that a spreadsheet may run, with the wide forms that some read as well.
 _RUN = re.compile(r"[\s\x00'\u200b\ufeff]*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n\x00]")
-"""How a text begins that a spreadsheet may run, with the wide forms that some read as well."""
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
+# Where a text needs quotes, by whatever separator the table is opened.
 _QUOTED = re.compile(r'[,;|"\s]')
-"""Where a text needs quotes, by whatever separator the table is opened."""
 
 
 def csv_line(cells: Iterable[object]) -> str:
@@ -29,7 +29,7 @@ def csv_line(cells: Iterable[object]) -> str:
 
 
 def text_of(cell: str) -> str:
-    """Return the text that `csv_line` was given, of a cell as a reader of CSV gives it."""
+    """Return the text given to `csv_line` from the cell that a CSV reader returns."""
     return cell[1:] if cell[:1] == "'" and _RUN.match(cell[1:]) else cell
 
 

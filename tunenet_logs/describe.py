@@ -1,4 +1,4 @@
-"""An episode in words: what `tunenet-logs info` prints."""
+"""Describe an episode in words: what `tunenet-logs info` prints."""
 
 from __future__ import annotations
 
@@ -15,26 +15,22 @@ from tunenet_logs.gaps import gaps_in_words, noted_gaps
 from tunenet_logs.measured_rate import measured_hz
 from tunenet_logs.terminal import one_line, short_name
 
-_MOST_ROWS = 100
-"""Channels that are shown, and warnings; a log of thousands is no reason to scroll."""
-
-_COLUMNS = 60
-"""Characters of the timeline: with a short topic's name it fits a terminal of 80."""
-
+_MAX_ROWS = 100  # channels that are shown, and warnings; a log of thousands is no reason to scroll
+_COLUMNS = 60  # characters of the timeline: with a short topic's name it fits a terminal of 80
+# Usual intervals: a gap is longer, which jitter and one missing sample do not make it.
 _GAP_PERIODS = 3.0
-"""Usual intervals: a gap is longer, which jitter and one missing sample do not make it."""
 
+# Stamps before September 2001 are times of a simulator or video, not dates.
 _EARLIEST_DATE_NS = 1_000_000_000 * 10**9
-"""Stamps before September 2001 are times of a simulator or video, not dates."""
 
 
 def describe(path: Path, episode: Episode) -> str:
-    """The log, one fact a line: its info, its damage, its channels and when they were heard."""
+    """Describe a log, one fact a line: its info, damage, channels and timeline."""
     lines = [f"{path}: {file_bytes(path)} bytes{_span(episode.channels)}"]
     lines += [f"  {line}" for line in _episode_lines(episode.info)]
     if gaps := noted_gaps(episode.info.notes):
         lines.append(f"  away: {gaps_in_words(gaps, _start_ns(episode.channels))}")
-    lines += [f"  warning: {warning}" for warning in episode.warnings[:_MOST_ROWS]]
+    lines += [f"  warning: {warning}" for warning in episode.warnings[:_MAX_ROWS]]
     lines += _more(len(episode.warnings), "warnings")
     shown = _shown(episode.channels)
     lines += _table(shown) if shown else ["  no channels"]
@@ -43,14 +39,14 @@ def describe(path: Path, episode: Episode) -> str:
 
 
 def _shown(channels: Sequence[Channel]) -> Sequence[Channel]:
-    """The channels of the table: of too many, those that can be used first."""
-    if len(channels) <= _MOST_ROWS:
+    """Return the channels of the table: of too many, those that can be used first."""
+    if len(channels) <= _MAX_ROWS:
         return channels
-    return sorted(channels, key=lambda channel: channel.skipped is not None)[:_MOST_ROWS]
+    return sorted(channels, key=lambda channel: channel.skipped is not None)[:_MAX_ROWS]
 
 
 def _more(count: int, what: str) -> list[str]:
-    return [f"  and {count - _MOST_ROWS} more {what}"] if count > _MOST_ROWS else []
+    return [f"  and {count - _MAX_ROWS} more {what}"] if count > _MAX_ROWS else []
 
 
 def _table(channels: Sequence[Channel]) -> list[str]:
@@ -62,7 +58,7 @@ def _table(channels: Sequence[Channel]) -> list[str]:
 
 
 def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The K intervals between messages that are much longer than usual, shape (K,) [s]."""
+    """Return the intervals between messages that are much longer than usual, shape (K,) [s]."""
     periods = np.diff(np.sort(stamps_ns)) * 1e-9
     if len(periods) < 2:
         return np.empty(0)
@@ -81,7 +77,7 @@ def _span(channels: Sequence[Channel]) -> str:
 
 
 def _start_ns(channels: Sequence[Channel]) -> int:
-    """When the first message was heard [ns]; 0 where there is none."""
+    """Return the log stamp of the first message [ns]; 0 where there is none."""
     return min((int(one.log_ns.min()) for one in channels if one.messages), default=0)
 
 
@@ -111,7 +107,7 @@ def _channel_row(channel: Channel) -> tuple[str, ...]:
 
 
 def _timeline(channels: Sequence[Channel]) -> list[str]:
-    """When each channel was heard: `#` as often as usual, `.` less, blank not at all."""
+    """Draw when each channel had messages: `#` as often as usual, `.` fewer, blank none."""
     heard = [channel for channel in channels if channel.messages > 1]
     if not heard:
         return []

@@ -1,4 +1,4 @@
-"""An episode and its health for scripts: what `tunenet-logs info --json` and `check --json` print.
+"""Describe an episode and its health in JSON: `tunenet-logs info --json` and `check --json`.
 
 The keys are a contract (docs/logs.md): new ones may be added, and none is ever left out.
 """
@@ -26,7 +26,7 @@ _CHECK_KEYS = ("whole", "messages", "channels", "damage", "left_out", "notes")
 
 
 def info_fields(path: Path, episode: Episode) -> dict[str, Any]:
-    """What `info` tells of a log that was read."""
+    """Return the JSON fields of `info` for a log that was read."""
     info = episode.info
     return {
         "log": str(path),
@@ -50,7 +50,7 @@ def info_fields(path: Path, episode: Episode) -> dict[str, Any]:
 
 
 def check_fields(path: Path, health: Health) -> dict[str, Any]:
-    """What `check` found in a log that was read."""
+    """Return the JSON fields of `check` for a log that was read."""
     channels = health.episode.channels
     return {
         "log": str(path),
@@ -68,17 +68,17 @@ def check_fields(path: Path, health: Health) -> dict[str, Any]:
 
 
 def unread_info(path: Path, error: str) -> dict[str, Any]:
-    """The same keys of a log that could not be read: all are null but the reason."""
+    """Return the fields of `info` for a log that could not be read: all null but the reason."""
     return {"log": str(path), "error": error, **dict.fromkeys(_INFO_KEYS)}
 
 
 def unread_check(path: Path, error: str) -> dict[str, Any]:
-    """The same keys of a log that could not be read: it is not whole, and nothing else is known."""
+    """Return the fields of `check` for a log that could not be read: not whole, the rest null."""
     return {"log": str(path), "error": error, **dict.fromkeys(_CHECK_KEYS), "whole": False}
 
 
 def _span(channels: Sequence[Channel]) -> dict[str, Any]:
-    """When a log, or a channel of it, begins and ends; null without messages."""
+    """Return when a log, or a channel of it, begins and ends; null without messages."""
     heard = [channel for channel in channels if channel.messages]
     if not heard:
         return {"start_ns": None, "end_ns": None, "duration_s": None}

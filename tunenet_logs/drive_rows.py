@@ -1,4 +1,4 @@
-"""From decoded messages to the signals of what drives a robot: plain numbers, and wrenches."""
+"""Build signals of what drives a robot from decoded messages: plain numbers, and wrenches."""
 
 from __future__ import annotations
 
@@ -13,33 +13,30 @@ from tunenet_logs.formats.message_types import NumbersSample, WrenchSample
 from tunenet_logs.one_frame import OneFrame
 from tunenet_logs.sample_order import order_samples, sorted_stamps
 
-_MOST_COLUMNS = 1000
-"""Numbers of one message; more are no commands, but a picture or a cloud."""
-
-_MOST_BYTES = 64 * 1024
-"""Of a message of numbers: so many as are read, as text, with a layout."""
+_MAX_COLUMNS = 1000  # numbers of one message; more are no commands, but a picture or a cloud
+_MAX_BYTES = 64 * 1024  # of a message of numbers: so many as are read, as text, with a layout
 
 
 @dataclass(eq=False)
 class NumberRows:
-    """Numbers of one topic that say nothing of themselves: one signal, of unit "1"."""
+    """Unlabelled numbers of one topic: one signal, of unit "1"."""
 
     topic: str
     _lengths: dict[int, tuple[array[int], array[float]]] = field(default_factory=dict, init=False)
 
     def check(self, data: bytes | memoryview) -> None:
-        """Whether a message is worth decoding.
+        """Refuse a message that is too large to be decoded.
 
         Raises:
             BeyondLimitError: it is larger than any with as many numbers as are read.
         """
-        if len(data) > _MOST_BYTES:
+        if len(data) > _MAX_BYTES:
             raise BeyondLimitError(
-                f"a message of {len(data)} bytes is over the limit of {_MOST_BYTES}"
+                f"a message of {len(data)} bytes is over the limit of {_MAX_BYTES}"
             )
 
     def add(self, log_ns: int, numbers: NumbersSample) -> None:
-        """The numbers of one message.
+        """Append the numbers of one message.
 
         Raises:
             UnusableError: there are none.
@@ -49,14 +46,14 @@ class NumberRows:
         values = np.asarray(numbers, np.float64)
         if not values.size:
             raise UnusableError("it holds no number")
-        if values.size > _MOST_COLUMNS:
-            raise BeyondLimitError(f"over {_MOST_COLUMNS} numbers")
+        if values.size > _MAX_COLUMNS:
+            raise BeyondLimitError(f"over {_MAX_COLUMNS} numbers")
         own_ns, stored = self._lengths.setdefault(values.size, (array("q"), array("d")))
         own_ns.append(log_ns)
         stored.frombytes(values.tobytes())
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """The messages of the most frequent length, and what was left out."""
+        """Return the messages of the most frequent length, and notes on what was left out."""
         if not self._lengths:
             return [], []
         length = max(self._lengths, key=lambda one: len(self._lengths[one][0]))
@@ -89,10 +86,10 @@ class WrenchRows:
     """Name and unit of each signal, in the order of a `WrenchSample`."""
 
     def check(self, data: bytes | memoryview) -> None:
-        """Whether a message is worth decoding: each is."""
+        """Accept every message."""
 
     def add(self, log_ns: int, wrench: WrenchSample) -> None:
-        """One message.
+        """Append one message.
 
         Raises:
             OverflowError: its stamp lies beyond the year 2262.
@@ -104,7 +101,7 @@ class WrenchRows:
         self._values.extend(six)
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """Those of the two that have any value, and what was repaired."""
+        """Return force and torque where they have any value, and notes on what was repaired."""
         wrenches = np.frombuffer(self._values, np.float64).reshape(-1, 6)
         keep, stamps_ns, notes, left_out = order_samples(
             np.frombuffer(self._header_ns, np.int64),

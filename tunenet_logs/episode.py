@@ -1,4 +1,4 @@
-"""What every other room speaks: signals, frames, and the episode that holds them."""
+"""Signals, frames, and the episode that holds them: the data types of all packages."""
 
 from __future__ import annotations
 
@@ -17,30 +17,27 @@ if TYPE_CHECKING:
 
     from tunenet_logs.sound import Sound
 
-UNSTATED = ""
-"""The unit of lengths of which nobody says what they are."""
-
+UNSTATED = ""  # the unit of lengths of which nobody says what they are
+# What a stamp counts for each frame where nothing says how many there are in a second.
 FRAME_NS = 10_000_000
-"""What a stamp counts for each frame where nothing says how many there are in a second."""
 
-FORMAT_VERSION = "1"
-"""Of the info record, in every log: a later one can tell by it what it reads."""
+FORMAT_VERSION = "1"  # of the info record, in every log: a later one can tell by it what it reads
 
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """A sampled quantity.
+    """Sampled quantity.
 
     Attributes:
         name: topic it came from, or the name it goes by.
         stamps_ns: acquisition times [ns], int64, shape (T,), strictly increasing.
         values: float64, shape (T, C), read-only; NaN only where a sample is missing.
         columns: the C names of the channels.
-        unit: unit of all values ("m", "rad", "N·m", "A", "px", "1"); `UNSTATED` of a position in a
-            unit of length that nobody names.
-        counts_frames: whether the stamps count frames, `FRAME_NS` each, whose rate is not known.
-        drives: whether it is what drives something, a command to it or a force on it, and not how
-            that moves; see `measured`.
+        unit: unit of all values ("m", "rad", "N·m", "A", "px", "1"); `UNSTATED` of a position in an
+            unknown unit of length.
+        counts_frames: whether the stamps count frames, `FRAME_NS` each, whose rate is unknown.
+        drives: whether it is an input, a command or a force, and not how something moves; see
+            `measured`.
         frame: in which its values are, as the log calls it; "" where it does not say.
         left_out: samples that the log had besides, by the reason; see `left_out`.
 
@@ -73,7 +70,7 @@ class Signal:
 
     @property
     def is_position(self) -> bool:
-        """Whether it is where something was, in m or in a unit that a drop may tell."""
+        """Whether it is a position, in m or in a unit that a drop may calibrate."""
         return self.columns == ("x", "y", "z") and self.unit in ("m", "px", UNSTATED)
 
     @property
@@ -90,14 +87,14 @@ class Signal:
 
 
 def _own(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """A copy that nobody else changes; what nobody may change is kept: it may be large."""
+    """Return a read-only array as it is, since it may be large, and a copy of any other."""
     is_kept = isinstance(array, np.ndarray) and array.dtype == dtype and array.flags.c_contiguous
     return array if is_kept and not array.flags.writeable else np.array(array, dtype, order="C")
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One image as it was recorded: never decoded and encoded again on its way.
+    """Image as it was recorded: never decoded and encoded again on its way.
 
     Attributes:
         stamp_ns: acquisition time [ns].
@@ -116,7 +113,7 @@ class Frame:
     pixels: Callable[[int], NDArray[np.uint8]] | None = None
 
     def decode(self, scale: int = 1) -> NDArray[np.uint8]:
-        """RGB picture, uint8, shape (H, W, 3).
+        """Decode to RGB, uint8, shape (H, W, 3).
 
         Args:
             scale: by which it is reduced: each pixel is the mean of so many across and down, and
@@ -138,7 +135,7 @@ class Frame:
         return mean_of_blocks(picture, scale)
 
     def size_px(self) -> tuple[int, int]:
-        """(width, height) of the picture, without decoding it.
+        """Return (width, height) without decoding the image.
 
         Raises:
             LogError: the header is damaged, or claims more than any camera's picture.
@@ -150,7 +147,7 @@ class Frame:
         return image_size(self.data)
 
     def work_px(self) -> int:
-        """Pixels that decoding it goes over, of which a forged picture may have more than it shows.
+        """Return the pixels that decoding passes over; a forged image may have more than it shows.
 
         Raises:
             LogError: see `size_px`.
@@ -164,7 +161,7 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeInfo:
-    """What is known about an episode beside its samples.
+    """Metadata of an episode.
 
     Attributes:
         kind: "drop", "payload", "bounce-shot", or "" where unknown.
@@ -189,7 +186,7 @@ class EpisodeInfo:
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def to_strings(self) -> dict[str, str]:
-        """The record that a log holds: flat, every value a string."""
+        """Serialise to the flat record of strings that a log holds."""
         record = {"version": FORMAT_VERSION, "kind": self.kind, "source": self.source}
         record["preset"] = self.preset
         for group in ("rig", "truth", "counts", "notes"):
@@ -199,7 +196,7 @@ class EpisodeInfo:
 
     @classmethod
     def from_strings(cls, record: Mapping[str, str]) -> EpisodeInfo:
-        """Read the record back; what is not understood or not finite is left out."""
+        """Parse that record; what is not understood or not finite is left out."""
         groups: dict[str, dict[str, Any]] = {"rig": {}, "truth": {}, "counts": {}, "notes": {}}
         for key, text in record.items():
             group, _, name = key.partition(".")
@@ -219,14 +216,14 @@ class EpisodeInfo:
         )
 
     def ended(self, reason: str, **counts: int) -> EpisodeInfo:
-        """The same with what was counted, and why it ended if not by itself."""
+        """Return a copy with the recorder's counts, and why it ended if not by itself."""
         notes = {**self.notes, "ended": reason} if reason else self.notes
         return replace(self, counts={**self.counts, **counts}, notes=notes)
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One channel of a log, as `tunenet-logs info` shows it.
+    """Channel of a log, as `tunenet-logs info` shows it.
 
     Attributes:
         log_ns: the log's own stamps of its messages [ns], int64, shape (T,), in file order.
@@ -249,7 +246,7 @@ class Channel:
 
     @property
     def messages(self) -> int:
-        """How many there are."""
+        """Number of messages."""
         return len(self.log_ns)
 
 
@@ -258,15 +255,15 @@ class Episode:
     """One recorded experiment.
 
     Attributes:
-        info: what is known beside the samples.
+        info: its metadata.
         signals: by name (a log's topic).
         channels: every channel of the log, those that were skipped too.
         warnings: what was lost, repaired or doubtful on the way, in words.
         losses: those of them that mean damage: where it is, and how much was lost.
         tainted: why samples that were read may be wrong; "" where nothing speaks for that.
         open_frames: opens a fresh iterator over the frames of one of `picture_topics`.
-        frames_untimed: whether the stamps of frames count them, `FRAME_NS` each: then a film tells
-            a restitution, but no height and no speed.
+        frames_untimed: whether the stamps of frames count them, `FRAME_NS` each: then a video gives
+            a coefficient of restitution, but no height and no speed.
         open_sound: decodes the sound of one of `sound_topics`.
     """
 
@@ -282,7 +279,7 @@ class Episode:
 
     @property
     def picture_topics(self) -> tuple[str, ...]:
-        """Channels of images, in the order of the log."""
+        """Topics of images, in the order of the log."""
         return tuple(
             channel.topic
             for channel in self.channels
@@ -291,13 +288,13 @@ class Episode:
 
     @property
     def sound_topics(self) -> tuple[str, ...]:
-        """Channels of sound, in the order of the log."""
+        """Topics of sound, in the order of the log."""
         return tuple(
             channel.topic for channel in self.channels if channel.sounds and channel.skipped is None
         )
 
     def signals_of(self, topic: str) -> tuple[Signal, ...]:
-        """The signals that came from a topic, or the one of that name."""
+        """Return the signals that came from a topic, or the one of that name."""
         if topic in self.signals:
             return (self.signals[topic],)
         return tuple(
@@ -305,14 +302,14 @@ class Episode:
         )
 
     def frames(self, topic: str | None = None) -> Iterator[Frame]:
-        """The images of a topic (the first if None) in the order of the log, one at a time."""
+        """Iterate over the images of a topic (the first if None) in the order of the log."""
         topics = self.picture_topics
         if self.open_frames is None or not topics:
             return iter(())
         return self.open_frames(topic or topics[0])
 
     def sounds(self, topic: str | None = None) -> Sound | None:
-        """The sound of a topic (the first if None), decoded afresh; None where there is none.
+        """Decode the sound of a topic (the first if None); None where there is none.
 
         What is damaged is left out, and said in its warnings; it may hold no sample at all.
         """
@@ -322,7 +319,7 @@ class Episode:
         return self.open_sound(topic or topics[0])
 
     def to_pandas(self) -> pd.DataFrame:
-        """All signals in one table: index `stamp_ns`, columns (signal, column)."""
+        """Return all signals in one table: index `stamp_ns`, columns (signal, column)."""
         import pandas as pd
 
         tables = {

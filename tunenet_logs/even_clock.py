@@ -1,4 +1,4 @@
-"""The even clock of a camera, found from when its pictures arrived."""
+"""Fit the uniform clock of a camera to the arrival times of its pictures."""
 
 from __future__ import annotations
 
@@ -14,31 +14,26 @@ from tunenet_logs.tick_period import APART, period_below, period_of, usual_perio
 Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]
 
-FEWEST = 20
-"""Samples; fewer tell no clock."""
-
-_USUAL_GAIN = 15.0
-"""Log likelihood that a usual rate is worth."""
-
+MIN_COUNT = 20  # samples; fewer tell no clock
+_TYPICAL_GAIN = 15.0  # log likelihood that a usual rate is worth
 _SLOWER, _FASTER = 0.05, 0.14
+# Samples over which a rate is taken where each is late by its own time: delays spread over so many
+# as they ever do.
 LAG = 24
-"""Samples over which a rate is taken where each is late by its own time: delays spread over so
-many as they ever do."""
 
+# Samples that a rate is first sought in, by how much they grow, and rates on each side that are
+# tried then.
 _BEGIN, _GROW, _NEIGHBOURS = 64, 3, 4
-"""Samples that a rate is first sought in, by how much they grow, and rates on each side that are
-tried then."""
 
+# Samples that one straight line is for, and those that it shares with the next: rates drift.
 _BLOCK, _SHARED = 512, 128
-"""Samples that one straight line is for, and those that it shares with the next: rates drift."""
 
-_POSSIBLE = 6.0
-"""Log likelihood up to which another tick than the likeliest is possible."""
+_POSSIBLE = 6.0  # log likelihood up to which another tick than the likeliest is possible
 
 
 @dataclass(frozen=True, eq=False)
 class EvenClock:
-    """An even clock, and which of its ticks each of T samples was taken at.
+    """Uniform clock, and which of its ticks each of T samples was taken at.
 
     Attributes:
         arrivals_ns: of the samples, shape (T,) [ns].
@@ -48,7 +43,7 @@ class EvenClock:
         stamps: of `ticks`, since the first arrival, shape (T,) [ms].
         periods: between ticks, around each sample, shape (T,) [ms].
         rms_ms: standard deviation of the stamps, beside what they are all off by.
-        cost: how unlikely the arrivals are by this clock; a log likelihood's negative.
+        cost: negative log likelihood of the arrivals.
     """
 
     arrivals_ns: NDArray[np.int64]
@@ -62,41 +57,41 @@ class EvenClock:
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """When the samples were taken, shape (T,) [ns]; constant delays are not known."""
+        """Acquisition times, shape (T,) [ns], up to an unknown constant delay."""
         return self.arrivals_ns[0] + np.round(1e6 * self.stamps).astype(np.int64)
 
     @property
     def lateness(self) -> Array:
-        """Of each sample, from the most punctual one on, shape (T,) [ms]."""
+        """Delay of each sample relative to the most punctual one, shape (T,) [ms]."""
         late = 1e-6 * (self.arrivals_ns - self.arrivals_ns[0]) - self.stamps
         return late - late.min()
 
     @property
     def rate_hz(self) -> float:
-        """Ticks a second."""
+        """Tick rate [Hz]."""
         return 1e3 / float(np.median(self.periods))
 
     @property
     def unsure(self) -> NDArray[np.bool_]:
-        """Whether a sample may belong to another tick than it was put on, shape (T,)."""
+        """Whether each sample may belong to another tick than its likeliest, shape (T,)."""
         return self.earliest < self.latest
 
     @property
     def lost(self) -> int:
-        """Ticks between the first and the last sample that have none."""
+        """Number of ticks between the first and the last sample that have none."""
         return int(self.ticks[-1] - self.ticks[0]) + 1 - len(self.ticks)
 
     def runs(self) -> Iterator[slice]:
-        """The samples that are unsure, as long as they follow each other."""
+        """Yield the runs of consecutive samples whose tick is ambiguous."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.unsure, [False]])))
         for first, end in edges.reshape(-1, 2).tolist():
             yield slice(first, end)
 
     def placed_by(self, cost: Callable[[NDArray[np.intp], Array], Array]) -> EvenClock:
-        """The same with unsure samples where something else than their arrival wants them.
+        """Reassign samples of ambiguous tick by a cost other than that of their arrival.
 
         Args:
-            cost: log likelihood's negative of samples (numbers, shape (N,)) that are taken at times
+            cost: negative log likelihood of samples (numbers, shape (N,)) that are taken at times
                 as `stamps` has them, shape (N, S) [ms]; shape (N, S).
         """
         ticks, earliest, latest = self.ticks.copy(), self.earliest.copy(), self.latest.copy()
@@ -118,14 +113,14 @@ class EvenClock:
 
 
 def even_clock(arrivals_ns: NDArray[np.int64]) -> EvenClock | None:
-    """The likeliest even clock behind arrivals; None where they are too few, or all at once.
+    """Fit the likeliest uniform clock to arrivals; None if they are too few or simultaneous.
 
-    Whether they come from an even clock at all is another question.
+    Whether they come from a uniform clock at all is another question.
 
     Args:
         arrivals_ns: not decreasing, shape (T,) [ns].
     """
-    if len(arrivals_ns) < FEWEST:
+    if len(arrivals_ns) < MIN_COUNT:
         return None
     arrivals = 1e-6 * (arrivals_ns - arrivals_ns[0])
     if np.median(arrivals[_lag(arrivals) :] - arrivals[: -_lag(arrivals)]) <= 0:
@@ -146,7 +141,7 @@ def _lag(arrivals: Array) -> int:
 
 
 def _straight(arrivals: Array, known: float | None) -> EvenClock:
-    """A clock whose rate does not drift.
+    """Fit a clock whose rate does not drift.
 
     Args:
         arrivals: shape (T,) [ms].
@@ -180,12 +175,12 @@ def _straight(arrivals: Array, known: float | None) -> EvenClock:
 
 
 def _before(skipped: Ticks) -> int:
-    """How many ticks earlier than it seems the first sample may be."""
+    """Return how many ticks earlier than it seems the first sample may be."""
     return max(0, -int(skipped.min())) + 3
 
 
 def _likeliest(arrivals: Array, known: float | None) -> tuple[Clocks, Ticks]:
-    """The likeliest of many rates, and how many ticks it skips up to each sample."""
+    """Return the likeliest of many rates, and how many ticks it skips up to each sample."""
     count, lag = len(arrivals), _lag(arrivals)
     own = float(np.median(arrivals[lag:] - arrivals[:-lag])) / lag
     windows = range(0, max(1, count - LAG + 1), LAG // 2)
@@ -210,27 +205,27 @@ def _likeliest(arrivals: Array, known: float | None) -> tuple[Clocks, Ticks]:
     usual = usual_periods(min(mean, own), max(mean, own) + 1.2 * scale / count)
     if known is None and len(usual):
         other, other_cost, other_skipped = _best(arrivals, candidates(usual, scale))
-        if other_cost - _USUAL_GAIN < cost:
+        if other_cost - _TYPICAL_GAIN < cost:
             return other, other_skipped
     return best, skipped
 
 
 def _best(arrivals: Array, clocks: Clocks) -> tuple[Clocks, float, Ticks]:
-    """The likeliest candidate, what it costs, and how many ticks it skips up to each sample."""
+    """Return the likeliest candidate, its cost, and how many ticks it skips up to each sample."""
     clocks, placing = fitted(arrivals, clocks)
     best = int(placing.costs.argmin())
     return clocks.only(best), float(placing.costs[best]), placing.skipped[best]
 
 
 def _possible(excess: Array, numbers: NDArray[np.intp], before: int) -> tuple[Ticks, Ticks]:
-    """The first and the last tick that is possible for each sample."""
+    """Return the first and the last tick that is possible for each sample."""
     can_be = excess < _POSSIBLE
     last = can_be.shape[1] - 1 - can_be[:, ::-1].argmax(axis=1)
     return numbers + can_be.argmax(axis=1) - before, numbers + last - before
 
 
 def _joined(one: EvenClock, other: EvenClock, first: int) -> EvenClock:
-    """Two clocks of which the second begins at sample `first` of the first, as one."""
+    """Join two clocks of which the second begins at sample `first` of the first."""
     shared = len(one.ticks) - first
     shift = int(np.median(one.ticks[first:] - other.ticks[:shared]))
     half = shared // 2

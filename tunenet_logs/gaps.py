@@ -17,20 +17,16 @@ from numpy.typing import NDArray
 
 from tunenet_logs.terminal import listed
 
-_NOTE = "gaps"
-"""The note's name in the info record."""
-
+_NOTE = "gaps"  # the note's name in the info record
 _GAP = re.compile(r"(\d{1,19})-(\d{1,19})", re.ASCII)
 
-_LAST_NS = 2**63 - 1
-"""The last stamp that fits int64."""
-
+_LAST_NS = 2**63 - 1  # the last stamp that fits int64
+# Of a gap's length: where no step between samples is so long any more, late samples fill it.
 _STILL_OPEN = 0.5
-"""Of a gap's length: where no step between samples is so long any more, late samples fill it."""
 
 
 class Gap(NamedTuple):
-    """A time in which nothing came.
+    """Interval in which the source delivered nothing.
 
     Attributes:
         last_ns: stamp of the last picture before it.
@@ -42,41 +38,32 @@ class Gap(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """Its length [s]."""
+        """Length [s]."""
         return (self.next_ns - self.last_ns) * 1e-9
 
 
 def noted_gaps(notes: Mapping[str, str]) -> tuple[Gap, ...]:
-    """The gaps that an info record's notes list; what is no gap is left out."""
+    """Parse the gaps listed in an info record's notes; what is no gap is left out."""
     found = (Gap(int(last), int(after)) for last, after in _GAP.findall(notes.get(_NOTE, "")))
     return tuple(gap for gap in found if gap.last_ns < gap.next_ns <= _LAST_NS)
 
 
 def gap_note(gaps: Iterable[Gap]) -> tuple[str, str]:
-    """Name and text of the note that lists them."""
+    """Return name and text of the note that lists the gaps."""
     return _NOTE, ",".join(f"{gap.last_ns}-{gap.next_ns}" for gap in gaps)
 
 
 def gaps_in_words(gaps: Iterable[Gap], start_ns: int) -> str:
-    """How long each was, and when: "1.20 s at 2.45 s".
-
-    Args:
-        gaps: in order.
-        start_ns: from where their times count.
-    """
+    """Describe the length and time of each gap: "1.20 s at 2.45 s", counted from `start_ns`."""
     return listed(f"{gap.seconds:.2f} s at {(gap.last_ns - start_ns) * 1e-9:.2f} s" for gap in gaps)
 
 
 def parts_between(stamps_ns: NDArray[np.int64], gaps: Iterable[Gap]) -> NDArray[np.intp]:
-    """The number of the part in which each sample lies, shape (T,), counted from 0.
+    """Number the part between gaps in which each sample lies, shape (T,), from 0.
 
     Each gap parts the samples at the longest of their steps that it touches: a stamp may have been
     corrected since. A gap that such stamps fill, because what was late came after all, parts
     nothing.
-
-    Args:
-        stamps_ns: shape (T,) [ns].
-        gaps: that were noted while they were recorded.
     """
     ordered = np.sort(stamps_ns)
     steps_s = np.diff(ordered.view(np.uint64)).astype(np.float64) * 1e-9  # which cannot overflow

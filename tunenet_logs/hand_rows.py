@@ -1,4 +1,4 @@
-"""The fields of one topic that its user names, gathered message by message."""
+"""Gather the fields of one topic that the user names, message by message."""
 
 from __future__ import annotations
 
@@ -31,37 +31,28 @@ from tunenet_logs.formats.structure import (
 from tunenet_logs.left_out import UNREADABLE, added
 from tunenet_logs.sample_order import order_samples, sorted_stamps
 
-IMPACTS = "impacts"
-"""The signal of times of impacts."""
-
+IMPACTS = "impacts"  # the signal of times of impacts
 AXES = ("x", "y", "z")
+# Of joints, and their units.
 _QUANTITIES = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "A"}
-"""Of joints, and their units."""
 
-_STAMPS = ("t", "frame", "times")
-"""What is a time, or counts as one."""
-
+_STAMPS = ("t", "frame", "times")  # what is a time, or counts as one
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d{1,6})\]")
-_SHOWN = 8
-"""Topics or fields that a message lists."""
-
-_TICKS_NS = (1e9, 1e6, 1e3, 1.0)
-"""Nanoseconds in what a number may count: s, ms, µs, ns."""
-
-_MOST_NS = 2.0**62
-_CLOSE = 3.0
-"""How much longer or shorter a span may be than on the log's own clock, to be the same."""
+_SHOWN = 8  # topics or fields that a message lists
+_TICKS_NS = (1e9, 1e6, 1e3, 1.0)  # nanoseconds in what a number may count: s, ms, µs, ns
+_MAX_NS = 2.0**62
+_CLOSE = 3.0  # how much longer or shorter a span may be than on the log's own clock, to be the same
 
 
 def listed(names: Sequence[str]) -> str:
-    """Some of them, and how many more there are."""
+    """List some names, and how many more there are."""
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return (", ".join(names[:_SHOWN]) or "none") + more
 
 
 @dataclass
 class _Column:
-    """What one field has delivered."""
+    """Values of one field so far."""
 
     get: Callable[[Any], Any]
     is_time: bool
@@ -69,7 +60,7 @@ class _Column:
 
 
 class HandRows:
-    """The fields of one topic that are named; see `_ROWS` of the reader.
+    """User's columns of one topic; see `_ROWS` of the reader.
 
     Args:
         path: the log.
@@ -129,7 +120,7 @@ class HandRows:
         )
 
     def add(self, log_ns: int, message: Any) -> None:
-        """One message.
+        """Append one message.
 
         Raises:
             LogError: a field is not there.
@@ -155,7 +146,7 @@ class HandRows:
             column.values.append(value)
 
     def signals(self, options: ReadOptions) -> tuple[list[Signal], list[str]]:
-        """What the fields hold, and what was repaired."""
+        """Return the signals of the fields, and notes on what was repaired."""
         if not len(self._log_ns) or self._columns is None:
             return [], []
         log_ns = np.frombuffer(self._log_ns, np.int64)
@@ -222,10 +213,7 @@ class HandRows:
     def _stamps(
         self, header_ns: NDArray[np.int64], log_ns: NDArray[np.int64], options: ReadOptions
     ) -> tuple[NDArray[np.intp], NDArray[np.int64], bool, list[str], dict[str, int]]:
-        """Which messages to keep, their stamps, whether these count frames, what was repaired.
-
-        Last, how many are not kept, by the reason.
-        """
+        """Return rows to keep, their stamps, whether these count frames, repairs, losses."""
         assert self._columns is not None
         given = self._columns.get("t") or self._columns.get("frame")
         if given is None:
@@ -243,7 +231,7 @@ class HandRows:
         return usable[keep], stamps_ns, counts, notes, added(left_out, untimed)
 
     def _values(self, rows: NDArray[np.intp] | None = None) -> list[NDArray[np.float64]]:
-        """What the fields that are no times hold, each of shape (T,)."""
+        """Return what the fields that are no times hold, each of shape (T,)."""
         assert self._columns is not None
         of_samples = (one.values for name, one in self._columns.items() if name not in _STAMPS)
         columns = [np.asarray(values, np.float64) for values in of_samples]
@@ -264,17 +252,17 @@ class HandRows:
 def _as_ns(
     column: _Column, log_ns: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Stamps [ns] of a field, and which messages have one.
+    """Return the stamps of a field [ns], and which messages have one.
 
-    What a number counts is told by the log's own clock; seconds where that tells nothing.
+    The log's own clock determines the unit of a number; else it is seconds.
     """
-    usable = [at for at, value in enumerate(column.values) if abs(value) < _MOST_NS]
+    usable = [at for at, value in enumerate(column.values) if abs(value) < _MAX_NS]
     values: Iterable[float] = [column.values[at] for at in usable]
     tick = 1.0 if column.is_time else _tick_ns(list(values), log_ns)
     stamps = [
         value * int(tick) if isinstance(value, int) else round(value * tick) for value in values
     ]
-    inside = [at for at, stamp in enumerate(stamps) if abs(stamp) < _MOST_NS]
+    inside = [at for at, stamp in enumerate(stamps) if abs(stamp) < _MAX_NS]
     own_ns = np.array([stamps[at] for at in inside], np.int64)
     return own_ns, np.array([usable[at] for at in inside], np.intp)
 

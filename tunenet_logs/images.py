@@ -1,4 +1,4 @@
-"""Compressed images, decoded with bounds: a header's claim is checked before memory is spent."""
+"""Decode compressed images with bounds: a header's claim is checked before memory is spent."""
 
 from __future__ import annotations
 
@@ -10,53 +10,42 @@ from numpy.typing import NDArray
 
 from tunenet_logs.errors import COPY_AGAIN, LogError
 
-MAX_PIXELS = 36_000_000
-"""Of any picture: a little more than 8K video has."""
-
+MAX_PIXELS = 36_000_000  # of any picture: a little more than 8K video has
+# Of all pictures of a video, whatever its size is, and for each of its bytes: a rendered film of 4K
+# without noise has 16,000, a camera's 100.
 FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE = 100_000_000, 20_000
-"""Of all pictures of a video, whatever its size is, and for each of its bytes: a rendered film of
-4K without noise has 16,000, a camera's 100."""
 
-_MOST_PIXELS_A_BYTE = 2000
-"""A blank JPEG has some 300 pixels for each of its bytes, a blank PNG 1000. What claims more is
-cut, or forged so that a few bytes cost a decoder seconds and hundreds of megabytes."""
+# A blank JPEG has some 300 pixels for each of its bytes, a blank PNG 1000. What claims more is cut,
+# or forged so that a few bytes cost a decoder seconds and hundreds of megabytes.
+_MAX_PIXELS_A_BYTE = 2000
 
+# Of a JPEG: markers with the picture's size, of all ways of coding.
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-"""Of a JPEG: markers with the picture's size, of all ways of coding."""
 
+# Of a JPEG: markers that may precede it: tables, comments, what applications add.
 _BEFORE_FRAME = frozenset({0xC4, 0xCC, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)})
-"""Of a JPEG: markers that may precede it: tables, comments, what applications add."""
 
+# Signature and the head of the first part, which must be that with the size.
 _PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
-"""Signature and the head of the first part, which must be that with the size."""
 
-_MOST_MARKERS = 1000
-"""Of a JPEG before its size; cameras write a few tens."""
-
+_MAX_MARKERS = 1000  # of a JPEG before its size; cameras write a few tens
+# Of a JPEG: the marker of a scan. Coded pixels never hold it, so there are no more scans.
 _SCAN = b"\xff\xda"
-"""Of a JPEG: the marker of a scan. Coded pixels never hold it, so there are no more scans."""
 
-_MOST_SCANS = 50
-"""Of a JPEG: encoders write ten, the most thorough some twenty; each goes over the picture."""
+# Of a JPEG: encoders write ten, the most thorough some twenty; each goes over the picture.
+_MAX_SCANS = 50
 
-_USUAL_SCANS = 10
-"""Of a JPEG; with more of them it counts as a larger picture."""
-
+_TYPICAL_SCANS = 10  # of a JPEG; with more of them it counts as a larger picture
+# Of a PNG: parts beside the picture that a decoder unpacks, to megabytes each.
 _PACKED_WORDS = (b"zTXt", b"iTXt", b"iCCP")
-"""Of a PNG: parts beside the picture that a decoder unpacks, to megabytes each."""
 
-_MOST_PACKED_WORDS = 16
-"""Of a PNG; programs write a few."""
-
-_ANIMATED = 0x02
-"""The bit of a WebP's flags; several pictures are none of a camera."""
-
-Format = Literal["jpeg", "png", "webp"]
-"""Compressed pictures that are read."""
+_MAX_PACKED_WORDS = 16  # of a PNG; programs write a few
+_ANIMATED = 0x02  # the bit of a WebP's flags; several pictures are none of a camera
+Format = Literal["jpeg", "png", "webp"]  # compressed pictures that are read
 
 
 def image_format(data: bytes) -> Format | None:
-    """What a compressed image is by its first bytes; None for what is not read."""
+    """Identify a compressed image by its first bytes; None for a format that is not read."""
     if data[:2] == b"\xff\xd8":
         return "jpeg"
     if data[:8] == _PNG_START[:8]:
@@ -67,7 +56,7 @@ def image_format(data: bytes) -> Format | None:
 
 
 def image_size(data: bytes) -> tuple[int, int]:
-    """(width, height) [px] that the header of a JPEG, PNG or WebP states.
+    """Return (width, height) [px] from the header of a JPEG, PNG or WebP.
 
     Raises:
         LogError: none of them, cut before its size, or of a size that cannot be true.
@@ -82,19 +71,19 @@ def image_size(data: bytes) -> tuple[int, int]:
             f"an image claims {width} x {height} px, over the limit of {MAX_PIXELS} px",
             "record smaller pictures",
         )
-    if width * height > _MOST_PIXELS_A_BYTE * len(data):
+    if width * height > _MAX_PIXELS_A_BYTE * len(data):
         raise LogError(
             f"an image claims {width} x {height} px in {len(data)} bytes: damaged", COPY_AGAIN
         )
-    if kind == "jpeg" and data.count(_SCAN) > _MOST_SCANS:
-        raise LogError(f"an image has over {_MOST_SCANS} scans: forged", COPY_AGAIN)
-    if kind == "png" and sum(map(data.count, _PACKED_WORDS)) > _MOST_PACKED_WORDS:
-        raise LogError(f"an image has over {_MOST_PACKED_WORDS} packed words: forged", COPY_AGAIN)
+    if kind == "jpeg" and data.count(_SCAN) > _MAX_SCANS:
+        raise LogError(f"an image has over {_MAX_SCANS} scans: forged", COPY_AGAIN)
+    if kind == "png" and sum(map(data.count, _PACKED_WORDS)) > _MAX_PACKED_WORDS:
+        raise LogError(f"an image has over {_MAX_PACKED_WORDS} packed words: forged", COPY_AGAIN)
     return size
 
 
 def image_work_px(data: bytes) -> int:
-    """Pixels that decoding goes over: of a JPEG of many scans, more than it shows.
+    """Return the pixels that decoding passes over: of a JPEG of many scans, more than it shows.
 
     Raises:
         LogError: see `image_size`.
@@ -102,7 +91,7 @@ def image_work_px(data: bytes) -> int:
     width, height = image_size(data)
     if image_format(data) != "jpeg":
         return width * height
-    return width * height * max(data.count(_SCAN), _USUAL_SCANS) // _USUAL_SCANS
+    return width * height * max(data.count(_SCAN), _TYPICAL_SCANS) // _TYPICAL_SCANS
 
 
 def decode_image(data: bytes, encoding: str) -> NDArray[np.uint8]:
@@ -130,15 +119,7 @@ def decode_image(data: bytes, encoding: str) -> NDArray[np.uint8]:
 
 
 def decode_small(data: bytes, encoding: str, least_px: int) -> NDArray[np.uint8]:
-    """Decode to RGB as `decode_image` does, but a JPEG at a half, quarter or eighth of its size.
-
-    Args:
-        data: the picture.
-        encoding: what it is called.
-        least_px: which its longer side is not to fall below.
-
-    Returns:
-        uint8, shape (H, W, 3).
+    """Decode as `decode_image`, but a JPEG at 1/2, 1/4 or 1/8, not below `least_px` in length.
 
     Raises:
         LogError: damaged, or of a size that cannot be true.
@@ -163,9 +144,9 @@ def decode_small(data: bytes, encoding: str, least_px: int) -> NDArray[np.uint8]
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Strictly: markers that a decoder skips in another way could show us another size."""
+    """Parse strictly: markers that a decoder skips in another way could show us another size."""
     at = 2
-    for _ in range(_MOST_MARKERS):
+    for _ in range(_MAX_MARKERS):
         if data[at : at + 1] != b"\xff" or at + 9 > len(data):
             return None
         marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
@@ -188,7 +169,7 @@ def _png_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _webp_size(data: bytes) -> tuple[int, int] | None:
-    """Of the three kinds: VP8 (lossy), VP8L (lossless), VP8X (either, with extras)."""
+    """Parse the three kinds: VP8 (lossy), VP8L (lossless), VP8X (either, with extras)."""
     kind, body = data[12:16], data[20:30]
     if len(body) < 10:
         return None
@@ -203,5 +184,5 @@ def _webp_size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
+# (width, height) [px] of a picture's header, by format; None where it makes no sense.
 _SIZES = {"jpeg": _jpeg_size, "png": _png_size, "webp": _webp_size}
-"""(width, height) [px] of a picture's header, by format; None where it makes no sense."""

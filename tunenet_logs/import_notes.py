@@ -17,29 +17,21 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.left_out import added, as_note, of_note
 from tunenet_logs.messages import HEADER
 
+# How notes begin, before a signal's name.
 _UNIT, _COUNTS, _IMPACTS, _LEFT_OUT = "length_unit:", "counts_frames:", "impacts:", "left_out:"
-"""How notes begin, before a signal's name."""
 
-_UNTIMED = "frames_untimed"
-"""A note of a log whose pictures count."""
-
+_UNTIMED = "frames_untimed"  # a note of a log whose pictures count
 _YES = "1"
-_UNKNOWN = "unknown"
-"""A unit of length that nobody names."""
+_UNKNOWN = "unknown"  # a unit of length that nobody names
 
 
 def is_impacts(signal: Signal) -> bool:
-    """Whether a signal's stamps are those of impacts, and nothing else of it says anything."""
+    """Check whether a signal is a series of impact times, with no other content."""
     return signal.columns == ("impact",)
 
 
 def notes_of(signal: Signal, name: str) -> dict[str, str]:
-    """The notes on one signal.
-
-    Args:
-        signal: that is imported.
-        name: of it in the imported log.
-    """
+    """Return the notes on a signal, under its `name` in the imported log."""
     notes: dict[str, str] = {}
     if signal.is_position and signal.unit != "m":
         notes[_UNIT + name] = signal.unit or _UNKNOWN
@@ -53,17 +45,12 @@ def notes_of(signal: Signal, name: str) -> dict[str, str]:
 
 
 def notes_of_frames(episode: Episode) -> dict[str, str]:
-    """The note on an episode's pictures, if there is one."""
+    """Return the note on an episode's pictures, if there is one."""
     return {_UNTIMED: _YES} if episode.frames_untimed else {}
 
 
 def notes_of_channels(episode: Episode, topic_of: Callable[[str], str]) -> dict[str, str]:
-    """The notes on what an episode's pictures and sounds lack.
-
-    Args:
-        episode: that is imported.
-        topic_of: what a topic is called in the imported log.
-    """
+    """Return the notes on what pictures and sounds lack, by their topics after the import."""
     return {
         _LEFT_OUT + topic_of(one.topic): as_note(one.left_out)
         for one in episode.channels
@@ -72,12 +59,7 @@ def notes_of_channels(episode: Episode, topic_of: Callable[[str], str]) -> dict[
 
 
 def restored(episode: Episode, options: ReadOptions) -> Episode:
-    """The episode of an imported log with what its notes say.
-
-    Args:
-        episode: as its messages say.
-        options: the user's, which go before the notes.
-    """
+    """Restore what an imported log's notes say; the user's options go before them."""
     notes = episode.info.notes
     if not any(key.startswith((_UNIT, _COUNTS, _IMPACTS, _LEFT_OUT, _UNTIMED)) for key in notes):
         return episode
@@ -117,7 +99,7 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
 
 
 def rate_is_unused(episode: Episode, options: ReadOptions) -> bool:
-    """Whether a rate was given for messages that all have times of their own."""
+    """Check whether a frame rate was given for messages that all have times of their own."""
     keys = (_COUNTS, _UNTIMED)
     return options.rate_hz is not None and not any(
         key.startswith(keys) for key in episode.info.notes
@@ -138,11 +120,11 @@ def _restored(signal: Signal, notes: Mapping[str, str], options: ReadOptions) ->
 
 
 def _timed(stamps_ns: NDArray[np.int64], rate_hz: float) -> NDArray[np.int64]:
-    """Stamps that count frames as those of a rate [ns], shape (T,)."""
+    """Convert stamps that count frames to those of a rate [ns], shape (T,)."""
     return np.round(stamps_ns * (1e9 / rate_hz / FRAME_NS)).astype(np.int64)
 
 
 def _impacts(channel: Channel) -> Signal:
-    """Impacts by the log's own stamps of their messages, which an import makes the same."""
+    """Return impacts by the log's own stamps of their messages, which an import makes the same."""
     stamps_ns = np.unique(channel.log_ns)
     return Signal(channel.topic, stamps_ns, np.ones((len(stamps_ns), 1)), ("impact",), "1")

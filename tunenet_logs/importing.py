@@ -1,4 +1,4 @@
-"""Brings any log, table or video into our format: what a task uses, and nothing else."""
+"""Import any log, table or video into our format: what a task uses, and nothing else."""
 
 from __future__ import annotations
 
@@ -26,32 +26,22 @@ from tunenet_logs.sound_notes import sound_blocks, sound_notes_of, why_not_kept
 from tunenet_logs.terminal import Progress, one_line
 from tunenet_logs.writer import EpisodeWriter
 
-JOINT_PARTS = ("position", "velocity", "effort")
-"""How the signals of a topic of joints end."""
+JOINT_PARTS = ("position", "velocity", "effort")  # how the signals of a topic of joints end
+_POSITION_COLUMNS = ("x", "y", "z")  # the columns of a signal of positions
+_MAX_REASONS = 3  # losses that are named where nothing was left to import: what one line holds
+# Of sound, after which no further topic's is imported: two of ten minutes at 48 kHz.
+_MAX_SAMPLES = 57_600_000
 
-_POSITION_COLUMNS = ("x", "y", "z")
-"""The columns of a signal of positions."""
-
-_MOST_REASONS = 3
-"""Losses that are named where nothing was left to import: what one line holds."""
-
-_MOST_SAMPLES = 57_600_000
-"""Of sound, after which no further topic's is imported: two of ten minutes at 48 kHz."""
-
-Write = Callable[[EpisodeWriter], None]
-"""Writes one message."""
-
+Write = Callable[[EpisodeWriter], None]  # writes one message
 _DRIVES = "a command or a force, which stays in the log that is imported: tune a model from that"
 
-_AT_ONCE = 10_000
-"""Samples of joints that are made ready to be written."""
-
+_AT_ONCE = 10_000  # samples of joints that are made ready to be written
 _NAME_ANOTHER = "name a log that does, or say which column is which with --columns"
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What came of it.
+    """Result of an import.
 
     Attributes:
         messages: how many were written.
@@ -74,10 +64,10 @@ def import_log(
     progress: Progress | None = None,
     options: ReadOptions = AS_IT_SAYS,
 ) -> Imported:
-    """Write positions, joints, pictures and sound of a log to `output`, ordered by their stamps.
+    """Write positions, joints, pictures and sound of a log to `output`, ordered by stamp.
 
-    Pictures that are compressed stay as they are; bare pixels of a video become JPEG. Whatever
-    breaks it off, nothing of it is left.
+    Pictures that are compressed stay as they are; bare pixels of a video become JPEG. A failed
+    import leaves nothing.
 
     Raises:
         UsageError: the output is the log itself.
@@ -127,19 +117,16 @@ def _imported(path: Path, output: Path, *, overwrite: bool, options: ReadOptions
 
 
 def ros_topic(name: str) -> str:
-    """A signal's name as a topic that ROS takes: "/tf.ball" is "/tf/ball"."""
+    """Convert a signal's name to a valid ROS topic: "/tf.ball" is "/tf/ball"."""
     letters = "".join(letter if letter.isalnum() or letter in "_/" else "/" for letter in name)
     words = [word for word in letters.split("/") if word]
     return "/" + "/".join(words or ["unnamed"])
 
 
 class _Topics:
-    """Topics for what a log names; each thing has one of its own.
+    """Unique topics for the names of a log.
 
     A name that is a topic already keeps it; others that come to the same get a number.
-
-    Args:
-        names: all that the log has.
 
     Attributes:
         renamed: names that became another topic, with that topic.
@@ -152,7 +139,7 @@ class _Topics:
         self._numbers: dict[str, int] = {}
 
     def claim(self, name: str) -> str:
-        """A topic for one more thing of that name."""
+        """Return a topic for one more thing of that name."""
         topic = wanted = ros_topic(name)
         while topic in self._taken or (topic in self._kept and topic != name):
             self._numbers[wanted] = number = self._numbers.get(wanted, 1) + 1
@@ -164,11 +151,11 @@ class _Topics:
 
 
 def _why_nothing(path: Path, episode: Episode, unheard: list[str]) -> str:
-    """That nothing can be imported, with what each channel is and what the reader said."""
+    """Say that nothing can be imported, with what each channel is and what the reader said."""
     seen = ", ".join(map(_described, episode.channels)) or "none"
     has_reason = any(channel.skipped for channel in episode.channels)
     known = (*episode.losses, *unheard) or (() if has_reason else episode.warnings)
-    said = "; ".join(known[:_MOST_REASONS])
+    said = "; ".join(known[:_MAX_REASONS])
     why = f" that can be used ({said})" if said else ""
     return f"{path}: holds no positions, joints, pictures or sound{why}; channels: {seen}"
 
@@ -181,7 +168,7 @@ def _described(channel: Channel) -> str:
 def _signal_streams(
     episode: Episode, topics: _Topics, said: dict[str, str]
 ) -> Iterator[Iterator[tuple[int, str, Write]]]:
-    """Messages of each signal; `said` gets the notes on what they cannot say."""
+    """Yield the messages of each signal; `said` gets the notes on what they cannot say."""
     for name, signal in episode.signals.items():
         if signal.is_position or is_impacts(signal):
             topic = topics.claim(name)
@@ -196,7 +183,7 @@ def _signal_streams(
 
 
 def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
-    """The parts of what each topic says of joints."""
+    """Group joint signals (position, velocity, effort) by topic."""
     joints: dict[str, dict[str, Signal]] = {}
     for name, signal in episode.signals.items():
         topic, _, part = name.rpartition(".")
@@ -225,7 +212,7 @@ def _poses(topic: str, signal: Signal, turns: Signal | None) -> Iterator[tuple[i
 
 
 def _impacts(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
-    """A header for each: nothing is known of an impact but its time."""
+    """Yield a header for each: nothing is known of an impact but its time."""
     for stamp_ns in signal.stamps_ns.tolist():
 
         def write(writer: EpisodeWriter, stamp: int = stamp_ns) -> None:
@@ -236,7 +223,7 @@ def _impacts(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
 
 
 def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, str, Write]]:
-    """Messages of every joint that a part has, at every stamp of a part.
+    """Yield messages of every joint that a part has, at every stamp of a part.
 
     Parts that came in the same messages have the same stamps and joints; those of a table need not.
     """
@@ -266,17 +253,7 @@ def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, s
 def _values_at(
     signal: Signal, stamps_ns: np.ndarray, places: list[int], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values of `count` joints at some stamps, NaN where it has none, and whether it has the stamp.
-
-    Args:
-        signal: of some of the joints.
-        stamps_ns: in order, shape (T,) [ns].
-        places: of its columns among the joints.
-        count: of joints.
-
-    Returns:
-        Shape (T, count), and shape (T,).
-    """
+    """Return a signal's values, shape (T, count), NaN without one, and whether stamped, (T,)."""
     rows = np.minimum(np.searchsorted(signal.stamps_ns, stamps_ns), len(signal.stamps_ns) - 1)
     values = np.full((len(stamps_ns), count), np.nan)
     values[:, places] = signal.values[rows]
@@ -284,11 +261,11 @@ def _values_at(
 
 
 def _sounds(episode: Episode) -> tuple[list[Sound], list[str]]:
-    """The sounds of a log that are imported, and why others are not."""
+    """Return the sounds of a log that are imported, and why others are not."""
     heard: list[Sound] = []
     unheard: list[str] = []
     for topic in dict.fromkeys(episode.sound_topics):
-        if sum(len(sound.samples) for sound in heard) >= _MOST_SAMPLES:
+        if sum(len(sound.samples) for sound in heard) >= _MAX_SAMPLES:
             unheard.append(f"{topic}: the log has more sound than an import takes")
         elif (sound := episode.sounds(topic)) is None:
             unheard.append(f"{topic}: holds no sound")
@@ -316,7 +293,7 @@ def _picture_streams(
 
 
 def _pictures(episode: Episode, topic: str, topics: _Topics) -> Iterator[tuple[int, str, Write]]:
-    """The pictures of one topic; bare and compressed ones are messages of two types."""
+    """Yield the pictures of one topic; bare and compressed ones are messages of two types."""
     encodings = {channel.topic: channel.encoding for channel in episode.channels}
     targets: dict[bool, str] = {}
     for frame in episode.frames(topic):

@@ -1,4 +1,4 @@
-"""JPEG pictures: whether one is whole, and making one of bare pixels."""
+"""Check that a JPEG is whole, and encode bare pixels as JPEG."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.images import image_size
 
-_QUALITY = 95
-"""Of 100: a ball's edge stays sharp, at a fraction of the bare pixels' size."""
+_QUALITY = 95  # of 100: a ball's edge stays sharp, at a fraction of the bare pixels' size
 
 
 def is_whole(data: bytes) -> bool:
-    """Whether `data` is one JPEG from its first marker to its last, of a size that cameras have.
+    """Check whether `data` is one JPEG from first marker to last, of a size that cameras have.
 
     Zeros and white space after the end are a sender's padding. What lies between is not decoded.
     """
@@ -27,7 +26,7 @@ def is_whole(data: bytes) -> bool:
 
 
 def compressed(frame: Frame) -> Frame:
-    """The frame as a JPEG; one that is compressed already stays as it is.
+    """Encode a frame of bare pixels as JPEG; one that is compressed already stays as it is.
 
     Colour is kept at full resolution (4:4:4): a small ball is found by its colour.
     """
@@ -40,7 +39,7 @@ def compressed(frame: Frame) -> Frame:
 
 
 def from_bgr(pixels: np.ndarray) -> bytes:
-    """A JPEG of pixels, uint8: of BGR, shape (H, W, 3), or of grey, shape (H, W).
+    """Encode pixels as JPEG, uint8: BGR of shape (H, W, 3), or grey of shape (H, W).
 
     Raises:
         LogError: a picture wider or higher than any JPEG.

@@ -1,4 +1,4 @@
-"""Results as JSON for scripts: one object a line, whatever names a log holds."""
+"""Write results as JSON for scripts: one object a line, regardless of the names in a log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def json_line(fields: Mapping[str, Any]) -> str:
-    r"""An object as one line of ASCII, without its end.
+    """Serialise an object as one line of ASCII, without its end.
 
     Every character that is not ASCII or does not print is written as its escape, so that no name
     can change a terminal or break the line; bytes of a path that are no UTF-8 come back with
@@ -20,7 +20,7 @@ def json_line(fields: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """The same of JSON's own types, with null for each number that is not finite."""
+    """Convert to JSON's own types, with null for each number that is not finite."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Integral) and not isinstance(value, bool):

@@ -1,13 +1,13 @@
-"""Samples that were stamped when they arrived, put back to when they were taken.
+"""Restore acquisition times of samples that were stamped on arrival.
 
-A network or a busy machine only delays, and a sensor's clock is even. There are two ways to be
+A network or a busy machine only delays, and a sensor's clock is uniform. There are two ways to be
 late. Now and then: the stamps are even but for a pause, and after it as many samples as it would
-have held, one close upon the other. Or each by its own time, as pictures over Wi-Fi are: then the
-clock behind all arrivals is found (`even_clock`).
+have held, one close upon the other. Or each by its own jitter, as pictures over Wi-Fi are: then the
+clock behind all arrivals is fitted (`even_clock`).
 
 Stamps that are no arrivals stay what they are: exact ones of which some are missing, those of a
 sensor that is not even, or of one that slows down as a camera does in the dark. Which it is, the
-stamps tell: delays add up to nothing, and what came late is followed by what comes close upon it.
+stamps show: delays add up to nothing, and what came late is followed by what comes close upon it.
 """
 
 from __future__ import annotations
@@ -21,56 +21,48 @@ from tunenet_logs.bursts import is_grid, without_bursts
 from tunenet_logs.changing_rate import changing_rate
 from tunenet_logs.even_clock import LAG, EvenClock, even_clock
 
+# The note of a log's info record that says whose clock a camera's stamps are of.
 STAMPS_NOTE = "stamps"
-"""The note of a log's info record that says whose clock a camera's stamps are of."""
 
+# What it begins with where they were found from the arrivals, which are the log's own times.
 BY_ARRIVALS = "even clock"
-"""What it begins with where they were found from the arrivals, which are the log's own times."""
 
+# What it begins with where the times that are read are arrivals.
 ARRIVALS = (BY_ARRIVALS, "arrival")
-"""What it begins with where the times that are read are arrivals."""
 
-_MIN_SAMPLES = 10
-"""Fewer do not tell an even clock's period."""
-
+_MIN_SAMPLES = 10  # fewer do not tell an even clock's period
+# Of a period: steps that differ by less are alike. Of the steps: as many are like the next one
+# where each sample is stamped when it was taken.
 _ALIKE, _MOSTLY = 0.02, 0.5
-"""Of a period: steps that differ by less are alike. Of the steps: as many are like the next one
-where each sample is stamped when it was taken."""
 
+# Of a period, and at least: standard deviation of delays that are worth a correction.
 _LATE, _LATE_MS = 0.02, 0.3
-"""Of a period, and at least: standard deviation of delays that are worth a correction."""
 
+# Standard deviation of delays over that of the steps: delays of one sample each give 0.7, and a
+# sensor whose steps differ by themselves drifts far from any even clock.
 _ADDS_UP = 1.1
-"""Standard deviation of delays over that of the steps: delays of one sample each give 0.7, and a
-sensor whose steps differ by themselves drifts far from any even clock."""
 
+# Of a period, and of the steps: no sensor is so fast so often, but what waited on its way is.
 _HURRIED, _OFTEN = 0.25, 0.05
-"""Of a period, and of the steps: no sensor is so fast so often, but what waited on its way is."""
 
-_FEW_LOST = 0.2
-"""Of all ticks: with more missing, an even clock explains whatever comes."""
-
-_ROUNDED = 1.5
-"""Of what stamps are rounded to: delays that are no more than that are rounding."""
-
+_FEW_LOST = 0.2  # of all ticks: with more missing, an even clock explains whatever comes
+_ROUNDED = 1.5  # of what stamps are rounded to: delays that are no more than that are rounding
+# Samples whose steps are put in another order, and log likelihood a sample that it must cost.
 _COMPARED, _TELLING = 512, 0.4
-"""Samples whose steps are put in another order, and log likelihood a sample that it must cost."""
 
-MOST_SAMPLES = 50_000
-"""Of which a clock is sought: a quarter of an hour of a camera."""
-
+MAX_SAMPLES = 50_000  # of which a clock is sought: a quarter of an hour of a camera
+# Quantile to which single long delays and steps are cut where two spreads are compared.
 _UNUSUAL = 0.9
-"""Quantile to which single long delays and steps are cut where two spreads are compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class CorrectedStamps:
-    """Stamps as they were recorded, and with those of late samples corrected.
+    """Recorded stamps, and the same with those of late samples corrected.
 
     Attributes:
         recorded_ns: shape (T,) [ns].
         stamps_ns: when the samples were taken, increasing, shape (T,) [ns].
-        clock: the even clock that they are taken from; None where they are not.
+        clock: the uniform clock that they are taken from; None where they are not.
         rates: how the rate of the samples changes, in words; "" where it does not.
     """
 
@@ -81,18 +73,14 @@ class CorrectedStamps:
 
     @property
     def taken_ns(self) -> dict[int, int]:
-        """When a sample was taken [ns], by its recorded stamp [ns]; late samples only."""
+        """Acquisition time [ns] by recorded stamp [ns], of late samples only."""
         late = self.recorded_ns != self.stamps_ns
         return dict(
             zip(self.recorded_ns[late].tolist(), self.stamps_ns[late].tolist(), strict=True)
         )
 
     def warnings(self, samples: str) -> list[str]:
-        """What a user should know whose samples came late; empty if none did.
-
-        Args:
-            samples: what they are called: "pictures", "samples".
-        """
+        """Return warnings about late samples, which are called `samples`; empty if none is late."""
         said = [f"the rate of the {samples} {self.rates}"] if self.rates else []
         count = len(self.taken_ns)
         if not count:
@@ -109,7 +97,7 @@ class CorrectedStamps:
 
 
 def clock_in_words(clock: EvenClock) -> str:
-    """What a clock is and how sure: "60.00 Hz, known to 0.1 ms, 2 missing"."""
+    """Describe a clock and its accuracy: "60.00 Hz, known to 0.1 ms, 2 missing"."""
     words = f"{clock.rate_hz:.2f} Hz, known to {clock.rms_ms:.1f} ms"
     if clock.lost:
         words += f", {clock.lost} missing"
@@ -121,7 +109,7 @@ def clock_in_words(clock: EvenClock) -> str:
 def correct_late_stamps(
     stamps_ns: NDArray[np.int64], *, are_arrivals: bool = False
 ) -> CorrectedStamps:
-    """Puts samples that came late back on the even clock behind them, where stamps show one.
+    """Put late samples back on the uniform clock behind them, where the stamps show one.
 
     A burst that does not make up for its pause is left as it is, and so are stamps on an exact grid
     of which points are left out: no burst hits it.
@@ -142,7 +130,7 @@ def correct_late_stamps(
     if comes_singly and is_grid(steps, period):
         rates = changing_rate(stamps_ns, 1 if is_exact else LAG)
         return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
-    if is_exact or len(stamps_ns) > MOST_SAMPLES:
+    if is_exact or len(stamps_ns) > MAX_SAMPLES:
         even = without_bursts(stamps_ns, steps, period)
         return CorrectedStamps(stamps_ns, even, rates=changing_rate(even))
     clock, rates = clock_behind(stamps_ns)
@@ -154,26 +142,26 @@ def correct_late_stamps(
 def clock_behind(
     arrivals_ns: NDArray[np.int64], *, are_arrivals: bool = False
 ) -> tuple[EvenClock | None, str]:
-    """The even clock behind samples each of which is late by its own time.
+    """Fit the uniform clock behind samples each of which has its own delay.
 
     Args:
         arrivals_ns: not decreasing, shape (T,) [ns].
         are_arrivals: whether it is known that they are.
 
     Returns:
-        None where there is none, or none can be told, and how the rate changes then, in words; ""
+        The clock, or None where none can be determined, and then how the rate changes, in words; ""
         where it does not.
     """
     if rates := changing_rate(arrivals_ns, LAG):
         return None, rates
-    clock = even_clock(arrivals_ns) if len(arrivals_ns) <= MOST_SAMPLES else None
+    clock = even_clock(arrivals_ns) if len(arrivals_ns) <= MAX_SAMPLES else None
     if clock is None or np.any(np.diff(clock.stamps_ns) <= 0) or not _explains(clock):
         return None, ""
     return (clock if are_arrivals or _is_telling(clock) else None), ""
 
 
 def _is_worth(clock: EvenClock) -> bool:
-    """Whether delays are more than rounding, and than what is as well left alone."""
+    """Check whether delays exceed rounding, and what is as well left alone."""
     late = clock.lateness
     if np.ptp(late) < _ROUNDED * np.gcd.reduce(np.diff(clock.arrivals_ns)) * 1e-6:
         return False
@@ -181,7 +169,7 @@ def _is_worth(clock: EvenClock) -> bool:
 
 
 def _explains(clock: EvenClock) -> bool:
-    """Whether what a clock calls delays is that: it adds up to nothing, and little is missing."""
+    """Check whether a clock's residuals are delays: they add up to nothing, few ticks are lost."""
     stamps_ns, late = clock.arrivals_ns, clock.lateness
     if clock.lost > _FEW_LOST * (clock.lost + len(late)):
         return False
@@ -193,7 +181,7 @@ def _explains(clock: EvenClock) -> bool:
 
 
 def _is_telling(clock: EvenClock) -> bool:
-    """Whether the same steps in another order are much less like an even clock.
+    """Test by permutation whether shuffled steps are much less like a uniform clock.
 
     They are not where the steps are a sensor's own, that is not even.
     """
@@ -207,6 +195,6 @@ def _is_telling(clock: EvenClock) -> bool:
 
 
 def _spread(values: NDArray[np.float64]) -> float:
-    """Root mean square, single large values cut."""
+    """Return the winsorised root mean square: single large values are cut."""
     size = np.abs(values)
     return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, _UNUSUAL)) ** 2)))

@@ -1,4 +1,4 @@
-"""What is left out of a log's samples: how many, why, and how many may be.
+"""Count the samples of a log that are left out, by reason, and bound how many may be.
 
 Whoever leaves samples out counts them by the reason, beside those that remain; a tuning, a check
 and an import say the same of them.
@@ -12,11 +12,9 @@ from typing import NamedTuple
 
 from tunenet_logs.episode import Channel, Episode, Signal
 
-MAX_LEFT_OUT = 0.02
-"""Of all samples of a signal: beyond it what remains is not taken for the whole."""
-
+MAX_LEFT_OUT = 0.02  # of all samples of a signal: beyond it what remains is not taken for the whole
+# In the record of a recovered log: what of the damaged one it does not hold, of 1.
 SHARE_NOTE = "lost_share"
-"""In the record of a recovered log: what of the damaged one it does not hold, of 1."""
 
 BY_CLOCK = "by a clock that was set"
 SAME_STAMP = "with the stamp of another sample"
@@ -30,7 +28,7 @@ NOT_LATER = "not later than the one before"
 
 
 class LeftOut(NamedTuple):
-    """Samples that are left out of what has a name.
+    """Number of samples left out of a signal or topic, by reason.
 
     Attributes:
         name: of a signal, or of a topic of pictures or sound.
@@ -44,24 +42,24 @@ class LeftOut(NamedTuple):
 
     @classmethod
     def of_signal(cls, signal: Signal) -> LeftOut:
-        """What a signal lacks."""
+        """Return what is left out of a signal."""
         return cls(signal.name, len(signal.stamps_ns), signal.left_out)
 
     @classmethod
     def of_channel(cls, channel: Channel) -> LeftOut:
-        """What a channel of pictures or sound lacks."""
+        """Return what is left out of a channel of pictures or sound."""
         inside = channel.left_out.get(BY_CLOCK, 0)  # the others are no messages
         return cls(channel.topic, channel.messages - inside, channel.left_out)
 
     @property
     def share(self) -> float:
-        """Of all samples."""
+        """Fraction of all samples."""
         count = sum(self.by_reason.values())
         return count / (count + self.used) if count else 0.0
 
     @property
     def is_much(self) -> bool:
-        """Whether what remains is not to be taken for the whole."""
+        """Whether too much is missing for what remains to be taken for the whole."""
         return self.share > MAX_LEFT_OUT
 
     def __str__(self) -> str:
@@ -72,7 +70,7 @@ class LeftOut(NamedTuple):
 
 
 def left_out_of(episode: Episode) -> list[LeftOut]:
-    """What all lack that can be tuned; only those that lack something."""
+    """List the signals and channels of an episode that lack samples."""
     channels = (one for one in episode.channels if (one.pictures or one.sounds) and not one.skipped)
     found = [LeftOut.of_signal(signal) for signal in episode.signals.values()]
     found += [LeftOut.of_channel(channel) for channel in channels]
@@ -80,23 +78,23 @@ def left_out_of(episode: Episode) -> list[LeftOut]:
 
 
 def added(known: Mapping[str, int], more: Mapping[str, int]) -> dict[str, int]:
-    """Both together, without reasons that leave nothing out."""
+    """Add two counts by reason, without reasons that leave nothing out."""
     counts = {reason: known.get(reason, 0) + more.get(reason, 0) for reason in (*known, *more)}
     return {reason: count for reason, count in counts.items() if count}
 
 
 def in_proportion(samples: int, lost: float, read: float) -> int:
-    """How many samples are missing beside some, where messages, rows or bytes of them are lost."""
+    """Estimate the number of missing samples from the lost share of messages, rows or bytes."""
     return round(samples * lost / read) if read > 0 else 0
 
 
 def as_note(by_reason: Mapping[str, int]) -> str:
-    """The counts as a text of a log's info record."""
+    """Serialise the counts for a log's info record."""
     return json.dumps(dict(by_reason))
 
 
 def of_note(text: str) -> dict[str, int]:
-    """The counts that such a text has; what is none is left out."""
+    """Parse such counts; what is none is left out."""
     try:
         found = json.loads(text) if len(text) < 1000 else None
     except (ValueError, RecursionError):
@@ -108,7 +106,7 @@ def of_note(text: str) -> dict[str, int]:
 
 
 def share_of_note(values: Mapping[str, str]) -> float:
-    """What of a log was lost before its copy was recovered, by the record of that."""
+    """Return the share of a log that was lost before its copy was recovered."""
     try:
         share = float(values.get(SHARE_NOTE, "0"))
     except ValueError:

@@ -1,4 +1,4 @@
-"""An episode as it was measured: without what drove it."""
+"""Reduce an episode to its measurements, without commands and forces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tunenet_logs.terminal import short_name
 
 
 def measured(episode: Episode) -> Episode:
-    """The episode without commands and forces, and without what was said of their channels.
+    """Return the episode without commands, forces, and warnings about their channels.
 
     A commanded trajectory is no joint's state, and a sensor's torque no joint's: whoever looks for
     something in a log by its units looks at this. One without any is given back as it is.

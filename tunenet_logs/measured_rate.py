@@ -1,4 +1,4 @@
-"""How fast pictures or messages come: how many there are over time, pauses left out."""
+"""Measure the rate of pictures or messages: their number over time, pauses left out."""
 
 from __future__ import annotations
 
@@ -7,29 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-FASTEST_HZ = 100_000.0
-"""No film and no sensor is faster: what seems so came in one piece, and tells no rate."""
+# No film and no sensor is faster: what seems so came in one piece, and tells no rate.
+MAX_SPEED_HZ = 100_000.0
 
-FASTEST_CAMERA_HZ = 2000.0
-"""No camera that is plugged in or in a network is faster."""
-
-_LAG = 30
-"""Messages over which the usual rate is looked at: few bursts are longer."""
-
+MAX_SPEED_CAMERA_HZ = 2000.0  # no camera that is plugged in or in a network is faster
+_LAG = 30  # messages over which the usual rate is looked at: few bursts are longer
+# A longer step, in usual ones and in seconds, is a pause; a burst's own steps are shorter.
 _PAUSE_PERIODS, _PAUSE_S = 10.0, 0.5
-"""A longer step, in usual ones and in seconds, is a pause; a burst's own steps are shorter."""
 
+# Messages at the beginning that are closer had waited until somebody asked for them.
 _WAITED_PERIODS = 0.1
-"""Messages at the beginning that are closer had waited until somebody asked for them."""
 
-_MOST_PAUSED = 0.9
-"""Of the time, where there are several pauses: with more they are how the messages come."""
+# Of the time, where there are several pauses: with more they are how the messages come.
+_MAX_PAUSED = 0.9
 
 
 def measured_hz(
-    stamps_ns: Sequence[int] | NDArray[np.int64], fastest_hz: float = FASTEST_HZ
+    stamps_ns: Sequence[int] | NDArray[np.int64], fastest_hz: float = MAX_SPEED_HZ
 ) -> float:
-    """Messages over time [Hz]; 0 where their stamps tell no rate.
+    """Return the mean message rate [Hz]; 0 where the stamps determine none.
 
     A pause is left out, but for what of it the messages behind it make up for: what a stopped
     recorder or a stalled network only delayed is not lost, and its time counts.
@@ -52,7 +48,7 @@ def measured_hz(
 
 
 def _usual_s(seconds: NDArray[np.float64]) -> float:
-    """The usual time from one message to the next, over many of them, so that bursts level out."""
+    """Return the median period over many messages [s], so that bursts level out."""
     lag = max(1, min(_LAG, (len(seconds) - 1) // 4))
     return float(np.median(seconds[lag:] - seconds[:-lag])) / lag if len(seconds) > lag else 0.0
 
@@ -65,12 +61,7 @@ def _without_those_that_waited(
 
 
 def _lost_s(seconds: NDArray[np.float64], period_s: float) -> float:
-    """The time for which no message stands.
-
-    Args:
-        seconds: in order, shape (T,) [s].
-        period_s: the usual step.
-    """
+    """Return the time [s] of pauses that no later message makes up for."""
     steps_s = np.diff(seconds)
     pauses = np.flatnonzero(steps_s > max(_PAUSE_PERIODS * period_s, _PAUSE_S))
     if not len(pauses) or period_s <= 0:
@@ -82,5 +73,5 @@ def _lost_s(seconds: NDArray[np.float64], period_s: float) -> float:
     came = np.searchsorted(seconds, ends_s + watched_s, "right") - (pauses + 2)
     waited_s = np.clip(came * period_s - watched_s, 0.0, lengths_s)
     lost_s = float((lengths_s - waited_s - period_s).clip(0.0).sum())
-    is_how_they_come = len(pauses) > 2 and lost_s > _MOST_PAUSED * (seconds[-1] - seconds[0])
+    is_how_they_come = len(pauses) > 2 and lost_s > _MAX_PAUSED * (seconds[-1] - seconds[0])
     return 0.0 if is_how_they_come else lost_s

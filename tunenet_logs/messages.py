@@ -1,4 +1,4 @@
-"""The ROS 2 messages that logs hold: definition text and encoding.
+"""Define and encode the ROS 2 messages that logs hold.
 
 Types and CDR serialization come from rosbags; the definitions are those of ROS 2 Humble, which the
 later distributions share for every type used here, Kinova's for its own, and one of ours.
@@ -28,9 +28,10 @@ TASK_OUTCOME = "tunenet_msgs/msg/TaskOutcome"
 COMPRESSED_VIDEO = "foxglove_msgs/msg/CompressedVideo"
 RAW_AUDIO = "foxglove_msgs/msg/RawAudio"
 
+# How Kinova defines JointAngles, JointTorque and JointVelocity.
 SEVEN_JOINTS = "\n".join(f"float32 joint{number}" for number in range(1, 8))
-"""How Kinova defines JointAngles, JointTorque and JointVelocity."""
 
+# How we define TaskOutcome: what the hardware did in one attempt; [m], NaN where not known.
 OUTCOME_FIELDS = """\
 std_msgs/Header header
 string task
@@ -45,16 +46,16 @@ string tuning
 string reason
 string note
 """
-"""How we define TaskOutcome: what the hardware did in one attempt; [m], NaN where not known."""
 
+# How Foxglove defines CompressedVideo: one picture of a video as it was compressed.
 VIDEO_FIELDS = """\
 builtin_interfaces/Time timestamp
 string frame_id
 uint8[] data
 string format
 """
-"""How Foxglove defines CompressedVideo: one picture of a video as it was compressed."""
 
+# How Foxglove defines RawAudio: a block of samples, interleaved and little-endian.
 AUDIO_FIELDS = """\
 builtin_interfaces/Time timestamp
 uint8[] data
@@ -62,33 +63,23 @@ string format
 uint32 sample_rate
 uint32 number_of_channels
 """
-"""How Foxglove defines RawAudio: a block of samples, interleaved and little-endian."""
 
+# Encodings of frames that are made from those before them; they go into CompressedVideo.
 VIDEO_FORMATS = frozenset({"h264", "h265", "vp9", "av1"})
-"""Encodings of frames that are made from those before them; they go into CompressedVideo."""
 
-CAMERA_TOPIC = "/camera/image_raw/compressed"
-"""Where a camera's frames go in our own logs."""
-
-VIDEO_TOPIC = "/camera/video"
-"""Where they go that the camera compressed as video."""
-
-AUDIO_TOPIC = "/audio"
-"""Where sound goes, and what that of a file goes by."""
-
-OUTCOME_TOPIC = "/task/outcome"
-"""Where what the hardware did goes."""
-
+CAMERA_TOPIC = "/camera/image_raw/compressed"  # where a camera's frames go in our own logs
+VIDEO_TOPIC = "/camera/video"  # where they go that the camera compressed as video
+AUDIO_TOPIC = "/audio"  # where sound goes, and what that of a file goes by
+OUTCOME_TOPIC = "/task/outcome"  # where what the hardware did goes
+# The metadata record of a recovered log that says what was lost.
 RECOVERY_RECORD = "tunenet/recovery"
-"""The metadata record of a recovered log that says what was lost."""
 
-INFO_RECORD = "tunenet/episode"
-"""The metadata record of a log that holds its EpisodeInfo."""
+INFO_RECORD = "tunenet/episode"  # the metadata record of a log that holds its EpisodeInfo
 
 
 @cache
 def typestore() -> Typestore:
-    """The store of message types that this project writes."""
+    """Return the store of message types that this project writes."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(SEVEN_JOINTS, JOINT_ANGLES))
     store.register(get_types_from_msg(OUTCOME_FIELDS, TASK_OUTCOME))
@@ -99,7 +90,7 @@ def typestore() -> Typestore:
 
 @cache
 def definition(type_name: str) -> str:
-    """The `ros2msg` text of a type with all types that it contains.
+    """Return the `ros2msg` text of a type with all types that it contains.
 
     Raises:
         ValueError: no type that is known here.
@@ -114,7 +105,7 @@ def _type(name: str) -> Any:
 
 
 def header(stamp_ns: int, frame_id: str) -> Any:
-    """A std_msgs/Header. `stamp_ns` may lie before the epoch."""
+    """Build a std_msgs/Header; `stamp_ns` may lie before the epoch."""
     return _type(HEADER)(stamp=_time(stamp_ns), frame_id=frame_id)
 
 
@@ -123,12 +114,11 @@ def _time(stamp_ns: int) -> Any:
     return _type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
 
 
-NOT_TURNED = (0.0, 0.0, 0.0, 1.0)
-"""The quaternion x, y, z, w of no rotation."""
+NOT_TURNED = (0.0, 0.0, 0.0, 1.0)  # the quaternion x, y, z, w of no rotation
 
 
 def pose(stamp_ns: int, frame_id: str, position_m: ArrayLike, turn: ArrayLike = NOT_TURNED) -> Any:
-    """A PoseStamped at `position_m`, shape (3,), turned by a quaternion x, y, z, w."""
+    """Build a PoseStamped at `position_m`, shape (3,), with a quaternion x, y, z, w."""
     x, y, z = np.asarray(position_m, np.float64).tolist()
     a, b, c, w = np.asarray(turn, np.float64).tolist()
     placed = _type("geometry_msgs/msg/Pose")(
@@ -139,13 +129,13 @@ def pose(stamp_ns: int, frame_id: str, position_m: ArrayLike, turn: ArrayLike = 
 
 
 def compressed_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> Any:
-    """A CompressedImage that holds `data` untouched."""
+    """Build a CompressedImage that holds `data` untouched."""
     pixels = np.frombuffer(data, np.uint8)
     return _type(COMPRESSED_IMAGE)(header=header(stamp_ns, frame_id), format=encoding, data=pixels)
 
 
 def compressed_video(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> Any:
-    """A CompressedVideo that holds one picture's `data` untouched."""
+    """Build a CompressedVideo that holds one picture's `data` untouched."""
     return _type(COMPRESSED_VIDEO)(
         timestamp=_time(stamp_ns),
         frame_id=frame_id,
@@ -155,7 +145,7 @@ def compressed_video(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -
 
 
 def raw_audio(stamp_ns: int, pcm: NDArray[np.int16], rate_hz: int) -> Any:
-    """A RawAudio of `pcm`, shape (N, channels), whose first sample was taken at `stamp_ns`."""
+    """Build a RawAudio of `pcm`, shape (N, channels), with its first sample at `stamp_ns`."""
     return _type(RAW_AUDIO)(
         timestamp=_time(stamp_ns),
         data=np.frombuffer(pcm.astype("<i2").tobytes(), np.uint8),
@@ -168,7 +158,7 @@ def raw_audio(stamp_ns: int, pcm: NDArray[np.int16], rate_hz: int) -> Any:
 def image(
     stamp_ns: int, frame_id: str, encoding: str, size_px: tuple[int, int], data: bytes
 ) -> Any:
-    """An Image of bare pixels, rows from the top without gaps; `size_px` is (width, height)."""
+    """Build an Image of bare pixels, row by row without gaps; `size_px` is (width, height)."""
     width, height = size_px
     return _type(IMAGE)(
         header=header(stamp_ns, frame_id),
@@ -188,9 +178,9 @@ def joint_state(
     velocity_rad_s: ArrayLike,
     effort_nm: ArrayLike,
 ) -> Any:
-    """A JointState, each quantity of shape (joints,), or empty where it is not known.
+    """Build a JointState, each quantity of shape (joints,), or empty where it is unknown.
 
-    [rad], [rad/s] and [N·m], or m, m/s and N of a joint that slides.
+    [rad], [rad/s] and [N·m], or m, m/s and N of a prismatic joint.
 
     Raises:
         ValueError: a quantity is neither empty nor one number a joint.
@@ -212,7 +202,7 @@ def joint_state(
 
 
 def frame(picture: Frame) -> tuple[str, bytes]:
-    """A picture as (type name, CDR): of a video, compressed by itself, or of bare pixels."""
+    """Encode a picture as (type name, CDR): of a video, compressed by itself, or of bare pixels."""
     if picture.encoding in VIDEO_FORMATS:
         made = compressed_video(picture.stamp_ns, "camera", picture.encoding, picture.data)
         return COMPRESSED_VIDEO, encode(made, COMPRESSED_VIDEO)
@@ -225,5 +215,5 @@ def frame(picture: Frame) -> tuple[str, bytes]:
 
 
 def encode(message: Any, type_name: str) -> bytes:
-    """Little-endian CDR."""
+    """Serialise to little-endian CDR."""
     return bytes(typestore().serialize_cdr(message, type_name, little_endian=True))

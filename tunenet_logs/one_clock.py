@@ -1,4 +1,4 @@
-"""An episode as one clock saw it: every signal without what was stamped before or after a jump."""
+"""Reduce an episode to one clock: every signal without what was stamped across a jump."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tunenet_logs.left_out import BY_CLOCK, added
 
 
 def on_one_clock(episode: Episode) -> Episode:
-    """The episode with the longest sound part of each signal, and a warning for each that was cut.
+    """Keep the longest part of each signal without a clock jump, and warn of each cut.
 
     Pictures are cut by whoever looks at them: they are not in memory.
     """
@@ -31,7 +31,7 @@ def _kept(signal: Signal, part: SoundPart) -> Signal:
 
 
 def with_jumps_of_pictures(episode: Episode) -> Episode:
-    """A film's episode, whose pictures beyond a jump of their clock are said to be left out.
+    """Mark the pictures of a video beyond a jump of their clock as left out.
 
     Args:
         episode: its channels' stamps are those of its pictures, as in a video file.
@@ -51,12 +51,12 @@ def with_jumps_of_pictures(episode: Episode) -> Episode:
 
 
 def jump_warnings(episode: Episode) -> list[str]:
-    """What a user should know of the clocks of an episode's signals; the same words only once."""
+    """Return warnings about clock jumps of an episode's signals; the same words only once."""
     return _said({name: sound_part(one.stamps_ns) for name, one in episode.signals.items()})
 
 
 def _said(parts: Mapping[str, SoundPart]) -> list[str]:
-    """What is wrong with the clocks, by the first name of those that share it."""
+    """List what is wrong with the clocks, by the first name of those that share it."""
     found: dict[str, str] = {}
     for name, part in parts.items():
         for words in part.words:

@@ -1,4 +1,4 @@
-"""The one frame that all messages of a topic are in, if there is one."""
+"""Track whether all messages of a topic share one coordinate frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass
 class OneFrame:
-    """Hears the frame of each message.
+    """Common coordinate frame of a topic's messages.
 
     Attributes:
         name: of the one that all had; "" where they differ, or none was named.
@@ -17,7 +17,7 @@ class OneFrame:
     _is_told: bool = False
 
     def add(self, name: str) -> None:
-        """The frame of one more message."""
+        """Register the frame of one more message."""
         if not self._is_told:
             self.name, self._is_told = name, True
         elif name != self.name:

@@ -1,4 +1,4 @@
-"""What the hardware did in one attempt at a task: the words for it, and its file."""
+"""Outcome of one attempt at a task by the hardware, and its file."""
 
 from __future__ import annotations
 
@@ -19,20 +19,11 @@ from tunenet_logs.messages import INFO_RECORD, OUTCOME_TOPIC, TASK_OUTCOME
 from tunenet_logs.output.log_place import not_writable
 from tunenet_logs.output.new_file import write_new
 
-BOUNCE_SHOT = "bounce-shot"
-"""The task where none is said."""
-
-MOST_ATTEMPTS = 1_000_000
-"""Of a ball at a task; what lies beyond is a number misread."""
-
-MOST_LETTERS = 1000
-"""Of a text of an outcome."""
-
-_MOST_FILES = 1000
-"""Outcomes of one ball, attempt and millisecond; so many names are tried."""
-
-LAST_NS = 2**31 * 1_000_000_000 - 1
-"""The last time that a ROS header holds: in the year 2038."""
+BOUNCE_SHOT = "bounce-shot"  # the task where none is said
+MAX_ATTEMPTS = 1_000_000  # of a ball at a task; what lies beyond is a number misread
+MAX_LETTERS = 1000  # of a text of an outcome
+_MAX_FILES = 1000  # outcomes of one ball, attempt and millisecond; so many names are tried
+LAST_NS = 2**31 * 1_000_000_000 - 1  # the last time that a ROS header holds: in the year 2038
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +36,10 @@ class Outcome:
         attempt: of this ball, from 1.
         success: whether the task was done.
         stamp_ns: when [ns since 1970]; 0 where not known.
-        shot_height_m: what the ball was let go from, above the impact point [m].
+        shot_height_m: release height above the impact point [m].
         miss_m: how far from the goal's centre it came down; negative where it was short of it,
             positive beyond it [m].
-        tuned_parameter: what the shot was planned with: the restitution.
+        tuned_parameter: coefficient of restitution that the shot was planned with.
         drop_log: the log of the drop that it was tuned from, as a path or a name.
         tuning: the JSON of that tuning, as a path or a name.
         reason: why it failed, in a word or two.
@@ -78,10 +69,10 @@ class Outcome:
             if not getattr(self, name).strip():
                 raise ValueError(f"{name} is empty")
         for name in ("task", "ball", "drop_log", "tuning", "reason", "note"):
-            if len(getattr(self, name)) > MOST_LETTERS:
-                raise ValueError(f"{name} is over {MOST_LETTERS} letters long")
-        if not 1 <= self.attempt <= MOST_ATTEMPTS:
-            raise ValueError(f"attempt {self.attempt} is not from 1 to {MOST_ATTEMPTS}")
+            if len(getattr(self, name)) > MAX_LETTERS:
+                raise ValueError(f"{name} is over {MAX_LETTERS} letters long")
+        if not 1 <= self.attempt <= MAX_ATTEMPTS:
+            raise ValueError(f"attempt {self.attempt} is not from 1 to {MAX_ATTEMPTS}")
         if not 0 <= self.stamp_ns <= LAST_NS:
             raise ValueError(f"its time, {self.stamp_ns} ns, lies outside 1970 to 2038")
         for name in ("shot_height_m", "miss_m", "tuned_parameter"):
@@ -91,17 +82,17 @@ class Outcome:
 
     @property
     def word(self) -> str:
-        """How it ended, as commands and tables say it."""
+        """Result as commands and tables print it."""
         return "success" if self.success else "failure"
 
     @property
     def name(self) -> str:
-        """Which attempt it is, in words."""
+        """Ball and attempt in words."""
         return f"{self.ball}, attempt {self.attempt}"
 
 
 def to_message(outcome: Outcome) -> Any:
-    """A TaskOutcome."""
+    """Convert an outcome to a TaskOutcome message."""
     return messages.typestore().types[TASK_OUTCOME](
         header=messages.header(outcome.stamp_ns, ""),
         task=outcome.task,
@@ -119,7 +110,7 @@ def to_message(outcome: Outcome) -> Any:
 
 
 def from_message(message: Any) -> Outcome:
-    """The outcome in a TaskOutcome of any encoding.
+    """Convert a TaskOutcome of any encoding to an outcome.
 
     Raises:
         ValueError: it holds something that no outcome does.
@@ -150,13 +141,11 @@ def _or_none(value: float | None) -> float | None:
 
 
 def write_outcome(folder: Path, outcome: Outcome) -> Path:
-    """Write one outcome to a file of its own in a campaign's folder, which is made if need be.
+    """Write one outcome to a file of its own in a campaign's folder, made if need be.
 
-    The file is there whole, and on the disk, or not at all, at whatever moment this is killed.
-    Names sort by time; none that is there is ever written over, so several may record at once.
-
-    Returns:
-        The file: `outcome_TIME_BALL_ATTEMPT.mcap`.
+    The file is there whole, and on the disk, or not at all, even if this is killed at any moment.
+    Names (`outcome_TIME_BALL_ATTEMPT.mcap`) sort by time; none that is there is ever written over,
+    so several may record at once.
 
     Raises:
         LogError: it cannot be written; nothing of it is left.
@@ -166,7 +155,7 @@ def write_outcome(folder: Path, outcome: Outcome) -> Path:
     path = folder / f"{stem}.mcap"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for number in range(2, _MOST_FILES):
+        for number in range(2, _MAX_FILES):
             try:
                 write_new(path, data)
             except FileExistsError:
@@ -175,11 +164,11 @@ def write_outcome(folder: Path, outcome: Outcome) -> Path:
                 return path
     except OSError as error:
         raise not_writable(path, error) from error
-    raise LogError(f"{path}: there are {_MOST_FILES} of that name; record to another folder")
+    raise LogError(f"{path}: there are {_MAX_FILES} of that name; record to another folder")
 
 
 def outcome_bytes(outcome: Outcome) -> bytes:
-    """A log that holds an outcome alone; the same one gives the same bytes."""
+    """Encode an outcome as a log of its own; equal outcomes give equal bytes."""
     file = io.BytesIO()
     writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(profile="ros2", library=f"tunenet-logs {__version__}")
@@ -200,7 +189,7 @@ def outcome_bytes(outcome: Outcome) -> bytes:
 
 
 def _stem(outcome: Outcome) -> str:
-    """A name that any file system takes, by time, ball and attempt."""
+    """Return a file name by time, ball and attempt that any file system takes."""
     when = datetime.fromtimestamp(outcome.stamp_ns // 1_000_000_000, UTC)
     milliseconds = outcome.stamp_ns // 1_000_000 % 1000
     ball = re.sub(r"[^a-z0-9]+", "-", outcome.ball.lower()).strip("-")[:40] or "ball"

@@ -1,4 +1,4 @@
-"""Outcomes of a campaign: from any log with messages of that type, a folder of them, or a table."""
+"""Read the outcomes of a campaign from a log, a folder of logs, or a table."""
 
 from __future__ import annotations
 
@@ -27,12 +27,11 @@ from tunenet_logs.formats.message_types import type_key
 from tunenet_logs.formats.registry import decoder_for, is_folder, open_log
 from tunenet_logs.formats.tables.lines import SUFFIXES, is_table
 from tunenet_logs.messages import TASK_OUTCOME
-from tunenet_logs.outcome import MOST_ATTEMPTS, Outcome, from_message
+from tunenet_logs.outcome import MAX_ATTEMPTS, Outcome, from_message
 from tunenet_logs.outcome_table import is_outcome_table, read_outcome_table
 from tunenet_logs.regular_file import open_regular
 
-Warn = Callable[[str], None]
-"""Takes a warning, a sentence without its end."""
+Warn = Callable[[str], None]  # takes a warning, a sentence without its end
 
 
 def _refuse(text: str) -> NoReturn:
@@ -40,7 +39,7 @@ def _refuse(text: str) -> NoReturn:
 
 
 def read_outcomes(path: Path, warn: Warn = _refuse) -> tuple[Outcome, ...]:
-    """The outcomes in a log, a folder of logs, or a table, in the order of their times.
+    """Read the outcomes in a log, a folder of logs, or a table, in the order of their times.
 
     Args:
         path: an MCAP file with messages of tunenet_msgs/msg/TaskOutcome, in CDR or JSON,
@@ -64,7 +63,7 @@ def read_outcomes(path: Path, warn: Warn = _refuse) -> tuple[Outcome, ...]:
 
 
 def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
-    """Give those whose number was counted in a table one that no other of task and ball has.
+    """Give outcomes without a written number one that no other of task and ball has.
 
     Raises:
         LogError: there is none left.
@@ -81,9 +80,9 @@ def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
         number = max(outcome.attempt, following.get(kind, 1))
         while (*kind, number) in taken:
             number += 1
-        if number > MOST_ATTEMPTS:
+        if number > MAX_ATTEMPTS:
             raise LogError(
-                f"{outcome.ball}: over {MOST_ATTEMPTS} attempts; write their numbers down"
+                f"{outcome.ball}: over {MAX_ATTEMPTS} attempts; write their numbers down"
             )
         following[kind] = number + 1
         every[index] = replace(outcome, attempt=number)
@@ -91,7 +90,7 @@ def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
 
 
 def outcome_files(folder: Path, warn: Warn = _refuse) -> list[Path]:
-    """The files of a folder that hold outcomes; the first bytes and the last tell.
+    """List the files of a folder that hold outcomes, by their first and last bytes.
 
     Args:
         folder: those in it are not gone through.
@@ -112,7 +111,7 @@ def outcome_files(folder: Path, warn: Warn = _refuse) -> list[Path]:
 
 
 def holds_outcomes(file: Path) -> bool:
-    """Whether outcomes are in a file, without reading its messages.
+    """Check whether a file holds outcomes, without reading its messages.
 
     A log whose end is damaged may hold some; it has to be read to know.
 

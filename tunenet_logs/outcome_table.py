@@ -1,4 +1,4 @@
-"""Outcomes that were written down in a table: a line each, the columns by their names."""
+"""Read outcomes from a table: a line each, the columns by their names."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from tunenet_logs.formats.tables.numbers import Numbers
 from tunenet_logs.outcome import BOUNCE_SHOT, Outcome
 from tunenet_logs.terminal import listed, short_name
 
+# The columns of a table, by what they become; any case.
 _NAMES = {
     "task": ("task",),
     "ball": ("ball",),
@@ -30,20 +31,17 @@ _NAMES = {
     "reason": ("reason",),
     "note": ("note", "notes", "comment"),
 }
-"""The columns of a table, by what they become; any case."""
 
-_NEEDED = ("ball", "success")
-"""Columns without which a table holds no outcomes."""
-
+_NEEDED = ("ball", "success")  # columns without which a table holds no outcomes
+# How people write that an attempt succeeded, in small letters.
 _WORDS = {
     **dict.fromkeys(("1", "true", "yes", "y", "success", "ok", "hit"), True),
     **dict.fromkeys(("0", "false", "no", "n", "failure", "fail", "miss"), False),
 }
-"""How people write that an attempt succeeded, in small letters."""
 
 
 def is_outcome_table(path: Path) -> bool:
-    """Whether a table's first line names a ball and how it ended.
+    """Check whether a table's first line names a ball and a result.
 
     Raises:
         LogError: it is too large.
@@ -54,7 +52,7 @@ def is_outcome_table(path: Path) -> bool:
 
 
 def read_outcome_table(path: Path) -> tuple[Outcome, ...]:
-    """The outcomes of a table, in its order.
+    """Read the outcomes of a table, in its order.
 
     Columns: ball and success must be there; task ("bounce-shot" where there is none), attempt
     (where there is none, counted by task and ball), time, shot_height_m, miss_m, tuned_parameter,
@@ -75,7 +73,7 @@ def read_outcome_table(path: Path) -> tuple[Outcome, ...]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """The lines that say something, with their numbers; remarks (#) stand before the header."""
+    """Yield the numbered lines that are not empty; comments (#) stand before the header."""
     is_row = False
     for number, line in enumerate(lines_of(path), 1):
         if line is None:
@@ -87,7 +85,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where each field is, and what separates the cells."""
+    """Index of each field's column, and what separates the cells."""
 
     indices: Mapping[str, int]
     separator: str | None
@@ -95,7 +93,7 @@ class _Columns:
 
 
 def _columns(line: str) -> _Columns:
-    """What a header names, by the separator by which it names most."""
+    """Parse a header by the separator that yields the most known names."""
     read = [_named(line, separator) for separator in SEPARATORS if separator]
     return max(read, key=lambda columns: len(columns.indices))
 
@@ -125,7 +123,7 @@ def _checked(path: Path, header: str) -> _Columns:
 
 
 class _Table:
-    """The rows of one table."""
+    """Rows of one table."""
 
     def __init__(self, path: Path, columns: _Columns) -> None:
         self._path = path
@@ -156,7 +154,7 @@ class _Table:
             raise LogError(f"{self._path}: line {number}: {error}; correct that line") from error
 
     def _value(self, number: int, field: str, text: str) -> Any:
-        """A cell as what it means."""
+        """Convert a cell to its value."""
         if field == "success":
             return self._success(number, text)
         if field == "stamp_ns":
@@ -201,7 +199,7 @@ class _Table:
 
 
 def stamp_ns(text: str) -> int:
-    """A time as people write it (2026-11-22 14:30, local where no zone is said) [ns since 1970].
+    """Parse a time as people write it (2026-11-22 14:30, local without a zone) [ns since 1970].
 
     Raises:
         ValueError: it is no time, or lies before 1970.

@@ -1,4 +1,4 @@
-"""Passwords that stand in no argument: arguments are public, every user's `ps` shows them."""
+"""Read passwords from files and netrc: arguments are public, every user's `ps` shows them."""
 
 from __future__ import annotations
 
@@ -12,18 +12,16 @@ from pathlib import Path
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.small_files import read_small_file
 
-_MOST_PASSWORD, _MOST_NETRC = 4096, 1_000_000
-"""Bytes of the files."""
-
+_MAX_PASSWORD, _MAX_NETRC = 4096, 1_000_000  # bytes of the files
+# What a netrc file holds beside its words: macros, up to an empty line, and comments.
 _MACRO = re.compile(r"^[ \t]*macdef\b.*?(?:^[ \t]*\r?$|\Z)|^[ \t]*#.*?$", re.DOTALL | re.MULTILINE)
-"""What a netrc file holds beside its words: macros, up to an empty line, and comments."""
 
 _NETRC_WORD = re.compile(r'"((?:[^"\\]|\\.)*)"(?=\s|$)|\S+')
 
 
 @dataclass(frozen=True)
 class KnownLogin:
-    """What is known of who asks a host.
+    """Login for a host.
 
     Attributes:
         user, password: "" for none.
@@ -36,7 +34,7 @@ class KnownLogin:
 
 
 def read_password(file: Path, option: str) -> tuple[str, bool]:
-    """The one line of a password's file, and whether others may read that file.
+    """Read the one line of a password's file; also return whether others may read that file.
 
     Args:
         file: of at most 4 kB, in UTF-8.
@@ -46,7 +44,7 @@ def read_password(file: Path, option: str) -> tuple[str, bool]:
         UsageError: there is no such file, or not one line of text in it.
     """
     try:
-        data = read_small_file(file, _MOST_PASSWORD)
+        data = read_small_file(file, _MAX_PASSWORD)
         text = data.decode("utf-8-sig").removesuffix("\n").removesuffix("\r")
         is_shown = bool(file.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH))
     except LogError as error:
@@ -67,7 +65,7 @@ def read_password(file: Path, option: str) -> tuple[str, bool]:
 
 
 def netrc_login(host: str, user: str = "") -> KnownLogin:
-    """What `~/.netrc` (or the file that `NETRC` names) says of one host.
+    """Look a host up in `~/.netrc` (or the file that `NETRC` names).
 
     Its `default`, which is for any host, is not taken.
 
@@ -78,7 +76,7 @@ def netrc_login(host: str, user: str = "") -> KnownLogin:
     file = Path(os.environ.get("NETRC") or Path.home() / ".netrc")
     try:
         state = file.stat()
-        text = read_small_file(file, _MOST_NETRC).decode("utf-8-sig", errors="replace")
+        text = read_small_file(file, _MAX_NETRC).decode("utf-8-sig", errors="replace")
     except FileNotFoundError:
         return KnownLogin(user)
     except (LogError, OSError, ValueError) as error:
@@ -96,7 +94,7 @@ def netrc_login(host: str, user: str = "") -> KnownLogin:
 
 
 def _netrc_entries(text: str) -> Iterator[dict[str, str]]:
-    """The entries of a netrc file, each with its `machine`; words that nobody knows are skipped.
+    """Yield the entries of a netrc file, each with its `machine`; unknown words are skipped.
 
     Python's own reader gives up the whole file for one such word, and keeps one user of a host.
     """

@@ -1,4 +1,4 @@
-"""Bare pixels, as sensor_msgs/Image names their encodings: how they lie, and their conversion."""
+"""Decode bare pixels in the encodings of sensor_msgs/Image."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from tunenet_logs.errors import COPY_AGAIN, LogError
 
-_DEPTH = ("32F", "64F", "16S", "32S", "8S")
-"""How encodings of numbers begin that are no brightness."""
-
+_DEPTH = ("32F", "64F", "16S", "32S", "8S")  # how encodings of numbers begin that are no brightness
 _RECORD_COLOUR = "record the camera's colour or grey pictures"
 
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """How the pixels of an encoding lie.
+    """Memory layout of an encoding's pixels.
 
     Attributes:
         channels: samples of a pixel in a row.
@@ -35,14 +33,15 @@ class PixelFormat:
     is_planar: bool = False
 
     def row_bytes(self, width: int) -> int:
-        """Bytes of one row without padding."""
+        """Return the bytes of one row without padding."""
         return width * self.channels * self.sample_bytes
 
     def rows(self, height: int) -> int:
-        """Rows of bytes of a picture, those of the colours too."""
+        """Return the rows of bytes of a picture, chroma included."""
         return height * 3 // 2 if self.is_planar else height
 
 
+# By the names of sensor_msgs/Image.
 _FORMATS = {
     "rgb8": PixelFormat(3),
     "bgr8": PixelFormat(3, "COLOR_BGR2RGB"),
@@ -61,7 +60,6 @@ _FORMATS = {
     "nv12": PixelFormat(1, "COLOR_YUV2RGB_NV12", color_block_px=(2, 2), is_planar=True),
     "nv21": PixelFormat(1, "COLOR_YUV2RGB_NV21", color_block_px=(2, 2), is_planar=True),
 }
-"""By the names of sensor_msgs/Image."""
 
 # ROS names a Bayer pattern by its first row and then its second. OpenCV's old names of two letters
 # begin in the second row; those of four letters mean what ROS means.
@@ -73,10 +71,10 @@ for _pattern in ("RGGB", "BGGR", "GBRG", "GRBG"):
 
 
 def pixel_format_of(encoding: str) -> PixelFormat:
-    """How the pixels of an encoding lie.
+    """Return the pixel format of an encoding.
 
     Raises:
-        LogError: they are not read; the message says why.
+        LogError: it is not read; the message says why.
     """
     found = _FORMATS.get(encoding)
     if found is None:
@@ -94,7 +92,7 @@ def pixel_format_of(encoding: str) -> PixelFormat:
 
 
 def decode_pixels(data: bytes, encoding: str, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Bare pixels, without padding and little-endian, as RGB uint8, shape (H, W, 3).
+    """Decode bare pixels, without padding and little-endian, to RGB uint8, shape (H, W, 3).
 
     Samples of 16 bits are shown by their upper 8, as if they filled their range: a camera of 12
     bits that leaves the upper ones empty is dark, but bright and dark keep their order. YUV is
@@ -127,12 +125,7 @@ def decode_pixels(data: bytes, encoding: str, size: tuple[int, int]) -> NDArray[
 
 
 def mean_of_blocks(picture: NDArray[np.uint8], scale: int) -> NDArray[np.uint8]:
-    """The mean of each `scale` by `scale` pixels; what is left over at two edges is cut.
-
-    Args:
-        picture: shape (H, W) or (H, W, 3).
-        scale: a whole number, at least 1.
-    """
+    """Downsample by area averaging, shape (H, W) or (H, W, 3); left-over edges are cut."""
     if scale == 1:
         return picture
     import cv2

@@ -1,4 +1,4 @@
-"""From trajectories that somebody sent to joints, to what was planned for them in the end."""
+"""Build the signals that were finally planned from trajectories sent to joints."""
 
 from __future__ import annotations
 
@@ -14,50 +14,38 @@ from tunenet_logs.episode import Signal
 from tunenet_logs.formats.base import BeyondLimitError, UnusableError
 from tunenet_logs.formats.message_types import PlanSample
 
-_MOST_NAMES = 1000
-"""Joints of one topic; more are no robot's, but a damaged or hostile log's."""
-
-_MOST_BYTES = 4 * 1024 * 1024
-"""Of a message: its points become objects, each larger than itself."""
-
-_MOST_POINTS = 100_000
-"""Of a message: a minute and a half of a controller at 1 kHz."""
-
+_MAX_NAMES = 1000  # joints of one topic; more are no robot's, but a damaged or hostile log's
+_MAX_BYTES = 4 * 1024 * 1024  # of a message: its points become objects, each larger than itself
+_MAX_POINTS = 100_000  # of a message: a minute and a half of a controller at 1 kHz
+# That all trajectories of a log may have, whatever its size is, and its bytes for each beyond.
 _FREE_POINTS, _BYTES_A_POINT = 200_000, 50
-"""That all trajectories of a log may have, whatever its size is, and its bytes for each beyond."""
 
-_MOST_CELLS = 10_000_000
-"""Points of one topic, and messages without any, times its joints: a table of them must fit."""
+# Points of one topic, and messages without any, times its joints: a table of them must fit.
+_MAX_CELLS = 10_000_000
 
-_LAST_NS = 2**63 - 1
-"""The last stamp that fits int64: in the year 2262."""
-
+_LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
+# Name and unit of each signal, in the order of a `PlanPoint`.
 _QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("effort", "N·m"))
-"""Name and unit of each signal, in the order of a `PlanPoint`."""
 
 
 class PointBudget:
-    """Points of trajectories that are still read of a log.
-
-    Args:
-        log_bytes: its size.
-    """
+    """Budget of trajectory points still to be read of a log of `log_bytes`."""
 
     def __init__(self, log_bytes: int) -> None:
         self._most = _FREE_POINTS + log_bytes // _BYTES_A_POINT
         self._left = self._most
 
     def check(self) -> None:
-        """Whether there are any left.
+        """Check that the budget is not exhausted.
 
         Raises:
-            BeyondLimitError: there are none.
+            BeyondLimitError: it is.
         """
         if self._left <= 0:
             raise BeyondLimitError(f"the log's trajectories have over {self._most} points")
 
     def spend(self, points: int) -> None:
-        """So many were read.
+        """Deduct points that were read.
 
         Raises:
             BeyondLimitError: there are not as many left.
@@ -69,7 +57,7 @@ class PointBudget:
 
 @dataclass
 class _Plans:
-    """Messages for the same joints, flat."""
+    """Messages for the same joints, flattened."""
 
     numbers: array[int] = field(default_factory=lambda: array("q"))
     counts: array[int] = field(default_factory=lambda: array("q"))
@@ -81,7 +69,7 @@ class _Plans:
 
 @dataclass(eq=False)
 class PlannedRows:
-    """What one topic planned for joints: positions [rad], velocities [rad/s] and efforts [N·m].
+    """Joint trajectory planned on one topic: positions [rad], velocities [rad/s], efforts [N·m].
 
     A later message replaces what an earlier one planned for its joints and the time after its own
     start; one without points replaces it by nothing, for all joints.
@@ -101,19 +89,19 @@ class PlannedRows:
     _points: int = field(default=0, init=False)
 
     def check(self, data: bytes | memoryview) -> None:
-        """Whether a message is worth decoding.
+        """Refuse a message that is too large to be decoded, or beyond the budget.
 
         Raises:
             BeyondLimitError: it is larger than any trajectory, or enough of them were read.
         """
-        if len(data) > _MOST_BYTES:
+        if len(data) > _MAX_BYTES:
             raise BeyondLimitError(
-                f"a message of {len(data)} bytes is over the limit of {_MOST_BYTES}"
+                f"a message of {len(data)} bytes is over the limit of {_MAX_BYTES}"
             )
         self.budget.check()
 
     def add(self, log_ns: int, plan: PlanSample) -> None:
-        """One message.
+        """Append one message.
 
         Raises:
             UnusableError: its points do not follow each other in time; no controller takes it.
@@ -122,8 +110,8 @@ class PlannedRows:
         """
         points = plan.points
         self.budget.spend(len(points))
-        if len(points) > _MOST_POINTS:
-            raise BeyondLimitError(f"over {_MOST_POINTS} points")
+        if len(points) > _MAX_POINTS:
+            raise BeyondLimitError(f"over {_MAX_POINTS} points")
         start_ns = plan.stamp_ns or log_ns
         after_ns = [point[0] for point in points]
         if any(one < 0 for one in after_ns[:1]) or any(b <= a for a, b in pairwise(after_ns)):
@@ -146,7 +134,7 @@ class PlannedRows:
         self._start_ns.append(start_ns)
 
     def _plans_of(self, names: tuple[str, ...], points: int) -> _Plans:
-        """Where the messages for these joints are.
+        """Return the messages for these joints.
 
         Raises:
             ValueError: two joints have one name, or there is none.
@@ -156,24 +144,20 @@ class PlannedRows:
         if known is None:
             if not names or len(set(names)) < len(names):
                 raise ValueError("two joints have one name" if names else "it names no joint")
-            if sum(map(len, self._plans)) + len(names) > _MOST_NAMES:
-                raise BeyondLimitError(f"over {_MOST_NAMES} joints")
+            if sum(map(len, self._plans)) + len(names) > _MAX_NAMES:
+                raise BeyondLimitError(f"over {_MAX_NAMES} joints")
         joints = self._joints | dict.fromkeys(names)
         self._check_cells(points, len(joints))
         self._joints = joints
         return known or self._plans.setdefault(names, _Plans())
 
     def _check_cells(self, points: int, joints: int) -> None:
-        """Whether so many more points of so many joints still fit.
-
-        Raises:
-            BeyondLimitError: they do not.
-        """
-        if (self._points + points) * joints > _MOST_CELLS:
-            raise BeyondLimitError(f"over {_MOST_CELLS} values planned")
+        """Raise BeyondLimitError where so many more points of so many joints do not fit."""
+        if (self._points + points) * joints > _MAX_CELLS:
+            raise BeyondLimitError(f"over {_MAX_CELLS} values planned")
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """Those of the three quantities that have any value; nothing is ever repaired."""
+        """Return the quantities that have any value as signals; nothing is ever repaired."""
         columns = tuple(self._joints)
         parts = [(column, *self._kept_of(column)) for column in columns]
         if not parts:
@@ -193,7 +177,7 @@ class PlannedRows:
         return found, []
 
     def _kept_of(self, joint: str) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], ...]]:
-        """What was planned for a joint and not replaced: stamps [ns], and the three quantities.
+        """Return what was planned for a joint and not replaced: stamps [ns], and three quantities.
 
         What comes later goes before what came earlier, where both plan for one stamp.
         """
@@ -219,13 +203,10 @@ class PlannedRows:
         return np.concatenate(stamps)[order], three
 
     def _ends_ns(self, numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-        """Until when what a message planned holds [ns]: the first start of any that came later.
+        """Return when each message's plan ends, shape (M,) [ns]: at the first start of a later one.
 
         Args:
-            numbers: of the messages for one joint, in groups.
-
-        Returns:
-            For every message of the topic, shape (M,); meant for those alone.
+            numbers: of the messages for one joint, in groups; the result is meant for those alone.
         """
         arrived, starts = (np.frombuffer(one, np.int64) for one in (self._log_ns, self._start_ns))
         stops = np.frombuffer(self._stops, np.int64)
@@ -238,7 +219,7 @@ class PlannedRows:
 
 
 def _filled(points: Sequence[Sequence], place: int, width: int) -> NDArray[np.float64]:
-    """One quantity of all points, shape (points, joints); NaN where a point does not give it.
+    """Stack one quantity of all points, shape (points, joints); NaN where a point has none.
 
     Raises:
         ValueError: a point gives it of another number of joints.

@@ -1,4 +1,4 @@
-"""From decoded messages, one at a time, to signals of positions and orientations."""
+"""Build signals of positions and orientations from decoded messages, one at a time."""
 
 from __future__ import annotations
 
@@ -19,17 +19,12 @@ from tunenet_logs.sample_order import order_samples
 from tunenet_logs.sources import take_turns, two_sources, two_sources_words
 from tunenet_logs.terminal import listed
 
+# How the signal of orientations that stands beside one of positions ends.
 ORIENTATION = "orientation"
-"""How the signal of orientations that stands beside one of positions ends."""
 
-_MOST_NAMES = 1000
-"""Bodies of one topic; more are no robot's, but a damaged or hostile log's."""
-
-_MOST_FRAMES = 100
-"""Of a body without a name; more are none."""
-
-_TURNED = 1e-9
-"""Of a quaternion's vector: less is no rotation."""
+_MAX_NAMES = 1000  # bodies of one topic; more are no robot's, but a damaged or hostile log's
+_MAX_FRAMES = 100  # of a body without a name; more are none
+_TURNED = 1e-9  # of a quaternion's vector: less is no rotation
 
 
 @dataclass
@@ -51,11 +46,11 @@ class _Samples:
 
     @property
     def stores(self) -> tuple[array[Any], ...]:
-        """All that there is."""
+        """All arrays."""
         return self.header_ns, self.log_ns, self.positions, self.quaternions
 
     def part(self, rows: NDArray[np.bool_]) -> _Samples:
-        """Some of them, `rows` of shape (T,)."""
+        """Return the samples in a mask `rows`, shape (T,)."""
         parts: list[array[Any]] = []
         for store in self.stores:
             every = np.frombuffer(store, store.typecode).reshape(len(rows), -1)
@@ -64,7 +59,7 @@ class _Samples:
 
     @classmethod
     def joined(cls, samples: Sequence[_Samples]) -> _Samples:
-        """Several, in the order in which they begin."""
+        """Concatenate several, in the order in which they begin."""
         joined = cls()
         for one in sorted(samples, key=lambda one: one.log_ns[0]):
             for store, more in zip(joined.stores, one.stores, strict=True):
@@ -79,7 +74,7 @@ class PositionRows:
     Attributes:
         topic: its name.
         unit: of the positions.
-        scale: what makes it of the messages' own.
+        scale: from the unit of the messages to that.
         names_one: whether each message is of one body, whose name counts only among several.
     """
 
@@ -90,19 +85,19 @@ class PositionRows:
     _rows: dict[tuple[str, str], _Samples] = field(default_factory=dict, init=False)
 
     def add(self, log_ns: int, positions: Iterable[PositionSample]) -> None:
-        """The positions of one message.
+        """Append the positions of one message.
 
         Raises:
             BeyondLimitError: more bodies than a topic may have.
             ValueError, OverflowError: they make no sense.
         """
         for stamp_ns, name, where, x, y, z, *turn in positions:
-            is_counter = not name and len(self._rows) >= _MOST_FRAMES  # what calls itself a frame
+            is_counter = not name and len(self._rows) >= _MAX_FRAMES  # what calls itself a frame
             frame = "" if is_counter and (name, where) not in self._rows else where
             rows = self._rows.get((name, frame))
             if rows is None:
-                if len(self._rows) >= _MOST_NAMES:
-                    raise BeyondLimitError(f"over {_MOST_NAMES} names")
+                if len(self._rows) >= _MAX_NAMES:
+                    raise BeyondLimitError(f"over {_MAX_NAMES} names")
                 rows = self._rows[name, frame] = _Samples()
             rows.header_ns.append(stamp_ns)
             rows.log_ns.append(log_ns)
@@ -110,7 +105,7 @@ class PositionRows:
             rows.quaternions.extend(turn)
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """For each body and frame its positions and, where it ever turns, its orientations.
+        """Return positions and, where it ever turns, orientations of each body and frame.
 
         Returns:
             Signals of x, y, z in `unit`, and of unit quaternions x, y, z, w under the same name
@@ -139,7 +134,7 @@ class PositionRows:
         return found, notes
 
     def _bodies(self, notes: list[str]) -> Iterator[tuple[str, str, _Samples]]:
-        """Name, frame and samples of each; the frame "" where it changes."""
+        """Yield name, frame and samples of each body; the frame is "" where it changes."""
         is_one = self.names_one and len({name for name, _ in self._rows}) == 1
         frames: dict[str, list[tuple[str, _Samples]]] = {}
         for (name, frame), rows in self._rows.items():
@@ -158,7 +153,7 @@ class PositionRows:
     def _signals_of(
         self, full: str, frame: str, rows: _Samples, taken: set[str], notes: list[str]
     ) -> Iterator[Signal]:
-        """Those of one body; `taken` and `notes` get what is to be known."""
+        """Yield the signals of one body; `taken` and `notes` get what is to be known."""
         header_ns, log_ns = (np.frombuffer(own, np.int64) for own in (rows.header_ns, rows.log_ns))
         keep, stamps_ns, repairs, left_out = order_samples(header_ns, log_ns, (rows.places,))
         values = rows.places[keep]
@@ -179,6 +174,6 @@ class PositionRows:
 
 
 def _is_told(quaternions: Array) -> bool:
-    """Whether any of shape (T, 4) is a rotation: who knows positions alone says that none is."""
+    """Check for a rotation among (T, 4) quaternions: sources of positions alone send none."""
     sizes = np.abs(quaternions[:, :3])
     return bool((sizes > _TURNED).any())

@@ -1,4 +1,4 @@
-"""How far slow work is, told from where it is done to whoever listens: nobody, unless one asks."""
+"""Report the progress of slow work from where it is done to a listener, if there is one."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ from typing import TypeVar
 
 Item = TypeVar("Item")
 
+# Is given what is being done, in words, and which fraction of it is done: 0 to 1, 0 at first.
 Listener = Callable[[str, float], object]
-"""Is given what is being done, in words, and which fraction of it is done: 0 to 1, 0 at first."""
 
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
-_SOON_S = 0.1
-"""Between two tellings: a terminal shows no more, and a callback may be slow."""
+_SOON_S = 0.1  # between two tellings: a terminal shows no more, and a callback may be slow
 
 
-_NEARLY = 0.999
-"""Told of what is not done yet."""
+_NEARLY = 0.999  # told of what is not done yet
 
 
 @contextmanager
@@ -34,11 +32,7 @@ def heard_by(listener: Listener | None) -> Generator[None]:
 
 
 def teller(what: str) -> Callable[[float], object]:
-    """Make what tells which fraction of something is done, as often as anybody wants to hear it.
-
-    Args:
-        what: is done, in words.
-    """
+    """Make a callback that reports the fraction done of `what`, rate-limited for the listener."""
     listener = _listener.get()
     if listener is None:
         return silent
@@ -56,17 +50,11 @@ def teller(what: str) -> Callable[[float], object]:
 
 
 def silent(_fraction: float) -> None:
-    """Tell nobody."""
+    """Report to nobody."""
 
 
 def told(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
-    """The items, telling how many of `total` are done with.
-
-    Args:
-        items: which are worked through, one after the other.
-        what: is done to them, in words.
-        total: how many there are, at least roughly.
-    """
+    """Yield the items, reporting `what` and how many of roughly `total` are done."""
     tell = teller(what)
     for done, item in enumerate(items):
         tell(min(done / max(total, 1), _NEARLY))

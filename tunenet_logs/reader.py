@@ -1,4 +1,4 @@
-"""read_episode: opens any log, however it was left, and says what was lost."""
+"""Read any log into an episode, however it was left, and report what was lost."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from tunenet_logs.collect import MOST_NUMBERS, JointRows, PictureStamps, SoundStamps
+from tunenet_logs.collect import MAX_NUMBERS, JointRows, PictureStamps, SoundStamps
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.formats import registry
@@ -38,31 +38,30 @@ from tunenet_logs.terminal import short_name
 from tunenet_logs.topic_contents import DriveRows, ReadingPlan, TopicContents
 from tunenet_logs.unused_reading import unused_of_messages, unused_reading
 
+# Of the pictures of a whole log, whatever its size is: a second of decoding.
 _FREE_PIXELS = 50_000_000
-"""Of the pictures of a whole log, whatever its size is: a second of decoding."""
 
+# Of a log, beyond those: a camera's pictures have 20, rendered ones without noise 300.
 _PIXELS_A_BYTE = 500
-"""Of a log, beyond those: a camera's pictures have 20, rendered ones without noise 300."""
 
+# Cameras of a log whose pictures are read, however many other messages it has; and of its
+# microphones, no more.
 _FEW_TOPICS = 8
-"""Cameras of a log whose pictures are read, however many other messages it has; and of its
-microphones, no more."""
 
+# That all picture topics together may pass: each is read by a pass over the file. Those of any log,
+# and its bytes for each beyond.
 _FREE_MESSAGES, _BYTES_A_MESSAGE = 5_000_000, 50
-"""That all picture topics together may pass: each is read by a pass over the file. Those of any
-log, and its bytes for each beyond."""
 
-_MOST_LOSSES = 5
-"""Places of damage that are named one by one among the warnings; the rest is counted."""
+# Places of damage that are named one by one among the warnings; the rest is counted.
+_MAX_LOSSES = 5
 
-_LAST_NS = 2**63 - 1
-"""The last stamp that fits int64: in the year 2262."""
+_LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
 
 
 def read_episode(
-    path: Path, options: ReadOptions = AS_IT_SAYS, *, most_numbers: float = MOST_NUMBERS
+    path: Path, options: ReadOptions = AS_IT_SAYS, *, most_numbers: float = MAX_NUMBERS
 ) -> Episode:
-    """Read a log into memory, images aside: those are read when `frames()` is asked for them.
+    """Read a log into memory, images aside: `frames()` reads those on demand.
 
     Signals are named by their topic. What was lost, repaired or is doubtful is in `warnings`.
 
@@ -101,7 +100,7 @@ def read_episode(
 
 
 class _Contents:
-    """What a container delivers.
+    """Contents that a container delivers.
 
     Attributes:
         info: what the log says of itself.
@@ -117,11 +116,11 @@ class _Contents:
 
     @property
     def topics(self) -> list[TopicContents]:
-        """Each once, in the order of the log."""
+        """Each topic once, in the order of the log."""
         return list(dict.fromkeys(self._by_channel.values()))
 
     def add(self, record: Record) -> None:
-        """Take in one more thing."""
+        """Add one record."""
         if isinstance(record, RawMessages):
             for channel, messages in record.by_channel():
                 self._by_channel[channel].add_all(messages)
@@ -149,7 +148,7 @@ def _episode(
     plan: ReadingPlan,
     share: float,
 ) -> Episode:
-    """All that a log has delivered; `share` of it was lost before it was recovered."""
+    """Build the episode; `share` of the log was lost before it was recovered."""
     joint_names = tuple(filter(None, info.notes.get("joint_names", "").split(",")))
     damaged: list[str] = []
     refused: list[str] = []
@@ -219,11 +218,11 @@ def _episode(
 
 
 def _lost_words(losses: Sequence[Loss]) -> list[str]:
-    """What containers lost, in words: the first places, and how many more."""
+    """Describe what containers lost: the first places, and how many more."""
     lost = [loss for loss in losses if not loss.harmless]
     words = [str(loss) for loss in losses if loss.harmless]
-    words += [str(loss) for loss in lost[:_MOST_LOSSES]]
-    if rest := lost[_MOST_LOSSES:]:
+    words += [str(loss) for loss in lost[:_MAX_LOSSES]]
+    if rest := lost[_MAX_LOSSES:]:
         size = sum(loss.size for loss in rest)
         words.append(f"{len(rest)} more places are damaged ({size} bytes); see tunenet-logs check")
     return words
@@ -246,7 +245,7 @@ def _summary(topic: TopicContents, share: float) -> Channel:
 def _few(
     channels: Sequence[Channel], those: Sequence[Channel], most: int, what: str
 ) -> tuple[tuple[Channel, ...], list[str]]:
-    """The channels, the first `most` of `those` alone where there are more; and a warning."""
+    """Mark all but the first `most` of `those` channels as left out, and warn of it."""
     if len(those) <= most:
         return tuple(channels), []
     why = f"the log has over {most} channels of {what}"
@@ -256,7 +255,7 @@ def _few(
 
 
 def _most_pixels(path: Path, topics: Sequence[TopicContents]) -> dict[str, int]:
-    """Pixels that the pictures of each topic may have: a share of the log's, by their number."""
+    """Return the pixels each topic's pictures may have: a share of the log's, by their number."""
     cameras = [topic for topic in topics if isinstance(topic.rows, PictureStamps)]
     used = max(1, sum(topic.used for topic in cameras))
     size = registry.file_bytes(path)
@@ -272,15 +271,7 @@ def _most_pixels(path: Path, topics: Sequence[TopicContents]) -> dict[str, int]:
 def _sound(
     path: Path, container: Container, by_log: Set[str], notes: Mapping[str, str], topic: str
 ) -> Sound:
-    """The sound of one topic, read afresh from the file.
-
-    Args:
-        path: the log.
-        container: how it is read.
-        by_log: topics whose header stamps do not tell the time.
-        notes: of the log.
-        topic: the channel's.
-    """
+    """Decode the sound of one topic afresh from the file; `by_log` as in `_frames`."""
     exact_hz, file_hz = noted_rates(notes)
     return sound_of(
         container(path, [], (topic,)),
@@ -299,12 +290,12 @@ def _frames(
     most_pixels: Mapping[str, int],
     topic: str,
 ) -> Iterator[Frame]:
-    """The frames of one topic, read afresh from the file.
+    """Yield the frames of one topic, read afresh from the file.
 
     Args:
         path: the log.
         container: how it is read.
-        by_log: topics whose header stamps do not tell the time.
+        by_log: topics whose header stamps cannot be trusted.
         ahead: places by which the pictures of a topic may lie from their own.
         most_pixels: that the pictures of a topic may have.
         topic: the channel's.

@@ -1,4 +1,4 @@
-"""Saves what can be saved of a damaged log: a copy that opens in every reader."""
+"""Recover a damaged log: copy what is whole to a file that opens in every reader."""
 
 from __future__ import annotations
 
@@ -30,16 +30,13 @@ from tunenet_logs.messages import INFO_RECORD, RECOVERY_RECORD
 from tunenet_logs.output.log_place import check_log_name, not_writable
 from tunenet_logs.output.owned_file import OutputPlace, nothing, own_log
 
-_LAST_STAMP = 2**64
-"""The first stamp [ns] that MCAP cannot hold."""
-
-_PROFILES = {"cdr": "ros2", "ros1": "ros1"}
-"""Of an MCAP file, by the encoding of its messages."""
+_LAST_STAMP = 2**64  # the first stamp [ns] that MCAP cannot hold
+_PROFILES = {"cdr": "ros2", "ros1": "ros1"}  # of an MCAP file, by the encoding of its messages
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """What came of it.
+    """Result of a recovery.
 
     Attributes:
         messages: how many were saved.
@@ -91,7 +88,7 @@ def _check_output(path: Path, output: Path, *, overwrite: bool) -> None:
 
 
 def _records(path: Path, container: Container, losses: list[Loss]) -> Iterator[Record]:
-    """What is read, so that a disk that cannot be read is not taken for one that is written."""
+    """Yield what is read; a disk that fails to read is not to be taken for the one written to."""
     try:
         yield from one_by_one(container(path, losses))
     except OSError as error:
@@ -100,7 +97,7 @@ def _records(path: Path, container: Container, losses: list[Loss]) -> Iterator[R
 
 
 class _Copy:
-    """From the records of a container to a writer."""
+    """Copy of a container's records by a writer."""
 
     def __init__(self, writer: Writer, source: str) -> None:
         self._writer = writer
@@ -173,7 +170,7 @@ class _Copy:
         self._holds_ros1 |= message.channel.encoding == "ros1"
 
     def _say(self, lost: list[str], share: float) -> None:
-        """What happened to the log; and its own counts, where its recorder never came to that."""
+        """Record what was lost, and the counts that its recorder did not come to write."""
         if self._info:
             info = EpisodeInfo.from_strings(self._info)
             if "written" not in info.counts:

@@ -1,4 +1,4 @@
-"""Opens files that others made, for reading: regular ones alone, so that no opening ever waits."""
+"""Open others' files for reading: regular ones alone, so that no opening ever waits."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TextIO
 
 from tunenet_logs.errors import LogError
 
+# Of the opening: a pipe or a terminal that took the file's name meanwhile holds nobody up.
 _FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
-"""Of the opening: a pipe or a terminal that took the file's name meanwhile holds nobody up."""
 
 
 def open_regular(path: Path | str, *, follows: bool = True) -> BufferedReader:
@@ -31,7 +31,7 @@ def open_regular(path: Path | str, *, follows: bool = True) -> BufferedReader:
 def open_regular_text(
     path: Path | str, encoding: str, *, errors: str = "strict", newline: str | None = None
 ) -> TextIO:
-    """The same for reading text, with `open`'s words.
+    """Open a regular file as `open_regular` does, for reading text, with `open`'s arguments.
 
     Raises:
         LogError, OSError: as `open_regular`.
@@ -40,7 +40,7 @@ def open_regular_text(
 
 
 def real_path(path: Path | str) -> Path:
-    """A path without links and dots, to tell whether two are one; it need not exist.
+    """Resolve links and dots of a path that need not exist, to compare it with another.
 
     Unlike `Path.resolve`, it takes a circle of links, and a name that no file can have, as it is.
     """
@@ -55,7 +55,7 @@ def _opened_itself(path: str, flags: int) -> int:
 
 
 def _opened(path: str, _flags: int, more_flags: int = 0) -> int:
-    """A descriptor; its own state is asked, so that nobody can exchange the file in between."""
+    """Open a descriptor; its own state is asked, so that nobody exchanges the file in between."""
     _check(path, Path(path).stat().st_mode)  # before it is opened: that alone starts some devices
     descriptor = os.open(path, _FLAGS | more_flags)
     try:

@@ -1,4 +1,4 @@
-"""Gives the messages of a finished log of ours other stamps, when those are known at its end.
+"""Rewrite the header stamps of a finished log of ours, when they are known only at its end.
 
 The log is copied and then replaced at once, so that it is whole at every moment: with its old
 stamps, or with its new ones.
@@ -26,16 +26,13 @@ from tunenet_logs.output.mcap_output import McapOutput
 from tunenet_logs.output.whole_file import WholeFile
 from tunenet_logs.regular_file import open_regular
 
-_PARTIAL = ".stamping"
-"""Behind the copy's name while it is written."""
-
+_PARTIAL = ".stamping"  # behind the copy's name while it is written
 _STAMP = struct.Struct("<iI")
-_STAMP_AT = 4
-"""A header's stamp in CDR: seconds and nanoseconds behind the encapsulation."""
+_STAMP_AT = 4  # a header's stamp in CDR: seconds and nanoseconds behind the encapsulation
 
 
 def header_stamps_ns(path: Path, topic: str) -> list[int]:
-    """The header stamps of a topic's messages, in the order of the file [ns].
+    """Return the header stamps of a topic's messages, in the order of the file [ns].
 
     Raises:
         LogError: the log cannot be read.
@@ -55,7 +52,7 @@ def header_stamps_ns(path: Path, topic: str) -> list[int]:
 
 
 def restamp(path: Path, topic: str, stamps_ns: Mapping[int, int], note: str) -> None:
-    """Give the messages of a topic other header stamps; when they came stays what it was.
+    """Replace the header stamps of a topic's messages; their log stamps stay what they were.
 
     Args:
         path: a whole log that `EpisodeWriter` wrote.

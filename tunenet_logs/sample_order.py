@@ -1,4 +1,4 @@
-"""Which of a log's clocks to believe, and its samples in order."""
+"""Choose which of a log's clocks to trust, and sort its samples."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 from tunenet_logs.clock_jumps import is_disorder, sound_part, written_part
 from tunenet_logs.left_out import BY_CLOCK, SAME_STAMP
 
+# Of a channel's samples: a few that overtake each other on a network are sorted; from a tenth on
+# the header's clock is set back again and again, unless its stamps are even once they are sorted.
 _MAX_REVERSED_FRACTION = 0.1
-"""Of a channel's samples: a few that overtake each other on a network are sorted; from a tenth on
-the header's clock is set back again and again, unless its stamps are even once they are sorted."""
 
+# Of a channel's stamps; below it, its sender hardly ever sets the header's stamp.
 _MIN_DISTINCT_FRACTION = 0.1
-"""Of a channel's stamps; below it, its sender hardly ever sets the header's stamp."""
 
-_MOST_SOUND = 0.9
-"""Of a channel's stamps before or after a jump: with more of them the others are left out."""
+# Of a channel's stamps before or after a jump: with more of them the others are left out.
+_MAX_SOUND = 0.9
 
 
-_MOST_AHEAD = 16
-"""Pictures that wait until their turn comes: what memory holds of large ones."""
+_MAX_AHEAD = 16  # pictures that wait until their turn comes: what memory holds of large ones
 
 
 class SampleOrder(NamedTuple):
@@ -45,9 +44,9 @@ class SampleOrder(NamedTuple):
 def trusts_header(
     header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]
 ) -> tuple[bool, list[str]]:
-    """Whether a channel's header stamps tell the time; if not for a reason to hear of, that too.
+    """Check whether a channel's header stamps can be trusted, and give the reason if not.
 
-    They do not where the log's own times tell more: where they are not set or hardly change, run
+    They cannot where the log's own times say more: where they are not set or hardly change, run
     backwards, or jump while the log's do not. A single stamp that is off is no reason: it is left
     out.
 
@@ -71,31 +70,27 @@ def trusts_header(
 
 
 def distinct(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Give the stamps in order, each once: much faster than by their hashes, as most are sorted."""
+    """Return the unique stamps, sorted: much faster than by hashing, as most are sorted."""
     ordered = np.sort(stamps_ns)
     return ordered[np.diff(ordered, prepend=ordered[:1] - 1) > 0]
 
 
 def _jumps(stamps_ns: NDArray[np.int64]) -> str:
-    """How a clock jumps, in words, where much is lost by it; "" where it does not."""
+    """Describe how a clock jumps, where much is lost by it; "" where it does not."""
     for part in (written_part(stamps_ns), sound_part(np.sort(stamps_ns))):
-        if len(part.keep) < _MOST_SOUND * len(stamps_ns):
+        if len(part.keep) < _MAX_SOUND * len(stamps_ns):
             return part.words[-1]
     return ""
 
 
 def places_ahead(stamps_ns: NDArray[np.int64]) -> int:
-    """How far ahead the next sample in order may lie in a file; 0 where sorting mends nothing.
-
-    Args:
-        stamps_ns: shape (T,) [ns], in the order in which they were written.
-    """
+    """Return how far ahead in a file the next sample in order lies; 0 if sorting mends nothing."""
     is_sorted = not np.any(stamps_ns[1:] < stamps_ns[:-1])
     if is_sorted or len(written_part(stamps_ns).keep) < len(stamps_ns):
         return 0
     order = np.argsort(stamps_ns, kind="stable")
     ahead = int((np.maximum.accumulate(order) - np.arange(len(order))).max())
-    return ahead if ahead <= _MOST_AHEAD else 0
+    return ahead if ahead <= _MAX_AHEAD else 0
 
 
 def order_samples(
@@ -103,7 +98,7 @@ def order_samples(
     log_ns: NDArray[np.int64],
     values: Sequence[NDArray[np.float64]] = (),
 ) -> SampleOrder:
-    """Choose stamps and sort: those of the header where they tell the time, else the log's own.
+    """Sort samples by header stamps where these can be trusted, else by the log's own.
 
     Args:
         header_ns: acquisition stamps of T messages in file order [ns], shape (T,); 0 where not set.
@@ -118,7 +113,7 @@ def order_samples(
 def sorted_stamps(
     stamps: NDArray[np.int64], values: Sequence[NDArray[np.float64]] = ()
 ) -> SampleOrder:
-    """Sort; of samples with one stamp the first is kept, and of a clock that is set back one part.
+    """Sort; keep the first sample of each stamp, and the longest part of a clock set back.
 
     Args:
         stamps: of T samples in file order [ns], shape (T,).
@@ -148,7 +143,7 @@ def sorted_stamps(
 def _others(
     rows: NDArray[np.intp], known: NDArray[np.intp], values: Sequence[NDArray[np.float64]]
 ) -> int:
-    """How many of some rows have a value that is not that of the row known at their time."""
+    """Count the rows with a value other than that of the row known at their time."""
     differs = np.full(len(rows), not values)
     for one in values:
         new, old = (one[at].reshape(len(rows), -1) for at in (rows, known))

@@ -1,4 +1,4 @@
-"""Small files that people hand us beside logs: read with a bound, and JSON without its traps."""
+"""Read small files that people hand us beside logs: bounded, and JSON without its traps."""
 
 from __future__ import annotations
 
@@ -12,19 +12,15 @@ from typing import Any, NoReturn
 from tunenet_logs.regular_file import open_regular
 from tunenet_logs.terminal import short_name
 
-_DEEPEST = 32
-"""Brackets in brackets: four times what any file of ours has."""
-
-_MOST_DIGITS = 20
-"""Of a whole number: those of a stamp in ns, and one more."""
-
+_MAX_DEPTH = 32  # brackets in brackets: four times what any file of ours has
+_MAX_DIGITS = 20  # of a whole number: those of a stamp in ns, and one more
+# And strings, each to its end or the text's: looked for again at every quotation mark of one that
+# does not end, they would take the square of its length.
 _BRACKETS = re.compile(r'"(?:[^"\\]++|\\.)*+"?|([\[{])|[\]}]', re.DOTALL)
-"""And strings, each to its end or the text's: looked for again at every quotation mark of one that
-does not end, they would take the square of its length."""
 
 
 def read_small_file(path: Path, most_bytes: int) -> bytes:
-    """The bytes of a file of at most `most_bytes`.
+    """Read a file of at most `most_bytes`.
 
     Raises:
         LogError: it is no regular file: a pipe could wait for ever.
@@ -39,7 +35,7 @@ def read_small_file(path: Path, most_bytes: int) -> bytes:
 
 
 def parse_json(data: bytes | str) -> Any:
-    """What a JSON holds: finite numbers, whole ones of 64 bits, and each key once.
+    """Parse JSON with finite numbers, integers of 64 bits, and each key once.
 
     Raises:
         ValueError: it is no JSON, or holds what ours do not; in one short line.
@@ -64,14 +60,14 @@ def _check_depth(text: str) -> None:
     for found in _BRACKETS.finditer(text):
         if found.group(1):
             depth += 1
-            if depth > _DEEPEST:
-                raise ValueError(f"has brackets in brackets, over {_DEEPEST} deep")
+            if depth > _MAX_DEPTH:
+                raise ValueError(f"has brackets in brackets, over {_MAX_DEPTH} deep")
         elif not found.group().startswith('"'):
             depth -= 1
 
 
 def _whole(text: str) -> int:
-    value = int(text) if len(text) <= _MOST_DIGITS else 1 << 63
+    value = int(text) if len(text) <= _MAX_DIGITS else 1 << 63
     if not -(1 << 63) <= value < 1 << 63:
         raise ValueError(f"{short_name(text)} is beyond any number here")
     return value

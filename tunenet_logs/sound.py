@@ -1,4 +1,4 @@
-"""Sound, as a microphone heard it beside the pictures, or alone."""
+"""Sound, recorded by a microphone beside the pictures, or alone."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """One sound track.
+    """Sound track.
 
     Attributes:
         name: of its topic.
         start_ns: stamp of the first sample, on the log's clock.
         rate_hz: samples in a second of the log's clock: that of the pictures, so that sound which
-            was slowed down with its film has more than its file says.
+            was slowed down with its video has more than its file says.
         samples: of all channels together, full scale 1, shape (N,).
         file_rate_hz: as the file says.
         channels: that there were.
@@ -35,5 +35,5 @@ class Sound:
 
     @property
     def lasts_s(self) -> float:
-        """On the log's clock."""
+        """Duration on the log's clock [s]."""
         return len(self.samples) / self.rate_hz

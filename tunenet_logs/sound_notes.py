@@ -1,4 +1,4 @@
-"""Sound as a log keeps it: in short blocks, and notes on what their messages cannot say."""
+"""Split sound into short blocks for a log, with notes on what their messages cannot say."""
 
 from __future__ import annotations
 
@@ -13,18 +13,13 @@ from tunenet_logs.sound import Sound
 
 _RATE, _FILE_RATE, _ABOUT = "sound_rate_hz", "sound_file_rate_hz", "sound"
 
-WARNINGS_NOTE = "sound_warnings"
-"""Under which a log says what is doubtful of its sound."""
-
-BLOCK_S = 0.1
-"""Of the log's clock, in each message."""
-
-_FULL_SCALE = 32768.0
-"""Of 16 bits."""
+WARNINGS_NOTE = "sound_warnings"  # under which a log says what is doubtful of its sound
+BLOCK_S = 0.1  # of the log's clock, in each message
+_FULL_SCALE = 32768.0  # of 16 bits
 
 
 def sound_notes_of(sound: Sound) -> dict[str, str]:
-    """The notes on a sound that is written to a log."""
+    """Return the notes on a sound that is written to a log."""
     channels = {1: "mono", 2: "stereo"}.get(sound.channels, f"{sound.channels} channels")
     about = f"{sound.codec}, {sound.file_rate_hz:g} Hz, {channels}"
     notes = rate_notes(about, sound.rate_hz, sound.file_rate_hz)
@@ -32,18 +27,12 @@ def sound_notes_of(sound: Sound) -> dict[str, str]:
 
 
 def rate_notes(about: str, rate_hz: float, told_hz: float) -> dict[str, str]:
-    """What a sound is and how fast, for a log.
-
-    Args:
-        about: in words.
-        rate_hz: samples in a second of the log's clock.
-        told_hz: the same as its file or its microphone says.
-    """
+    """Return the notes on what a sound is, and its rate on the log's clock and as it says."""
     return {_ABOUT: about, _RATE: repr(float(rate_hz)), _FILE_RATE: repr(float(told_hz))}
 
 
 def why_not_kept(sound: Sound) -> str:
-    """Why a sound cannot be written to a log, in words; "" where it can."""
+    """Return why a sound cannot be written to a log; "" where it can."""
     low_hz, high_hz = RATES_HZ
     if not len(sound.samples):
         return "; ".join(sound.warnings) or "it holds no sound"
@@ -53,7 +42,7 @@ def why_not_kept(sound: Sound) -> str:
 
 
 def noted_rates(notes: Mapping[str, str]) -> tuple[float, float]:
-    """The rate of a log's sound on its clock, and that of the file it came from; 0 if not told."""
+    """Return the noted rates of a log's sound, on its clock and in its file; 0 if unknown."""
     return _positive(notes.get(_RATE, "")), _positive(notes.get(_FILE_RATE, ""))
 
 
@@ -66,11 +55,7 @@ def _positive(text: str) -> float:
 
 
 def sound_blocks(sound: Sound) -> Iterator[tuple[int, NDArray[np.int16]]]:
-    """Blocks of a sound with their stamps [ns], each of shape (N, 1); none before a log can begin.
-
-    Args:
-        sound: all of it.
-    """
+    """Yield the blocks of a sound, shape (N, 1), with stamps [ns]; none before the epoch."""
     step = max(1, round(BLOCK_S * sound.rate_hz))
     begin = max(0, int(np.ceil(-sound.start_ns * 1e-9 * sound.rate_hz)))
     for first in range(begin, len(sound.samples), step):
@@ -79,5 +64,5 @@ def sound_blocks(sound: Sound) -> Iterator[tuple[int, NDArray[np.int16]]]:
 
 
 def as_pcm(samples: NDArray[np.float32]) -> NDArray[np.int16]:
-    """Samples of full scale 1 as a log's messages hold them, of the same shape."""
+    """Convert samples of full scale 1 to 16-bit PCM of the same shape."""
     return np.clip(np.round(samples * _FULL_SCALE), -_FULL_SCALE, _FULL_SCALE - 1).astype(np.int16)

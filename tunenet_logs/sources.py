@@ -1,7 +1,7 @@
-"""Samples of one channel that come from two sources by turns: two publishers, two objects.
+"""Separate samples of one channel that come from two sources by turns: publishers or objects.
 
 Nothing in a message says who sent it. But two series that take turns jump to and fro, and each of
-them alone does not: samples are given, one after the other, to the series that was nearest last.
+them alone does not: each sample goes to the series whose last one is nearest.
 """
 
 from __future__ import annotations
@@ -11,30 +11,25 @@ from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
 
-_FEWEST, _LOOKED_AT = 40, 20_000
-"""Samples that show two series, and of more, those that are looked at first: it takes long."""
+# Samples that show two series, and of more, those that are looked at first: it takes long.
+_MIN_COUNT, _LOOKED_AT = 40, 20_000
 
-_SEEDS = 16
-"""Samples at the beginning, the two farthest apart of which begin the series."""
-
-_CALMER = 0.3
-"""Of the way that the samples make in their order: two series make less."""
-
+_SEEDS = 16  # samples at the beginning, the two farthest apart of which begin the series
+_CALMER = 0.3  # of the way that the samples make in their order: two series make less
+# Of the way to the other series: so near to its own nearly every sample is.
 _NEAR, _MOSTLY = 0.25, 0.98
-"""Of the way to the other series: so near to its own nearly every sample is."""
 
+# Of the samples, in the smaller series at least, and of these, how often the other follows.
 _SHARE, _TURNS = 0.1, 0.1
-"""Of the samples, in the smaller series at least, and of these, how often the other follows."""
 
+# Mean steps of a series: one of the two goes over more, and both are farther from each other.
 _MOVES = 10.0
-"""Mean steps of a series: one of the two goes over more, and both are farther from each other."""
 
-_LEVELS = 20.0
-"""Smallest changes: those that are not farther apart are what a value was rounded to."""
+_LEVELS = 20.0  # smallest changes: those that are not farther apart are what a value was rounded to
 
 
 def two_sources(values: Array) -> NDArray[np.bool_] | None:
-    """Tell two series apart that take turns.
+    """Separate two interleaved series by nearest neighbour.
 
     Args:
         values: in the order of their arrival, shape (T, C); NaN where one is missing.
@@ -46,7 +41,7 @@ def two_sources(values: Array) -> NDArray[np.bool_] | None:
     first = values[:_LOOKED_AT]
     is_known = np.isfinite(first).all(axis=0)
     first = first[:, is_known]
-    if len(first) < _FEWEST or not first.shape[1] or not _jumps(first):
+    if len(first) < _MIN_COUNT or not first.shape[1] or not _jumps(first):
         return None
     found = _told_apart(first)
     if found is None or len(values) <= _LOOKED_AT:
@@ -56,7 +51,7 @@ def two_sources(values: Array) -> NDArray[np.bool_] | None:
 
 
 def two_sources_words(name: str, second: NDArray[np.bool_], other: str) -> str:
-    """What a user should know of two series.
+    """Describe two interleaved series.
 
     Args:
         name: what both came by.
@@ -71,7 +66,7 @@ def two_sources_words(name: str, second: NDArray[np.bool_], other: str) -> str:
 
 
 def take_turns(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> bool:
-    """Whether two series of times, each in order, come by turns: not one after the other."""
+    """Check whether two sorted series of times are interleaved, not one after the other."""
     if not len(first_ns) or not len(second_ns):
         return False
     places = np.searchsorted(np.sort(first_ns), second_ns)
@@ -82,7 +77,7 @@ def take_turns(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> boo
 def disagree(
     first: tuple[NDArray[np.int64], Array], second: tuple[NDArray[np.int64], Array]
 ) -> bool:
-    """Whether two series of one quantity are not of the same motion.
+    """Check whether two series of one quantity are not of the same motion.
 
     Args:
         first: times, in order, shape (T,) [ns], and values, shape (T, C).
@@ -102,7 +97,7 @@ def disagree(
 
 
 def _jumps(values: Array) -> bool:
-    """Whether most samples are near one of the few before, but not near the last."""
+    """Check whether most samples are near one of the few before, but not near the last."""
     steps = np.linalg.norm(values[1:] - values[:-1], axis=1)
     nearest = steps.copy()
     for back in range(2, 6):
@@ -150,6 +145,6 @@ def _told_apart(values: Array) -> NDArray[np.bool_] | None:
 
 
 def _step_and_span(values: Array) -> tuple[float, float]:
-    """Mean way from one sample to the next, and the widest way along an axis."""
+    """Return the mean distance between consecutive samples, and the largest range along an axis."""
     steps = np.linalg.norm(np.diff(values, axis=0), axis=1)
     return float(steps.mean()), float(np.ptp(values, axis=0).max())

@@ -1,4 +1,4 @@
-"""The first lines of every command: from here on, all that it says is its own.
+"""Start every command: from here on, all that it says is its own.
 
 A signal ends it with one line, libraries say nothing, and no reader that goes away breaks off the
 work. This imports next to nothing, so that these lines come as early as Python allows. The
@@ -21,25 +21,21 @@ TYPE_CHECKING = False  # `typing` costs a tenth of the start
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
+# What a command says when the signal ended it; its exit code is then 128 and the signal's number.
+#
+# One that is ignored when the command starts stays so: by `nohup`, and by a shell's `&`.
 WORDS: dict[int, str] = {
     signal.SIGINT: "interrupted",
     signal.SIGTERM: "terminated",
     signal.SIGHUP: "hung up",
 }
-"""What a command says when the signal ended it; its exit code is then 128 and the signal's number.
 
-One that is ignored when the command starts stays so: by `nohup`, and by a shell's `&`.
-"""
-
-_prog = "tunenet"
-"""The command's name."""
-
-_spoken = 2
-"""The file descriptor of the standard error that this command was given."""
+_prog = "tunenet"  # the command's name
+_spoken = 2  # the file descriptor of the standard error that this command was given
 
 
 def start(prog: str, module: str) -> int:
-    """Run the command `prog`, which is `main` of `module`; returns its exit code."""
+    """Run the command `prog`, which is `main` of `module`, and return its exit code."""
     global _prog  # noqa: PLW0603 (a process is one command)
     _prog = prog
     for number in WORDS:
@@ -55,7 +51,7 @@ def start(prog: str, module: str) -> int:
 
 
 class _Lasting(FileIO):
-    """A standard stream that takes all that is written, be anybody there or not.
+    """Standard stream that accepts all that is written, even if nobody reads it.
 
     Attributes:
         failure: why something could not be written: a full disk; not a reader that went away, as
@@ -76,7 +72,7 @@ class _Lasting(FileIO):
 
 
 def keep_streams() -> None:
-    """Let no closed pipe, full disk or missing stream (`>&-`) break off the work and its results.
+    """Let no closed pipe, full disk or missing stream (`>&-`) break off the work.
 
     A descriptor that is missing would be given to the first file that is opened.
     """
@@ -93,7 +89,7 @@ def keep_streams() -> None:
 
 
 def lost_output() -> str:
-    """Return why standard output is not whole; "" where it is, or its reader wants no more."""
+    """Return why standard output is incomplete; "" where it is whole, or its reader left."""
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
     failure = raw.failure if isinstance(raw, _Lasting) else None
     return "" if failure is None else failure.strerror or str(failure)
@@ -106,10 +102,10 @@ def _lasting(descriptor: int, encoding: str, *, unbuffered: bool) -> TextIOWrapp
 
 
 def silence_libraries() -> None:
-    """Keep standard error for what this process says itself.
+    """Silence native libraries: keep standard error for this process alone.
 
     libjpeg, libpng, FFmpeg, Bullet and others write to file descriptor 2 whatever they are told,
-    hundreds of lines for a damaged film. Python's standard error gets a descriptor of its own, and
+    hundreds of lines for a damaged video. Python's standard error gets a descriptor of its own, and
     theirs leads nowhere: set once, it costs nothing and no thread can meet it half done.
     """
     global _spoken  # noqa: PLW0603 (a process has one)
@@ -126,13 +122,13 @@ def silence_libraries() -> None:
 
 
 def is_silent() -> bool:
-    """Whether `silence_libraries` was called."""
+    """Check whether `silence_libraries` was called."""
     return _spoken != 2
 
 
 @contextmanager
 def heard() -> Iterator[None]:
-    """Give what is started here the standard error of this command."""
+    """Open this command's standard error to what is started in the block."""
     if not is_silent():
         yield
         return
@@ -146,7 +142,7 @@ def heard() -> Iterator[None]:
 
 
 def end_at_once(number: int, _frame: FrameType | None) -> None:
-    """End the process: it only imports yet, or has done its work, and leaves nothing half done."""
+    """End the process from a signal handler, while it only imports or has done its work."""
     _ignore()
     with suppress(OSError):
         os.write(_spoken, f"{_prog}: {WORDS[number]}\n".encode())

@@ -1,4 +1,4 @@
-"""How SIGINT, SIGTERM and SIGHUP stop a command at work: as an exception that unwinds it."""
+"""Stop a command on SIGINT, SIGTERM or SIGHUP by an exception that unwinds it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from tunenet_logs.starting import WORDS, end_at_once
 if TYPE_CHECKING:
     import subprocess
 
+# Until a signal that came at a bad moment is tried again; and in what a library calls, which is to
+# return at once.
 _AGAIN_S, _CALLED_AGAIN_S = 0.02, 0.001
-"""Until a signal that came at a bad moment is tried again; and in what a library calls, which is to
-return at once."""
 
+# Functions that libraries call, which would print what is raised there, and go on.
 _called_by_c: set[CodeType] = set()
-"""Functions that libraries call, which would print what is raised there, and go on."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def end_child(child: subprocess.Popen[bytes]) -> None:
-    """End a process of ours, and what it hears and says."""
+    """Kill a child process, close its pipes and reap it."""
     child.kill()
     for stream in (child.stdin, child.stdout):
         if stream is not None:
@@ -36,7 +36,7 @@ def end_child(child: subprocess.Popen[bytes]) -> None:
 
 
 def called_by_c(function: F) -> F:
-    """Mark a function that a library calls: a signal in it waits until that library returns.
+    """Mark a callback of a C library: a signal in it waits until the library returns.
 
     Where `is_stopping()`, it is to return what ends the library's work.
     """
@@ -45,18 +45,18 @@ def called_by_c(function: F) -> F:
 
 
 def is_stopping() -> bool:
-    """Whether a signal waits to end what the command does."""
+    """Check whether a deferred signal is pending."""
     return bool(_stops.waits)
 
 
 def stop_now() -> None:
-    """Raise the signal that waits, if one does: what its library gave back may not be whole."""
+    """Raise the pending signal, if any: what its library gave back may not be whole."""
     if _stops.waits:
         _stops.stop(_stops.waits, sys._getframe())
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal: it unwinds as Ctrl-C does, so that nothing half written is left.
+    """Signal that unwinds as Ctrl-C does, so that nothing half written is left.
 
     Attributes:
         number: of the signal.
@@ -68,7 +68,7 @@ class Stopped(KeyboardInterrupt):
 
 
 class _Stops:
-    """What is known of signals in this process: they reach its main thread, one at a time."""
+    """State of signals in this process: they reach its main thread, one at a time."""
 
     def __init__(self) -> None:
         self.held = 0
@@ -76,7 +76,7 @@ class _Stops:
         self.waits = 0
 
     def stop(self, number: int, frame: FrameType | None) -> None:
-        """The handler."""
+        """Handle a signal."""
         if self.first and number != signal.SIGINT:
             return  # a second one must not break off what the first one cleans up
         where = _holds(frame)
@@ -89,7 +89,7 @@ class _Stops:
         raise Stopped(number)
 
     def try_again(self, number: int, after_s: float = _AGAIN_S) -> None:
-        """Come back in a moment; a thread to wait in could need a lock that is just held."""
+        """Retry in a moment by an alarm; a thread to wait in could need a lock that is held."""
         self.waits = number
         signal.signal(signal.SIGALRM, lambda _, frame: self.stop(number, frame))
         signal.setitimer(signal.ITIMER_REAL, after_s)
@@ -100,7 +100,7 @@ _stops = _Stops()
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let signals raise `Stopped` where they would kill; a handler that someone else set stays."""
+    """Let signals raise `Stopped` where they would kill; another's handler stays."""
     usual = (signal.SIG_DFL, signal.default_int_handler, end_at_once)
     before = {number: signal.getsignal(number) for number in WORDS}
     ours = [number for number, handler in before.items() if handler in usual]
@@ -133,7 +133,7 @@ def stoppable() -> Iterator[None]:
 
 @contextmanager
 def signals_held() -> Iterator[None]:
-    """Signals wait until what is started here has started.
+    """Hold signals until what is started in the block has started.
 
     A process that was half started when its parent let go of it would say so in many lines. What
     starts here never sees Ctrl-C or the end of its terminal: this process does, and ends it.
@@ -148,7 +148,7 @@ def signals_held() -> Iterator[None]:
 
 
 def _holds(frame: FrameType | None) -> float:
-    """Seconds for which a signal has to wait, for what runs just now; 0 if it may be raised there.
+    """Return the seconds for which a signal has to wait; 0 if it may be raised now.
 
     Where a module is being imported C code prints exceptions, or takes them for others; nothing is
     half written by an import, and none takes long. What a library calls is the same.
@@ -163,7 +163,7 @@ def _holds(frame: FrameType | None) -> float:
 
 
 def _end_workers() -> None:
-    """Their pool would else do all the work that waits before it lets go of this process."""
+    """Terminate pool workers, which would else do all the work that waits before the end."""
     pool = sys.modules.get("multiprocessing")
     for worker in pool.active_children() if pool else ():
         worker.terminate()

@@ -1,4 +1,4 @@
-"""What a terminal shows: the words of others as characters that print, and progress bars."""
+"""Print safely to a terminal: others' words as printable characters, and progress bars."""
 
 from __future__ import annotations
 
@@ -13,27 +13,20 @@ from typing import Any, Protocol
 from tunenet_logs.addresses import without_secrets
 from tunenet_logs.progress import heard_by
 
-_MOST_CHARACTERS = 60
-"""Of a name: with them, the rest of its line still fits a wide terminal."""
-
-FEW_NAMES = 6
-"""Names that a reason lists: it is one line."""
-
-_MOST_NAMES = 20
-"""In one sentence; the rest is counted: nobody reads more of them."""
-
+_MAX_CHARACTERS = 60  # of a name: with them, the rest of its line still fits a wide terminal
+FEW_NAMES = 6  # names that a reason lists: it is one line
+_MAX_NAMES = 20  # in one sentence; the rest is counted: nobody reads more of them
 _STAGE_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {remaining} left"
 
+# For which a stage is watched before it is said how long it will last, from when it is, and after
+# which it is said again.
 _WATCHED_S, _WORTH_A_WORD_S, _AGAIN_S = 2.0, 10.0, 30.0
-"""For which a stage is watched before it is said how long it will last, from when it is, and after
-which it is said again."""
 
-_IN_SECONDS_S = 90.0
-"""Times below it are told in seconds; so many minutes in minutes."""
+_IN_SECONDS_S = 90.0  # times below it are told in seconds; so many minutes in minutes
 
 
 def one_line(text: object) -> str:
-    r"""A text as one line; whatever does not print is shown as its escape (`\x1b`, `\u202e`).
+    r"""Format a text as one line, escaping what does not print (`\x1b`, `\u202e`).
 
     So no name in a log can move the cursor, change colours, begin a new line or turn the direction
     of what follows. Logins and signatures of addresses are left out.
@@ -46,8 +39,8 @@ def one_line(text: object) -> str:
     )
 
 
-def short_name(name: object, most: int = _MOST_CHARACTERS) -> str:
-    """A name as one line of at most `most` characters, without its middle if it is longer."""
+def short_name(name: object, most: int = _MAX_CHARACTERS) -> str:
+    """Shorten a name to one line of at most `most` characters by cutting its middle."""
     line = one_line(name)
     if len(line) <= most:
         return line
@@ -56,22 +49,22 @@ def short_name(name: object, most: int = _MOST_CHARACTERS) -> str:
 
 
 def terminal_columns() -> int | None:
-    """Characters of a line where standard output is a terminal; None for a pipe or a file."""
+    """Return the terminal width of standard output; None for a pipe or a file."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
-def listed(names: Iterable[str], most: int = _MOST_NAMES) -> str:
-    """Names one after the other; beyond `most` of them how many more there are."""
+def listed(names: Iterable[str], most: int = _MAX_NAMES) -> str:
+    """Join names with commas; beyond `most` of them, say how many more there are."""
     every = list(names)
     more = len(every) - most
     return ", ".join(every[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 class Bar(Protocol):
-    """What work in progress reports to."""
+    """Progress bar."""
 
     def update(self, done: int, /) -> object:
-        """`done` more units are done."""
+        """Advance by `done` units."""
         ...
 
     def set_postfix_str(self, text: str, /, *, refresh: bool) -> object:
@@ -94,7 +87,7 @@ class _Shown:
         self._what = ""
 
     def __call__(self, what: str, fraction: float) -> None:
-        """Show how far a stage is."""
+        """Show the progress of a stage."""
         if what != self._what:
             self._what = what
             self._bar.reset(total=1.0)
@@ -103,7 +96,7 @@ class _Shown:
 
 
 class _Announced:
-    """Says of a stage now and then that it will last, and how long by how fast it has been."""
+    """Announcements, now and then, of how much longer a stage will last at its pace so far."""
 
     def __init__(self, name: str, say: Callable[[str], None]) -> None:
         self._name, self._say = name, say
@@ -111,7 +104,7 @@ class _Announced:
         self._since_s = self._next_s = 0.0
 
     def __call__(self, what: str, fraction: float) -> None:
-        """Look whether there is something to say."""
+        """Announce the remaining time if it is due."""
         now_s = time.monotonic()
         if what != self._what:
             self._what, self._since_s, self._next_s = what, now_s, now_s + _WATCHED_S
@@ -124,7 +117,7 @@ class _Announced:
 
 
 def about(seconds: float) -> str:
-    """A time that nobody needs exactly: "40 s", "3 min"."""
+    """Format an approximate duration: "40 s", "3 min"."""
     if seconds < _IN_SECONDS_S:
         return f"{max(round(seconds, -1), 1):.0f} s" if seconds >= 10 else f"{seconds:.0f} s"
     minutes = seconds / 60
@@ -133,12 +126,12 @@ def about(seconds: float) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Tells of work in progress on standard error.
+    """Progress reports on standard error.
 
     Bars are shown where that is a terminal; else there are stand-ins that show nothing.
 
     Attributes:
-        quiet: nothing is told at all.
+        quiet: nothing is reported at all.
         has_bars: none are shown without, as where results come meanwhile, often on that terminal.
     """
 
@@ -147,11 +140,11 @@ class Progress:
 
     @property
     def shows_bars(self) -> bool:
-        """Whether bars are seen by anybody."""
+        """Whether bars are visible."""
         return self.has_bars and not self.quiet and sys.stderr.isatty()
 
     def say(self, text: str) -> None:
-        """A line on standard error, above a bar that is shown there."""
+        """Print a line on standard error, above a bar that is shown there."""
         if self.quiet:
             return
         if not sys.stderr.isatty():
@@ -163,9 +156,7 @@ class Progress:
 
     @contextmanager
     def stages(self, name: str) -> Generator[None]:
-        """Show the stages of the work in this block that tell how far they are.
-
-        A bar where bars are shown. Else a line now and then about a stage that lasts.
+        """Show the stages of the work in this block: on a bar, else by a line now and then.
 
         Args:
             name: whose work it is, for that line.
@@ -186,7 +177,7 @@ class Progress:
 
     @contextmanager
     def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
-        """A bar over `total` units of work; count and rate alone where that is not known."""
+        """Open a bar over `total` units of work; count and rate alone where that is unknown."""
         if not self.shows_bars:
             yield _NoBar()
             return

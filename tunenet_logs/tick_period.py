@@ -1,4 +1,4 @@
-"""How fast an even clock ticks: from samples on ticks, and what cameras are built for."""
+"""Estimate the period of a uniform clock from samples on ticks, and from usual frame rates."""
 
 from __future__ import annotations
 
@@ -15,46 +15,36 @@ Ticks = NDArray[np.int64]
 _HZ = (5, 6, 10, 12, 12.5, 15, 20, 24, 25, 30, 40, 48, 50, 60, 72, 75, 80, 90, 100, 120)
 _HZ += (144, 150, 180, 200, 240, 250, 300, 360, 400, 480, 500, 1000)
 _NOMINAL_PERIODS = 1e3 / np.array(_HZ)
-_USUAL_PERIODS = np.concatenate([_NOMINAL_PERIODS, 1.001 * _NOMINAL_PERIODS])
-"""What cameras are built for, and the same as television has it [ms]."""
+# What cameras are built for, and the same as television has it [ms].
+_TYPICAL_PERIODS = np.concatenate([_NOMINAL_PERIODS, 1.001 * _NOMINAL_PERIODS])
 
-_USUAL_SLACK = 15.0
-"""Log likelihood that may be lost by taking a rate as exactly a usual one."""
-
-_MOST_LOST = 0.35
-"""Of all ticks, at a usual rate."""
-
+_TYPICAL_SLACK = 15.0  # log likelihood that may be lost by taking a rate as exactly a usual one
+_MAX_LOST = 0.35  # of all ticks, at a usual rate
+# Log likelihood that a rate is worth beside the same as television has it: in the few seconds of a
+# drop, delays hardly tell them apart.
 _NOMINAL_GAIN = 4.0
-"""Log likelihood that a rate is worth beside the same as television has it: in the few seconds of a
-drop, delays hardly tell them apart."""
 
+# Log likelihood that the usual rate is worth by which the samples were put on ticks.
 _CHOSEN_GAIN = 4.0
-"""Log likelihood that the usual rate is worth by which the samples were put on ticks."""
 
-APART = 0.3
-"""Of a period: by so much neighbouring rates differ at the last sample."""
-
+APART = 0.3  # of a period: by so much neighbouring rates differ at the last sample
+# Width of a law's scale over that of the kernel which its density is seen through, and ...
 _KERNEL = 25.0
-"""Width of a law's scale over that of the kernel which its density is seen through, and ..."""
 
-_NARROWEST_MS = 0.15
-"""... the least."""
+_NARROWEST_MS = 0.15  # ... the least.
 
 
 def usual_periods(least: float, most: float) -> Array:
-    """Periods that cameras are built for and that so many samples may come from [ms].
-
-    Args:
-        least: the shortest mean step of the samples; some may be missing.
-        most: the longest.
-    """
-    return _USUAL_PERIODS[((1 - _MOST_LOST) * least <= _USUAL_PERIODS) & (most >= _USUAL_PERIODS)]
+    """Return usual camera periods [ms] for a mean step of `least` to `most`, some ticks lost."""
+    return _TYPICAL_PERIODS[
+        ((1 - _MAX_LOST) * least <= _TYPICAL_PERIODS) & (most >= _TYPICAL_PERIODS)
+    ]
 
 
 def period_of(ticks: Ticks, arrivals: Array, clock: Clocks) -> tuple[float, float, float]:
-    """Period, time of tick 0, and the period's standard deviation.
+    """Estimate period, time of tick 0, and the period's standard deviation.
 
-    The rate at which delays are least scattered: their law has edges or peaks, on whatever side.
+    Minimises the entropy of the delays, whose law has edges or peaks on either side.
     """
     kernel = max(_NARROWEST_MS, float(clock.scales[0]) / _KERNEL)
     span, middle = float(np.ptp(ticks)), ticks - ticks.mean()
@@ -72,17 +62,17 @@ def period_of(ticks: Ticks, arrivals: Array, clock: Clocks) -> tuple[float, floa
         weights /= weights.sum()
         period = float(weights @ tried)
         error = float(np.sqrt(weights @ (tried - period) ** 2))
-    usual = _USUAL_PERIODS[np.abs(_USUAL_PERIODS - period) < APART / span * period]
+    usual = _TYPICAL_PERIODS[np.abs(_TYPICAL_PERIODS - period) < APART / span * period]
     if len(usual):
         costs = costs_of(usual) - _CHOSEN_GAIN * (usual == clock.periods[0])
         costs -= _NOMINAL_GAIN * np.isin(usual, _NOMINAL_PERIODS)
-        if costs.min() < least + _USUAL_SLACK:
+        if costs.min() < least + _TYPICAL_SLACK:
             period = float(usual[costs.argmin()])
     return period, float((arrivals - period * ticks).min()), error
 
 
 def period_below(ticks: Ticks, arrivals: Array) -> float:
-    """Period of the line below all arrivals that is nearest to them in sum."""
+    """Fit the line below all arrivals with the least sum of distances, by the lower convex hull."""
     hull: list[tuple[int, float]] = []
     for tick, arrival in zip(ticks.tolist(), arrivals.tolist(), strict=True):
         while len(hull) > 1 and _is_above(hull[-2], hull[-1], (tick, arrival)):
@@ -96,25 +86,23 @@ def period_below(ticks: Ticks, arrivals: Array) -> float:
 
 
 def _is_above(one: tuple[int, float], point: tuple[int, float], other: tuple[int, float]) -> bool:
-    """Whether a point lies on or above the line through those on its sides."""
+    """Check whether a point lies on or above the line through those on its sides."""
     rise = (point[1] - one[1]) * (other[0] - point[0])
     return rise >= (other[1] - point[1]) * (point[0] - one[0])
 
 
 def _mean_delay(late: Array) -> Array:
-    """As `_scatter` where delays are exponential: what decides is those that are hardly late."""
+    """Return the cost of `_scatter` for exponential delays, decided by those hardly late."""
     mean = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
     return late.shape[1] * np.log(np.maximum(mean, _NARROWEST_MS))
 
 
 def _scatter(late: Array, kernel: float) -> Array:
-    """How scattered delays are: the sum of their densities' negative logs, shape (C,).
-
-    Each delay's density is that of the others through a Gaussian kernel.
+    """Return the negative log likelihood of delays under their leave-one-out density, shape (C,).
 
     Args:
         late: shape (C, T).
-        kernel: standard deviation.
+        kernel: standard deviation of the Gaussian kernel of the density.
     """
     fine = 3.0 / kernel
     bins = ((late - late.min(axis=1, keepdims=True)) * fine).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The messages of one topic: by which rules they are read, how many there are, what they hold."""
+"""Read the messages of one topic: choose the rules for its type, count, decode and gather."""
 
 from __future__ import annotations
 
@@ -52,30 +52,19 @@ from tunenet_logs.messages import TASK_OUTCOME
 from tunenet_logs.planned_rows import PlannedRows, PointBudget
 from tunenet_logs.position_rows import PositionRows
 
-_FEWEST_STACKED, _MOST_STACKED, _MOST_LAYOUTS = 16, 64 * 1024, 8
-"""Messages, bytes of each, and layouts of them that are read together: with few of a layout it
-would take longer than one by one."""
+# Messages, bytes of each, and layouts of them that are read together: with few of a layout it would
+# take longer than one by one.
+_MIN_STACKED, _MAX_STACKED, _MAX_LAYOUTS = 16, 64 * 1024, 8
 
-_MOST_WAITING = 1024
-"""Messages that come one by one, and wait for more to be read with."""
-
-_LAST_NS = 2**63 - 1
-"""The last stamp that fits int64: in the year 2262."""
-
-DriveRows = PlannedRows | NumberRows | WrenchRows
-"""What gathers commands and forces."""
-
+_MAX_WAITING = 1024  # messages that come one by one, and wait for more to be read with
+_LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
+DriveRows = PlannedRows | NumberRows | WrenchRows  # what gathers commands and forces
+# What gathers messages.
 _Rows = PositionRows | JointRows | PictureStamps | SoundStamps | DriveRows | HandRows
-"""What gathers messages."""
 
 
 class ReadingPlan:
-    """What is shared by the topics of a log while it is read.
-
-    Args:
-        path: the log.
-        options: what its user says of it.
-        most_numbers: see below.
+    """State shared by the topics of a log while it is read.
 
     Attributes:
         budget: for definitions of types.
@@ -94,28 +83,24 @@ class ReadingPlan:
 
     @cached_property
     def points(self) -> PointBudget:
-        """For trajectories."""
+        """Budget of trajectory points."""
         return PointBudget(registry.file_bytes(self._path))
 
     def drive_rows(self, topic: str, kind: DriveType) -> DriveRows:
-        """What gathers the messages of a type of commands or forces."""
+        """Return the collector for a type of commands or forces."""
         if isinstance(kind, PlanType):
             return PlannedRows(topic, self.points)
         return NumberRows(topic) if isinstance(kind, NumbersType) else WrenchRows(topic)
 
     def length(self, unit: str) -> tuple[str, float]:
-        """The unit of positions, and what makes it of those in messages.
-
-        Args:
-            unit: as the type of the messages says.
-        """
+        """Return the unit of positions, and the factor to it from `unit`, the messages' own."""
         said = self._options.length_unit
         if not said:
             return unit, 1.0
         return ("px", 1.0) if self._options.length_m is None else ("m", self._options.length_m)
 
     def named_signals(self) -> tuple[dict[str, Signal], list[str]]:
-        """What `--columns` names, and what was repaired of it.
+        """Return the signals of the user's columns, and notes on what was repaired.
 
         Raises:
             LogError: something of it is not there.
@@ -125,7 +110,7 @@ class ReadingPlan:
 
 
 class TopicContents:
-    """The messages of one topic, in one type: counted, decoded, gathered.
+    """Messages of one topic, in one type: counted, decoded, gathered.
 
     Attributes:
         rows: what they hold, as far as it was read; None where the type or encoding is not.
@@ -157,11 +142,7 @@ class TopicContents:
             self._unusable = str(reason)
 
     def _read_by_type(self, plan: ReadingPlan) -> None:
-        """Go by the channel's type, or by the shape of its messages.
-
-        Raises:
-            UnusableError: nothing of them can be used.
-        """
+        """Read by the channel's type, or by the shape of its messages; else UnusableError."""
         channel, kind = self.channel, self._type
         if kind is None and channel.encoding in registry.DECODERS:
             is_outcome = type_key(channel.type_name) == TASK_OUTCOME
@@ -198,11 +179,7 @@ class TopicContents:
         self._gather: Callable[[int, Any], None] = self.rows.add
 
     def _read_by_hand(self, plan: ReadingPlan) -> None:
-        """Read the fields that `--columns` names.
-
-        Raises:
-            UnusableError: it names none of the channel's.
-        """
+        """Read the user's columns; UnusableError where none is of this channel."""
         rows = plan.picks.rows_of(self.channel) if plan.picks else None
         if rows is None:
             raise UnusableError("--columns names none of its fields")
@@ -211,7 +188,7 @@ class TopicContents:
 
     @property
     def is_by_shape(self) -> bool:
-        """Whether positions are read by what the fields of its messages are called."""
+        """Whether positions are recognised by the names of message fields."""
         return self._shape is not None
 
     @property
@@ -221,11 +198,11 @@ class TopicContents:
 
     @property
     def is_video(self) -> bool:
-        """Whether its pictures are made from those before them."""
+        """Whether its frames depend on earlier ones."""
         return isinstance(self._type, PictureType) and self._type.is_video
 
     def checked_shape(self) -> list[str] | None:
-        """What is to be said of what was read by shape; None where that may not be believed."""
+        """Return notes on what was recognised by shape; None where that is implausible."""
         if self._shape is None:
             return []
         reason, said = self._shape.outcome(self.channel.topic)
@@ -238,13 +215,13 @@ class TopicContents:
         return said
 
     def add(self, log_ns: int, data: bytes | memoryview) -> None:
-        """One message, received at `log_ns` [ns]; it may wait for more to be read with."""
-        if self._stacked is None or len(data) > _MOST_STACKED or not 0 <= log_ns <= _LAST_NS:
+        """Add one message, received at `log_ns` [ns]; it may wait for more to be read with."""
+        if self._stacked is None or len(data) > _MAX_STACKED or not 0 <= log_ns <= _LAST_NS:
             self.finish()
             self._add(log_ns, data)
             return
         self._waiting.append((log_ns, bytes(data)))
-        if len(self._waiting) >= _MOST_WAITING:
+        if len(self._waiting) >= _MAX_WAITING:
             self.finish()
 
     def finish(self) -> None:
@@ -278,7 +255,7 @@ class TopicContents:
             self._why = self._why or described(error)
 
     def add_all(self, messages: RawMessages) -> None:
-        """Messages that lie side by side: those that are alike are read at once."""
+        """Add contiguous messages, decoding those of one layout at once."""
         self.finish()
         if self._stacked is not None and self._add_stacked(self._stacked, messages):
             return
@@ -291,10 +268,10 @@ class TopicContents:
     def _add_stacked(
         self, decode: Callable[[NDArray[np.uint8]], Stacked], messages: RawMessages
     ) -> bool:
-        """Read messages of few layouts; whether they are that, and nothing is wrong with any."""
+        """Decode messages of few layouts at once; False if there are more, or one is damaged."""
         log_ns = messages.heads["log_ns"]
         sizes = messages.ends - messages.begins
-        if len(sizes) < _FEWEST_STACKED or log_ns.max() > _LAST_NS or sizes.max() > _MOST_STACKED:
+        if len(sizes) < _MIN_STACKED or log_ns.max() > _LAST_NS or sizes.max() > _MAX_STACKED:
             return False
         log_ns = log_ns.astype(np.int64)
         parts: list[tuple[NDArray[np.intp], NDArray[np.int64], Any]] = []
@@ -303,7 +280,7 @@ class TopicContents:
                 places = np.flatnonzero(sizes == size)
                 rows = messages.rows(places, size)
                 while len(places):
-                    if len(parts) >= _MOST_LAYOUTS:
+                    if len(parts) >= _MAX_LAYOUTS:
                         return False
                     message, same = decode(rows)
                     parts.append((places[same], log_ns[places[same]], self._read(message)))
@@ -323,16 +300,11 @@ class TopicContents:
 
     @property
     def messages(self) -> int:
-        """How many there are."""
+        """Number of messages."""
         return len(self._log_ns)
 
     def lost_of(self, samples: int, share: float) -> dict[str, int]:
-        """How many samples are missing beside so many, by the reason.
-
-        Args:
-            samples: that its messages gave one signal.
-            share: of the whole log, that is lost.
-        """
+        """Estimate the missing samples by reason; `share` of the whole log is lost."""
         return {
             DAMAGED_MESSAGES: in_proportion(samples, self.damaged, self.used),
             NOT_READ: in_proportion(samples, self.refused, self.used),
@@ -340,7 +312,7 @@ class TopicContents:
         }
 
     def another_name(self, taken: Iterable[str]) -> str:
-        """What it goes by where its topic's name is that of another channel's signals, too."""
+        """Return an unused name for a topic whose name another channel's signals have, too."""
         name, number = f"{self.channel.topic}@{plain_type(self.channel.type_name)}", 1
         names = set(taken)
         while any(f"{one}.".startswith(f"{name}{number if number > 1 else ''}.") for one in names):
@@ -348,7 +320,7 @@ class TopicContents:
         return f"{name}{number if number > 1 else ''}"
 
     def summary(self) -> Channel:
-        """The channel."""
+        """Summarise as a `Channel`."""
         skipped = self._unusable
         if skipped is None and not self.used:
             if not self._log_ns and not self.damaged:
@@ -368,7 +340,7 @@ class TopicContents:
 
 
 def _bounded(decode: Decode, check: Callable[[bytes | memoryview], None]) -> Decode:
-    """Decodes what is worth it, as a check of the message's bytes says."""
+    """Return a decoder that first checks the bytes of a message."""
 
     def decode_checked(data: bytes | memoryview) -> Any:
         check(data)

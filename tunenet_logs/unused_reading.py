@@ -1,4 +1,4 @@
-"""Which of the things said of a file made no difference to how it is read."""
+"""Detect reading options that made no difference."""
 
 from __future__ import annotations
 
@@ -27,17 +27,12 @@ _NO_CURRENTS = (
 
 
 def said_unused(name: str, warnings: Iterable[str]) -> bool:
-    """Whether one of the warnings says that an option changed nothing."""
+    """Check whether one of the warnings says that an option changed nothing."""
     return any(warning.startswith(f"{name} not used") for warning in warnings)
 
 
 def unused_of_messages(episode: Episode, options: ReadOptions) -> tuple[str, ...]:
-    """A line for each option that counts for nothing in a log of messages.
-
-    Args:
-        episode: as it was read with the options.
-        options: what its user says of it.
-    """
+    """Return a line for each option that counts for nothing in a log of messages."""
     reads_currents = any(name.startswith("current") for name in options.columns)
     has_constants = bool(options.torque_constants)
     lines = {
@@ -53,15 +48,9 @@ def unused_reading(
     options: ReadOptions,
     read: Callable[[Path, ReadOptions], Container | Episode],
 ) -> tuple[str, ...]:
-    """A line for each option without which a file reads the same.
+    """Return a line for each option without which a file reads the same.
 
     Pictures and tables are not asked about what always counts there: their rate, their columns.
-
-    Args:
-        path: of a file of no messages.
-        episode: as it was read with the options.
-        options: what its user says of it.
-        read: reads it.
     """
     has_pictures = episode.open_frames is not None
     is_table = episode.info.source.startswith("table ")

@@ -1,4 +1,4 @@
-"""Crash-safe, schema'd MCAP: what was acknowledged stays readable, whatever happens next."""
+"""Write crash-safe MCAP with schemas: what was acknowledged stays readable."""
 
 from __future__ import annotations
 
@@ -21,15 +21,12 @@ from tunenet_logs.output.log_place import NO_SPACE, LogPlace, not_writable
 from tunenet_logs.output.mcap_output import McapOutput
 from tunenet_logs.output.whole_file import WholeFile
 
-_CHUNK_SECONDS = 0.1
-"""What a killed live recording loses at most."""
-
-_SYNC_SECONDS = 1.0
-"""What a power cut may cost; oftener, a slow disk would hold up a recording."""
+_CHUNK_SECONDS = 0.1  # what a killed live recording loses at most
+_SYNC_SECONDS = 1.0  # what a power cut may cost; oftener, a slow disk would hold up a recording
 
 
 class EpisodeWriter:
-    """Writes one episode to `path` (ROS 2 CDR in MCAP). For one thread.
+    """Writer of one episode to `path` (ROS 2 CDR in MCAP). For one thread.
 
     The file is named `NAME.mcap.active` until it is whole. Chunks are small and, for a live
     source, closed every 0.1 s, so a killed recorder loses the last moments at most; once a second
@@ -44,7 +41,7 @@ class EpisodeWriter:
             chunks are closed by the clock, for which `tick` is to be called when nothing comes;
             else by their size alone, so that the same episode gives the same bytes.
         min_free_bytes: what is to stay free on the disk; 0 for no such bound.
-        is_import: made from a log that is still there: whatever breaks it off, nothing is left.
+        is_import: made from a log that is still there: if anything breaks it off, nothing is left.
 
     Attributes:
         accepted: messages handed over.
@@ -132,7 +129,7 @@ class EpisodeWriter:
     def write_message(
         self, topic: str, type_name: str, stamp_ns: int, data: bytes, received_ns: int | None = None
     ) -> None:
-        """Write a message that is CDR already.
+        """Write a message that is already CDR.
 
         Args:
             topic: with one type only.
@@ -162,7 +159,7 @@ class EpisodeWriter:
             self.tick()
 
     def tick(self) -> None:
-        """Do what is due by the clock; to be called often while nothing comes.
+        """Close chunks and sync the disk when due; to be called often while nothing comes.
 
         Raises:
             LogError: writing failed, or the disk is nearly full; the recording is over.
@@ -185,15 +182,15 @@ class EpisodeWriter:
 
     @property
     def written(self) -> int:
-        """Messages that are in the file and would survive this process."""
+        """Number of messages that are in the file and would survive this process."""
         return self._output.message_count
 
     def note(self, name: str, text: str) -> None:
-        """Say something in the log's info that became known while recording."""
+        """Add a note to the log's info that became known while recording."""
         self.info = replace(self.info, notes={**self.info.notes, name: text})
 
     def note_at_once(self, name: str, text: str) -> None:
-        """The same, and write the info so far: a killed recorder's log says it, too.
+        """Add a note and write the info so far, so that a killed recorder's log has it, too.
 
         Raises:
             LogError: writing failed; the recording is over.
@@ -261,7 +258,7 @@ class EpisodeWriter:
         return self._channels[topic]
 
     def _final_info(self, ended: str) -> dict[str, str]:
-        """The info record of the end: what is in the file now, and what is not."""
+        """Return the info record of the end: what is in the file now, and what is not."""
         counts = {"captured": self.accepted, **self.tally()}
         captured = counts.pop("captured")
         dropped = captured - self.written
@@ -308,7 +305,7 @@ class EpisodeWriter:
         raise LogError(f"{self.path}: {why}; {self._left(kept)}; {remedy}") from cause
 
     def _left(self, kept: Path | None) -> str:
-        """What is left of a log that did not get its name, in words."""
+        """Say what is left of a log that did not get its name."""
         if self._is_import:
             return "nothing is left of the import"
         messages = f"{self.written} of {self.info.counts['captured']} messages"
@@ -322,7 +319,7 @@ class EpisodeWriter:
 
 
 class _Channel:
-    """A topic in the log."""
+    """Topic in the log."""
 
     __slots__ = ("id", "sequence", "type_name")
 

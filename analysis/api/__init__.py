@@ -1,4 +1,4 @@
-"""All of the toolkit for Python: what the commands do, as functions, and what these give.
+"""Python interface: every command as a function, and the types that it takes and returns.
 
 ```python
 import analysis.api as tunenet
@@ -9,9 +9,9 @@ print(tuning.to_frame())
 tunenet.review(tuning, "drop.rrd")
 ```
 
-Nothing here prints or exits. What cannot be tuned comes back as a tuning whose verdict is
-"rejected", with the reason; wrong options raise `UsageError`, files that cannot be read or written
-`LogError`, both of them `TuneNetError`.
+Nothing here prints or exits. A log that cannot be tuned gives a tuning whose verdict is "rejected",
+with the reason. Wrong options raise `UsageError`, unreadable or unwritable files `LogError`; both
+are a `TuneNetError`.
 """
 
 from analysis.api.episodes import (

@@ -1,4 +1,4 @@
-"""Episodes from Python: read, simulated, written as logs."""
+"""Read, build, simulate and save episodes."""
 
 from __future__ import annotations
 
@@ -19,20 +19,19 @@ from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.formats.read_options import ReadingOptions, reading_of
 
-_LATEST_S = 9e9
-"""After any clock's time in ns that 64 bits hold."""
+_LATEST_S = 9e9  # after any clock's time in ns that 64 bits hold
 
 
 def read_episode(path: AnyPath, **reading: Unpack[ReadingOptions]) -> Episode:
-    """Read any log or video into memory; pictures are read when `Episode.frames` is asked.
+    """Read any log or video into memory; images are decoded when `Episode.frames` is called.
 
     Args:
-        path: of a log, a video, a table, a bag or a bag's folder.
-        **reading: what the file does not say itself; see `ReadingOptions`.
+        path: Log, video, table, ROS bag or a bag's folder.
+        **reading: What the file does not state itself; see `ReadingOptions`.
 
     Raises:
-        LogError: there is no such file, or nothing in it can be read.
-        UsageError: an option that makes no sense.
+        LogError: There is no such file, or nothing in it can be read.
+        UsageError: An option is invalid.
     """
     from tunenet_logs.reader import read_episode as read
 
@@ -46,16 +45,16 @@ def episode_of_positions(
     unit: Literal["m", "px", ""] = "m",
     topic: str = "/ball/pose",
 ) -> Episode:
-    """A drop from arrays of your own, for `tune` and `save_episode`.
+    """Build the episode of a drop from arrays, for `tune` and `save_episode`.
 
     Args:
-        seconds: when each position was measured [s], rising; shape (T,).
+        seconds: Stamp of each position [s], increasing; shape (T,).
         positions: x, y, z with z up, shape (T, 3); or heights alone, shape (T,).
-        unit: of the positions; "" where it is not known: gravity then tells.
-        topic: what they are called.
+        unit: Unit of the positions; "" if unknown: gravity then gives the scale.
+        topic: Name of the signal.
 
     Raises:
-        UsageError: shapes disagree, a number is not finite, or the times do not rise.
+        UsageError: Shapes disagree, a number is not finite, or the stamps do not increase.
     """
     placed = np.array(positions, float)
     if placed.ndim == 1:
@@ -73,18 +72,18 @@ def episode_of_joints(
     *,
     topic: str = "/joint_states",
 ) -> Episode:
-    """An arm's run from arrays of your own, for `tune` and `save_episode`.
+    """Build the episode of an arm's run from arrays, for `tune` and `save_episode`.
 
     Args:
-        seconds: when each state was measured [s], rising; shape (T,).
-        names: of the J joints, as in the arm's URDF.
-        position_rad: shape (T, J).
-        effort_nm: torques of the joints, shape (T, J).
-        velocity_rad_s: shape (T, J); None where it was not measured.
-        topic: what they are called.
+        seconds: Stamp of each joint state [s], increasing; shape (T,).
+        names: Names of the J joints, as in the arm's URDF.
+        position_rad: Joint positions, shape (T, J).
+        effort_nm: Joint torques, shape (T, J).
+        velocity_rad_s: Joint velocities, shape (T, J); None if not measured.
+        topic: Name of the signals.
 
     Raises:
-        UsageError: shapes disagree, a number is not finite, or the times do not rise.
+        UsageError: Shapes disagree, a number is not finite, or the stamps do not increase.
     """
     parts = [("position", position_rad, "rad"), ("effort", effort_nm, "N·m")]
     if velocity_rad_s is not None:
@@ -118,15 +117,15 @@ def simulate(
     film: FilmOrder | None = None,
     engine: str | None = None,
 ) -> Episode:
-    """Simulate an episode, as `tunenet-record --simulate` does. The same order gives the same bits.
+    """Simulate an episode, as `tunenet-record --simulate` does. Equal orders give equal bits.
 
     Args:
-        order: of a drop, an arm's run with a payload, or a bounce shot.
-        film: how a camera films a drop: then the episode has pictures in place of positions.
-        engine: see `tune`.
+        order: A drop, an arm's run with a payload, or a bounce shot.
+        film: How a camera films a drop; the episode then has images instead of positions.
+        engine: See `tune`.
 
     Raises:
-        UsageError: a value that is out of range, or a film of something else than a drop.
+        UsageError: A value is out of range, or something else than a drop is to be filmed.
     """
     from recorders.filmed_drop import film_drop
     from recorders.simulated_drop import simulate_drop
@@ -145,15 +144,15 @@ def simulate(
 
 
 def save_episode(episode: Episode, path: AnyPath, *, overwrite: bool = False) -> Path:
-    """Write an episode as a log (MCAP) that `tune` and every tool of the ecosystem reads.
+    """Write an episode as an MCAP log that `tune` and other MCAP tools read.
 
     Args:
-        episode: positions, joints and pictures.
-        path: of the log, `NAME.mcap`.
-        overwrite: whether a file of that name may be replaced.
+        episode: Positions, joint states and images.
+        path: The log, `NAME.mcap`.
+        overwrite: Whether an existing file may be replaced.
 
     Raises:
-        LogError: it exists, or cannot be written.
+        LogError: The file exists, or cannot be written.
     """
     from recorders.session import record_episode
     from tunenet_logs.terminal import Progress

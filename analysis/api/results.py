@@ -1,4 +1,4 @@
-"""Results from Python: kept, reviewed, exported."""
+"""Save, read, compare, review, report and export results."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _ELSEWHERE, _ASKED_BY = "choose another place", "overwrite=True"
 
 
 def read_tuning(path: AnyPath) -> Record:
-    """What one tuning said, from the JSON that `tunenet-tune` or `save_tuning` wrote.
+    """Read a tuning's record from the JSON that `tunenet-tune` or `save_tuning` wrote.
 
     Raises:
-        LogError: it cannot be read, or is no tuning.
+        LogError: The file cannot be read, or is no tuning.
     """
     from analysis.record_json import read_record
 
@@ -34,15 +34,15 @@ def read_tuning(path: AnyPath) -> Record:
 
 
 def save_tuning(tuning: Tuning | Record, path: AnyPath, *, overwrite: bool = False) -> Path:
-    """Write the JSON of a tuning, whole or not at all; see docs/tuning.md for its keys.
+    """Write a tuning as JSON, atomically; docs/tuning.md describes the keys.
 
     Args:
-        tuning: or its record.
-        path: of the JSON.
-        overwrite: whether the tuning of another log may be replaced.
+        tuning: A tuning, or its record.
+        path: The JSON.
+        overwrite: Whether the tuning of another log may be replaced.
 
     Raises:
-        LogError: something else is there, or it cannot be written.
+        LogError: A file there may not be replaced, or it cannot be written.
     """
     from analysis.record_json import to_json
     from analysis.result_files import tuning_of
@@ -58,13 +58,13 @@ def review(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:
     """Write the review of a tuning, for `rerun PATH` or Rerun's viewer in a notebook.
 
     Args:
-        tuning: of a log that could be read.
-        path: of the recording, `NAME.rrd`.
-        overwrite: whether the review of another log may be replaced.
+        tuning: Tuning of a log that could be read.
+        path: The recording, `NAME.rrd`.
+        overwrite: Whether the review of another log may be replaced.
 
     Raises:
-        UsageError: the name does not end so.
-        LogError: the log could not be read, something else is there, or it cannot be written.
+        UsageError: The name does not end in .rrd.
+        LogError: The log cannot be read, a file there may not be replaced, or it cannot be written.
     """
     from analysis.result_files import review_of
     from analysis.review.tuning_review import write_review
@@ -86,17 +86,17 @@ def review_campaign(
     jobs: int | None = None,
     overwrite: bool = False,
 ) -> Campaign:
-    """Write the review of a campaign, as `tunenet-review` does; its attempts come back.
+    """Write the review of a campaign, as `tunenet-review` does, and return the campaign.
 
     Args:
-        places: folders, logs, tunings, outcomes, tables of outcomes.
-        path: of the recording, `NAME.rrd`.
-        jobs: processes for the drops that were not tuned yet; None for all cores.
-        overwrite: whether the review of another campaign may be replaced.
+        places: Folders, logs, tunings, outcomes, tables of outcomes.
+        path: The recording, `NAME.rrd`.
+        jobs: Processes for drops without a tuning; None for all cores.
+        overwrite: Whether the review of another campaign may be replaced.
 
     Raises:
-        UsageError: nothing of a campaign is there.
-        LogError: something else is there, or it cannot be written.
+        UsageError: No file of a campaign is there.
+        LogError: A file there may not be replaced, or it cannot be written.
     """
     from analysis.campaign.build import campaign_of
     from analysis.result_files import recording, subject_of
@@ -115,18 +115,18 @@ def review_campaign(
 def compare(
     tunings: Iterable[Tuning | Record | AnyPath], names: Sequence[str] | None = None
 ) -> Comparison:
-    """What was tuned from several logs side by side, and which values differ significantly.
+    """Compare the tunings of several logs, and test which values differ significantly.
 
     Args:
-        tunings: or their records, or the JSONs that hold these.
-        names: of the logs, one each; their own if None.
+        tunings: Tunings, their records, or their JSON files.
+        names: Label of each log; None for the logs' own names.
 
     Returns:
         The comparison; `to_frame` makes a table of it.
 
     Raises:
-        UsageError: there are too many, or not one name each.
-        LogError: a JSON cannot be read, or is no tuning.
+        UsageError: There are too many tunings, or not one name each.
+        LogError: A JSON cannot be read, or is no tuning.
     """
     from analysis.comparison import compare as compared
 
@@ -150,22 +150,22 @@ def report(
     jobs: int | None = None,
     overwrite: bool = False,
 ) -> tuple[Path, ...]:
-    """Write one page of tunings, figures of them, or both, as `tunenet-report` does.
+    """Write a report page of tunings, their figures, or both, as `tunenet-report` does.
 
     Args:
         places: JSONs of tunings, folders of them, or a campaign's folder.
-        page: of the page, `NAME.html`; None for none.
-        figures: a file for the main figure, or a folder for all; None for none.
-        kind: of the figures: "pdf" or "png".
-        jobs: processes for a campaign's drops; None for all cores.
-        overwrite: whether results of other logs may be replaced.
+        page: The page, `NAME.html`; None for none.
+        figures: A file for the main figure, or a folder for all; None for none.
+        kind: Format of the figures, "pdf" or "png".
+        jobs: Processes for a campaign's drops; None for all cores.
+        overwrite: Whether results of other logs may be replaced.
 
     Returns:
         The files that were written.
 
     Raises:
-        UsageError: there is nothing to report, or something else is in a file's place.
-        LogError: a tuning cannot be read.
+        UsageError: There is nothing to report, or a file in a place may not be replaced.
+        LogError: A tuning cannot be read.
     """
     from analysis.campaign.files import files_of
     from analysis.optional_dependencies import needed
@@ -199,15 +199,15 @@ def report(
 
 
 def save_arm_card(tuning: Tuning, path: AnyPath, *, overwrite: bool = False) -> Path:
-    """Write what a tuned payload's log says of the arm, for `tune(..., arm_card=PATH)`.
+    """Write what a payload's log identifies of the arm itself, for `tune(..., arm_card=PATH)`.
 
     Args:
-        tuning: of a payload.
-        path: of the card, a JSON.
-        overwrite: whether the card of other runs may be replaced.
+        tuning: Tuning of a payload.
+        path: The card, a JSON.
+        overwrite: Whether the card of other runs may be replaced.
 
     Raises:
-        LogError: it says nothing, something else is there, or it cannot be written.
+        LogError: Nothing was identified, a file there may not be replaced, or it cannot be written.
     """
     from analysis.payload.card_saving import save_arm_card as save
     from analysis.result_files import writable
@@ -228,25 +228,25 @@ def export(
     step_s: float | None = None,
     overwrite: bool = False,
 ) -> tuple[Path, ...]:
-    """Write the tuned ball or payload as a file of an engine; see docs/engines.md.
+    """Write the tuned ball or payload as a model file of an engine; see docs/engines.md.
 
     Args:
-        tuning: or its record.
+        tuning: A tuning, or its record.
         to: "pybullet", "mujoco", "sdf", "urdf", "drake", "newton", "isaac", "yaml" or "json".
-        path: of the file, with the engine's suffix.
-        speed_m_s: of the impact for which the restitution is to be right.
-        radius_m: of the ball.
-        mass_kg: of the ball.
-        step_s: the engine's time step.
-        overwrite: whether exports of other logs may be replaced.
+        path: The file, with the engine's suffix.
+        speed_m_s: Impact speed at which the coefficient of restitution is to be exact.
+        radius_m: Radius of the ball.
+        mass_kg: Mass of the ball.
+        step_s: The engine's time step.
+        overwrite: Whether exports of other logs may be replaced.
 
     Returns:
         The files that were written: some engines need two.
 
     Raises:
-        UsageError: no such engine, or an option that does not go with it.
-        LogError: the tuning holds no value that can be exported, or a file cannot be written.
-        NotFoundError: the tuning was rejected.
+        UsageError: There is no such engine, or an option does not apply to it.
+        LogError: The tuning holds no value that can be exported, or a file cannot be written.
+        NotFoundError: The tuning was rejected.
     """
     from analysis.export.files import engine_format, export_texts, exported_for
     from analysis.export.from_record import ExportOptions
@@ -270,11 +270,7 @@ def export(
 
 @contextmanager
 def _written(path: Path, what: str, knows: Knows, of: str, *, overwrite: bool) -> Generator[Path]:
-    """Write a file, whole or not at all; see `OutputPlace`.
-
-    Raises:
-        LogError: something else is there, or it cannot be written.
-    """
+    """Open a file that replaces its place atomically on exit; see `OutputPlace`."""
     from analysis.result_files import writable
     from tunenet_logs.output.owned_file import OutputPlace
 
@@ -284,7 +280,7 @@ def _written(path: Path, what: str, knows: Knows, of: str, *, overwrite: bool) -
 
 
 def _log_of(record: Record) -> tuple[Path, str]:
-    """Name and SHA-256 of a record's log."""
+    """Return the name and SHA-256 of a record's log."""
     return Path(record.log), record.provenance.log_sha256 if record.provenance else ""
 
 

@@ -1,4 +1,4 @@
-"""Logs tuned from Python: one, or many."""
+"""Tune one log, or many."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ def tune(
     """Tune from one log, as `tunenet-tune` does; nothing is written.
 
     Args:
-        source: a log's path, its address (`s3://...`), or an episode in memory.
-        simulator: one's own, an object with `parameters` and `rollout(values) -> Episode`, whose
-            signals are called as the log's; None for the experiments, or the option `model`.
-        name: what an episode in memory is called in the result.
+        source: A log's path, its address (`s3://...`), or an episode in memory.
+        simulator: The user's own, with `parameters` and `rollout(values) -> Episode`, whose signals
+            are named as the log's; None for the experiments, or the option `model`.
+        name: Name of an episode in memory in the result.
         engine: "pybullet" or "mujoco"; None for the first that is installed. It is chosen for the
             whole process while this runs.
-        progress: is given what is being done, in words, and which fraction of it, from 0 to 1.
-        **options: those of the command; see `TuneOptions`.
+        progress: Called with the present stage in words, and its fraction done, from 0 to 1.
+        **options: Those of the command; see `TuneOptions`.
 
     Returns:
-        The tuning. It holds the episode's samples; its `record` does not, and is what to keep of
-        many logs. A log that cannot be read or tuned has the verdict "rejected".
+        The tuning. It holds the episode's samples; its `record` does not: keep that of many logs. A
+        log that cannot be read or tuned has the verdict "rejected".
 
     Raises:
-        UsageError: an option that makes no sense, or fits no log.
-        WeightsError: the weights are damaged, or of another network.
+        UsageError: An option is invalid, or fits no log.
+        WeightsError: The weights are damaged, or of another network.
     """
     from analysis.provenance import provenance_of
     from analysis.result_files import log_sha256
@@ -80,7 +80,7 @@ def tune(
 
 
 def _with(simulator: Simulator | None, options: Options) -> Options:
-    """The options of a tuning by a simulator of the user's own, if there is one."""
+    """Add the user's own simulator to the options, if there is one."""
     if simulator is None:
         return options
     from analysis.sysid.source import GivenSimulator
@@ -92,7 +92,7 @@ def _with(simulator: Simulator | None, options: Options) -> Options:
 
 @contextmanager
 def _here(source: AnyPath) -> Generator[Path]:
-    """The log as a file of this machine: a copy, while it is needed, of one at an address."""
+    """Open the log as a local file; one at an address is copied and removed on exit."""
     from analysis.batch.found_logs import is_remote
 
     if not is_remote(str(source)):
@@ -105,24 +105,24 @@ def _here(source: AnyPath) -> Generator[Path]:
 
 
 class _Counted:
-    """A bar that tells a listener."""
+    """Progress bar that calls a listener."""
 
     def __init__(self, listener: Listener, what: str, total: int) -> None:
         self._listener, self._what, self._total = listener, what, total
         self._done = 0
 
     def update(self, done: int, /) -> None:
-        """So many more are done."""
+        """Count `done` more items."""
         self._done += done
         self._listener(self._what, self._done / max(self._total, 1))
 
     def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
-        """Nothing is shown beside it."""
+        """Show nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _HeardByFunction(Progress):
-    """Progress that a function hears, and no terminal."""
+    """Progress that is reported to a function instead of the terminal."""
 
     quiet: bool = True
     listener: Listener | None = None
@@ -159,24 +159,24 @@ def tune_all(
     """Tune many logs on all cores, as `tunenet-tune LOGS -o FOLDER` does.
 
     Args:
-        logs: files, folders that are walked, patterns such as "runs/**/*.mcap", addresses.
-        folder: for the results: a JSON and a review of each log, and the ledger.
-        resume: whether logs are left out that the ledger has, unchanged, under the same options.
-        reviewed: which logs get a review: "all", "none", or those of one verdict.
-        overwrite: whether results of other logs may be replaced.
-        jobs: how many processes; None for all cores.
-        ray: a Ray cluster's HOST:PORT, "auto" or "local"; None for processes of this machine.
-        engine: see `tune`.
-        progress: see `tune`; of many logs, the fraction of them that is done.
-        **options: of every log; see `TuneOptions`.
+        logs: Files, folders (searched recursively), patterns such as "runs/**/*.mcap", addresses.
+        folder: Folder of the results: a JSON and a review of each log, and the ledger.
+        resume: Whether to skip logs that the ledger has, unchanged, under the same options.
+        reviewed: Which logs get a review: "all", "none", or those of one verdict.
+        overwrite: Whether results of other logs may be replaced.
+        jobs: Number of processes; None for all cores.
+        ray: A Ray cluster's HOST:PORT, "auto" or "local"; None for processes of this machine.
+        engine: See `tune`.
+        progress: See `tune`; the fraction is that of the logs.
+        **options: Options of every log; see `TuneOptions`.
 
     Returns:
-        The ledger, a row a log, with columns `log`, `verdict`, `reason`, each parameter with its
+        The ledger, a row per log, with columns `log`, `verdict`, `reason`, each parameter with its
         interval, and more; see docs/scale.md.
 
     Raises:
-        UsageError: an option that makes no sense, or a place where no log is.
-        LogError: the results cannot be written.
+        UsageError: An option is invalid, or a place holds no log.
+        LogError: The results cannot be written.
     """
     from analysis.batch.found_logs import find_logs
     from analysis.batch.ledger import read_ledger

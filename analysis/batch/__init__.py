@@ -1,1 +1,1 @@
-"""Many logs: found, tuned several at a time, and entered in a ledger as they end."""
+"""Batch tuning: find logs, tune them in parallel, and keep a ledger of the results."""

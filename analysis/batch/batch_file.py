@@ -1,4 +1,4 @@
-"""A text file that a batch writes beside its results: where it may go, and over what."""
+"""Check where a batch may write a text file beside its results."""
 
 from __future__ import annotations
 
@@ -12,15 +12,12 @@ from tunenet_logs.regular_file import real_path
 
 
 def check_batch_file(place: OutputPlace, logs: Iterable[FoundLog], folder: Path | None) -> None:
-    """Find out before hours of work whether a file can be written, and over what.
+    """Check before hours of work that a file can be written, and replaces no log.
 
-    Args:
-        place: where it goes.
-        logs: of the batch, which it never replaces.
-        folder: of the results, which need not be there yet; None for beside each log.
+    The `folder` of the results may not exist yet; None is for beside each log.
 
     Raises:
-        UsageError: it cannot; says why.
+        UsageError: It cannot be written.
     """
     path = place.path
     real = real_path(path)

@@ -1,4 +1,4 @@
-"""From what a user names, the logs that are meant: files, folders that are walked, patterns."""
+"""Resolve files, folders, patterns and addresses that a user names into logs."""
 
 from __future__ import annotations
 
@@ -13,16 +13,13 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.formats.log_names import is_log_folder, may_be_log
 from tunenet_logs.regular_file import real_path
 
-MOST_LOGS = 1_000_000
-"""In one batch, and entries of folders that are looked at for each of them."""
-
-_DEEPEST = 64
-"""Folders within folders."""
+MAX_LOGS = 1_000_000  # in one batch, and entries of folders that are looked at for each of them
+_MAX_DEPTH = 64  # folders within folders
 
 
 @dataclass(frozen=True)
 class FoundLog:
-    """A log.
+    """Log that was found.
 
     Attributes:
         log: its path, or the address of one that is read over the network.
@@ -35,12 +32,12 @@ class FoundLog:
 
 @dataclass(frozen=True)
 class FoundLogs:
-    """What was found.
+    """Logs that were found.
 
     Attributes:
-        logs: each once, those of a folder in the order of their names.
-        left_out: files of folders that are no logs by their names and beginnings.
-        are_many: whether a folder or a pattern was named, or several logs.
+        logs: Each once, those of a folder sorted by name.
+        left_out: Count of files in folders that are no logs by name and first bytes.
+        are_many: Whether a folder or a pattern was named, or several logs.
     """
 
     logs: tuple[FoundLog, ...]
@@ -49,19 +46,19 @@ class FoundLogs:
 
 
 def is_remote(log: Path | Address | str) -> bool:
-    """Whether a log is read over the network."""
+    """Return whether a log is read over the network."""
     return isinstance(log, Address) or "://" in str(log)
 
 
 def find_logs(named: Sequence[Path | str]) -> FoundLogs:
-    """The logs meant by paths, folders, patterns (`'logs/**/*.mcap'`) and addresses (`s3://...`).
+    """Find the logs of paths, folders, patterns (`'logs/**/*.mcap'`) and addresses (`s3://...`).
 
-    A folder that is one log, such as a bag's, is that log. One without any log is named as a log,
-    so that reading says why it is none. No link to a folder is followed.
+    A folder that is one log, such as a bag's, is that log. One without any log counts as a log,
+    so that reading reports why it is none. No link to a folder is followed.
 
     Raises:
-        UsageError: a pattern fits nothing, there are too many, an address cannot be asked, or
-            one is named twice with different logins or signatures.
+        UsageError: A pattern matches nothing, there are too many logs, an address does not answer,
+            or one is named twice with different logins or signatures.
     """
     found: dict[Path | Address, FoundLog] = {}
     left_out, are_many = 0, len(named) > 1
@@ -86,18 +83,18 @@ def find_logs(named: Sequence[Path | str]) -> FoundLogs:
         for log in inside.logs:
             below = root / log.parent.relative_to(place)
             found.setdefault(real_path(log), FoundLog(log, below))
-        if len(found) > MOST_LOGS:
-            raise UsageError(f"{place}: over {MOST_LOGS} logs; tune some of its folders at a time")
+        if len(found) > MAX_LOGS:
+            raise UsageError(f"{place}: over {MAX_LOGS} logs; tune some of its folders at a time")
     return FoundLogs(tuple(found.values()), left_out, are_many)
 
 
 def _places(named: Iterable[Path | str]) -> Iterator[Path | Address]:
-    """Paths and addresses of single logs, with patterns filled in."""
+    """Yield paths and addresses of single logs, with patterns expanded."""
     for one in named:
         if is_remote(one):
             from analysis.batch.remote_logs import remote_logs
 
-            yield from remote_logs(str(one), MOST_LOGS)
+            yield from remote_logs(str(one), MAX_LOGS)
             continue
         path = Path(one)
         if without_secrets(str(one)) != str(one) and not os.path.lexists(path):
@@ -129,8 +126,8 @@ class _Walk:
         except OSError as error:
             raise UsageError(f"{folder}: cannot be read ({error.strerror})") from error
         self._seen += len(inside)
-        if self._seen > MOST_LOGS:
-            raise UsageError(f"{folder}: over {MOST_LOGS} files; tune some folders at a time")
+        if self._seen > MAX_LOGS:
+            raise UsageError(f"{folder}: over {MAX_LOGS} files; tune some folders at a time")
         for entry in inside:
             path = folder / entry.name
             if entry.name.startswith("."):
@@ -138,7 +135,7 @@ class _Walk:
             if entry.is_dir(follow_symlinks=False):
                 if is_log_folder(path):
                     self.logs.append(path)
-                elif depth < _DEEPEST:
+                elif depth < _MAX_DEPTH:
                     self._look(path, depth + 1)
             elif may_be_log(path):
                 self.logs.append(path)

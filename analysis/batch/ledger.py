@@ -1,7 +1,7 @@
-"""The ledger of many logs: a journal that grows by a line as each log ends, a table at the end.
+"""Ledger of a batch: an append-only journal while logs are tuned, a Parquet table at the end.
 
-A kill at any moment loses no line of the journal but the one being written. The next run reads
-what is there, and goes on. One row a log: a later one takes the place of an earlier.
+A kill at any moment loses at most the line being written; the next run resumes from the rest.
+There is one row per log: a later one replaces an earlier.
 """
 
 from __future__ import annotations
@@ -32,43 +32,35 @@ if TYPE_CHECKING:
 TEXTS = ("log", "verdict", "reason", "error", "task", "method", "ball", "topic", "sha256")
 TEXTS += ("results", "tuned", "version", "engine", "options")
 _WHOLE = ("rollouts", "bytes", "modified_ns")
+# Columns that every ledger has: texts and whole numbers. All others are numbers.
 COLUMNS = (*TEXTS, *_WHOLE)
-"""Columns that every ledger has: texts and whole numbers. All others are numbers."""
 
-_GO_ON = "free some space, then go on with --resume"
-"""What to do where a disk is full."""
-
+_GO_ON = "free some space, then go on with --resume"  # what to do where a disk is full
 _ELSEWHERE = "choose another folder with -o"
 _MOVE = f"move it away, or {_ELSEWHERE}"
 
-_MOST_LINE = 100_000
-"""Bytes of a line of the journal."""
+_MAX_LINE = 100_000  # bytes of a line of the journal
+# Of a journal that is read; while it grows, it becomes part of the table in time.
+_MAX_JOURNAL_BYTES = 50_000_000
 
-_MOST_JOURNAL_BYTES = 50_000_000
-"""Of a journal that is read; while it grows, it becomes part of the table in time."""
-
-_MOST_LINES = 60_000
-"""Of a journal that is read: a row of ours has hundreds of bytes."""
-
-_MOST_COLUMNS = 2000
-_MOST_CELLS, _USUAL_COLUMNS = 5_000_000, 40
-"""Of a ledger that is read: 125,000 logs, and fewer where it has more columns."""
+_MAX_LINES = 60_000  # of a journal that is read: a row of ours has hundreds of bytes
+_MAX_COLUMNS = 2000
+# Of a ledger that is read: 125,000 logs, and fewer where it has more columns.
+_MAX_CELLS, _TYPICAL_COLUMNS = 5_000_000, 40
 
 _HEAD = b'{"journal": "tunenet-tune"}\n'
-_ROW = b'{"log": '
-"""How a journal begins, and each of its lines."""
-
+_ROW = b'{"log": '  # how a journal begins, and each of its lines
 _PARQUET_MARK = {b"tunenet-logs": b"ledger"}
 _IN_PARQUET = b"tunenet-logs\x18\x06ledger"
+# What a table says of itself, how that stands in a file, and in how many of its last bytes.
 _FOOTER_BYTES = 2**20
-"""What a table says of itself, how that stands in a file, and in how many of its last bytes."""
 
 
 class Ledger:
     """Rows by log, in the order in which the logs first ended.
 
     Attributes:
-        columns: cells of each column, all of one length.
+        columns: Cells of each column, all of one length.
     """
 
     def __init__(self) -> None:
@@ -79,7 +71,7 @@ class Ledger:
         return len(self._place)
 
     def put(self, row: LedgerRow) -> None:
-        """Enter a row, for the one of the same log if there is one."""
+        """Insert a row, or replace that of the same log."""
         log = str(row["log"])
         count = len(self._place)
         at = self._place.setdefault(log, count)
@@ -91,29 +83,29 @@ class Ledger:
                 cells[at] = None
         for name, value in row.items():
             if name not in self.columns:
-                if value is None or len(self.columns) >= _MOST_COLUMNS:
+                if value is None or len(self.columns) >= _MAX_COLUMNS:
                     continue
                 self.columns[name] = [None] * len(self._place)
             self.columns[name][at] = value
 
     def row(self, log: str) -> dict[str, Cell] | None:
-        """That of a log; None where there is none."""
+        """Return the row of a log, or None."""
         at = self._place.get(log)
         return None if at is None else {name: cells[at] for name, cells in self.columns.items()}
 
     def rows(self) -> Iterator[dict[str, Cell]]:
-        """All of them."""
+        """Yield all rows."""
         for at in range(len(self)):
             yield {name: cells[at] for name, cells in self.columns.items()}
 
 
 def ledger_file(folder: Path) -> Path:
-    """The table of a folder of results."""
+    """Return the path of the ledger's table in a folder of results."""
     return folder / f"{OF_BATCH}.parquet"
 
 
 def read_ledger(table: Path) -> pd.DataFrame:
-    """The table of `ledger_file`, a row a log."""
+    """Read the table of `ledger_file`, one row per log."""
     import pandas as pd
 
     return pd.read_parquet(table)
@@ -124,12 +116,12 @@ def _journal_file(folder: Path) -> Path:
 
 
 def overview_file(folder: Path) -> Path:
-    """The recording that shows a whole ledger."""
+    """Return the path of the recording that shows a whole ledger."""
     return folder / f"{OF_BATCH}.rrd"
 
 
 def overview_place(folder: Path) -> OutputPlace:
-    """Where that is written, over an earlier one."""
+    """Return the output place of the overview, which replaces an earlier one."""
     knows = recording("overview", "")
     return OutputPlace(overview_file(folder), "overview", knows, elsewhere=_ELSEWHERE)
 
@@ -145,7 +137,7 @@ def _table_place(folder: Path) -> OutputPlace:
 
 
 class Journal:
-    """The ledger of a folder while logs are tuned into it."""
+    """Ledger of a folder while logs are tuned into it."""
 
     def __init__(self, folder: Path, file: BinaryIO) -> None:
         self.folder = folder
@@ -164,29 +156,29 @@ class Journal:
     def _put(self, path: Path, rows: Iterable[LedgerRow]) -> None:
         for row in rows:
             self.ledger.put(row)
-            columns = max(_USUAL_COLUMNS, len(self.ledger.columns))
-            if len(self.ledger) * columns > _MOST_CELLS:
+            columns = max(_TYPICAL_COLUMNS, len(self.ledger.columns))
+            if len(self.ledger) * columns > _MAX_CELLS:
                 raise LogError(f"{path}: has more than any ledger; {_MOVE}")
 
     def append(self, row: LedgerRow) -> None:
-        """Enter the row of a log that has just ended; it outlives this process.
+        """Append the row of a log that has just ended, and flush it to the journal.
 
         Raises:
-            LogError: the journal cannot be written.
+            LogError: The journal cannot be written.
         """
         line = json.dumps(row, ensure_ascii=False).encode(errors="replace")
         with writable(_journal_file(self.folder), _GO_ON):
             self._file.write(line + b"\n")
             self._file.flush()
         self.ledger.put(row)
-        if os.fstat(self._file.fileno()).st_size > _MOST_JOURNAL_BYTES // 2:
+        if os.fstat(self._file.fileno()).st_size > _MAX_JOURNAL_BYTES // 2:
             self.compact()
 
     def compact(self) -> Path:
-        """Write all rows as one Parquet table, and empty the journal.
+        """Write all rows as one Parquet table, then truncate the journal.
 
         Raises:
-            LogError: it cannot be written; the journal keeps all.
+            LogError: The table cannot be written; the journal keeps all rows.
         """
         table = self._table.path
         with writable(table, _GO_ON), self._table.replacing() as unfinished:
@@ -197,11 +189,11 @@ class Journal:
 
 @contextmanager
 def journal(folder: Path) -> Iterator[Journal]:
-    """The journal of a folder of results, this process's alone; at the end it is the table.
+    """Open the journal of a folder of results under an exclusive lock; write the table on exit.
 
     Raises:
-        UsageError: another process tunes into the folder.
-        LogError: the folder cannot be written, or what is in its ledger's place is none of ours.
+        UsageError: Another process tunes into the folder.
+        LogError: The folder cannot be written, or another kind of file is in the ledger's place.
     """
     path = _journal_file(folder)
     try:
@@ -223,12 +215,12 @@ def journal(folder: Path) -> Iterator[Journal]:
 
 
 def _locked(path: Path) -> BinaryIO:
-    """The journal's file, opened for this process alone.
+    """Open the journal under an exclusive lock.
 
     Raises:
-        LogError: what is there is no file of its own.
-        UsageError: another process has it.
-        OSError: it cannot be opened.
+        LogError: Another kind of file is in its place.
+        UsageError: Another process holds the lock.
+        OSError: It cannot be opened.
     """
     while True:
         knows = begins_with(_HEAD)
@@ -253,7 +245,7 @@ def _locked(path: Path) -> BinaryIO:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """The file that is there, or a new one that holds a journal's head before it has the name."""
+    """Open the existing file, or one created atomically with a journal's header."""
     flags = os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     while True:
         with suppress(FileNotFoundError):
@@ -275,23 +267,23 @@ def _is_new(file: BinaryIO) -> bool:
 
 
 def _journal_rows(path: Path, file: BinaryIO) -> list[LedgerRow]:
-    """The journal's whole lines; what a kill has cut off is taken away.
+    """Read the journal's complete lines, and truncate a line that a kill cut off.
 
     Raises:
-        LogError: it holds what no journal of ours does; it stays as it is.
+        LogError: It holds what no journal does; it is left unchanged.
     """
-    if os.fstat(file.fileno()).st_size > _MOST_JOURNAL_BYTES:
-        size = _MOST_JOURNAL_BYTES // 1_000_000
+    if os.fstat(file.fileno()).st_size > _MAX_JOURNAL_BYTES:
+        size = _MAX_JOURNAL_BYTES // 1_000_000
         raise LogError(f"{path}: is larger than any journal ({size} MB); {_MOVE}")
     file.seek(0)
     rows: list[LedgerRow] = []
     whole = number = 0
-    while line := file.readline(_MOST_LINE):
+    while line := file.readline(_MAX_LINE):
         number += 1
-        if number > _MOST_LINES:
-            raise LogError(f"{path}: has over {_MOST_LINES} lines; {_MOVE}")
+        if number > _MAX_LINES:
+            raise LogError(f"{path}: has over {_MAX_LINES} lines; {_MOVE}")
         if not line.endswith(b"\n"):
-            is_torn = number > 1 and len(line) < _MOST_LINE and line[: len(_ROW)] in _ROW
+            is_torn = number > 1 and len(line) < _MAX_LINE and line[: len(_ROW)] in _ROW
             if not is_torn:
                 raise _no_row(path, number, "does not end")
             break
@@ -312,10 +304,10 @@ def _no_row(path: Path, number: int, why: str) -> LogError:
 
 
 def _row(given: Any) -> LedgerRow:
-    """A row of a ledger.
+    """Validate a row of a ledger.
 
     Raises:
-        ValueError: it is none.
+        ValueError: It is none.
     """
     if not isinstance(given, dict) or not isinstance(given.get("log"), str):
         raise ValueError("it names no log")
@@ -328,7 +320,7 @@ def _row(given: Any) -> LedgerRow:
 
 
 def write_parquet(ledger: Ledger, path: Path) -> None:
-    """The ledger as a Parquet table; every column has one type."""
+    """Write the ledger as a Parquet table with one type per column."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -348,13 +340,13 @@ def write_parquet(ledger: Ledger, path: Path) -> None:
 
 
 def _table_rows(path: Path) -> Iterator[LedgerRow]:
-    """The rows of a table; it is a stranger's until each was looked at.
+    """Yield the rows of a table, each validated: the file is untrusted.
 
     Raises:
-        LogError: it is damaged, too large, or no ledger.
+        LogError: It is damaged, too large, or no ledger.
     """
     try:
-        for rows in parquet_rows(path, _MOST_CELLS):
+        for rows in parquet_rows(path, _MAX_CELLS):
             yield from map(_row, rows)
     except ValueError as error:
         raise LogError(f"{path}: is no ledger ({error}); {_MOVE}") from error

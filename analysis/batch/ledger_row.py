@@ -1,4 +1,4 @@
-"""One log's line in the ledger: flat, so that every column is a number or a text."""
+"""Row of one log in the ledger: flat, every column a number or a text."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from tunenet_logs.regular_file import real_path
 
 Cell = str | int | float | bool | None
 
+# Cells by the names of their columns; those without a value may be left out.
 LedgerRow = Mapping[str, Cell]
-"""Cells by the names of their columns; those without a value may be left out."""
 
 
 @dataclass(frozen=True)
 class LogState:
-    """What tells cheaply whether a log changed.
+    """Size and modification time of a log, to detect cheaply whether it changed.
 
     Attributes:
-        size: of all of its files [bytes]; -1 where that is not known.
-        modified_ns: the last change of any of them, on the clock of the file system.
+        size: Of all of its files [bytes]; -1 if unknown.
+        modified_ns: The last change of any of them, on the file system's clock.
     """
 
     size: int = -1
@@ -33,7 +33,7 @@ class LogState:
 
     @classmethod
     def of(cls, log: Path) -> LogState:
-        """That of a log on this machine."""
+        """Read the state of a log on this machine; -1 and 0 if it cannot be read."""
         try:
             files = [log, *(log.iterdir() if log.is_dir() else ())]
             return cls(file_bytes(log), max(one.stat().st_mtime_ns for one in files))
@@ -42,7 +42,7 @@ class LogState:
 
 
 def ledger_key(log: Path | Address) -> str:
-    """What the ledger knows a log by: its absolute path, or its address without secrets."""
+    """Return a log's key in the ledger: its absolute path, or its address without secrets."""
     text = str(log if isinstance(log, Address) else real_path(log))
     return os.fsencode(text).decode(errors="replace")
 
@@ -50,14 +50,14 @@ def ledger_key(log: Path | Address) -> str:
 def ledger_row(
     log: Path | Address, name: Path, record: Record, state: LogState, error: str | None
 ) -> dict[str, Cell]:
-    """The line of one log.
+    """Build the ledger's row of one log.
 
     Args:
-        log: where it is.
-        name: where its results go, without the suffix.
-        record: what came of it, with its provenance.
-        state: of the log when it was read.
-        error: why it is not done; None where it is, be it rejected.
+        log: Where it is.
+        name: Where its results go, without the suffix.
+        record: Its result, with the provenance.
+        state: Of the log when it was read.
+        error: Why it failed; None otherwise, even if it was rejected.
     """
     provenance, fit = record.provenance, record.motion.fit
     row: dict[str, Cell] = {
@@ -93,7 +93,7 @@ def ledger_row(
 
 
 def _cells(estimate: Estimate) -> dict[str, Cell]:
-    """A value, and the ends of its interval as `_low` and `_high`; a vector's by its axes."""
+    """Flatten a value, its interval as `_low` and `_high`, a vector by its axes."""
     unit = re.sub(r"[^A-Za-z0-9]+", "_", estimate.unit).strip("_")
     ending = "" if estimate.unit == "1" else f"_{unit}"
     cells: dict[str, Cell] = {}

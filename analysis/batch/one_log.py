@@ -1,4 +1,4 @@
-"""One log of many: tuned, its results written, its line for the ledger made."""
+"""Tune one log of a batch, write its results, and build its ledger row."""
 
 from __future__ import annotations
 
@@ -28,21 +28,19 @@ from tunenet_logs.output.owned_file import OutputPlace
 
 _DIED = "the process that tuned it died each time (out of memory?)"
 
-_ORDER = get_args(Verdict)
-"""The best first."""
-
+_ORDER = get_args(Verdict)  # the best first
+# Writes something of a tuning, and raises LogError or OSError where it cannot.
 Also = Callable[[Tuning], None]
-"""Writes something of a tuning, and raises LogError or OSError where it cannot."""
 
 
 @dataclass(frozen=True)
 class Writing:
-    """What is written of each log, beside its JSON.
+    """What is written for each log, beside its JSON.
 
     Attributes:
-        overwrite: whether results of other logs may be replaced; what is not ours never is.
-        reviewed: the verdicts whose logs get a review.
-        also: writes what else is to be kept of a tuning, or says why not in a LogError or OSError.
+        overwrite: Whether results of other logs may be replaced; files of others never are.
+        reviewed: Verdicts whose logs get a review.
+        also: Callback that keeps something else of a tuning; raises LogError or OSError on failure.
     """
 
     overwrite: bool = False
@@ -52,7 +50,7 @@ class Writing:
 
 @dataclass(frozen=True)
 class Work:
-    """One log, and where its results go, without the suffix."""
+    """A log, and where its results go, without the suffix."""
 
     log: Path | Address
     name: Path
@@ -60,15 +58,15 @@ class Work:
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a log, and where it went: small, so that it travels between processes.
+    """Result of one log: small, so that it travels between processes.
 
     Attributes:
-        row: without the curves.
-        entry: what the ledger says of it.
-        review: the recording to open; None if there is nothing to show.
-        trouble: why results could not be written, one line; None if they were.
-        report: the JSON that was written; None if none was.
-        was: what a better verdict that it replaced was, one line; None where it did not.
+        row: Without the curves.
+        entry: The log's row in the ledger.
+        review: The recording to open; None if there is nothing to show.
+        trouble: Why results could not be written, in one line; None if they were.
+        report: The JSON that was written; None if none was.
+        was: The better verdict that was replaced, in one line; None if none was.
     """
 
     row: Row
@@ -80,7 +78,7 @@ class Result:
 
 
 def lost(work: Work, options: Options) -> Result:
-    """The result of a log whose process dies."""
+    """Build the result of a log whose process died."""
     return _untuned(work, options, _DIED, LogState(), error=_DIED)
 
 
@@ -104,7 +102,7 @@ def tuned_and_written(work: Work, options: Options, writing: Writing) -> Result:
 
 
 def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: Writing) -> Result:
-    """The same for a log on this machine, be it a copy."""
+    """Tune a log on this machine, possibly a copy, and write its results."""
     sha256, before = "", None
     report_file, review_file = result_files(work.name)
     if os.path.lexists(report_file) or os.path.lexists(review_file):
@@ -160,7 +158,7 @@ def _tuned(log: Path, options: Options) -> Tuning:
 def _places(
     work: Work, log: Path, sha256: str, writing: Writing
 ) -> tuple[OutputPlace, OutputPlace]:
-    """Of the JSON and the review."""
+    """Return the output places of the JSON and the review."""
     report, review = result_files(work.name)
     of = log.name if is_remote(work.log) else str(log)
     elsewhere, overwrite = "choose another folder with -o", writing.overwrite
@@ -173,11 +171,11 @@ def _places(
 def _write(
     places: tuple[OutputPlace, OutputPlace], tuning: Tuning, record: Record, writing: Writing
 ) -> Path | None:
-    """Write the results of a log; the review, if it gets one.
+    """Write the results of a log, and return the path of the review, if it gets one.
 
     Raises:
-        LogError: something else is in their place by now.
-        OSError, UnicodeError: they cannot be written.
+        LogError: A file in their place may not be replaced by now.
+        OSError, UnicodeError: They cannot be written.
     """
     report, recording = places
     report.path.parent.mkdir(parents=True, exist_ok=True)
@@ -196,7 +194,7 @@ def _write(
 
 
 def _before(report: Path, sha256: str) -> Record | None:
-    """The tuning that is there, if it is of the same log."""
+    """Return the existing tuning, if it is of the same log."""
     with suppress(LogError):
         record = read_record(report)
         if record.provenance is not None and record.provenance.log_sha256 == sha256:
@@ -205,7 +203,7 @@ def _before(report: Path, sha256: str) -> Record | None:
 
 
 def _was(before: Record | None, record: Record, report: Path) -> str | None:
-    """What is to be said where a better verdict is replaced: "was ok, 0.7400"; else None."""
+    """Describe the better verdict that is replaced ("was ok, 0.7400"), or return None."""
     if before is None or _ORDER.index(before.verdict) >= _ORDER.index(record.verdict):
         return None
     values = [part for known in before.estimates for part in known.components][:1]
@@ -224,7 +222,7 @@ def _untuned(work: Work, options: Options, reason: str, state: LogState, error: 
 
 
 def _trouble(also: Also, tuning: Tuning) -> str | None:
-    """Keep what else is wanted of a tuning; why that was not possible, else None."""
+    """Call `also`; return why it failed, or None."""
     try:
         also(tuning)
     except LogError as error:

@@ -1,4 +1,4 @@
-"""Whether two runs tune alike: one short text for all that decides what comes of a log."""
+"""Digest of all that decides a log's result, to tell whether two runs tune alike."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DIGITS = 16
 
 
 def options_digest(options: Options) -> str:
-    """Of the options, the contents of the files that they name, the engine and our version."""
+    """Hash the options, the contents of the files they name, the engine and our version."""
     known = hashlib.sha256()
     engine = os.environ.get(ENGINE_VARIABLE, "")
     known.update(f"{version('tunenet-logs')} {engine}\n".encode())

@@ -1,4 +1,4 @@
-"""Logs tuned on a Ray cluster: every machine reads and writes by the same paths."""
+"""Tune logs on a Ray cluster whose machines share one file system."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def on_ray(
     items: Sequence[Work],
     lost: Callable[[Work], Result],
 ) -> Iterator[tuple[int, Result]]:
-    """Do `work` on every log in a cluster; see `cluster.on_cluster`.
+    """Map `work` over logs on a cluster; see `cluster.on_cluster`.
 
     Args:
-        cluster: where.
-        work: reads logs and writes results by paths that every machine sees.
-        items: what is to be done; an actor's folder is not this one, so its paths become absolute.
-        lost: the result of a log whose actor died twice.
+        cluster: The cluster.
+        work: Reads logs and writes results by paths that every machine sees.
+        items: Logs to tune; paths are made absolute, as an actor has another working folder.
+        lost: Builds the result of a log whose actor died twice.
 
     Raises:
         UsageError: Ray is not installed, nobody answers at the address, or the options fit no log.

@@ -1,4 +1,4 @@
-"""Logs that lie elsewhere, at an address: listed, and copied here once for as long as one is tuned.
+"""List remote logs, and copy each to this machine while it is tuned.
 
 `s3://`, `gs://`, `az://`, `https://`: what fsspec reads, with the keys that its libraries find.
 """
@@ -28,34 +28,26 @@ from tunenet_logs.formats.log_names import is_log_name
 from tunenet_logs.passwords import KnownLogin, netrc_login
 from tunenet_logs.terminal import one_line, short_name
 
+# Of addresses. Those that name files of this machine, or another within them, are none.
 _SCHEMES = ("s3", "gs", "gcs", "az", "abfs", "http", "https")
-"""Of addresses. Those that name files of this machine, or another within them, are none."""
 
 _CONNECT_S, _SILENT_S = 8, 8  # for which a server may say nothing, when it is called and later
-_LEAST_BYTES = 10_000  # that come in any `_SILENT_S`: slower than a modem, it would never end
+_MIN_BYTES = 10_000  # that come in any `_SILENT_S`: slower than a modem, it would never end
 _LISTING_S = 60  # for which a folder may be listed
 _UNTOLD_BYTES = 500_000_000  # of a log whose size its server does not tell, or that unpacks
 
 _LOOK_S = 0.5
 
-_ATTEMPTS = 2
-"""Of a request to a server that is silent; s3fs has more of its own."""
-
-_KEPT_FREE = 0.1
-"""Of the disk's free space, never filled by a copy."""
-
+_ATTEMPTS = 2  # of a request to a server that is silent; s3fs has more of its own
+_KEPT_FREE = 0.1  # of the disk's free space, never filled by a copy
 _MAGIC = frozenset("*?[")
 
 
 def remote_logs(named: str, most: int) -> Iterator[Address]:
-    """The addresses of logs that one names: a log's own, a folder's (`.../`), a pattern's.
-
-    Args:
-        named: with a scheme.
-        most: so many are looked at.
+    """Yield at most `most` addresses of a log, of the logs in a folder (`.../`), or of a pattern.
 
     Raises:
-        UsageError: it names nothing, nobody answers, or what asks is not installed.
+        UsageError: It names nothing, the server does not answer, or its library is not installed.
     """
     address = log_address(named)
     is_pattern = bool(_MAGIC & set(address.url)) and not address.url.startswith("http")
@@ -75,7 +67,7 @@ def remote_logs(named: str, most: int) -> Iterator[Address]:
 
 
 def remote_state(address: Address) -> LogState:
-    """Size and last change of a log; -1 and 0 where its server does not say."""
+    """Return size and last change of a log; -1 and 0 if its server does not report them."""
     try:
         files, path = _opened(address)
         known = _answer(files, files._info(path))
@@ -89,15 +81,15 @@ def remote_state(address: Address) -> LogState:
 
 @contextmanager
 def fetched(address: Address) -> Iterator[Path]:
-    """A copy of a log on this machine, under its own name; it is gone afterwards.
+    """Open a temporary copy of a log on this machine, under its own name.
 
     Raises:
-        LogError: it cannot be read, or is larger than the disk.
+        LogError: It cannot be read, or is larger than the disk.
     """
     from fsspec.callbacks import Callback
 
     class Bounded(Callback):
-        """Ends a copy that would fill the disk, whatever its server said of its size."""
+        """Abort a copy that would fill the disk, even if its server reported a smaller size."""
 
         told = came = 0
         free = sys.maxsize
@@ -141,16 +133,16 @@ def _answer(
     longest_s: float | None = None,
     came: Callable[[], int] = lambda: 0,
 ) -> Any:
-    """What a file system answers; it is asked in the thread of fsspec, and left where it is slow.
+    """Await a call in fsspec's thread, and abandon it when it stalls.
 
     Args:
-        files: an fsspec file system, whose calls are coroutines.
-        asking: a call of it.
-        longest_s: for which no `_LEAST_BYTES` may come; by default `_SILENT_S`.
-        came: bytes that have come.
+        files: An fsspec file system, whose calls are coroutines.
+        asking: The call.
+        longest_s: Longest time with under `_MIN_BYTES` received; `_SILENT_S` by default.
+        came: Returns the bytes received so far.
 
     Raises:
-        TimeoutError: nothing, or next to nothing, comes for so long.
+        TimeoutError: The call stalled.
     """
     answer = asyncio.run_coroutine_threadsafe(asking, files.loop)
     longest_s = longest_s or _SILENT_S
@@ -158,20 +150,20 @@ def _answer(
     try:
         while not answer.done():
             wait((answer,), _LOOK_S)  # a signal is answered at once
-            if came() - known >= _LEAST_BYTES:
+            if came() - known >= _MIN_BYTES:
                 known, since_s = came(), time.monotonic()
             if time.monotonic() - since_s > longest_s and not answer.done():
-                raise TimeoutError(f"under {_LEAST_BYTES} bytes came in {longest_s:g} s")
+                raise TimeoutError(f"under {_MIN_BYTES} bytes came in {longest_s:g} s")
         return answer.result()
     finally:
         answer.cancel()
 
 
 def log_address(named: str) -> Address:
-    """Take a log's address apart.
+    """Parse a log's address.
 
     Raises:
-        UsageError: no such addresses are read.
+        UsageError: Such addresses are not read.
     """
     if scheme_of(named) not in _SCHEMES or "::" in named:  # a chain may name files of this machine
         raise UsageError(
@@ -192,10 +184,10 @@ def _ns(changed: datetime) -> int:
 
 
 def _opened(address: Address) -> tuple[Any, str]:
-    """The file system of an address, and the path there.
+    """Return the file system of an address, and the path there.
 
     Raises:
-        UsageError: a library for it is not installed.
+        UsageError: A library for it is not installed.
     """
     options: dict[str, Any] = {}
     try:
@@ -230,14 +222,14 @@ def _opened(address: Address) -> tuple[Any, str]:
 
 
 def _login(address: Address) -> KnownLogin:
-    """That of the address, else of its host in `~/.netrc`."""
+    """Return the login of the address, else of its host in `~/.netrc`."""
     if address.password is not None:
         return KnownLogin(address.user, address.password)
     return netrc_login(urlsplit(address.url).hostname or "", address.user)
 
 
 def _why(error: BaseException) -> str:
-    """What went wrong; libraries quote addresses, with all that is in them."""
+    """Describe an error without quoting an address, which may hold secrets."""
     status = getattr(error, "status", None)  # of aiohttp
     if type(error).__name__ == "TooManyRedirects":
         return "its server sends from one address to the next"

@@ -1,4 +1,4 @@
-"""Results for scripts (`--json`): one object a log on a line of its own, as each is done."""
+"""Write results as JSON lines (`--json`), one object per log, as each is done."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from analysis.batch.ledger_row import ledger_key
 from analysis.batch.one_log import Result
 from analysis.batch.result_names import OF_BATCH, result_files, result_names
 from analysis.batch.run import Order
-from analysis.record_json import MOST_RECORD_BYTES, record_fields
+from analysis.record_json import MAX_RECORD_BYTES, record_fields
 from analysis.result_files import writable
 from tunenet_logs.commandline import is_stdout
 from tunenet_logs.errors import UsageError
@@ -24,17 +24,15 @@ from tunenet_logs.regular_file import real_path
 from tunenet_logs.small_files import parse_json
 from tunenet_logs.terminal import listed
 
-_PATH = re.compile(rb'^\{"path": ("(?:[^"\\]|\\.)*+"),', re.MULTILINE)
-"""How each line begins."""
-
+_PATH = re.compile(rb'^\{"path": ("(?:[^"\\]|\\.)*+"),', re.MULTILINE)  # how each line begins
+# Some of those that each has.
 _KEYS = frozenset(("path", "log", "verdict", "parameters", "provenance", "json", "rrd", "error"))
-"""Some of those that each has."""
 
 _ELSEWHERE = "choose another file with --json; what was tuned is in the logs' own JSONs"
 
 
 def result_fields(result: Result) -> dict[str, Any]:
-    """What came of a log: its path, what its JSON holds but the curves, and where its files are."""
+    """Return the fields of a log's line: path, record without curves, and result files."""
     return {
         "path": str(result.row.log),
         **record_fields(result.row.record),
@@ -45,15 +43,15 @@ def result_fields(result: Result) -> dict[str, Any]:
 
 
 def check_lines(path: Path, order: Order, *, overwrite: bool) -> None:
-    """Find out before hours of work whether the lines can be written, and over what.
+    """Check before hours of work that the lines can be written, and what they would replace.
 
     Args:
-        path: where they go.
-        order: of the batch, whose logs and results they never replace.
-        overwrite: whether they may replace a file that holds no such lines.
+        path: Where they go.
+        order: Of the batch, whose logs and results they never replace.
+        overwrite: Whether they may replace a file that holds no such lines.
 
     Raises:
-        UsageError: they cannot; says why.
+        UsageError: They cannot be written.
     """
     if is_stdout(path):
         return
@@ -65,11 +63,11 @@ def check_lines(path: Path, order: Order, *, overwrite: bool) -> None:
 
 
 def lines_place(path: Path, order: Order, *, overwrite: bool) -> OutputPlace:
-    """Where the lines go: over those of the same logs, by their paths."""
+    """Return the output place of the lines, which may replace those of the same logs."""
     logs = {name for one in order.logs for name in (str(one.log), ledger_key(one.log))}
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
-        data = file.read(MOST_RECORD_BYTES)
+        data = file.read(MAX_RECORD_BYTES)
         first = parse_json(data.partition(b"\n")[0])
         if not isinstance(first, dict) or not first.keys() >= _KEYS:
             return None
@@ -83,10 +81,10 @@ def lines_place(path: Path, order: Order, *, overwrite: bool) -> OutputPlace:
 
 @contextmanager
 def result_lines(place: OutputPlace | None) -> Iterator[Callable[[Result], None]]:
-    """What takes each result as it is done: it goes to a file, to standard output, or nowhere.
+    """Open a sink for results as they are done: a file, standard output, or nothing.
 
     Raises:
-        LogError: the file cannot be written.
+        LogError: The file cannot be written.
     """
     if place is None:
         yield lambda _result: None

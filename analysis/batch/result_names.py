@@ -1,4 +1,4 @@
-"""Where the results of each log go: no two logs' to one place, and none over a log."""
+"""Choose where each log's results go: without collisions, and never over a log."""
 
 from __future__ import annotations
 
@@ -15,27 +15,26 @@ from tunenet_logs.output.log_place import ACTIVE_SUFFIX
 from tunenet_logs.output.owned_file import check_folders
 from tunenet_logs.regular_file import real_path
 
-OF_BATCH = "ledger"
-"""What the files of a whole batch are called, without the suffix."""
+OF_BATCH = "ledger"  # what the files of a whole batch are called, without the suffix
 
 
 def result_files(name: Path) -> tuple[Path, Path]:
-    """The JSON and the review of one log, by where its results go."""
+    """Return the paths of the JSON and the review of one log."""
     return name.with_name(name.name + ".json"), name.with_name(name.name + ".rrd")
 
 
 def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
-    """Where each log's results go, without the suffix.
+    """Choose the path of each log's results, without the suffix.
 
     Logs of one stem get their folder's name, or keep their suffix: `drop.mcap` beside `drop.mp4`.
 
     Args:
-        logs: each once.
-        folder: for the results of all; None for beside each log.
+        logs: Each once.
+        folder: For all results; None for beside each log.
 
     Raises:
-        UsageError: two logs would write the same results, or one would replace a log.
-        LogError: the folder is none, or one within it is a link.
+        UsageError: Two logs would write the same results, or one would replace a log.
+        LogError: The folder is none, or one within it is a link.
     """
     if folder is None and any(is_remote(one.log) for one in logs):
         raise UsageError("results of logs that are read over the network need a place; give -o DIR")
@@ -87,7 +86,7 @@ def _folder_of(one: FoundLog, folder: Path | None) -> Path:
 
 
 def _plain(log: Path | Address) -> Path:
-    """A log's path, with a name where it was given by one that names none (`.`)."""
+    """Return a log's path; one without a name (`.`) is resolved."""
     if isinstance(log, Address):
         return Path(log.name)
     return real_path(log) if log.name in ("", "..") else log
@@ -98,7 +97,7 @@ def _name(log: Path | Address) -> str:
 
 
 def _stem(log: Path | Address) -> str:
-    """A file's name without its suffix; a folder's is its own."""
+    """Return a file's name without its suffix, or a folder's name."""
     name = _name(log)
     if isinstance(log, Path) and is_folder(_plain(log)):
         return name

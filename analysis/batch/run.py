@@ -1,4 +1,4 @@
-"""A batch from its logs to its ledger: what is done is skipped, the rest is tuned as it comes."""
+"""Run a batch: skip logs that are done, tune the others, and keep the ledger."""
 
 from __future__ import annotations
 
@@ -24,30 +24,26 @@ from tunenet_logs.addresses import Address
 from tunenet_logs.errors import LogError
 from tunenet_logs.terminal import Progress, one_line
 
-MOST_SHOWN = 40
-"""Logs of a batch whose results are kept to be shown one by one."""
-
-_TELL_EVERY_S = 60.0
-"""Where no bar is shown, a line tells how far a batch is."""
-
+MAX_SHOWN = 40  # logs of a batch whose results are kept to be shown one by one
+_TELL_EVERY_S = 60.0  # where no bar is shown, a line tells how far a batch is
 _NUMBER = re.compile(r"[-+]?[0-9][0-9.,]*(e[-+]?[0-9]+)?")
 
+# Does work on every item somewhere, and gives the results as they come; see `streamed`.
 Streamed = Callable[
     [Callable[[Work], Result], Sequence[Work], Callable[[Work], Result]],
     Iterable[tuple[int, Result]],
 ]
-"""Does work on every item somewhere, and gives the results as they come; see `streamed`."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """What is to be done with the logs.
+    """Logs of a batch, and how to tune them.
 
     Attributes:
-        folder: where results go; None for beside each log.
-        keeps_ledger: whether a ledger is kept there.
-        resumes: whether logs are left out that the ledger has, with the same contents, tuned under
-            the same options.
+        folder: Where results go; None for beside each log.
+        keeps_ledger: Whether a ledger is kept there.
+        resumes: Whether to skip logs that the ledger has, with the same contents, tuned under the
+            same options.
     """
 
     logs: Sequence[FoundLog]
@@ -60,16 +56,16 @@ class Order:
 
 @dataclass
 class BatchResult:
-    """What came of a batch.
+    """Result of a batch.
 
     Attributes:
-        results: of the first logs, at most `MOST_SHOWN`, and of more that are not ok as the first.
-        verdicts: how many logs have each, those that were done before too.
-        reasons: how many logs are not ok for which reason, whatever the numbers in it.
-        skipped: logs that were done before.
-        failed: logs that are rejected, or whose results could not be written.
-        seconds: wall time.
-        ledger: None where none is kept.
+        results: Of at most `MAX_SHOWN` logs; where there are more, of the first ones that failed.
+        verdicts: Count of logs by verdict, skipped ones included.
+        reasons: Count of logs that are not ok by reason, numbers in it ignored.
+        skipped: Logs that were done before.
+        failed: Logs that are rejected, or whose results could not be written.
+        seconds: Wall time.
+        ledger: None if none is kept.
     """
 
     results: list[Result]
@@ -92,16 +88,16 @@ def run_batch(
     """Tune every log, write its results, and enter it in the ledger.
 
     Args:
-        order: what is to be done.
-        progress: shows how many are done.
-        stream: where the work is done; None for processes of this machine.
-        jobs: how many processes then; None for all cores.
-        after: is given the whole ledger at the end.
-        each: is given what came of each log, as it is done.
+        order: The logs, and how to tune them.
+        progress: Shows how many are done.
+        stream: Maps the work; None for processes of this machine.
+        jobs: Number of these processes; None for all cores.
+        after: Called with the whole ledger at the end.
+        each: Called with each result as it is done.
 
     Raises:
-        UsageError: the options fit no log at all, or two logs would write the same results.
-        LogError: the ledger cannot be written.
+        UsageError: The options fit no log at all, or two logs would write the same results.
+        LogError: The ledger cannot be written.
     """
     began_s = time.monotonic()
     names = result_names(order.logs, order.folder)
@@ -138,8 +134,8 @@ def run_batch(
                 batch.verdicts[verdict] += 1
                 batch.reasons.update(_kinds(result.row.record.reason))
                 batch.failed += verdict == "rejected" or result.trouble is not None
-                if len(works) <= MOST_SHOWN or (
-                    len(shown) < MOST_SHOWN
+                if len(works) <= MAX_SHOWN or (
+                    len(shown) < MAX_SHOWN
                     and (verdict == "rejected" or result.trouble or result.was)
                 ):
                     shown[at] = result
@@ -155,7 +151,7 @@ def run_batch(
 
 
 def _to_do(works: Iterable[Work], kept: Journal, digest: str, batch: BatchResult) -> Iterator[Work]:
-    """Those that are not in the ledger as they are; the others are counted."""
+    """Yield the logs that the ledger does not have as they are now; count the others."""
     for work in works:
         row = kept.ledger.row(ledger_key(work.log))
         if (
@@ -174,7 +170,7 @@ def _to_do(works: Iterable[Work], kept: Journal, digest: str, batch: BatchResult
 
 
 def _is_same(work: Work, size: object, modified_ns: object, sha256: object) -> bool:
-    """Whether a log is as it was, and its results are there."""
+    """Return whether a log is unchanged, and its results are there."""
     if not isinstance(work.log, Path):
         return _is_same_afar(work.log, size, modified_ns, sha256)
     state = LogState.of(work.log)
@@ -192,7 +188,7 @@ def _is_same(work: Work, size: object, modified_ns: object, sha256: object) -> b
 
 
 def _is_same_afar(log: Address, size: object, modified_ns: object, sha256: object) -> bool:
-    """The same for a log that is read over the network; its results are as the ledger says."""
+    """Return whether a remote log is unchanged, by state or, without one, by hash."""
     from analysis.batch.remote_logs import fetched, remote_state
 
     state = remote_state(log)
@@ -204,14 +200,14 @@ def _is_same_afar(log: Address, size: object, modified_ns: object, sha256: objec
 
 
 def _kinds(reason: object) -> list[str]:
-    """What a reason says first, without its numbers; nothing of a log that is ok."""
+    """Return the first clause of a reason, without its numbers; nothing if ok."""
     if reason is None:
         return []
     return [_NUMBER.sub("…", re.split(r"; | \(", str(reason))[0])]
 
 
 class _Told:
-    """Says from time to time how far a batch is, where no bar does."""
+    """Report a batch's progress from time to time where no bar does."""
 
     def __init__(self, progress: Progress, total: int, began_s: float) -> None:
         self._progress, self._total, self._began_s = progress, total, began_s
@@ -219,7 +215,7 @@ class _Told:
         self._next_s = began_s + _TELL_EVERY_S
 
     def update(self, batch: BatchResult) -> None:
-        """One more log is done."""
+        """Count one more log."""
         self._done += 1
         now_s = time.monotonic()
         if now_s < self._next_s or self._progress.shows_bars:
@@ -234,5 +230,5 @@ class _Told:
 
 
 def _counted(verdicts: Counter[str]) -> str:
-    """How many logs have which verdict."""
+    """Format the count of logs by verdict."""
     return ", ".join(f"{verdicts[name]} {name}" for name in ("ok", "suspect", "rejected"))

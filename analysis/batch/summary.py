@@ -1,4 +1,4 @@
-"""A batch in words, for the terminal: its logs one by one where they are few, else by verdict."""
+"""Print a batch's results: log by log where they are few, else by verdict."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 from analysis.batch.ledger import Ledger, overview_file, overview_place
 from analysis.batch.one_log import Result
-from analysis.batch.run import MOST_SHOWN, BatchResult, Order
+from analysis.batch.run import MAX_SHOWN, BatchResult, Order
 from analysis.batch.text_table import write_csv
 from analysis.record import Record
 from analysis.result_files import writable
@@ -21,15 +21,14 @@ _OF_SIMULATOR = ("engine", "preset", "step_hz")
 
 _ELSEWHERE = "free some space and run it again with --resume: the logs are done"
 
-_MOST_REASONS, _REASON_CHARACTERS = 5, 100
-"""Of logs that are not ok, the most frequent ones, cut."""
+_MAX_REASONS, _REASON_CHARACTERS = 5, 100  # of logs that are not ok, the most frequent ones, cut
 
 
 def closing(order: Order, csv: OutputPlace | None, ledger: Ledger) -> None:
-    """What is made of a whole ledger: its overview, and a text table where one is wanted.
+    """Write what is made of a whole ledger: its overview, and a CSV table on request.
 
     Raises:
-        LogError: one cannot be written.
+        LogError: One cannot be written.
     """
     if csv is not None:
         with writable(csv.path, _ELSEWHERE):
@@ -43,14 +42,14 @@ def closing(order: Order, csv: OutputPlace | None, ledger: Ledger) -> None:
 
 
 def print_table(results: Sequence[Result]) -> None:
-    """A table of the logs that could be read."""
+    """Print a table of the logs that could be read."""
     rows = [result.row for result in results if result.row.is_read]
     if rows:
         print(table(rows, terminal_columns()))
 
 
 def print_remarks(results: Sequence[Result]) -> None:
-    """What is to be known of logs, and why some could not be read, on standard error."""
+    """Print the warnings of logs, and why some could not be read, to standard error."""
     for result in results:
         record = result.row.record
         remarks = record.warnings if result.row.is_read else (record.reason, *record.warnings)
@@ -63,7 +62,7 @@ def print_remarks(results: Sequence[Result]) -> None:
 
 
 def print_details(results: Sequence[Result]) -> None:
-    """Of each log, on standard error: where what was found, how, in which time; every check."""
+    """Print each log's topic, window, method, timing and every check to standard error."""
     known = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     print(f"tunenet-logs {__version__}, {known}", file=sys.stderr)
     for result in results:
@@ -92,7 +91,7 @@ def _details(record: Record) -> Iterator[str]:
 
 
 def summary(batch: BatchResult, count: int) -> str:
-    """What is said below the table of a batch of `count` logs."""
+    """Format the summary below the table of a batch of `count` logs."""
     lines: list[str] = []
     records = [result.row.record for result in batch.results]
     engines = {record.simulator["engine"] for record in records if record.simulator}
@@ -101,7 +100,7 @@ def summary(batch: BatchResult, count: int) -> str:
     if batch.ledger is not None:
         lines += ["", *_of_verdicts(batch, count)]
     reviews = [one_line(result.review) for result in batch.results if result.review]
-    if reviews and count <= MOST_SHOWN:
+    if reviews and count <= MAX_SHOWN:
         lines.append("review: " + "\n        ".join(f"rerun {review}" for review in reviews))
     if batch.ledger is not None:
         lines.append(f"ledger: {one_line(batch.ledger)}")
@@ -120,7 +119,7 @@ def _of_verdicts(batch: BatchResult, count: int) -> list[str]:
             lines.append(f"  {name:8}  {number:6}  {100 * number / count:5.1f} %")
     lines += [
         f"    {number} x {short_name(reason, _REASON_CHARACTERS)}"
-        for reason, number in batch.reasons.most_common(_MOST_REASONS)
+        for reason, number in batch.reasons.most_common(_MAX_REASONS)
     ]
     return lines
 

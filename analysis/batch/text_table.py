@@ -1,4 +1,4 @@
-"""The ledger as a table in text (`--csv`), and what it never replaces."""
+"""Write the ledger as a CSV table (`--csv`)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from tunenet_logs.csv_lines import csv_line, text_of
 from tunenet_logs.errors import UsageError
 from tunenet_logs.output.owned_file import OutputPlace
 
-_NOT_ITS = (".json", ".rrd", ".parquet", ".jsonl")
-"""Suffixes of what a batch writes beside it."""
+_NOT_ITS = (".json", ".rrd", ".parquet", ".jsonl")  # suffixes of what a batch writes beside it
 
 
 def csv_place(path: Path, folder: Path, *, overwrite: bool) -> OutputPlace:
-    """Where the table of a folder's ledger goes: over one of the same folder."""
+    """Return the output place of the CSV, which may replace one of the same folder."""
     own = ledger_key(folder)
 
     def lost(row: Mapping[str, str]) -> str | None:
@@ -31,15 +30,10 @@ def csv_place(path: Path, folder: Path, *, overwrite: bool) -> OutputPlace:
 
 
 def check_csv(place: OutputPlace, folder: Path, logs: Iterable[FoundLog] = ()) -> None:
-    """Find out before hours of work whether the table can be written, and over what.
-
-    Args:
-        place: where it goes.
-        folder: of the results; it need not be there yet.
-        logs: of the batch, which it never replaces.
+    """Check before hours of work that the table can be written, and replaces no log.
 
     Raises:
-        UsageError: it cannot; says why.
+        UsageError: It cannot be written.
     """
     path = place.path
     if path.suffix.lower() in _NOT_ITS:
@@ -48,11 +42,11 @@ def check_csv(place: OutputPlace, folder: Path, logs: Iterable[FoundLog] = ()) -
 
 
 def write_csv(ledger: Ledger, place: OutputPlace) -> None:
-    """The ledger as a table in text.
+    """Write the ledger as CSV.
 
     Raises:
-        LogError: something else is in its place.
-        OSError: it cannot be written.
+        LogError: A file in its place may not be replaced.
+        OSError: It cannot be written.
     """
     columns = list(dict.fromkeys((*COLUMNS, *ledger.columns)))
     with (

@@ -1,1 +1,1 @@
-"""A campaign: drops, what was tuned from them, and what the hardware then did."""
+"""Campaign: drops, their tunings, and the outcomes of the shots on hardware."""

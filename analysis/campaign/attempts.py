@@ -1,4 +1,4 @@
-"""Attempts: which drops, tuning and outcome belong together, and in which order they came."""
+"""Link drops, tunings and outcomes into attempts, in the order in which they were made."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from tunenet_logs.outcome import Outcome
 from tunenet_logs.outcome_reading import Warn
 from tunenet_logs.regular_file import real_path
 
-_UNNAMED = "unnamed ball"
-"""Of a drop whose recording names no ball, and that no outcome names."""
+_UNNAMED = "unnamed ball"  # of a drop whose recording names no ball, and that no outcome names
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """One attempt: what was dropped, until a drop was good, and what the shot then did.
+    """One attempt: drops until one was good, then the shot's outcome.
 
     Attributes:
-        number: its position in the campaign, from 1.
-        ball: its name.
-        of_ball: its position among those of this ball, from 1.
-        drops: in their order; the last is the one that the shot was tuned from.
-        outcome: None where none was recorded.
+        number: Its position in the campaign, from 1.
+        ball: Name of the ball.
+        of_ball: Its position among those of this ball, from 1.
+        drops: In their order; the shot was tuned from the last.
+        outcome: None if none was recorded.
     """
 
     number: int
@@ -36,29 +35,29 @@ class Attempt:
 
     @property
     def used(self) -> TunedDrop | None:
-        """The drop that the shot was tuned from, or the last that was tried."""
+        """Drop that the shot was tuned from, or the last that was tried."""
         return self.drops[-1] if self.drops else None
 
     @property
     def is_accepted(self) -> bool | None:
-        """Whether that drop passed the checks; None where nothing is known of it."""
+        """Whether that drop passed the checks; None if unknown."""
         return None if self.used is None else self.used.verdict != "rejected"
 
     @property
     def value(self) -> float | None:
-        """The restitution that the shot was planned with, or would have been."""
+        """Coefficient of restitution that the shot was planned with, or would have been."""
         if self.used is not None and self.used.value is not None:
             return self.used.value
         return None if self.outcome is None else self.outcome.tuned_parameter
 
     @property
     def interval95(self) -> tuple[float, float] | None:
-        """Of the restitution, where its tuning has one."""
+        """95 % interval of the restitution, if its tuning has one."""
         return None if self.used is None else self.used.interval95
 
     @property
     def was_shot(self) -> bool:
-        """Whether there was a shot: one that was given up has neither height nor miss."""
+        """Whether the shot was taken: one that was given up has neither height nor miss."""
         outcome = self.outcome
         if outcome is None:
             return False
@@ -67,16 +66,16 @@ class Attempt:
 
     @property
     def name(self) -> str:
-        """For titles."""
+        """Name for titles."""
         return f"{self.number}: {self.ball}, {self.of_ball}"
 
 
 def attempts_of(material: Material, warn: Warn) -> tuple[Attempt, ...]:
-    """The attempts of a campaign in their order.
+    """Link a campaign's drops and outcomes into attempts, in order.
 
     A drop belongs to every outcome that names it. One that none names and that came before one
-    that is named, of the same ball, was tried for the same attempt. Times decide where every drop
-    has one of a wall clock, else names.
+    that is named, of the same ball, was tried for the same attempt. Drops are ordered by wall-clock
+    time if all have one, else by name.
     """
     drops = sorted(material.drops, key=lambda drop: natural(drop.name))
     if all(drop.wall_ns is not None for drop in drops):
@@ -114,7 +113,7 @@ def attempts_of(material: Material, warn: Warn) -> tuple[Attempt, ...]:
 
 
 def _latest(outcomes: Sequence[Outcome], warn: Warn) -> list[Outcome]:
-    """Of several outcomes of one attempt the last, in the order of the first ones."""
+    """Keep the last of several outcomes of one attempt, in the order of the first ones."""
     found: dict[tuple[str, str, int], Outcome] = {}
     for outcome in outcomes:
         key = (outcome.task, outcome.ball, outcome.attempt)
@@ -130,7 +129,7 @@ def _latest(outcomes: Sequence[Outcome], warn: Warn) -> list[Outcome]:
 def _linked(
     outcomes: Sequence[Outcome], drops: Sequence[TunedDrop], roots: Sequence[Path]
 ) -> dict[int, list[Outcome]]:
-    """By the id of a drop, the outcomes that name its log or tuning."""
+    """Map the id of each drop to the outcomes that name its log or tuning."""
     by_path = {real_path(path): drop for drop in drops for path in (drop.log, drop.tuning) if path}
     by_name: dict[str, list[TunedDrop]] = {}
     for drop in drops:
@@ -153,7 +152,7 @@ def _named(
     by_name: dict[str, list[TunedDrop]],
     roots: Sequence[Path],
 ) -> TunedDrop | None:
-    """The drop of a path that was maybe written elsewhere: by its name, where only one has it."""
+    """Find a drop by a path, or by a name that only one has: paths may be another machine's."""
     for root in roots:
         found = by_path.get(real_path(root / text))
         if found is not None:
@@ -163,7 +162,7 @@ def _named(
 
 
 def _wall_ns(attempt: Attempt) -> int | None:
-    """The latest time of its drops and outcome [ns since 1970]; None where none is known."""
+    """Return the latest time of its drops and outcome [ns since 1970], or None."""
     times = [drop.wall_ns for drop in attempt.drops]
     if attempt.outcome is not None:
         times.append(attempt.outcome.stamp_ns or None)
@@ -172,7 +171,7 @@ def _wall_ns(attempt: Attempt) -> int | None:
 
 
 def _numbered(attempts: Sequence[Attempt]) -> list[Attempt]:
-    """In the campaign, and by ball where the outcome does not say."""
+    """Number attempts in the campaign, and by ball if the outcome does not."""
     counts: dict[str, int] = {}
     numbered: list[Attempt] = []
     for number, attempt in enumerate(attempts, 1):

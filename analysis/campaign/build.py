@@ -1,4 +1,4 @@
-"""From the files of a campaign to its attempts, with the drops' pictures."""
+"""Build a campaign's attempts, with images of the drops, from its files."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from tunenet_logs.outcome_reading import Warn
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import Progress
 
+# Of pictures before and after the curves, so that what led to them and what followed is seen.
 _AROUND_S = 0.3
-"""Of pictures before and after the curves, so that what led to them and what followed is seen."""
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """What is reviewed.
+    """A campaign to review.
 
     Attributes:
-        name: of the folder that was named first.
-        attempts: in their order, at least one.
-        tuned_now: how many drops had no tuning beside them.
-        unread: how many logs cannot be read; they are no attempts.
-        places: that were named, without links.
+        name: Of the folder that was named first.
+        attempts: In their order, at least one.
+        tuned_now: How many drops had no tuning beside them.
+        unread: How many logs cannot be read; they are no attempts.
+        places: That were named, without links.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Campaign:
 
 @dataclass(frozen=True)
 class _Unread:
-    """A log that cannot be read, and why."""
+    """Log that cannot be read, and why."""
 
     reason: str
 
@@ -49,16 +49,16 @@ class _Unread:
 def campaign_of(
     places: Sequence[Path], jobs: int | None, progress: Progress, warn: Warn
 ) -> Campaign:
-    """Read folders and files of a campaign; drops that were not tuned are tuned, nothing is kept.
+    """Read the files of a campaign, and tune drops that have no tuning; nothing is written.
 
     Args:
-        places: folders, logs, tunings, outcomes, tables of outcomes.
-        jobs: processes; None for all cores.
-        progress: shows the drop under way.
-        warn: called with what cannot be read or does not fit.
+        places: Folders, logs, tunings, outcomes, tables of outcomes.
+        jobs: Processes; None for all cores.
+        progress: Shows the drop under way.
+        warn: Called with what cannot be read or does not fit.
 
     Raises:
-        LogError: nothing of a campaign is there.
+        LogError: No file of a campaign is there.
     """
     material = material_of(places, warn)
     work: list[TunedDrop | Path] = [*material.drops, *material.untuned]
@@ -80,12 +80,12 @@ def campaign_of(
 
 
 def places_of(places: Sequence[Path]) -> tuple[str, ...]:
-    """What a campaign is known by: its files and folders, without links."""
+    """Return the identity of a campaign: its files and folders, without links."""
     return tuple(str(real_path(place)) for place in places)
 
 
 def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:
-    """A drop with its pictures; runs in the worker processes."""
+    """Read a drop with its images, in a worker process."""
     drop = _tuned(item) if isinstance(item, Path) else item
     if not isinstance(drop, TunedDrop) or drop.log is None:
         return drop
@@ -98,7 +98,7 @@ def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:
 
 
 def _tuned(log: Path) -> TunedDrop | _Unread | None:
-    """The drop of a log that nobody tuned yet; None where it is something else than a drop."""
+    """Tune the drop of a log; None if it is something else than a drop."""
     from analysis.record import record_of
     from analysis.selection import Options
     from analysis.tuning import tune_log

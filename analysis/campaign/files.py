@@ -1,4 +1,4 @@
-"""Which files of a campaign are what: recordings of drops, tunings of them, outcomes."""
+"""Sort the files of a campaign into logs of drops, tunings and outcomes."""
 
 from __future__ import annotations
 
@@ -16,31 +16,28 @@ from tunenet_logs.outcome_reading import Warn, holds_outcomes, numbered, read_ou
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import listed
 
+# Suffixes of what is taken for a recording of a drop wherever it is found.
 _LOGS = frozenset((".mcap", ".bag", ".db3", ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"))
-"""Suffixes of what is taken for a recording of a drop wherever it is found."""
 
+# The same for a file that the user names: a table that merely lies in a folder may be anything.
 _NAMED_LOGS = _LOGS | {".csv", ".tsv"}
-"""The same for a file that the user names: a table that merely lies in a folder may be anything."""
 
-_TABLES = frozenset((".csv", ".tsv", ".txt"))
-"""Suffixes of what may be a table of outcomes."""
+_TABLES = frozenset((".csv", ".tsv", ".txt"))  # suffixes of what may be a table of outcomes
+# Of one folder: a campaign has hundreds; somebody named the wrong folder, a home or a disk.
+_MAX_FILES = 20_000
 
-_MOST_FILES = 20_000
-"""Of one folder: a campaign has hundreds; somebody named the wrong folder, a home or a disk."""
-
-_MOST_ENTRIES = 100_000
-"""That are looked at, with folders: those can be many without a file in them."""
+_MAX_ENTRIES = 100_000  # that are looked at, with folders: those can be many without a file in them
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a campaign's files contain.
+    """Contents of a campaign's files.
 
     Attributes:
-        outcomes: in the order of their times.
-        drops: tuned, in the order of their names.
-        untuned: recordings that no tuning is of.
-        roots: the folders that outcomes may name files from.
+        outcomes: Sorted by time.
+        drops: Tuned, sorted by name.
+        untuned: Logs without a tuning.
+        roots: Folders that outcomes may name files from.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -53,12 +50,12 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
     """Sort the files of folders, and files that were named.
 
     Args:
-        places: files, and folders, which are searched with those in them.
-        warn: called with what cannot be read.
+        places: Files, and folders, which are searched recursively.
+        warn: Called with what cannot be read.
 
     Raises:
-        LogError: there is no such place or nothing of a campaign in it, or a table of outcomes is
-            wrong.
+        LogError: There is no such place or no file of a campaign in it, or a table of outcomes is
+            invalid.
     """
     named = frozenset(real_path(place) for place in places if place.is_file())
     outcomes: list[Outcome] = []
@@ -104,7 +101,7 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
 
 
 def holds_campaign(places: Sequence[Path]) -> bool:
-    """Whether outcomes are among these files; what cannot be read is passed over."""
+    """Return whether outcomes are among these files; unreadable ones are skipped."""
 
     def is_outcome(file: Path) -> bool:
         try:
@@ -116,11 +113,11 @@ def holds_campaign(places: Sequence[Path]) -> bool:
 
 
 def _silent(_: str) -> None:
-    """Say nothing: whoever reads these files next does."""
+    """Ignore a warning: the next reader of these files reports it."""
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
-    """A key that sorts names as people count: drop_2 before drop_10."""
+    """Return a natural sort key: drop_2 before drop_10."""
     parts: list[tuple[int, int, str]] = []
     text = ""
     for letter in [*name, ""]:
@@ -133,7 +130,7 @@ def natural(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def files_of(places: Iterable[Path], warn: Warn) -> Iterator[Path]:
-    """Every file once."""
+    """Yield every file of the places once, folders recursively."""
     seen: set[Path] = set()
     for place in places:
         if not place.exists():
@@ -147,7 +144,7 @@ def files_of(places: Iterable[Path], warn: Warn) -> Iterator[Path]:
 
 
 def _inside(folder: Path, warn: Warn) -> list[Path]:
-    """The files of a folder and of those in it, those of a folder first; links are not followed."""
+    """List the files of a folder and its subfolders, its own first; links are not followed."""
     found: list[Path] = []
     waiting = [folder]
     looked = 0
@@ -155,7 +152,7 @@ def _inside(folder: Path, warn: Warn) -> list[Path]:
         root = waiting.pop()
         try:
             with os.scandir(root) as entries:
-                every = list(islice(entries, _MOST_ENTRIES))
+                every = list(islice(entries, _MAX_ENTRIES))
         except OSError as error:
             warn(f"{root}: cannot be read ({error.strerror})")
             continue
@@ -164,26 +161,26 @@ def _inside(folder: Path, warn: Warn) -> list[Path]:
         names = [entry.name for entry in every if not _is_folder(entry)]
         found += [Path(root, name) for name in sorted(names, key=natural)]
         waiting += [Path(root, name) for name in sorted(folders, reverse=True)]
-        if len(found) > _MOST_FILES or looked >= _MOST_ENTRIES:
+        if len(found) > _MAX_FILES or looked >= _MAX_ENTRIES:
             most = (
-                f"{_MOST_FILES} files"
-                if len(found) > _MOST_FILES
-                else f"{_MOST_ENTRIES} files and folders"
+                f"{_MAX_FILES} files"
+                if len(found) > _MAX_FILES
+                else f"{_MAX_ENTRIES} files and folders"
             )
             warn(f"{folder}: holds over {most}; those beyond are left out")
-            return found[:_MOST_FILES]
+            return found[:_MAX_FILES]
     return found
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:
-    """Whether it is one, or a link to one; not a circle of links."""
+    """Return whether it is a folder or a link to one; circular links are not."""
     return entry.is_dir(follow_symlinks=False) or (
         entry.is_symlink() and is_folder(Path(entry.path))
     )
 
 
 def _is_regular(file: Path, warn: Warn) -> bool:
-    """Whether it is a file or a link to one; a pipe or a circle of links is told."""
+    """Return whether it is a file or a link to one; warn of pipes and circular links."""
     try:
         if file.is_file():
             return True
@@ -196,11 +193,11 @@ def _is_regular(file: Path, warn: Warn) -> bool:
 
 
 def _outcomes(file: Path, warn: Warn) -> Sequence[Outcome]:
-    """Those of a file; none of a log or a text that is something else.
+    """Read a file's outcomes; none if it is something else.
 
     Raises:
-        LogError: a table of outcomes is wrong.
-        OSError: it cannot be read.
+        LogError: A table of outcomes is invalid.
+        OSError: It cannot be read.
     """
     suffix = file.suffix.lower()
     if suffix not in _TABLES and suffix != ".mcap":
@@ -220,13 +217,7 @@ def _outcomes(file: Path, warn: Warn) -> Sequence[Outcome]:
 
 
 def _with_logs(drops: Iterable[TunedDrop], logs: Iterable[Path], warn: Warn) -> list[TunedDrop]:
-    """Give tunings that lie apart from their logs the one log of that name.
-
-    Args:
-        drops: a tuning without a log whose name several logs have is left out; `warn` says so.
-        logs: all recordings of the campaign.
-        warn: called with tunings that may be of several logs.
-    """
+    """Match tunings that lie apart from their logs by name; warn and skip if ambiguous."""
     by_name: dict[str, list[Path]] = {}
     for log in logs:
         by_name.setdefault(log.name, []).append(log)
@@ -244,13 +235,7 @@ def _with_logs(drops: Iterable[TunedDrop], logs: Iterable[Path], warn: Warn) -> 
 
 
 def _one_each(drops: Sequence[TunedDrop], named: frozenset[Path], warn: Warn) -> list[TunedDrop]:
-    """Of several tunings of one log the one that counts, so that no drop is counted twice.
-
-    Args:
-        drops: those without a log stay.
-        named: what outcomes name, resolved: that counts; else what is called as the log is.
-        warn: called with which counts.
-    """
+    """Keep one tuning per log, by `_rank`, so that no drop is counted twice."""
     by_log: dict[Path, list[TunedDrop]] = {}
     for drop in drops:
         if drop.log is not None:
@@ -265,6 +250,6 @@ def _one_each(drops: Sequence[TunedDrop], named: frozenset[Path], warn: Warn) ->
 
 
 def _rank(drop: TunedDrop, named: frozenset[Path]) -> tuple[bool, bool, str]:
-    """The least is of the tuning that counts: named by an outcome, else called as its log."""
+    """Rank tunings of one log: named by an outcome first, then named as the log is."""
     tuning, log = drop.tuning or Path(), drop.log or Path()
     return real_path(tuning) not in named, tuning.stem != log.stem, str(tuning)

@@ -1,4 +1,4 @@
-"""How often attempts succeed, beside the paper's rates; which restitutions each ball was given."""
+"""Success rates of a campaign beside the paper's, and restitutions by ball."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from analysis.campaign.attempts import Attempt
 from tunenet_logs.outcome import BOUNCE_SHOT
 
+# Standard deviations of a normal distribution to either side that contain 95 % of it.
 _Z95 = 1.959963984540054
-"""Standard deviations of a normal distribution to either side that contain 95 % of it."""
 
 
 @dataclass(frozen=True)
 class Rate:
-    """Successes of some attempts.
+    """Success rate of some attempts.
 
     Attributes:
-        name: of these attempts.
-        successes: how many of them succeeded.
-        count: how many there are that have an outcome.
-        published: the paper's fraction; None where it has none.
+        name: Of these attempts.
+        successes: Number that succeeded.
+        count: Number with an outcome.
+        published: The paper's fraction; None if it has none.
     """
 
     name: str
@@ -33,23 +33,23 @@ class Rate:
 
     @property
     def fraction(self) -> float:
-        """Of successes; NaN without attempts."""
+        """Fraction of successes; NaN without attempts."""
         return self.successes / self.count if self.count else float("nan")
 
     @property
     def interval95(self) -> tuple[float, float]:
-        """Wilson's score interval; (0, 1) without attempts."""
+        """Wilson score interval; (0, 1) without attempts."""
         return wilson95(self.successes, self.count)
 
 
 @dataclass(frozen=True)
 class BallRestitutions:
-    """The restitutions tuned for one ball.
+    """Coefficients of restitution tuned for one ball.
 
     Attributes:
-        name: of the ball.
-        values: one a drop, in their order.
-        attempts: the numbers of the first attempts with those.
+        name: Of the ball.
+        values: One per drop, in their order.
+        attempts: Numbers of the first attempts with those.
         intervals95: None where one has none.
     """
 
@@ -60,7 +60,7 @@ class BallRestitutions:
 
     @property
     def mean(self) -> float:
-        """Of the values."""
+        """Mean of the values."""
         return float(np.mean(self.values))
 
     @property
@@ -70,9 +70,9 @@ class BallRestitutions:
 
 
 def wilson95(successes: int, count: int) -> tuple[float, float]:
-    """The 95 % score interval of a binomial proportion (Wilson 1927); (0, 1) without a trial.
+    """Return the 95 % Wilson score interval (1927) of a proportion; (0, 1) without a trial.
 
-    Unlike the normal approximation it stays within 0 and 1, and is honest for few trials.
+    Unlike the normal approximation it stays within 0 and 1, and is valid for few trials.
     """
     if not count:
         return 0.0, 1.0
@@ -83,11 +83,11 @@ def wilson95(successes: int, count: int) -> tuple[float, float]:
 
 
 def overall_rates(attempts: Sequence[Attempt]) -> tuple[Rate, ...]:
-    """Bounce shots with an outcome, those whose drop passed the checks, and did not; other tasks.
+    """Rate bounce shots (all, drop accepted, drop rejected), and the other tasks.
 
     The paper counts by whether a drop left the table (Allevato et al. 2019, experiment 3): 87 % on
-    it, 18 % off it. What the checks reject is that, or what they cannot tell from it. It has no
-    figure for other tasks.
+    it, 18 % off it. The checks reject such a drop, or one that looks like it. The paper
+    has no figure for other tasks.
     """
     kinds: tuple[tuple[str, float, Callable[[Attempt], bool]], ...] = (
         ("all", 0.62, lambda _: True),
@@ -106,7 +106,7 @@ def overall_rates(attempts: Sequence[Attempt]) -> tuple[Rate, ...]:
 
 
 def ball_rates(attempts: Sequence[Attempt]) -> tuple[Rate, ...]:
-    """By ball, in the order in which they came, and by task where it is no bounce shot."""
+    """Rate attempts by ball, in order, and by task if it is no bounce shot."""
     tried = [
         (
             ball,
@@ -128,13 +128,13 @@ def _task(attempt: Attempt) -> str | None:
 
 
 def _tasks_of(attempts: Iterable[Attempt]) -> tuple[str, ...]:
-    """Those that were tried, in the order in which they came."""
+    """List the tasks that were tried, in order of appearance."""
     tasks = (attempt.outcome.task for attempt in attempts if attempt.outcome is not None)
     return tuple(dict.fromkeys(tasks))
 
 
 def restitutions_by_ball(attempts: Sequence[Attempt]) -> tuple[BallRestitutions, ...]:
-    """By ball, in the order in which they came; none of a ball without a value.
+    """Collect the restitutions of each ball that has one, in order of appearance.
 
     A drop that several shots were planned with is one value.
     """
@@ -157,7 +157,7 @@ def restitutions_by_ball(attempts: Sequence[Attempt]) -> tuple[BallRestitutions,
 
 
 def _balls_of(attempts: Iterable[Attempt]) -> tuple[str, ...]:
-    """The names of the balls, in the order in which they came."""
+    """List the names of the balls, in order of appearance."""
     return tuple(dict.fromkeys(attempt.ball for attempt in attempts))
 
 

@@ -1,4 +1,4 @@
-"""The pictures of a drop, small: at most 160 px wide, 30 a second; and a strobe picture of them."""
+"""Downsample a drop's images to 160 px and 30 Hz, and build a strobe image of them."""
 
 from __future__ import annotations
 
@@ -14,34 +14,25 @@ from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.images import decode_small
 from tunenet_logs.reader import read_episode
 
-WIDTH_PX = 160
-"""Of the longer side: what a view in a corner of a review shows."""
-
-RATE_HZ = 30.0
-"""Pictures a second, at most: they play smoothly."""
-
-_MOST_PICTURES = 300
-"""Ten seconds at that rate: a drop is over by then."""
-
-_QUALITY = 75
-"""Of JPEG, 0 to 100: small files, in which the ball is still clear."""
-
+WIDTH_PX = 160  # of the longer side: what a view in a corner of a review shows
+RATE_HZ = 30.0  # pictures a second, at most: they play smoothly
+_MAX_PICTURES = 300  # ten seconds at that rate: a drop is over by then
+_QUALITY = 75  # of JPEG, 0 to 100: small files, in which the ball is still clear
+# Stamps jitter: a picture that comes so little before it is due must not be passed over.
 _SLACK_S = 0.25 / RATE_HZ
-"""Stamps jitter: a picture that comes so little before it is due must not be passed over."""
 
-_STROBES = 24
-"""Pictures in a strobe picture: with more, a ball would overlap itself along its way."""
+_STROBES = 24  # pictures in a strobe picture: with more, a ball would overlap itself along its way
 
 
 @dataclass(frozen=True)
 class SmallFilm:
-    """Pictures as JPEG.
+    """Downsampled images as JPEG.
 
     Attributes:
-        start_ns: what seconds count from.
-        seconds: rising, one for each picture [s].
-        pictures: in their order.
-        strobe: the ball at many of those times, in one picture.
+        start_ns: Origin of `seconds`.
+        seconds: Stamp of each image [s], increasing.
+        pictures: In their order.
+        strobe: The ball at many of those times, in one image.
         size_px: (width, height) of each.
     """
 
@@ -55,13 +46,12 @@ class SmallFilm:
 def small_film(
     log: Path, start_ns: int | None, window_s: tuple[float, float] | None
 ) -> SmallFilm | None:
-    """The pictures of a log; None where it has none that can be read.
+    """Downsample the images of a log; None if it has none that can be read.
 
     Args:
-        log: of any kind.
-        start_ns: what seconds count from; the first picture if None.
-        window_s: first and last time that are wanted, since `start_ns`; all if None, up to the
-            most pictures that are kept.
+        log: Of any kind.
+        start_ns: Origin of time; None for the first image.
+        window_s: First and last time since `start_ns`; None for all, up to the maximum count.
     """
     try:
         episode = read_episode(log)
@@ -85,7 +75,7 @@ def small_film(
                     pace.took(at_s)
                     seconds.append(at_s)
                     small.append(picture)
-            if len(small) >= _MOST_PICTURES:
+            if len(small) >= _MAX_PICTURES:
                 break
     if not small or start_ns is None:
         return None
@@ -95,25 +85,25 @@ def small_film(
 
 
 class _Pace:
-    """Which of the pictures are kept, so that they are at most `RATE_HZ`."""
+    """Decimator that keeps images at most at `RATE_HZ`."""
 
     def __init__(self) -> None:
         self._due_s = float("-inf")
         self._before_s = float("-inf")
 
     def is_due(self, at_s: float) -> bool:
-        """Whether the picture of a time is the nearest to the one that is due."""
+        """Return whether the image of a time is the nearest to the one that is due."""
         slack_s = min(_SLACK_S, (at_s - self._before_s) / 2)
         self._before_s = at_s
         return at_s >= self._due_s - slack_s
 
     def took(self, at_s: float) -> None:
-        """A picture was kept."""
+        """Record that an image was kept."""
         self._due_s = max(self._due_s, at_s) + 1 / RATE_HZ
 
 
 def _reduced(frame: Frame) -> Picture:
-    """The picture made smaller, shape (H, W, 3), BGR."""
+    """Downsample an image; shape (H, W, 3), BGR."""
     import cv2
 
     is_bare = frame.size is not None
@@ -126,9 +116,9 @@ def _reduced(frame: Frame) -> Picture:
 
 
 def strobe(pictures: list[Picture]) -> Picture:
-    """What moves, wherever it was, over what does not, shape (H, W, 3).
+    """Compose a strobe image of moving objects over the static background, shape (H, W, 3).
 
-    Each pixel is taken from the picture in which it is furthest from its median.
+    Each pixel is taken from the image in which it is furthest from its median.
     """
     chosen = np.linspace(0, len(pictures) - 1, min(len(pictures), _STROBES)).round().astype(int)
     stack = np.stack([pictures[index] for index in np.unique(chosen)])

@@ -1,4 +1,4 @@
-"""A drop of a campaign, by the record of its tuning."""
+"""Drop of a campaign, read from the record of its tuning."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from tunenet_logs.errors import LogError
 
 State = Literal["drop", "doubtful drop", "rejected drop"]
 
-_FIRST_WALL_NS = 10**17
-"""Stamps from 1973 on are a wall clock's; smaller ones count from a start."""
-
+_FIRST_WALL_NS = 10**17  # stamps from 1973 on are a wall clock's; smaller ones count from a start
 _STATES: Mapping[Verdict, State] = {
     "ok": "drop",
     "suspect": "doubtful drop",
@@ -31,17 +29,17 @@ class TunedDrop:
     """One recorded drop.
 
     Attributes:
-        log: the recording; None where only its tuning is there.
-        tuning: the JSON; None where it was tuned here and now.
-        name: of the log.
-        ball: as it was named when recording; "" if it was not.
-        reason: why the verdict is not "ok".
-        value: the restitution; None for a rejected drop.
-        interval95: None where none is honest.
-        overlay: the curves; None where no drop was found.
-        window_s: its first and last sample, since the log's first.
-        film: its pictures; None where it has none, or they were not asked for.
-        others: what else was tuned, each one number: how the restitution falls with speed, drag.
+        log: The recording; None if only its tuning is there.
+        tuning: The JSON; None if it was tuned here and now.
+        name: Of the log.
+        ball: As it was named when recording; "" if it was not.
+        reason: Why the verdict is not "ok".
+        value: The coefficient of restitution; None for a rejected drop.
+        interval95: None if no valid one exists.
+        overlay: The curves; None if no drop was found.
+        window_s: Its first and last sample, since the log's first.
+        film: Its images; None if it has none, or they were not read.
+        others: Other scalar estimates: how the restitution falls with speed, drag.
     """
 
     log: Path | None
@@ -59,22 +57,22 @@ class TunedDrop:
 
     @property
     def state(self) -> State:
-        """The verdict in the words of a campaign."""
+        """Verdict in the words of a campaign."""
         return _STATES[self.verdict]
 
     @property
     def wall_ns(self) -> int | None:
-        """When it was recorded [ns since 1970]; None where its clock does not tell."""
+        """Time of recording [ns since 1970]; None if its clock is no wall clock."""
         known = self.overlay or self.film
         start_ns = known.start_ns if known is not None else 0
         return start_ns if start_ns > _FIRST_WALL_NS else None
 
 
 def read_tuned_drop(tuning: Path) -> TunedDrop | None:
-    """The drop of a tuning's JSON; None where the file is something else.
+    """Read the drop of a tuning's JSON; None if the file is something else.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: It cannot be read.
     """
     tuning.stat()  # a file that cannot be read is no file of something else
     try:
@@ -90,7 +88,7 @@ def read_tuned_drop(tuning: Path) -> TunedDrop | None:
 
 
 def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
-    """The drop of a record: its log and its JSON, where they are there."""
+    """Build the drop of a record, with its log and its JSON if they exist."""
     restitution = record.estimate("restitution")
     value, ends = (
         (None, None) if restitution is None else (restitution.value, restitution.interval95)

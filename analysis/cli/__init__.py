@@ -1,1 +1,1 @@
-"""The commands that tune, train and review. Parsing here; the work is in functions elsewhere."""
+"""Command lines that tune, train, review, compare, plan, report and export; parsing only."""

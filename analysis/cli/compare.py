@@ -1,4 +1,4 @@
-"""tunenet-compare: what was tuned from several logs, side by side."""
+"""tunenet-compare: compare the tunings of several logs."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from analysis.record import Record
     from tunenet_logs.output.owned_file import OutputPlace
 
-_OPTIONS = {"pairs": "csv"}
-"""By which an output is asked for that has no option of its own."""
-
+_OPTIONS = {"pairs": "csv"}  # by which an output is asked for that has no option of its own
 _DESCRIPTION = """\
 Parameters of several tunings side by side with their 95 % intervals, and which of them
 differ by more than these explain. Takes the JSONs that tunenet-tune wrote, and folders
@@ -41,7 +39,7 @@ _EXAMPLES = """\
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the argument parser."""
     parser = Parser(
         "tunenet-compare", _DESCRIPTION, _EXAMPLES, failed="there is nothing to compare"
     )
@@ -55,7 +53,7 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-compare`."""
+    """Run `tunenet-compare`."""
     return run(build_parser(), _compare, argv)
 
 
@@ -82,7 +80,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _places(arguments: argparse.Namespace, records: Sequence[Record]) -> dict[str, OutputPlace]:
-    """Where what is asked for goes: "csv", "pairs", "html", "png"."""
+    """Return the output places that were asked for: "csv", "pairs", "html", "png"."""
     from analysis.comparison import COLUMNS, PAIR_COLUMNS
     from analysis.result_files import in_words, logs_of, marked, review_name, table
     from tunenet_logs.output.owned_file import OutputPlace

@@ -1,4 +1,4 @@
-"""tunenet-export: what was tuned, as a file of another engine."""
+"""tunenet-export: write a tuning as a model file of another engine."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _EXAMPLES = """\
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the argument parser."""
     parser = Parser(
         "tunenet-export",
         _DESCRIPTION,
@@ -88,7 +88,7 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-export`."""
+    """Run `tunenet-export`."""
     return run(build_parser(), _export, argv)
 
 
@@ -125,7 +125,7 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _check_words(engine: ExportFormat, path: Path, ball: ExportedBall) -> str:
-    """How the engine drops the ball of the file, as a table."""
+    """Format as a table how the engine drops the exported ball."""
     from analysis.export.check import checked
 
     check = checked(engine, path, ball)
@@ -162,7 +162,7 @@ def _item(
 def _texts(
     arguments: argparse.Namespace, engine: ExportFormat, item: ExportedBall | ExportedPayload
 ) -> dict[Path, str]:
-    """The files to write."""
+    """Return the files to write."""
     from analysis.export.files import export_texts
     from analysis.export.registry import usual_suffix
 

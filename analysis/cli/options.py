@@ -1,4 +1,4 @@
-"""Options that commands share, and those that say what is known of ball or arm."""
+"""Options that commands share, and those that describe the ball or the arm."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tunenet_logs.regular_file import real_path
 
 
 def preset_option(parser: argparse.ArgumentParser) -> None:
-    """`--preset`."""
+    """Add `--preset`."""
     parser.add_argument(
         "--preset",
         choices=["default", "paper", "paper-code"],
@@ -25,14 +25,14 @@ def preset_option(parser: argparse.ArgumentParser) -> None:
 
 
 def jobs_option(parser: argparse.ArgumentParser, what: str) -> None:
-    """`--jobs`: `what` at a time."""
+    """Add `--jobs`: `what` at a time."""
     parser.add_argument(
         "--jobs", type=whole(1, 256), metavar="N", help=f"{what} (default: all cores)"
     )
 
 
 def json_option(group: argparse._ActionsContainer, what: str, *names: str) -> None:
-    """`--json`: `what` to a file, or to standard output."""
+    """Add `--json`: `what` to a file, or to standard output."""
     group.add_argument(
         *names,
         "--json",
@@ -43,7 +43,7 @@ def json_option(group: argparse._ActionsContainer, what: str, *names: str) -> No
 
 
 def ray_option(parser: argparse._ActionsContainer, what: str) -> None:
-    """`--ray`: `what` on a cluster."""
+    """Add `--ray`: `what` on a cluster."""
     parser.add_argument(
         "--ray",
         nargs="?",
@@ -56,7 +56,7 @@ def ray_option(parser: argparse._ActionsContainer, what: str) -> None:
 
 
 def _cluster(text: str) -> str:
-    """The address of a Ray cluster; a log behind `--ray` is none."""
+    """Parse the address of a Ray cluster; refuse a log behind `--ray`."""
     host, _, port = text.removeprefix("ray://").rpartition(":")
     if text not in ("local", "auto") and not (host and port.isdecimal()):
         raise argparse.ArgumentTypeError(f"{text!r} is no HOST:PORT; write logs before --ray")
@@ -64,7 +64,7 @@ def _cluster(text: str) -> str:
 
 
 def ball_options(group: argparse._ArgumentGroup) -> None:
-    """Add the options that say what was dropped."""
+    """Add the options that describe the ball."""
     add = group.add_argument
     ball = add("--ball", metavar="NAME", help=f"a ball of known size and mass: {', '.join(BALLS)}")
     offering(ball, BALLS)
@@ -83,7 +83,7 @@ def ball_options(group: argparse._ArgumentGroup) -> None:
 
 
 def arm_options(group: argparse._ArgumentGroup) -> None:
-    """Add the options that are the payload's alone."""
+    """Add the options of the payload experiment."""
     add = group.add_argument
     add(
         "--tare",
@@ -136,7 +136,7 @@ def arm_options(group: argparse._ArgumentGroup) -> None:
 
 
 def _effort_unit(text: str) -> str:
-    """An argparse type: N·m in one of its spellings, or A."""
+    """Parse an effort unit for argparse: N·m in one of its spellings, or A."""
     try:
         return effort_unit(text)
     except UsageError as error:
@@ -144,10 +144,10 @@ def _effort_unit(text: str) -> str:
 
 
 def check_card_place(arguments: argparse.Namespace) -> None:
-    """Find out before the work whether what is learnt of an arm can be written.
+    """Check before the work that the arm card can be written.
 
     Raises:
-        UsageError: it cannot, or there are several logs.
+        UsageError: It cannot, or there are several logs.
     """
     saved, logs = arguments.save_arm_card, arguments.logs
     if saved is None:

@@ -1,4 +1,4 @@
-"""tunenet-plan: from a tuned ball to the bounce shot that a robot is to take."""
+"""tunenet-plan: plan a robot's bounce shot from a tuned ball."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _EXAMPLES = """\
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the argument parser."""
     parser = Parser(
         "tunenet-plan",
         _DESCRIPTION,
@@ -86,7 +86,7 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-plan`."""
+    """Run `tunenet-plan`."""
     return run(build_parser(), in_engine(_plan), argv)
 
 
@@ -134,7 +134,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 
 def _places(arguments: argparse.Namespace, ball: KnownBall) -> dict[Path, OutputPlace]:
-    """Where the plan goes, by the paths that were given."""
+    """Return the output places of the plan by the paths that were given."""
     from analysis.result_files import in_words, marked, recording, subject_of
     from tunenet_logs.output.owned_file import OutputPlace
 
@@ -187,7 +187,7 @@ def _refuse_with_save(arguments: argparse.Namespace) -> None:
 
 
 def _refuse_own_input(arguments: argparse.Namespace) -> None:
-    """No output may replace what is read, or the other output."""
+    """Refuse an output that would replace an input, or the other output."""
     kinds = {"tuning": "the tuning", "rig": "--rig", "json": "--json", "rrd": "--rrd"}
     given = [(name, getattr(arguments, name)) for name in kinds if getattr(arguments, name)]
     for (first, one), (second, other) in combinations(given, 2):
@@ -202,7 +202,7 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 def _save_new(path: Path, text: str) -> None:
-    """A file that somebody has edited is not replaced."""
+    """Write a new file; an existing one may have been edited and is not replaced."""
     from tunenet_logs.output.new_file import write_new
 
     try:

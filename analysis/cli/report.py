@@ -1,4 +1,4 @@
-"""tunenet-report: tunings as one page, and as figures for a paper."""
+"""tunenet-report: write tunings as one page, and as figures for a paper."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _EXAMPLES = """\
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the argument parser."""
     parser = Parser("tunenet-report", _DESCRIPTION, _EXAMPLES)
     add = parser.add_argument
     add("places", nargs="+", type=Path, metavar="TUNING.json", help="tunings, folders, campaigns")
@@ -55,7 +55,7 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-report`."""
+    """Run `tunenet-report`."""
     return run(build_parser(), _report, argv)
 
 

@@ -1,4 +1,4 @@
-"""tunenet-review: a campaign of drops, tunings and outcomes as one recording."""
+"""tunenet-review: write a campaign's drops, tunings and outcomes as one recording."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _EXAMPLES = """\
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the argument parser."""
     parser = Parser(
         "tunenet-review",
         _DESCRIPTION,
@@ -52,7 +52,7 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-review`."""
+    """Run `tunenet-review`."""
     return run(build_parser(), _review, argv)
 
 

@@ -1,4 +1,4 @@
-"""tunenet-train: make the data set and train, from nothing to weights."""
+"""tunenet-train: simulate the data set, and train the network on it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _HELD_OUT = 100
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the argument parser."""
     parser = Parser("tunenet-train", _DESCRIPTION, _EXAMPLES, failed="no weights were written")
     add = parser.add_argument
     add("task", choices=EXPERIMENTS, help="what to learn to tune")
@@ -74,7 +74,7 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-train`."""
+    """Run `tunenet-train`."""
     return run(build_parser(), in_engine(_train), argv)
 
 

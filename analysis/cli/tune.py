@@ -1,4 +1,4 @@
-"""tunenet-tune: from logs to tuned parameters, and a review of each."""
+"""tunenet-tune: tune parameters from logs, and write a review of each."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-tune`."""
+    """Run `tunenet-tune`."""
     return run(build_parser(), in_engine(_tune), argv)
 
 
@@ -86,7 +86,7 @@ def _tune(arguments: argparse.Namespace) -> int:
 
 
 def _plan(logs: Sequence[FoundLog], options: Options) -> int:
-    """Say what of each log a model of the user's own would be driven by and compared with."""
+    """Print which of each log's signals would drive the user's model, and which be fitted."""
     from analysis.sysid.plan import print_plan
 
     if options.source is None:
@@ -101,7 +101,7 @@ def _plan(logs: Sequence[FoundLog], options: Options) -> int:
 def _table_places(
     arguments: argparse.Namespace, order: Order
 ) -> tuple[OutputPlace | None, OutputPlace | None]:
-    """Where --csv and --json write; refuses at once what could not be written after the work."""
+    """Return the output places of --csv and --json, checked before the work."""
     csv, lines, overwrite = None, None, arguments.overwrite
     if arguments.csv is not None:
         from analysis.batch.text_table import check_csv, csv_place
@@ -117,7 +117,7 @@ def _table_places(
 
 
 def given_options(arguments: argparse.Namespace) -> TuneOptions:
-    """What was said, by the names that Python has for it."""
+    """Return the command line's options under their Python names."""
     from analysis.sysid.source import told_by
 
     return {
@@ -156,7 +156,7 @@ def given_options(arguments: argparse.Namespace) -> TuneOptions:
 
 
 def _writing(arguments: argparse.Namespace) -> Writing:
-    """What is written of each log."""
+    """Return what is written for each log."""
     from analysis.batch.one_log import Writing
 
     reviewed = Writing().reviewed
@@ -168,7 +168,7 @@ def _writing(arguments: argparse.Namespace) -> Writing:
 
 
 def _saving_card(arguments: argparse.Namespace) -> Callable[[Tuning], None] | None:
-    """Writes what a tuning learns of its arm; None where nobody asks for it."""
+    """Return a callback that saves the arm card; None if nobody asks for it."""
     if arguments.save_arm_card is None:
         return None
     from analysis.payload.card_saving import save_arm_card
@@ -192,7 +192,7 @@ def _check_preview(arguments: argparse.Namespace) -> None:
 
 
 def _marked(log: Path | str, selection: Selection, progress: Progress) -> Selection:
-    """The selection with the ball as it is marked on a page; as it is without a mark."""
+    """Return the selection with the ball that the user marks in a preview page."""
     from analysis.tracking.ball_picker import mark_ball
     from tunenet_logs.reader import read_episode
 

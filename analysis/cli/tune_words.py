@@ -1,4 +1,4 @@
-"""The words of tunenet-tune: what a user may say, and its help."""
+"""Arguments and help texts of tunenet-tune."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from analysis.cli.options import (
     ray_option,
 )
 from analysis.registry import METHODS, kinds
-from analysis.tune_options import MOST_ITERATIONS, RANGES
+from analysis.tune_options import MAX_ITERATIONS, RANGES
 from recorders.engine_option import engine_option
 from tunenet_logs.commandline import Parser, number, reading_options, whole
 
@@ -64,7 +64,7 @@ _EXAMPLES = """\
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the argument parser."""
     parser = Parser("tunenet-tune", _DESCRIPTION, _EXAMPLES)
     add = parser.add_argument
     add(
@@ -117,7 +117,7 @@ def build_parser() -> Parser:
     )
     add(
         "--iterations",
-        type=whole(1, MOST_ITERATIONS),
+        type=whole(1, MAX_ITERATIONS),
         default=5,
         metavar="K",
         help="rollouts that the method may spend, before those that check its answer (default: 5)",
@@ -225,7 +225,7 @@ def _picture_options(group: argparse._ArgumentGroup) -> None:
 
 
 def _named(text: str) -> Path | str:
-    """A log's path, or its address."""
+    """Parse a log's path, or its address."""
     return text if "://" in text else Path(text)
 
 

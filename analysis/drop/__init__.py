@@ -1,1 +1,1 @@
-"""The bouncing ball: all that knows it."""
+"""The bouncing-ball experiments."""

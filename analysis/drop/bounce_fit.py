@@ -1,4 +1,4 @@
-"""Robust least squares of a bounce: Student's t by reweighting, Levenberg and Marquardt's steps."""
+"""Robust MAP fit of a bounce: Student's t by reweighting, Levenberg-Marquardt steps."""
 
 from __future__ import annotations
 
@@ -20,19 +20,17 @@ from analysis.drop.bounce_model import (
 from analysis.drop.projection import Projection
 from tunenet_logs.arrays import Array
 
-_BENDS = 16
-"""Pieces of a drop in each of which a lens's distortion is much the same."""
-
+_BENDS = 16  # pieces of a drop in each of which a lens's distortion is much the same
+# How far from its start a fall time or an impact may go: a factor e^1.5, 1.5 fall times.
 _FARTHEST = 1.5
-"""How far from its start a fall time or an impact may go: a factor e^1.5, 1.5 fall times."""
 
-_LEAST_DAMPING, _MOST_TRIES = 1e-9, 6
-"""Of Levenberg and Marquardt: damping below which a step is Gauss-Newton's, and dampings a step."""
+# Of Levenberg and Marquardt: damping below which a step is Gauss-Newton's, and dampings a step.
+_MIN_DAMPING, _MAX_TRIES = 1e-9, 6
 
 
 @dataclass(frozen=True, eq=False)
 class BounceFit:
-    """A fitted bounce.
+    """Bounce fitted to samples.
 
     Attributes:
         samples: what was fitted.
@@ -50,36 +48,32 @@ class BounceFit:
 
     @property
     def effective_sample_factor(self) -> float:
-        """How many samples count as one where a lens distorts the picture: that is no noise."""
+        """Samples that count as one where a lens distorts the picture: that is no noise."""
         most = max(len(self.residuals) / _BENDS - 1, 0.0)
         return 1 + self.samples.distortion_variance_fraction * most
 
     @property
     def tail_sd(self) -> float:
-        """Standard deviation by what 9 of 10 residuals lie within."""
+        """Standard deviation by the 90 % quantile of the absolute residuals."""
         return float(np.quantile(np.abs(self.residuals), 0.9)) / 1.645
 
     def misfit_cost(self, scale: float) -> float:
-        """Minus the log likelihood: Student's t, without constants.
-
-        Args:
-            scale: standard deviation of a position.
-        """
+        """Return the negative Student's t log likelihood for a position sd, without constants."""
         squares = (self.residuals / scale) ** 2
         robust = 0.5 * (FREEDOM + 1) * np.log1p(squares / FREEDOM).sum()
         return float(robust + len(self.residuals) * np.log(scale))
 
     def prior_cost(self) -> float:
-        """Minus the logarithm of the priors' density, of those with an unknown that is free."""
+        """Return the negative log density of the priors that involve a free unknown."""
         priors = self.samples.priors(self.unknowns)
         return sum(one.cost for one in priors if one.slopes.keys() & set(self.free))
 
     def cost(self, scale: float) -> float:
-        """Minus the log posterior density."""
+        """Return the negative log posterior density."""
         return self.misfit_cost(scale) + self.prior_cost()
 
     def normal_equations(self) -> tuple[Array, Array]:
-        """Of the reweighted samples and the priors: the matrix, and minus the cost's gradient."""
+        """Return the reweighted normal matrix with the priors, and minus the cost's gradient."""
         jacobian = self.samples.jacobian(self.unknowns, self.free)
         weights = (FREEDOM + 1) / (FREEDOM + (self.residuals / self.scale) ** 2) / self.scale**2
         normal = jacobian.T @ (weights[:, None] * jacobian)
@@ -91,7 +85,7 @@ class BounceFit:
         return normal, gradient
 
     def projection(self) -> Projection:
-        """The unknowns by their names."""
+        """Return the fitted camera and ball."""
         values = self.unknowns.tolist()
         return Projection(
             contact=values[CONTACT],
@@ -120,7 +114,7 @@ def fit_bounce(
     gain: float = 1e-6,
     scale: float | None = None,
 ) -> BounceFit:
-    """The posterior's mode: Student's t by reweighting (Lange et al. 1989), Levenberg-Marquardt.
+    """Fit the posterior mode: Student's t by reweighting (Lange et al. 1989), Levenberg-Marquardt.
 
     Args:
         samples: what to explain.
@@ -143,7 +137,7 @@ def fit_bounce(
     for _ in range(most):
         normal, gradient = fit.normal_equations()
         before = cost
-        for _ in range(_MOST_TRIES):
+        for _ in range(_MAX_TRIES):
             damped = normal + damping * np.diag(np.diag(normal) + 1e-12)
             begin = fit.unknowns[chosen]
             step = _bounded(damped, gradient, low[chosen] - begin, high[chosen] - begin)
@@ -153,7 +147,7 @@ def fit_bounce(
             tried_cost = tried.cost(fit.scale)
             if tried_cost < cost:
                 fit, cost = tried, tried_cost
-                damping = max(damping / 10, _LEAST_DAMPING)
+                damping = max(damping / 10, _MIN_DAMPING)
                 break
             damping *= 10
         gained = before - cost
@@ -167,13 +161,13 @@ def fit_bounce(
 
 
 def best_of(fits: list[BounceFit]) -> BounceFit:
-    """The likeliest of fits to the same samples."""
+    """Return the likeliest of several fits to the same samples."""
     scale = min(fit.scale for fit in fits)
     return min(fits, key=lambda fit: fit.cost(scale))
 
 
 def _bounded(normal: Array, gradient: Array, low: Array, high: Array) -> Array:
-    """The step of normal equations; what would leave its bounds ends there, and the rest follows.
+    """Solve the normal equations within bounds: what would leave them ends there, the rest follows.
 
     A step that is merely cut would leave a narrow valley.
     """
@@ -187,5 +181,5 @@ def _bounded(normal: Array, gradient: Array, low: Array, high: Array) -> Array:
 
 
 def _scale(residuals: Array, noise: float) -> float:
-    """Standard deviation by the median of the moduli, not below the noise."""
+    """Estimate the standard deviation by the median absolute residual, not below the noise."""
     return max(noise, 1.4826 * float(np.median(np.abs(residuals))))

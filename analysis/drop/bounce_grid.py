@@ -1,4 +1,4 @@
-"""Where fits of a film begin: the best points of a grid over the ball, the fall and the camera."""
+"""Starting points of a film's fit: a grid over the ball, the fall time and the camera."""
 
 from __future__ import annotations
 
@@ -10,22 +10,20 @@ from tunenet_logs.arrays import Array
 
 _RESTITUTIONS = np.linspace(0.02, 0.995, 40)
 _STRETCHES = np.exp(np.linspace(np.log(0.92), np.log(3.2), 22))
+# The grid of a fit's starts: its cost has dozens of local minima. Fall times in durations of the
+# part of the fall that is seen; perspectives within about one standard deviation of their prior.
 _PERSPECTIVES = np.array([-0.8, -0.25, 0.3, 0.9])
-"""The grid of a fit's starts: its cost has dozens of local minima. Fall times in durations of the
-part of the fall that is seen; perspectives within about one standard deviation of their prior."""
 
-_MOST_SAMPLES = 96
-"""Of a track that the 3520 points of the grid are compared with: more cost more than they gain."""
+# Of a track that the 3520 points of the grid are compared with: more cost more than they gain.
+_MAX_SAMPLES = 96
 
-_COMPARED = 5.0
-"""Fall durations after the impact that are looked at."""
+_COMPARED = 5.0  # fall durations after the impact that are looked at
 
 
 def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> list[Array]:
-    """The best points of a grid over the ideal ball, the fall time and the perspective.
+    """Find the best points of a grid over ideal ball, fall time and perspective.
 
-    No two of them are neighbours. The contact's position and the span of the fall are in closed
-    form for each point.
+    No two of them are neighbours. Contact and span are in closed form for each point.
 
     Args:
         seconds: shape (T,): the fall, the bounces, nothing before or after.
@@ -38,7 +36,7 @@ def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> li
     """
     seen_s = impact_s - float(seconds[0])
     near = seconds < impact_s + _COMPARED * seen_s
-    every = max(1, -(-int(near.sum()) // _MOST_SAMPLES))
+    every = max(1, -(-int(near.sum()) // _MAX_SAMPLES))
     clock, positions = seconds[near][::every] - impact_s, along[near][::every]
     falls = seen_s * _STRETCHES
     times, kept = clock / falls[:, None], _RESTITUTIONS[:, None, None]

@@ -1,7 +1,7 @@
-"""Samples of a ball near their fit: a likelihood that is normal in all unknowns.
+"""Laplace approximation of a ball's likelihood in slope and drag.
 
-All but slope and drag are averaged over in closed form. Where impacts were heard, each may return
-the ball a little faster or slower than the law has it: these deviations are unknowns, too, which
+All other unknowns are marginalised in closed form. Where impacts were heard, each may return the
+ball a little faster or slower than the law has it: these deviations are unknowns, too, which
 pictures and sound share, and how large they are is left open (`SCATTERS`).
 """
 
@@ -19,29 +19,27 @@ from analysis.drop.heard_touches import SCATTERS
 from analysis.drop.own_restitutions import moved_by_own
 from tunenet_logs.arrays import Array
 
+# Standard deviations of slope and drag [1 / drop height] where the samples tell nothing.
 WIDEST = (0.3, 0.5)
-"""Standard deviations of slope and drag [1 / drop height] where the samples tell nothing."""
 
-ANY_RESTITUTION_SD = 0.3
-"""Of a restitution of which the samples tell nothing near the fit."""
-
+ANY_RESTITUTION_SD = 0.3  # of a restitution of which the samples tell nothing near the fit
+# Added to each unknown's weight, of one: some that no sample moves are left where they are.
 _UNKNOWN = 1e-12
-"""Added to each unknown's weight, of one: some that no sample moves are left where they are."""
 
+# Times that samples are weighed anew by how far they are off, where deviations explain it.
 _REWEIGHTED = 6
-"""Times that samples are weighed anew by how far they are off, where deviations explain it."""
 
 
 @dataclass(frozen=True, eq=False)
 class BallLikelihood:
-    """The likelihood as a function of slope and drag, without their priors.
+    """Normal likelihood of slope and drag, without their priors.
 
     Attributes:
         middle: most likely slope and drag times drop height, shape (2,).
         precision: of the two, shape (2, 2).
         value: the restitution there.
-        moves: of the restitution, for each of the two, shape (2,).
-        restitution_sd: where the two are known.
+        moves: derivatives of the restitution by each of the two, shape (2,).
+        restitution_sd: standard deviation given the two.
         log_evidence: logarithm of the likelihood there, without a constant.
         bound: on the contact's duration, where impacts were heard.
     """
@@ -61,24 +59,24 @@ class BallLikelihood:
 
     @property
     def correlation(self) -> float:
-        """Of slope and drag."""
+        """Correlation of slope and drag."""
         covariance = np.linalg.inv(self.precision + np.diag(np.array(WIDEST) ** -2))
         return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
 
     def log_density(self, slopes: Array, drags: Array) -> Array:
-        """Without a constant, shape (M,), of slopes and drags times drop height."""
+        """Return the log density (no constant) at slopes and drags * drop height, shape (M,)."""
         off = np.column_stack([slopes, drags]) - self.middle
         log = self.log_evidence - 0.5 * np.einsum("mi,ij,mj->m", off, self.precision, off)
         return log if self.bound is None else log + self.bound.log_likelihood(off)
 
     def restitution(self, slopes: Array, drags: Array) -> Array:
-        """The likeliest restitution for each, shape (M,)."""
+        """Return the likeliest restitution at each slope and drag, shape (M,)."""
         off = np.column_stack([slopes, drags]) - self.middle
         found = self.value + off @ self.moves
         return found if self.bound is None else found + self.bound.restitution_moved(off)
 
     def sd_of_all(self, slopes: Array, drags: Array, weights: Array) -> float:
-        """Of the restitution where slope and drag are known, over all that they may be."""
+        """Return the restitution's sd given slope and drag, averaged over both."""
         if self.bound is None:
             return self.restitution_sd
         off = np.column_stack([slopes, drags]) - self.middle
@@ -87,12 +85,7 @@ class BallLikelihood:
 
 
 def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
-    """Of a fit's samples: one, and where impacts were heard one for each scatter.
-
-    Args:
-        fit: of all unknowns of its samples.
-        factor: how many samples count as one.
-    """
+    """Marginalise a fit's likelihood, `factor` samples as one; if impacts are heard, by scatter."""
     if fit.samples.heard is None:
         linear = _Linear.of(fit, factor)
         return [_of_law(fit, *linear.equations(*linear.weights()))]
@@ -117,7 +110,7 @@ def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """A fit's samples and what is known beside them, linear in the unknowns about it.
+    """Samples and priors of a fit, linearised in its unknowns.
 
     Attributes:
         jacobian: of the positions over the fit's unknowns, and over each impact's deviation from
@@ -140,7 +133,7 @@ class _Linear:
 
     @classmethod
     def of(cls, fit: BounceFit, factor: float) -> _Linear:
-        """Slope and drag are in it without their priors."""
+        """Linearise a fit, without the priors of slope and drag."""
         samples, free = fit.samples, fit.free
         priors = [
             one
@@ -159,7 +152,7 @@ class _Linear:
         return cls(jacobian, fit.residuals, fit.scale, factor, rows, off, freedom)
 
     def weights(self, step: Array | None = None) -> tuple[Array, Array]:
-        """Of the samples and of the priors, by how far they are off after a step, shape (U,)."""
+        """Reweight samples and priors by how far they are off after a step, shape (U,)."""
         residuals, off = self.residuals, self.off
         if step is not None:
             residuals, off = residuals + self.jacobian @ step, off + self.rows @ step
@@ -170,7 +163,7 @@ class _Linear:
         return seen / (self.scale**2 * self.factor), likely
 
     def equations(self, seen: Array, likely: Array) -> tuple[Array, Array]:
-        """The matrix, and minus the gradient, for such weights."""
+        """Return the normal matrix and minus the gradient for such weights."""
         normal = self.jacobian.T @ (seen[:, None] * self.jacobian)
         normal += self.rows.T @ (likely[:, None] * self.rows)
         gradient = -self.jacobian.T @ (seen * self.residuals) - self.rows.T @ (likely * self.off)
@@ -178,7 +171,7 @@ class _Linear:
 
 
 def _scattered(normal: Array, own: NDArray[np.intp]) -> list[Array]:
-    """With each scatter as the standard deviation of the deviations."""
+    """Add each scatter as the standard deviation of the deviations."""
     found: list[Array] = []
     for scatter in SCATTERS:
         found.append(normal.copy())
@@ -187,18 +180,18 @@ def _scattered(normal: Array, own: NDArray[np.intp]) -> list[Array]:
 
 
 def _log_priors(count: int) -> Array:
-    """Of each scatter, with what the densities of so many deviations are divided by."""
+    """Return each scatter's log prior, with the normalisation of so many deviations."""
     return np.log(list(SCATTERS.values())) - count * np.log(list(SCATTERS))
 
 
 def _known(fit: BounceFit, more: int) -> Array:
-    """What is known of a fit's unknowns at least, as weights, shape (U,)."""
+    """Return the least that is known of a fit's unknowns, as weights, shape (U,)."""
     least = {RESTITUTION: ANY_RESTITUTION_SD, SLOPE: WIDEST[0], DRAG: WIDEST[1]}
     return np.array([least.get(index, np.inf) for index in fit.free] + [np.inf] * more) ** -2
 
 
 def _peak(normal: Array, gradient: Array) -> tuple[Array, float]:
-    """Where a normal likelihood is highest, and the logarithm of what is below it."""
+    """Return a normal likelihood's mode and the logarithm of its integral."""
     diagonal = np.diag(normal)
     unit = np.where(diagonal > 0, diagonal, 1.0) ** -0.5
     scaled = normal * np.outer(unit, unit) + _UNKNOWN * np.eye(len(unit))
@@ -208,7 +201,7 @@ def _peak(normal: Array, gradient: Array) -> tuple[Array, float]:
 
 
 def _of_law(fit: BounceFit, normal: Array, gradient: Array) -> BallLikelihood:
-    """As a function of slope and drag: all else is averaged over."""
+    """Marginalise all unknowns but slope and drag."""
     free = list(fit.free)
     normal = normal.copy()
     known = free.index(RESTITUTION)
@@ -223,7 +216,7 @@ def _of_law(fit: BounceFit, normal: Array, gradient: Array) -> BallLikelihood:
     log = _peak(normal[np.ix_(others, others)], gradient[others])[1]
 
     def alone(index: int) -> tuple[float, Array, int]:
-        """An unknown's likeliest value there, how it moves with the two, and its row."""
+        """Return an unknown's likeliest value, how it moves with the two, and its row."""
         at = int(np.flatnonzero(others == free.index(index))[0])
         moves = -(inverse @ across)[at]
         value = fit.unknowns[index] + (inverse @ gradient[others])[at] + moves @ step

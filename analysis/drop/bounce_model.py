@@ -1,4 +1,4 @@
-"""A bouncing ball as a camera or a motion capture shows it: what is unknown, and what is likely.
+"""Bouncing ball seen by a camera or by motion capture: its unknowns and their priors.
 
 The ball is in closed form (`Bounce`): its restitution e at the first impact, how that falls with
 speed, and the air's drag. The camera is a projective map of the vertical (`Projection`). Recorded
@@ -25,64 +25,49 @@ from analysis.drop.prior import Prior
 from analysis.drop.projection import PERSPECTIVE_SD, projected
 from recorders.simulators.base import GRAVITY_M_S2
 from recorders.simulators.closed_form.bounce import Bounce
-from recorders.simulators.speed_law import SLOWEST_M_S
+from recorders.simulators.speed_law import MIN_SPEED_M_S
 from tunenet_logs.arrays import Array
 
+# Indices of the unknowns: e, t1 [s], log T0, A, B, k, p, drag times drop height.
+#
+# A and B are in the positions' unit. The unknowns from 8 on are the bends, see `BounceSamples`.
 RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
-"""Indices of the unknowns: e, t1 [s], log T0, A, B, k, p, drag times drop height.
 
-A and B are in the positions' unit. The unknowns from 8 on are the bends, see `BounceSamples`."""
-
+# Those of impacts that are heard: by how much the sound is late, how long a contact lasts [s].
 OFFSET, TOUCH = 14, 15
-"""Those of impacts that are heard: by how much the sound is late, how long a contact lasts [s]."""
 
+# What is fitted first, roughly, of a film: a ball that keeps its restitution, without air.
 IDEAL = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
-"""What is fitted first, roughly, of a film: a ball that keeps its restitution, without air."""
 
-SLOPE_SD = 0.1
-"""Of the slope p, normal about 0, while fitting: real balls show .03 to .22."""
-
-DRAG_SD_1_M = 0.1
-"""Of the drag, likewise: a table-tennis ball has .13, most others about .02."""
-
-KNOWN_DRAG = 0.1
-"""Fraction by which a drag may be off that follows from a ball's mass and size."""
-
+SLOPE_SD = 0.1  # of the slope p, normal about 0, while fitting: real balls show .03 to .22
+DRAG_SD_1_M = 0.1  # of the drag, likewise: a table-tennis ball has .13, most others about .02
+KNOWN_DRAG = 0.1  # fraction by which a drag may be off that follows from a ball's mass and size
+# Of the log of a length in the log over the true one: gravity differs by .1 % between most places
+# of the earth. Student's t, because some logs' lengths are scaled by hand.
 METRE_SD, METRE_FREEDOM = 0.0008, 2.0
-"""Of the log of a length in the log over the true one: gravity differs by .1 % between most places
-of the earth. Student's t, because some logs' lengths are scaled by hand."""
 
-ANY_SCALE_SD = 0.5
-"""The same where only the fall itself tells the unit."""
-
+ANY_SCALE_SD = 0.5  # the same where only the fall itself tells the unit
+# Of the rate at which contact moves through the picture after an impact, B a fall time: a ball that
+# falls 1 m goes sideways by some .1 m/s more or less after each bounce.
 BEND_SD = 0.008
-"""Of the rate at which contact moves through the picture after an impact, B a fall time: a ball
-that falls 1 m goes sideways by some .1 m/s more or less after each bounce."""
 
-_KNOWN = 8
-"""Unknowns that have a name."""
-
+_KNOWN = 8  # unknowns that have a name
+# Degrees of freedom of Student's t: nearly normal; 10 standard deviations off, a tenth counts.
 FREEDOM = 8.0
-"""Degrees of freedom of Student's t: nearly normal; 10 standard deviations off, a tenth counts."""
 
-MOST_BENDS = 6
-"""Impacts at which the contact may begin to move."""
-
-_ANY, _HEARD_LOW, _HEARD_HIGH = [np.inf] * MOST_BENDS, (-np.inf, 0.0), (np.inf, 0.02)
+MAX_BENDS = 6  # impacts at which the contact may begin to move
+_ANY, _HEARD_LOW, _HEARD_HIGH = [np.inf] * MAX_BENDS, (-np.inf, 0.0), (np.inf, 0.02)
 LOW = np.array([0.005, *[-np.inf] * 3, 0.0, -2.5, -0.3, 0.0, *np.negative(_ANY), *_HEARD_LOW])
+# Of the unknowns, beyond what any ball or camera has.
 HIGH = np.array([1.0, *[np.inf] * 4, 2.5, 0.5, 2.0, *_ANY, *_HEARD_HIGH])
-"""Of the unknowns, beyond what any ball or camera has."""
 
-_SHORT = 1e-5
-"""Of an unknown of the ball, or of time [fall times], by which it is differentiated."""
-
-_FARTHER = 1.5
-"""How much later than the last sample an impact may be that was heard."""
+_SHORT = 1e-5  # of an unknown of the ball, or of time [fall times], by which it is differentiated
+_FARTHER = 1.5  # how much later than the last sample an impact may be that was heard
 
 
 @dataclass(frozen=True, eq=False)
 class BounceSamples:
-    """What a fit is to explain.
+    """Samples that a bounce is fitted to, and what is known of them.
 
     Attributes:
         seconds: shape (T,).
@@ -91,8 +76,7 @@ class BounceSamples:
         in_metres: whether the positions are heights, and not of a picture.
         scale_known: whether heights are in true metres, as far as a log's metres are.
         flies_in: whether the ball flew before the first sample, too.
-        distortion_variance_fraction: of the noise's square, what is no noise but a lens's
-            distortion.
+        distortion_variance_fraction: share of a lens's distortion in the noise's variance.
         drag_1_m: drag that is known [1/m]; None where it is not.
         exposure_s: for which a shutter may have been open, around the time of a sample.
         bends_s: moments [s] from which on the contact may move through the picture: impacts. Each
@@ -114,30 +98,30 @@ class BounceSamples:
 
     @property
     def own_noise(self) -> float:
-        """Of the noise, what is none of a lens's distortion."""
+        """Noise without its share of lens distortion."""
         return self.noise * float(np.sqrt(1 - self.distortion_variance_fraction))
 
     @property
     def unknowns(self) -> tuple[int, ...]:
-        """All that can be fitted to them."""
+        """Indices of the unknowns that can be fitted to the samples."""
         ball = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, SLOPE, DRAG)
         bends = range(_KNOWN, _KNOWN + len(self.bends_s))
         seen = ball if self.in_metres else (*IDEAL, SLOPE, DRAG, *bends)
         return seen if self.heard is None else (*seen, OFFSET, TOUCH)
 
     def part(self, first: int, last: int) -> BounceSamples:
-        """The samples from index `first` on, before `last`."""
+        """Return the samples from index `first` on, before `last`."""
         return replace(self, seconds=self.seconds[first:last], positions=self.positions[first:last])
 
     def only(self, chosen: NDArray[np.bool_]) -> BounceSamples:
-        """The samples of a mask, shape (T,)."""
+        """Return the samples of a mask, shape (T,)."""
         return replace(self, seconds=self.seconds[chosen], positions=self.positions[chosen])
 
     def bounce(self, unknowns: Array) -> Bounce:
-        """The ball of these unknowns, shape (16,)."""
+        """Build the ball of these unknowns, shape (16,)."""
         ball = Bounce(float(unknowns[RESTITUTION]), float(unknowns[SLOPE]), float(unknowns[DRAG]))
         unit_m_s = GRAVITY_M_S2 * float(np.exp(unknowns[FALL])) / 2
-        slowest = SLOWEST_M_S / (ball.impact_speed * unit_m_s)
+        slowest = MIN_SPEED_M_S / (ball.impact_speed * unit_m_s)
         return Bounce(
             ball.restitution,
             ball.slope,
@@ -148,33 +132,28 @@ class BounceSamples:
         )
 
     def residuals(self, unknowns: Array, ball: Bounce | None = None) -> Array:
-        """Positions of the ball in the camera of these unknowns less those seen, shape (T,).
-
-        Args:
-            unknowns: shape (16,).
-            ball: another than theirs.
-        """
+        """Return predicted less seen positions, (T,), of unknowns (16,) or of another `ball`."""
         heights = (ball or self.bounce(unknowns)).heights(self.times(unknowns))
         shape = projected(heights, float(unknowns[PERSPECTIVE]))
         return unknowns[CONTACT] + unknowns[SPAN] * shape + self._moved(unknowns) - self.positions
 
     def bend_rates(self, unknowns: Array) -> Array:
-        """Of the contact from each bend on, in the positions' unit a second, shape (N,)."""
+        """Return the contact's speed from each bend on, in the positions' unit/s, shape (N,)."""
         unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
         return unit * unknowns[_KNOWN : _KNOWN + len(self.bends_s)]
 
     def _moved(self, unknowns: Array) -> Array:
-        """By how much the contact has moved, shape (T,)."""
+        """Return how far the contact has moved, shape (T,)."""
         if not self.bends_s:
             return np.zeros(len(self.seconds))
         return self._since() @ self.bend_rates(unknowns)
 
     def _since(self) -> Array:
-        """Seconds since each bend, shape (T, N)."""
+        """Return the seconds since each bend, shape (T, N)."""
         return np.maximum(self.seconds[:, None] - np.array(self.bends_s), 0.0)
 
     def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
-        """Of the residuals over the free unknowns, shape (T, len(free))."""
+        """Return the residuals' Jacobian over the free unknowns, shape (T, len(free))."""
         times = self.times(unknowns)
         timed = IMPACT in free or FALL in free
         at = np.concatenate([times, times + _SHORT]) if timed else times
@@ -204,13 +183,13 @@ class BounceSamples:
         return np.column_stack([columns[index] for index in free])
 
     def times(self, unknowns: Array) -> Array:
-        """Of the samples [fall times after the first impact], shape (T,)."""
+        """Return the sample times [fall times after the first impact], shape (T,)."""
         return (self.seconds - unknowns[IMPACT]) / np.exp(unknowns[FALL])
 
     def touches_s(
         self, unknowns: Array, numbers: NDArray[np.intp], ball: Bounce | None = None
     ) -> Array:
-        """When impacts begin, by their numbers from 0 [s], shape (N,); arguments as above."""
+        """Return when impacts begin, by their numbers from 0 [s], shape (N,)."""
         ball, fall_s = ball or self.bounce(unknowns), float(np.exp(unknowns[FALL]))
         last = max(float(self.seconds[-1] - unknowns[IMPACT]) / fall_s, 0.0)
         starts, _ = ball.flights(_FARTHER * last + 1)
@@ -218,12 +197,12 @@ class BounceSamples:
         return unknowns[IMPACT] + fall_s * (starts[which] - ball.contact)
 
     def priors(self, unknowns: Array) -> list[Prior]:
-        """What is likely before the samples are looked at, and what was heard."""
+        """Return the priors of the unknowns, and the heard impacts as measurements."""
         likely = self._likely(unknowns)
         return likely if self.heard is None else [*likely, *self._heard(self.heard, unknowns)]
 
     def _heard(self, heard: HeardTouches, unknowns: Array) -> list[Prior]:
-        """Of the times at which impacts are heard, and of what they are late by."""
+        """Return the heard impact times as measurements, and the priors of offset and contact."""
         times_s = self.touches_s(unknowns, heard.numbers)
         slopes: dict[int, Array] = {}
         for index in (RESTITUTION, SLOPE, DRAG):
@@ -247,7 +226,7 @@ class BounceSamples:
         return found
 
     def _likely(self, unknowns: Array) -> list[Prior]:
-        """What is known of balls, cameras and metres."""
+        """Return the priors of balls, cameras and metres."""
         height_m = GRAVITY_M_S2 * float(np.exp(2 * unknowns[FALL])) / 2
         usual, sd_1_m = 0.0, DRAG_SD_1_M
         if self.drag_1_m is not None:

@@ -1,12 +1,12 @@
-"""What samples say of a ball: restitution, slope and drag, each with its 95 % interval.
+"""Posterior of a ball: restitution, slope and drag, each with its 95 % credible interval.
 
-Near the fit the likelihood is normal in all unknowns, and all but slope and drag are averaged over
-in closed form. Over those two it is multiplied with what is known of balls, on a grid: many keep
-their restitution or hardly feel the air, none gains by speed, few are as light as a table-tennis
-ball. So a ball that shows neither slope nor drag is taken for what it is, one that shows both gets
-both, and where the samples cannot tell, the interval covers what they leave open (Bayesian model
-averaging, Hoeting et al. 1999). The ends of the restitution's interval are then moved by as much as
-the profile of the likelihood is wider, or narrower, than the normal one.
+Near the fit the likelihood is normal in all unknowns (Laplace approximation), and all but slope and
+drag are marginalised in closed form. Over those two it is multiplied with the priors of balls, on a
+grid: many keep their restitution or hardly feel the air, none gains by speed, few are as light as a
+table-tennis ball. So a ball that shows neither slope nor drag is taken for what it is, one that
+shows both gets both, and where the samples cannot tell, the interval covers what they leave open
+(Bayesian model averaging, Hoeting et al. 1999). The ends of the restitution's interval then move
+by as much as the profile likelihood is wider, or narrower, than the normal one.
 """
 
 from __future__ import annotations
@@ -23,50 +23,42 @@ from analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 
+# Prior probabilities of a ball that keeps its restitution, and of one that the air does not slow:
+# simulators drop such balls. In a picture lens and blur look like a little drag, too.
 _NO_SLOPE, _NO_DRAG, _NO_DRAG_IN_PICTURE = 0.4, 0.5, 0.85
-"""Prior probabilities of a ball that keeps its restitution, and of one that the air does not slow:
-simulators drop such balls. In a picture lens and blur look like a little drag, too."""
 
+# Prior of another ball's slope: half normal, with a little room below 0.
 _SLOPE_SD, _NEGATIVE_SD = 0.12, 0.01
-"""Prior of another ball's slope: half normal, with a little room below 0."""
 
-_USUAL_DRAG_1_M, _LOG_DRAG_SD = 0.03, 1.3
-"""Prior of another ball's drag: log normal. A steel ball has .002, a table-tennis ball .13."""
+# Prior of another ball's drag: log normal. A steel ball has .002, a table-tennis ball .13.
+_TYPICAL_DRAG_1_M, _LOG_DRAG_SD = 0.03, 1.3
 
-_NODES, _REACH_SDS = 45, 4.5
-"""Of the grid along one axis, and how far it goes."""
-
-_LEAST_SD = 1e-5
-"""Of a restitution: no lens, no clock and no simulator are better."""
-
-_LEAST_SD_IN_PICTURE = 2e-4
-"""The same of a film."""
-
-_FILM_WIDER = 1.1
-"""Factor on a film's intervals of the restitution: without it too few cover."""
-
+_NODES, _REACH_SDS = 45, 4.5  # of the grid along one axis, and how far it goes
+_MIN_SD = 1e-5  # of a restitution: no lens, no clock and no simulator are better
+_MIN_SD_IN_PICTURE = 2e-4  # the same of a film
+_FILM_WIDER = 1.1  # factor on a film's intervals of the restitution: without it too few cover
+# How much less likely the ends are: a t distribution is flatter than the noise of a track.
 _RISE = 0.93 * TWO_SIDED**2 / 2
-"""How much less likely the ends are: a t distribution is flatter than the noise of a track."""
 
+# Standard deviation of a restitution beyond which the ends are searched for, in so many steps: near
+# 0 a rebound grows with its square, and no normal likelihood describes it.
 _UNSURE, _SEARCHED = 0.03, 4
-"""Standard deviation of a restitution beyond which the ends are searched for, in so many steps:
-near 0 a rebound grows with its square, and no normal likelihood describes it."""
 
+# Most that a profile changes a normal interval: beyond that it found another minimum.
 _NARROWER, _WIDER = 0.8, 2.5
-"""Most that a profile changes a normal interval: beyond that it found another minimum."""
 
 
 @dataclass(frozen=True, eq=False)
 class BallPosterior:
-    """What is known of a ball.
+    """Posterior of a ball's restitution, slope and drag.
 
     Attributes:
-        values: restitution, slope, drag [1/m]: the posterior's means, shape (3,).
+        values: posterior means of restitution, slope, drag [1/m], shape (3,).
         interval95: shape (3, 2).
         fit: the fit, with slope and drag held at these values, all else fitted to them.
         correlation: of slope and drag by the samples alone: near -1 or 1 these trade places.
-        told: how much narrower than its prior each interval of slope and drag is, from 0 (all of
-            it is the prior's) to 1, shape (2,).
+        told: how much narrower than its prior each interval of slope and drag is, from 0 (the
+            prior's) to 1, shape (2,).
     """
 
     values: Array
@@ -77,7 +69,7 @@ class BallPosterior:
 
 
 def ball_posterior(fit: BounceFit) -> BallPosterior:
-    """Average over all balls that may have made a fit's samples."""
+    """Compute a ball's posterior by Bayesian model averaging over slope, drag and scatter."""
     height_m = GRAVITY_M_S2 * float(np.exp(2 * fit.unknowns[FALL])) / 2
     factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
     likelihoods = ball_likelihoods(fit, factor)
@@ -105,13 +97,13 @@ def ball_posterior(fit: BounceFit) -> BallPosterior:
     )
 
 
+# A mixture of normal distributions: their middles, standard deviations and weights, shape (M,).
 _Axis = tuple[Array, Array, Array]
-"""A mixture of normal distributions: their middles, standard deviations and weights, shape (M,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Balls over slope and drag, and how likely they are by one likelihood.
+    """Balls on a grid over slope and drag, weighted by one likelihood.
 
     Attributes:
         axes: of the restitution, the slope and the drag [1/m].
@@ -123,7 +115,7 @@ class _Grid:
 
     @classmethod
     def of(cls, likelihood: BallLikelihood, fit: BounceFit, height_m: float) -> _Grid:
-        """Around where the samples put slope and drag, and where there is none of them."""
+        """Build the grid around the likelihood's mode, with balls of no slope and of no drag."""
         middle, sds = likelihood.middle, likelihood.sds
         slopes, slope_step = _nodes(float(middle[0]), float(sds[0]), -0.05, 0.45)
         drags, drag_step = _nodes(float(middle[1]) / height_m, float(sds[1]) / height_m, 0.0, 1.0)
@@ -160,24 +152,24 @@ class _Grid:
 
 
 def _mixed(axes: tuple[_Axis, ...], shares: Array) -> _Axis:
-    """Several of them as one, each with its share."""
+    """Mix several axes, each with its share."""
     middles, sds, weights = zip(*axes, strict=True)
     shared = [share * one for share, one in zip(shares, weights, strict=True)]
     return np.concatenate(middles), np.concatenate(sds), np.concatenate(shared)
 
 
 def _marginal(values: Array, sd: float, weights: Array) -> _Axis:
-    """Each value once, the standard deviation about it, and the weight of all that have it."""
+    """Return each value once, the standard deviation about it, and its total weight."""
     once, which = np.unique(values, return_inverse=True)
     return once, np.full(len(once), sd), np.bincount(which, weights).astype(np.float64)
 
 
 def _least_sd(fit: BounceFit) -> float:
-    return _LEAST_SD if fit.samples.in_metres else _LEAST_SD_IN_PICTURE
+    return _MIN_SD if fit.samples.in_metres else _MIN_SD_IN_PICTURE
 
 
 def _nodes(middle: float, sd: float, low: float, high: float) -> tuple[Array, float]:
-    """Middles of even cells about a value, within bounds, and their width."""
+    """Return the middles of even cells about a value, within bounds, and their width."""
     first, last = middle - _REACH_SDS * sd, middle + _REACH_SDS * sd
     if last <= low or first >= high:  # only a bound can be meant
         first, last = (low, low + 2 * sd) if last <= low else (high - 2 * sd, high)
@@ -192,21 +184,21 @@ def _slope_density(slopes: Array) -> Array:
 
 
 def _drag_density(drags: Array) -> Array:
-    """Of positive drags [1/m]."""
-    off = np.log(drags / _USUAL_DRAG_1_M) / _LOG_DRAG_SD
+    """Return the log-normal prior density of positive drags [1/m]."""
+    off = np.log(drags / _TYPICAL_DRAG_1_M) / _LOG_DRAG_SD
     return np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * _LOG_DRAG_SD * drags)
 
 
 def _prior_widths(fit: BounceFit) -> Array:
-    """Of the 95 % intervals of slope and drag [1/m] before any sample, shape (2,)."""
+    """Return the prior 95 % widths of slope and drag [1/m], shape (2,)."""
     slope = TWO_SIDED * _SLOPE_SD
     if fit.samples.drag_1_m is not None:
         return np.array([slope, 2 * TWO_SIDED * KNOWN_DRAG * fit.samples.drag_1_m])
-    return np.array([slope, _USUAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)])
+    return np.array([slope, _TYPICAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)])
 
 
 def _profile_factors(fit: BounceFit, factor: float) -> Array:
-    """How much farther than a normal likelihood has them the restitution's ends are, shape (2,).
+    """Return the profile likelihood's half widths over the normal ones, shape (2,).
 
     All else is fitted anew where the normal likelihood ends. Impacts that are heard, too, keep the
     normal one: a fit has no unknowns for each impact's own restitution.
@@ -235,7 +227,7 @@ def _profile_factors(fit: BounceFit, factor: float) -> Array:
 
 
 def _profiled(fit: BounceFit, factor: float, side: int, sd: float) -> float:
-    """By what the profile likelihood's end is farther than 1.96 of `sd` to a side; 1 at a bound."""
+    """Return the profile likelihood's end to a side over 1.96 of `sd`; 1 at a bound."""
     value = float(fit.unknowns[RESTITUTION])
     at = float(np.clip(value + side * TWO_SIDED * sd, 0.0, 1.0))
     reached = abs(at - value)

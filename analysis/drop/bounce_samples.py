@@ -10,28 +10,21 @@ from analysis.drop.bounce_model import FALL, IMPACT, SPAN, BounceSamples
 from analysis.statistics import correlation_time
 from tunenet_logs.arrays import Array
 
-MOST_IMPACTS = 6
-"""Of a film's fit, and with a restitution of their own: later bounces are too low to say more."""
+# Of a film's fit, and with a restitution of their own: later bounces are too low to say more.
+MAX_IMPACTS = 6
 
-FEWEST_SAMPLES = 12
-"""For eight unknowns, of which three have priors, and a noise."""
-
+MIN_SAMPLES = 12  # for eight unknowns, of which three have priors, and a noise
+# Fall times before the impact from which on a held ball counts; standard deviations from where it
+# is let go that it may be off.
 _HELD_BACK, _OFF = 3.0, 4.0
-"""Fall times before the impact from which on a held ball counts; standard deviations from where it
-is let go that it may be off."""
 
-_SHORTLY = 0.35
-"""Fall times: a ball that moved before, and was still for less, was in no hand."""
-
-_AT_IMPACT = 1.5
-"""Samples to either side of an impact that a filter rounds."""
-
-_NARROW = 0.15
-"""Fraction of a flight, at most, that is left out at either end."""
+_SHORTLY = 0.35  # fall times: a ball that moved before, and was still for less, was in no hand
+_AT_IMPACT = 1.5  # samples to either side of an impact that a filter rounds
+_NARROW = 0.15  # fraction of a flight, at most, that is left out at either end
 
 
 def with_held(whole: BounceSamples, fit: BounceFit) -> BounceSamples:
-    """With the samples just before the fall in which the ball is where it is let go."""
+    """Add the samples just before the fall in which the ball is held where it is let go."""
     first = int(np.searchsorted(whole.seconds, fit.samples.seconds[0]))
     fall_s = float(np.exp(fit.unknowns[FALL]))
     earliest_s = float(fit.unknowns[IMPACT]) - _HELD_BACK * fall_s
@@ -53,7 +46,7 @@ def with_held(whole: BounceSamples, fit: BounceFit) -> BounceSamples:
 
 
 def sharp(fit: BounceFit) -> BounceSamples:
-    """Without the samples that an impact may be in.
+    """Remove the samples that an impact may be in.
 
     An exposure shows both of its sides, a filter rounds it, and noise hides on which side a sample
     is: there the residual has a kink, at which a fit would rest and seem surer than it is.
@@ -73,13 +66,13 @@ def sharp(fit: BounceFit) -> BounceSamples:
     least = samples.exposure_s / 2 / fall_s
     reach = np.maximum(np.minimum(reach, _NARROW * longest), least)
     kept = _apart(times, starts, reach) | (times > starts[-1])
-    if np.count_nonzero(kept) < max(FEWEST_SAMPLES, 0.5 * len(times)):
+    if np.count_nonzero(kept) < max(MIN_SAMPLES, 0.5 * len(times)):
         return samples
     return samples.only(kept)
 
 
 def _apart(times: Array, impacts: Array, reach: Array) -> NDArray[np.bool_]:
-    """Whether times are farther from all impacts than each reaches, shape (T,)."""
+    """Return which times are farther from all impacts than each reaches, shape (T,)."""
     after = np.searchsorted(impacts, times, side="right")
     before, later = np.maximum(after - 1, 0), np.minimum(after, len(impacts) - 1)
     return (np.abs(times - impacts[before]) > reach[before]) & (

@@ -16,44 +16,36 @@ from analysis.motion import SimulationFit, Units
 from recorders.simulators.contact import CALIBRATED
 from tunenet_logs.arrays import Array
 
+# Rms in drop heights: a simulation that is farther off is of something else than the recording.
 _REJECT_FIT = 0.1
-"""Rms in drop heights: a simulation that is farther off is of something else than the recording."""
 
-_CLEAR_FLIGHT = 10
-"""Samples of a first flight in which a parabola can be found, if there is one."""
-
+_CLEAR_FLIGHT = 10  # samples of a first flight in which a parabola can be found, if there is one
+# A first rebound lower than this many standard deviations of the noise has no value of its own.
 _CLEAR_HOP = 8
-"""A first rebound lower than this many standard deviations of the noise has no value of its own."""
 
-_MOST_GAP = 4.0
-"""Sample periods without a sample: a longer gap may hide an impact."""
+_MAX_GAP = 4.0  # sample periods without a sample: a longer gap may hide an impact
+_SURE = 0.02  # half width of an interval that still tells one ball from another
+# Fall times after the impact: less than that may miss the top of the first bounce, and of a ball
+# that a hand catches, what is free.
+MIN_SEEN, _MIN_SEEN_THROWN = 0.9, 0.2
 
-_SURE = 0.02
-"""Half width of an interval that still tells one ball from another."""
+# Of the drop height, and of the noise's standard deviations, that a sample may lie under the
+# contact: a ball that sinks in less is still on the table.
+_MAX_BELOW, _BELOW_SDS = 0.03, 6
 
-LEAST_SEEN, _LEAST_SEEN_THROWN = 0.9, 0.2
-"""Fall times after the impact: less than that may miss the top of the first bounce, and of a ball
-that a hand catches, what is free."""
+# Of the drop height: a ball that is let go stays nearer; one that is thrown does not.
+_MAX_DRIFT = 0.5
 
-_MOST_BELOW, _BELOW_SDS = 0.03, 6
-"""Of the drop height, and of the noise's standard deviations, that a sample may lie under the
-contact: a ball that sinks in less is still on the table."""
+# Of the drop height [%], beyond the noise: what cannot be seen in a review, and what a fit to the
+# first part of a recording may be off in the rest.
+MAX_EXCESS_PERCENT, _MAX_HELD_OUT = 0.5, 1.0
 
-_MOST_DRIFT = 0.5
-"""Of the drop height: a ball that is let go stays nearer; one that is thrown does not."""
-
-MOST_EXCESS_PERCENT, _MOST_HELD_OUT = 0.5, 1.0
-"""Of the drop height [%], beyond the noise: what cannot be seen in a review, and what a fit to the
-first part of a recording may be off in the rest."""
-
+# Of the drop height [%]: a simulation that is farther off is of something else.
 _REJECT_EXCESS = 15.0
-"""Of the drop height [%]: a simulation that is farther off is of something else."""
 
-_MOST_LEFT_OUT = 0.05
-"""Fraction of the samples that may be something else than the ball."""
-
+_MAX_LEFT_OUT = 0.05  # fraction of the samples that may be something else than the ball
+# Relative: a fall may be this far from g, as the air and a short fall make it.
 _WITHIN_GRAVITY = 0.05
-"""Relative: a fall may be this far from g, as the air and a short fall make it."""
 
 
 def recording_checks(
@@ -64,7 +56,7 @@ def recording_checks(
     most_sideways: float = 0.0,
     sunk_m: float = 0.0,
 ) -> list[Check]:
-    """What the recording itself tells.
+    """Check the recording itself: its length, gaps, table and sideways motion.
 
     Args:
         drop: the drop in it.
@@ -83,14 +75,14 @@ def recording_checks(
     known_s = np.union1d(drop.seconds, np.asarray(excused_s))
     longest_s = float(np.diff(known_s).max())
     gap = longest_s / float(np.median(periods))
-    most_gap = max(_MOST_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
-    floor = _MOST_BELOW * height + _BELOW_SDS * drop.noise_m
-    least_seen = _LEAST_SEEN_THROWN if drop.launched else LEAST_SEEN
+    most_gap = max(_MAX_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
+    floor = _MAX_BELOW * height + _BELOW_SDS * drop.noise_m
+    least_seen = _MIN_SEEN_THROWN if drop.launched else MIN_SEEN
     flown, wanted = figures(seen, least_seen, 1)
     size, unit = _length(drop)
     under, most_under = figures(size * max(below, 0.0), size * floor, 1)
     lasts_s = float(drop.seconds[-1] - drop.seconds[0])
-    most_m = max(_MOST_DRIFT * height, most_sideways * drop.impact_speed_m_s * lasts_s)
+    most_m = max(_MAX_DRIFT * height, most_sideways * drop.impact_speed_m_s * lasts_s)
     aside, most_aside = figures(size * drift, size * most_m, 0)
     longest, too_long = figures(gap, most_gap, 1)
     return [
@@ -124,14 +116,14 @@ def recording_checks(
 
 
 def _length(drop: Drop) -> tuple[float, str]:
-    """How many of a unit are in one of a drop's metres, which are none where nothing tells them."""
+    """Return the factor and unit that show a drop's lengths: mm, or % of an unscaled height."""
     if drop.scale_known:
         return 1000.0, "mm"
     return 100 / drop.drop_height_m, "% of the drop height"
 
 
 def fall_checks(drop: Drop, restitution: float, units: Units) -> list[Check]:
-    """Whether it falls and flies as free bodies do, so that the restitution is the ball's own."""
+    """Check that the ball falls and flies freely, so that the restitution is its own."""
     checks: list[Check] = []
     if units.doubt:
         checks.append(Check("gravity", False, units.doubt, advice=units.remedy, doubts_model=False))
@@ -169,7 +161,7 @@ def fall_checks(drop: Drop, restitution: float, units: Units) -> list[Check]:
 
 
 def rebound_check(drop: Drop, restitution: float) -> Check:
-    """Whether the noise leaves enough of the first rebound, where no interval says so."""
+    """Check that the first rebound stands out of the noise, where there is no interval."""
     hop_m = restitution**2 * drop.drop_height_m
     high, least = figures(1000 * hop_m, 1000 * _CLEAR_HOP * drop.noise_m, 1)
     return Check(
@@ -182,13 +174,7 @@ def rebound_check(drop: Drop, restitution: float) -> Check:
 
 
 def sure_check(low: float, high: float, reject: float = np.inf) -> Check:
-    """Whether a 95 % interval is narrow enough to be of use.
-
-    Args:
-        low: lower end.
-        high: upper end.
-        reject: half a width from which on nothing is known.
-    """
+    """Check that a 95 % interval is narrow enough; half a width above `reject` is fatal."""
     half = (high - low) / 2
     shown, most = figures(half, _SURE, 2, "g")
     return Check(
@@ -203,18 +189,18 @@ def sure_check(low: float, high: float, reject: float = np.inf) -> Check:
 
 
 def motion_checks(fit: SimulationFit | None) -> list[Check]:
-    """Whether the tuned simulator moves as the ball was seen to, and whether it foretells it.
+    """Check that the tuned simulator moves as the ball does, and predicts the hold-out.
 
-    A simulator that leaves the observation is not tuned, whatever interval the fit has.
+    A simulator that leaves the observation is not tuned, however narrow the fit's interval is.
     """
     if fit is None:
         return []
-    seen, most = figures(fit.excess_percent, MOST_EXCESS_PERCENT, 2)
+    seen, most = figures(fit.excess_percent, MAX_EXCESS_PERCENT, 2)
     share = fit.left_out / max(fit.samples + fit.left_out, 1)
     found = [
         Check(
             "simulation fits",
-            fit.excess_percent < MOST_EXCESS_PERCENT,
+            fit.excess_percent < MAX_EXCESS_PERCENT,
             f"{seen} % of the drop height apart beyond the noise, rms of {fit.samples} samples (at "
             f"most {most}); {fit.worst_percent:.2f} % at worst",
             fatal=fit.excess_percent > _REJECT_EXCESS,
@@ -222,18 +208,18 @@ def motion_checks(fit: SimulationFit | None) -> list[Check]:
         ),
         Check(
             "samples are the ball's",
-            share <= _MOST_LEFT_OUT,
+            share <= _MAX_LEFT_OUT,
             f"{fit.left_out} of {fit.samples + fit.left_out} are elsewhere (at most "
-            f"{100 * _MOST_LEFT_OUT:.0f} %)",
+            f"{100 * _MAX_LEFT_OUT:.0f} %)",
             advice="keep other things that move, or are marked, away from the ball",
         ),
     ]
     if fit.held_out_percent is not None:
-        off, most = figures(fit.held_out_percent, _MOST_HELD_OUT, 2)
+        off, most = figures(fit.held_out_percent, _MAX_HELD_OUT, 2)
         found.append(
             Check(
                 "foretells the rest",
-                fit.held_out_percent < _MOST_HELD_OUT,
+                fit.held_out_percent < _MAX_HELD_OUT,
                 f"by the first 60 % of the time the rest is {off} % of the drop height off (at "
                 f"most {most})",
                 advice="drop from higher, or record more bounces at a higher rate",
@@ -250,14 +236,9 @@ def fit_check(
     most: float,
     reject: float = _REJECT_FIT,
 ) -> Check:
-    """Whether the tuned simulator moves as the recording does.
+    """Check that the tuned simulator is within `most` drop heights of the recording (rms).
 
-    Args:
-        simulated: o_P of the result.
-        target: o_T.
-        scale: drop height in the observations' unit.
-        most: share of the drop height that the two may lie apart (rms).
-        reject: share from which on nothing can be reported.
+    `scale` is the drop height in the observations' unit; more than `reject` is fatal.
     """
     off = (simulated.values - target.values) / scale
     rms = float(np.sqrt(np.nanmean(off**2)))

@@ -1,4 +1,4 @@
-"""No contact lasts less than nothing: what that says of a ball whose impacts are heard.
+"""Positive contact duration as a truncated normal, for a ball whose impacts are heard.
 
 In a normal approximation the contact's duration is normal for each slope and drag, with the
 restitution linear in it. Its part below 0 is cut off (the truncated normal distribution).
@@ -12,18 +12,17 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-_FAR = -30.0
-"""Standard deviations below 0 beyond which a contact is as unlikely as at them."""
+_FAR = -30.0  # standard deviations below 0 beyond which a contact is as unlikely as at them
 
 
 @dataclass(frozen=True, eq=False)
 class ContactBound:
-    """The contact's duration before the bound, as a function of slope and drag.
+    """Contact duration before the bound, as a function of slope and drag.
 
     Attributes:
         value_s: at the likelihood's middle.
-        moves: of it, for each of slope and drag, shape (2,).
-        sd_s: where the two are known.
+        moves: its derivatives by slope and drag, shape (2,).
+        sd_s: standard deviation given the two.
         restitution_sd: of the restitution, by the contact alone; negative where a longer contact
             means a lower restitution.
     """
@@ -34,25 +33,25 @@ class ContactBound:
     restitution_sd: float
 
     def log_likelihood(self, off: Array) -> Array:
-        """That the contact is above 0, shape (M,), of slopes and drags from the middle (M, 2)."""
+        """Return the log probability of a contact above 0, shape (M,), off the middle by (M, 2)."""
         from scipy.special import log_ndtr
 
         return np.asarray(log_ndtr(self._above(off)), dtype=np.float64)
 
     def restitution_moved(self, off: Array) -> Array:
-        """By how much the bound moves the restitution, shape (M,)."""
+        """Return how far the bound moves the restitution, shape (M,)."""
         return self.restitution_sd * self._cut(off)[0]
 
     def variance_taken(self, off: Array) -> Array:
-        """By how much it lowers the restitution's variance, shape (M,)."""
+        """Return how much the bound lowers the restitution's variance, shape (M,)."""
         return self.restitution_sd**2 * self._cut(off)[1]
 
     def _above(self, off: Array) -> Array:
-        """The contact before the bound, in standard deviations, shape (M,)."""
+        """Return the contact before the bound, in standard deviations, shape (M,)."""
         return np.maximum((self.value_s + off @ self.moves) / self.sd_s, _FAR)
 
     def _cut(self, off: Array) -> tuple[Array, Array]:
-        """Mean, and what is missing of the variance, of the cut standard normal, shape (M,)."""
+        """Return the truncated standard normal's mean and loss of variance, shape (M,)."""
         from scipy.special import log_ndtr
 
         above = self._above(off)

@@ -1,4 +1,4 @@
-"""Time without contacts: a simulator's are far shorter than those of a ball that was heard."""
+"""Clock without contacts: a simulator's are far shorter than those of a ball that was heard."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ import numpy as np
 from analysis.drop.detection import AnyDetection
 from tunenet_logs.arrays import Array
 
-_WHILE_TOUCHING = 1e-3
-"""Of the contacts' time that passes all the same, so that time goes on."""
+_WHILE_TOUCHING = 1e-3  # of the contacts' time that passes all the same, so that time goes on
 
 
 @dataclass(frozen=True, eq=False)
 class ContactClock:
-    """Moments on the log's clock, and on one that almost stands still while the ball touches.
+    """Clock of the log, and one that almost stands still while the ball touches.
 
     Attributes:
         log_s: when contacts begin and end, one after the other, shape (2 N,); none where they
@@ -27,16 +26,16 @@ class ContactClock:
     free_s: Array
 
     def to_free(self, seconds: Array) -> Array:
-        """From the log's clock, shape (T,)."""
+        """Convert times on the log's clock to the contact-free one, shape (T,)."""
         return _moved(seconds, self.log_s, self.free_s)
 
     def to_log(self, seconds: Array) -> Array:
-        """Back to it, shape (T,)."""
+        """Convert contact-free times to the log's clock, shape (T,)."""
         return _moved(seconds, self.free_s, self.log_s)
 
 
 def contact_clock(detection: AnyDetection) -> ContactClock:
-    """The clock of the fitted ball's contacts, as far as it is seen."""
+    """Build the clock of the fitted ball's contacts, as far as it is seen."""
     posterior = detection.posterior if detection.physical else None
     if posterior is None or not posterior.fit.samples.bounce(posterior.fit.unknowns).contact > 0:
         return ContactClock(np.zeros(0), np.zeros(0))

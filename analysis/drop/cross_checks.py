@@ -1,4 +1,4 @@
-"""The second estimate beside a drop's: by its sound, or by curves of time, without a camera."""
+"""Cross-check of a drop: a second estimate by sound, flight durations or impact speeds."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from analysis.drop.impact import Indices, meet
 from analysis.drop.rebounds import flight_ratio
 from tunenet_logs.arrays import Array
 
+# Of the restitution: what systematic errors take off the cross-check of a good recording.
 _AGREEMENT, _AGREEMENT_IN_PICTURE = 0.02, 0.03
-"""Of the restitution: what systematic errors take off the cross-check of a good recording."""
 
 
 def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck | None:
-    """By how much shorter the second flight is than the first, else by the speeds at the impact.
+    """Cross-check the restitution by the ratio of two flights, else by the impact's speeds.
 
     Both are compared with what the fitted ball would show in the same way, so the air's drag, and
     what a smooth curve makes of it, take nothing from them. The first changes with no projection.
@@ -49,10 +49,10 @@ def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck |
 
 
 def _by_ear(ear: EarAndEye, value: float) -> CrossCheck | None:
-    """Two flights as they are heard, beside those of the ball that the pictures alone show.
+    """Cross-check two flights as they are heard against those of the pictures alone.
 
-    None where no three impacts in a row were seen and heard. What a contact lasts is the fit's to
-    both.
+    None where no three impacts in a row were seen and heard. The contact's duration is the joint
+    fit's.
     """
     if ear.touches is None or ear.impacts is None:
         return None
@@ -80,7 +80,7 @@ def _by_ear(ear: EarAndEye, value: float) -> CrossCheck | None:
 
 
 def _by_speeds(drop: Drop, fit: BounceFit, value: float) -> CrossCheck | None:
-    """By the speeds just after and just before the impact, as parabolas on either side have them.
+    """Cross-check by the speeds just before and after the impact, from parabolas on either side.
 
     The same parabolas are fitted to the fitted ball: what they are off there, they are off here.
     """
@@ -109,5 +109,5 @@ def _by_speeds(drop: Drop, fit: BounceFit, value: float) -> CrossCheck | None:
 
 
 def _between(seconds: Array, ends: tuple[float, float]) -> Indices:
-    """Indices of the samples between two times, both included."""
+    """Return the indices of the samples between two times, both included."""
     return np.flatnonzero((seconds >= ends[0]) & (seconds <= ends[1]))

@@ -1,4 +1,4 @@
-"""A drop as it was detected in an episode, and the estimation problem that it poses."""
+"""Drop detected in an episode, and the estimation problem that it poses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from analysis.drop import observations as views
 from analysis.drop.bounce_fit import BounceFit, fit_bounce
 from analysis.drop.bounce_model import BounceSamples
 from analysis.drop.bounce_posterior import BallPosterior
-from analysis.drop.bounce_samples import FEWEST_SAMPLES
+from analysis.drop.bounce_samples import MIN_SAMPLES
 from analysis.drop.ear_and_eye import EarAndEye
 from analysis.drop.film import FilmedDrop, canonical_film, drop_by, find_filmed_drop, image_rows
 from analysis.drop.free_fall import Drop
@@ -29,15 +29,13 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.left_out import LeftOut
 
+# What to do where a cross-check of a drop disagrees.
 DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
-"""What to do where a cross-check of a drop disagrees."""
 
 _MAX_HEIGHT_M, _MAX_DIAMETER_M = 4.0, 0.4  # by the clock; above, slow motion without a tag
 _BY_HEIGHT, _BY_DIAMETER = 1.3, 1.8  # factors by which a known length may be off: blur widens
 
-_MOST_NAMED = 5
-"""Later drops that a warning lists."""
-
+_MAX_NAMED = 5  # later drops that a warning lists
 TOO_SHORT = (
     "the paper's network needs 400 samples at 60 Hz: record 6.7 s from the release on, "
     "or use --preset default"
@@ -46,7 +44,7 @@ TOO_SHORT = (
 
 @dataclass(frozen=True, eq=False)
 class DropDetection:
-    """A drop in recorded positions, as one preset looks at it.
+    """Drop detected in recorded positions, as one preset sees it.
 
     Attributes:
         physical: whether the preset simulates the ball itself, or the paper's engine.
@@ -56,7 +54,7 @@ class DropDetection:
         outliers: samples that were left out: no ball can have been there.
         sideways_m: horizontal positions in the drop's window [m], shape (T, any).
         ball: what was dropped, as far as it is known.
-        warnings: what a user should know, in words.
+        warnings: for the user.
         units: of the log.
         others: bounces of the recording that do not follow freely, for a ball that was thrown.
         sunk_m: how far below where it bounced a thrown ball ever is in the recording [m].
@@ -81,7 +79,7 @@ class DropDetection:
 
     @property
     def uses_ball(self) -> bool:
-        """Whether what is known of the ball has an effect: on the air's drag."""
+        """Whether the ball's size and mass have an effect: on the air's drag."""
         return self.ball.drag_1_m is not None
 
     @property
@@ -91,14 +89,14 @@ class DropDetection:
 
     @cached_property
     def posterior(self) -> BallPosterior | None:
-        """What is known of the ball; None where its samples are too few for a fit."""
+        """Posterior of the ball; None where its samples are too few for a fit."""
         if self.ear is not None:
             return self.ear.posterior
         return drop_posterior(self.found, self.ball.drag_1_m)
 
     @cached_property
     def ear(self) -> EarAndEye | None:
-        """What its sound adds; None where there is none, or nothing that it could be added to."""
+        """Joint fit with the sound; None where there is none, or no fit to join."""
         if self.sound is None or not self.physical:
             return None
         known = drop_posterior(self.found, self.ball.drag_1_m)
@@ -108,14 +106,14 @@ class DropDetection:
 
     @cached_property
     def drop(self) -> Drop:
-        """With the fall as the fitted ball has it: air makes it longer than a parabola does."""
+        """Drop with the fall of the fitted ball: air makes it longer than a parabola does."""
         if not self.physical or self.posterior is None:
             return self.found
         return fitted_drop(self.found, self.posterior.fit)
 
     @cached_property
     def target(self) -> Observation:
-        """o_T.
+        """Target observation o_T.
 
         Raises:
             NotFoundError: the log is too short for the paper's network.
@@ -129,7 +127,7 @@ class DropDetection:
 
     @cached_property
     def rebounds(self) -> tuple[Rebound, ...]:
-        """Each impact by itself, those of other bounces in the recording too, in order."""
+        """Each impact's own restitution, those of other bounces in the recording too, in order."""
         assert self.posterior is not None
         found = [*fitted_rebounds(self.posterior)]
         if self.found.launched:
@@ -143,26 +141,26 @@ class DropDetection:
 
     @property
     def observed(self) -> BounceSamples:
-        """All samples of the drop, in m."""
+        """All samples of the drop [m]."""
         return samples_of(self.found, self.ball.drag_1_m)
 
     def begun(self, until_s: float) -> BounceFit | None:
-        """The fit to what is seen until then [s]; None where that is too little."""
+        """Fit the samples until `until_s` alone; None where they are too few."""
         drop = self.found
         count = int(np.searchsorted(drop.seconds, until_s, side="right"))
-        if count < FEWEST_SAMPLES or until_s < drop.impact_s:
+        if count < MIN_SAMPLES or until_s < drop.impact_s:
             return None
         part = replace(drop, seconds=drop.seconds[:count], heights_m=drop.heights_m[:count])
         return fit_positions(part, self.ball.drag_1_m)
 
     @property
     def window(self) -> Mapping[str, float]:
-        """Its first sample, first impact and last sample [s]."""
+        """First sample, first impact and last sample [s]."""
         return _window(self.drop)
 
     @property
     def extent(self) -> tuple[str, str]:
-        """How high the ball fell from, or how fast it hit."""
+        """Drop height or, of a thrown ball, impact speed, as label and text."""
         if not self.tells_speed:
             return "drop", "height not told"
         if self.found.launched:
@@ -177,7 +175,7 @@ def _window(drop: Drop) -> Mapping[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class FilmDetection:
-    """A ball tracked in pictures. The drop that it makes is reconstructed when first needed.
+    """Drop detected in pictures; it is reconstructed when first needed.
 
     Attributes:
         physical: whether the preset simulates the ball itself, or the paper's engine.
@@ -188,10 +186,10 @@ class FilmDetection:
         height_m: of the drop, as the log says; None where it does not.
         unread: what could not be read of the pictures, in words; "" if nothing.
         taken_ns: when a picture was taken, by its stamp, for those that are stamped later.
-        track_warnings: what a user should know of pictures and track, in words.
+        track_warnings: of pictures and track, for the user.
         outliers: none: what is not the ball was not tracked.
         is_timed: whether the stamps are times; where they count pictures there is no scale at all.
-        is_rate_known: whether somebody said at which rate it was filmed: a tag, or who recorded it.
+        is_rate_known: whether the frame rate is stated, by a tag or by who recorded it.
         sound: beside the pictures; None where there is none.
         left_out: pictures of the topic that are not looked at.
     """
@@ -213,14 +211,14 @@ class FilmDetection:
 
     @property
     def uses_ball(self) -> bool:
-        """Whether what is known of the ball has an effect: on drag, or on the film's scale."""
+        """Whether the ball's size and mass have an effect: on drag, or on the film's scale."""
         return self.ball.drag_1_m is not None or (
             self.is_timed and self.height_m is None and self.ball.diameter_m is not None
         )
 
     @property
     def units(self) -> Units:
-        """A picture tells none of length; its clock is the scale, where it has one."""
+        """Units of a film: no length; its clock is the scale, where it has one."""
         if not self.is_timed:
             return Units(None, None, None, None)
         steps = np.diff(self.track.stamps_ns)
@@ -229,7 +227,7 @@ class FilmDetection:
 
     @property
     def tells_speed(self) -> bool:
-        """Whether metres and seconds are known; the clock is the scale, where nothing doubts it."""
+        """Whether metres and seconds are known: there is a clock, and nothing contradicts it."""
         return self.is_timed and not (self.contradicted_scale or self.is_slow_motion)
 
     @property
@@ -241,7 +239,7 @@ class FilmDetection:
 
     @property
     def known_height(self) -> tuple[float, float] | None:
-        """The drop height by a known length [m], and the factor it may be off; None without one.
+        """Drop height by a known length [m], and its tolerance as a factor; None without one.
 
         A height that nothing has (0, say, where somebody did not measure) counts as unknown.
         """
@@ -261,7 +259,7 @@ class FilmDetection:
 
     @cached_property
     def is_slow_motion(self) -> bool:
-        """Whether fall and ball are so large by the clock that it most likely runs too slowly."""
+        """Whether fall and ball are so large by the clock that this is most likely slow motion."""
         if not self.is_timed or self.is_rate_known or self.known_height is not None:
             return False
         height_m = self.film.drop.drop_height_m
@@ -269,7 +267,7 @@ class FilmDetection:
 
     @cached_property
     def film(self) -> FilmedDrop:
-        """The drop with the camera that explains the track.
+        """Drop with the camera that explains the track.
 
         Raises:
             NotFoundError: the track shows no drop.
@@ -279,7 +277,7 @@ class FilmDetection:
 
     @property
     def rebounds(self) -> tuple[Rebound, ...]:
-        """Each impact by itself."""
+        """Each impact's own restitution."""
         found = fitted_rebounds(self.posterior)
         if self.tells_speed:
             return found
@@ -287,18 +285,18 @@ class FilmDetection:
 
     @cached_property
     def drop(self) -> Drop:
-        """Its heights by the film's own scale, which is time."""
+        """Drop with its heights by the film's own scale, which is time."""
         film = self.film
         return film.drop if self.posterior is film.posterior else drop_by(film, self.posterior)
 
     @property
     def posterior(self) -> BallPosterior:
-        """What is known of the ball."""
+        """Posterior of the ball, with its sound where that is used."""
         return self.film.posterior if self.ear is None else self.ear.posterior
 
     @cached_property
     def ear(self) -> EarAndEye | None:
-        """What its sound adds; None where there is none."""
+        """Joint fit with the sound; None where there is none."""
         if self.sound is None or not self.physical:
             return None
         why_not = "" if self.is_timed else "the pictures have no times"
@@ -306,12 +304,12 @@ class FilmDetection:
 
     @property
     def window(self) -> Mapping[str, float]:
-        """Its first sample, first impact and last sample [s]."""
+        """First sample, first impact and last sample [s]."""
         return _window(self.drop)
 
     @cached_property
     def observed(self) -> BounceSamples:
-        """The ball in all pictures from the drop's first one on, in px."""
+        """Positions of the ball in all pictures from the drop's first one on [px]."""
         track, film = self.track, self.film
         found = np.flatnonzero(np.isfinite(track.places_px).all(axis=1))
         stamps_ns, first = np.unique(track.stamps_ns[found], return_index=True)
@@ -321,17 +319,17 @@ class FilmDetection:
         return replace(film.fit.samples, seconds=seconds[inside], positions=along[inside])
 
     def begun(self, until_s: float) -> BounceFit | None:
-        """The fit to what is seen until then [s]; None where that is too little."""
+        """Fit the samples until `until_s` alone; None where they are too few."""
         fit = self.film.fit
         samples = fit.samples.only(fit.samples.seconds <= until_s)
         samples = replace(samples, bends_s=tuple(at for at in samples.bends_s if at < until_s))
-        if len(samples.seconds) < FEWEST_SAMPLES:
+        if len(samples.seconds) < MIN_SAMPLES:
             return None
         return fit_bounce(samples, fit.unknowns, samples.unknowns)
 
     @property
     def extent(self) -> tuple[str, str]:
-        """How high the ball fell from."""
+        """Drop height, as label and text."""
         if not self.tells_speed:
             return "drop", "height not told"
         return "drop", f"{self.drop.drop_height_m:.3f} m"
@@ -343,7 +341,7 @@ class FilmDetection:
 
     @cached_property
     def target(self) -> Observation:
-        """o_T.
+        """Target observation o_T.
 
         Raises:
             NotFoundError: the film is too short for the paper's network.
@@ -357,7 +355,7 @@ class FilmDetection:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know, in words."""
+        """Warnings for the user."""
         found = list(self.track_warnings)
         height_m = self.drop.drop_height_m
         if not self.physical:
@@ -374,7 +372,7 @@ class FilmDetection:
             return tuple(found)
         film = self.film
         if film.later_s:
-            at = ", ".join(f"{later:.2f} s" for later in film.later_s[:_MOST_NAMED])
+            at = ", ".join(f"{later:.2f} s" for later in film.later_s[:_MAX_NAMED])
             found.append(
                 f"more drops seem to follow, at {at}; the first is used (see --start, --end)"
             )

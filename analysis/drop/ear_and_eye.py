@@ -1,4 +1,4 @@
-"""One fit of what is seen and what is heard: sound counts as far as the pictures confirm it."""
+"""Joint fit of pictures and sound: sound counts as far as the pictures confirm it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from analysis.drop.bounce_model import OFFSET, TOUCH, BounceSamples
 from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from analysis.drop.heard import HeardImpacts
 from analysis.drop.heard_match import (
-    FEWEST_HEARD,
-    LEAST_LOG_ODDS,
+    MIN_HEARD,
+    MIN_LOG_ODDS,
     ForetoldImpacts,
     HeardMatch,
     foretold,
@@ -24,19 +24,16 @@ from analysis.motion import SoundShare
 from analysis.statistics import correlation_time
 from tunenet_logs.arrays import Array
 
-_MOST_ROUNDS = 3
-"""In each of which later impacts are listened for."""
+_MAX_ROUNDS = 3  # in each of which later impacts are listened for
+# Log likelihood of the pictures that sound may take: with more the two contradict each other.
+_MAX_LOST = 8.0
 
-_MOST_LOST = 8.0
-"""Log likelihood of the pictures that sound may take: with more the two contradict each other."""
-
-_LATE_SDS = 5.0
-"""Standard deviations from the fit, from which on an onset is none of its impacts."""
+_LATE_SDS = 5.0  # standard deviations from the fit, from which on an onset is none of its impacts
 
 
 @dataclass(frozen=True, eq=False)
 class EarAndEye:
-    """A ball by its pictures, with what sound adds to them.
+    """Ball by its pictures, with what sound adds to them.
 
     Attributes:
         posterior: of both where the sound is used, else of the pictures.
@@ -56,12 +53,12 @@ class EarAndEye:
 
     @property
     def offset_s(self) -> float | None:
-        """By how much the sound is late; None where it is not used."""
+        """Delay of the sound; None where it is not used."""
         return None if self.touches is None else float(self.posterior.fit.unknowns[OFFSET])
 
     @property
     def share(self) -> SoundShare:
-        """What a record keeps of it."""
+        """Summary of the sound's part in the fit, for the record."""
         low, high = self.pictures.interval95[0].tolist()
         seen = 0 if self.impacts is None else len(self.impacts.times_s)
         heard = 0 if self.touches is None else int(self.touches.numbers.max()) + 1
@@ -76,36 +73,31 @@ class EarAndEye:
 
 
 def with_sound(pictures: BallPosterior, heard: HeardImpacts) -> EarAndEye:
-    """The ball by its pictures and by the onsets that they confirm.
-
-    Args:
-        pictures: what they say alone.
-        heard: on the clock of their samples.
-    """
+    """Fit a ball to its pictures and to the onsets, on the same clock, that they confirm."""
     impacts = foretold(pictures.fit)
     alone = EarAndEye(pictures, pictures, impacts)
-    if len(impacts.times_s) < FEWEST_HEARD:
-        return replace(alone, reason=f"fewer than {FEWEST_HEARD} impacts are seen")
+    if len(impacts.times_s) < MIN_HEARD:
+        return replace(alone, reason=f"fewer than {MIN_HEARD} impacts are seen")
     match = match_onsets(impacts, heard)
     if match is None:
-        reason = f"fewer than {FEWEST_HEARD} of its onsets fit the impacts"
+        reason = f"fewer than {MIN_HEARD} of its onsets fit the impacts"
         return replace(alone, reason=reason)
-    if match.log_odds < LEAST_LOG_ODDS:
+    if match.log_odds < MIN_LOG_ODDS:
         reason = f"{len(match.touches.numbers)} of its onsets fit the impacts, as chance has it"
         return replace(alone, match=match, reason=reason)
     fit = _joint_fit(pictures.fit, match, heard)
-    if fit is None or _lost(pictures.fit, fit) > _MOST_LOST:
+    if fit is None or _lost(pictures.fit, fit) > _MAX_LOST:
         return replace(alone, match=match, reason="its onsets contradict the pictures")
     return replace(alone, posterior=ball_posterior(fit), match=match, touches=fit.samples.heard)
 
 
 def _joint_fit(fit: BounceFit, match: HeardMatch, heard: HeardImpacts) -> BounceFit | None:
-    """The fit to both, without onsets that are far off; None where too few are left."""
+    """Fit both, without onsets that are far off; None where too few are left."""
     start = fit.unknowns.copy()
     start[[OFFSET, TOUCH]] = match.offset_s, TOUCH_S
     touches = match.touches
     joint = _consistent(_likeliest(fit.samples, start, touches))
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         more = None if joint is None else later_touches(joint, heard)
         if joint is None or more is None or more.numbers[-1] <= touches.numbers[-1]:
             break
@@ -118,7 +110,7 @@ def _joint_fit(fit: BounceFit, match: HeardMatch, heard: HeardImpacts) -> Bounce
 
 
 def _likeliest(samples: BounceSamples, start: Array, touches: HeardTouches) -> BounceFit:
-    """The fit to both with the likeliest of all scatters."""
+    """Fit both with the likeliest of all scatters."""
     fits: list[tuple[float, BounceFit]] = []
     for scatter, likely in SCATTERS.items():
         scattered = replace(touches, scatter=scatter)
@@ -130,7 +122,7 @@ def _likeliest(samples: BounceSamples, start: Array, touches: HeardTouches) -> B
 
 
 def _consistent(fit: BounceFit) -> BounceFit | None:
-    """Without onsets that are far off; None where too few are left."""
+    """Remove onsets that are far off, and refit; None where too few are left."""
     while True:
         touches = fit.samples.heard
         assert touches is not None
@@ -138,13 +130,13 @@ def _consistent(fit: BounceFit) -> BounceFit | None:
         off = np.abs(touches.whitening @ (times_s - touches.times_s))
         if off.max() < _LATE_SDS:
             return fit
-        if len(touches.numbers) <= FEWEST_HEARD:
+        if len(touches.numbers) <= MIN_HEARD:
             return None
         kept = replace(fit.samples, heard=touches.only(np.arange(len(off)) != off.argmax()))
         fit = fit_bounce(kept, fit.unknowns, kept.unknowns, most=60)
 
 
 def _lost(alone: BounceFit, joint: BounceFit) -> float:
-    """Log likelihood of the pictures that the joint fit gives up."""
+    """Return the log likelihood of the pictures that the joint fit gives up."""
     factor = max(correlation_time(alone.residuals, len(alone.free)), alone.effective_sample_factor)
     return (joint.misfit_cost(alone.scale) - alone.misfit_cost(alone.scale)) / factor

@@ -1,4 +1,4 @@
-"""The ball for simulators without air: one restitution, the same at every impact."""
+"""Equivalent ball for simulators without air: one restitution, the same at every impact."""
 
 from __future__ import annotations
 
@@ -13,16 +13,14 @@ from recorders.simulators.closed_form.bounce import Bounce
 from tunenet_logs.arrays import Array
 
 _GRID = np.linspace(0.02, 1.0, 99)
+# Restitutions that are tried, and then differences from the best of them: the cost has many minima.
 _FINE = np.linspace(-0.01, 0.01, 81)
-"""Restitutions that are tried, and then differences from the best of them: the cost has many
-minima."""
 
-_MOST_SPEEDS = 20
-"""Impacts that are listed."""
+_MAX_SPEEDS = 20  # impacts that are listed
 
 
 def equivalents(view: Projection, seconds: Array, heights: Array) -> Equivalents | None:
-    """Without air, dropped from the same height at the same moment.
+    """Fit drag-free balls, dropped alike: to the first rebound, and to all samples.
 
     Args:
         view: of the tuned ball.
@@ -51,14 +49,14 @@ def _later(view: Projection, until_s: float) -> float:
 
 
 def _rebound(ball: Bounce, speed: float) -> float:
-    """How high the ball rises that leaves with a speed [drop heights]."""
+    """Return the height [drop heights] of a ball that leaves with a speed."""
     if ball.drag < 1e-7:
         return speed**2 / 4
     return float(np.log1p(ball.drag * speed**2 / 2) / (2 * ball.drag))
 
 
 def _best(times: Array, heights: Array, tried: Array) -> float:
-    """Which restitution is nearest, all of them compared at once."""
+    """Return the least-squares restitution, all of them compared at once."""
     kept = tried[:, None]
     after = np.maximum(times, 0.0)
     bouncing = 1 - after * (1 - kept) / (2 * np.maximum(kept, 1e-9))  # e^n when flight n begins
@@ -79,7 +77,7 @@ def _rms(restitution: float, times: Array, heights: Array) -> float:
 def _equivalent(restitution: float, view: Projection, times: Array, heights: Array) -> Equivalent:
     restitution = float(np.clip(restitution, 0.0, 1.0))
     starts, _ = replace(_AIRLESS, restitution=restitution).flights(float(times[-1]))
-    count = min(int(np.count_nonzero(starts <= times[-1])), _MOST_SPEEDS)
+    count = min(int(np.count_nonzero(starts <= times[-1])), _MAX_SPEEDS)
     first_m_s = GRAVITY_M_S2 * view.fall_time_s
     return Equivalent(
         restitution,
@@ -88,5 +86,4 @@ def _equivalent(restitution: float, view: Projection, times: Array, heights: Arr
     )
 
 
-_AIRLESS = Bounce(0.5)
-"""A ball with one restitution and no air."""
+_AIRLESS = Bounce(0.5)  # a ball with one restitution and no air

@@ -1,4 +1,4 @@
-"""A filmed drop: from the ball's track in the picture to its heights.
+"""Filmed drop: from the ball's track in the picture to its heights.
 
 The scale is time: a fall that lasts T0 is g T0^2 / 2 high. So a film's frame rate must be its true
 one for the heights to be true; the restitution does not depend on it.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analysis.drop.bounce_fit import BounceFit
 from analysis.drop.bounce_model import IMPACT, BounceSamples
 from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
-from analysis.drop.bounce_samples import FEWEST_SAMPLES
+from analysis.drop.bounce_samples import MIN_SAMPLES
 from analysis.drop.film_faults import late_fault
 from analysis.drop.film_reasons import too_small, why_not
 from analysis.drop.film_search import FilmFit, bounces_end, film_impacts, fit_from, is_good, misfit
@@ -30,43 +30,33 @@ from recorders.simulators.contact import CALIBRATED
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-_LEAST_SPAN_PX = 15.0
-"""Below it no bounce is told from the noise of a track; the checks ask for 40."""
+_MIN_SPAN_PX = 15.0  # below it no bounce is told from the noise of a track; the checks ask for 40
+_MARGIN_S = 0.5  # kept before what is fitted, to be seen in a review
+# Least noise [px] of positions in whole pixels, and of others. Rounding to whole pixels is no
+# noise: a ball that lies still is always rounded the same way.
+_WHOLE_PX_NOISE, _MIN_NOISE_PX = 0.45, 0.1
 
-_MARGIN_S = 0.5
-"""Kept before what is fitted, to be seen in a review."""
-
-_WHOLE_PX_NOISE, _LEAST_NOISE_PX = 0.45, 0.1
-"""Least noise [px] of positions in whole pixels, and of others. Rounding to whole pixels is no
-noise: a ball that lies still is always rounded the same way."""
-
-_STRAIGHT = 0.0015
-"""Fraction of the span by which a good lens may distort the vertical."""
-
+_STRAIGHT = 0.0015  # fraction of the span by which a good lens may distort the vertical
+# Fractions of the drop's fall from which another fall before it, or after it, is reported.
 _EARLIER, _LATER = 1.1, 0.8
-"""Fractions of the drop's fall from which another fall before it, or after it, is reported."""
 
-_MOST_CANDIDATES = 6
-"""Impacts that may be the first of a drop: what moves before it is a hand's."""
-
-_MOST_CUTS = 3
-"""Times that the end of a track is left out."""
-
+_MAX_CANDIDATES = 6  # impacts that may be the first of a drop: what moves before it is a hand's
+_MAX_CUTS = 3  # times that the end of a track is left out
+# Rms residual, as a fraction of the fall, and restitution: what has more is no drop.
 _NO_DROP, _ENDLESS = 0.05, 0.995
-"""Rms residual, as a fraction of the fall, and restitution: what has more is no drop."""
 
-_LEAST_SEEN, _MOST_LOG_SIZE = 0.3, 1.2
-"""Of a drop: fall times seen after the impact, and logarithm of its height over the track's."""
+# Of a drop: fall times seen after the impact, and logarithm of its height over the track's.
+_MIN_SEEN, _MAX_LOG_SIZE = 0.3, 1.2
 
 
 @dataclass(frozen=True, eq=False)
 class FilmedDrop:
-    """One drop in a track.
+    """One drop in a track, and its camera.
 
     Attributes:
         track: the ball in every picture.
         down_px: unit vector of the image's vertical, shape (2,).
-        posterior: what the track says of the ball, and the fit that goes with it.
+        posterior: of the ball, with its fit.
         projection: where its heights are in the picture, by that fit; on the log's time.
         end_s: when what the ball does after its first impact ends in the picture, on the drop's
             clock: lifted, or long not found.
@@ -96,7 +86,7 @@ class FilmedDrop:
 
     @property
     def fit(self) -> BounceFit:
-        """The ball of the posterior in the camera that goes with it."""
+        """Fit of the posterior's ball, in the camera that goes with it."""
         return self.posterior.fit
 
 
@@ -114,18 +104,13 @@ class _NoDropError(Exception):
 
 
 def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> FilmedDrop:
-    """The first drop in a track.
-
-    Args:
-        track: see `track_ball`.
-        start_ns: where the drop's clock is 0.
-        ball: what was dropped, if that is known.
+    """Find and fit the first drop in a track; its clock is 0 at `start_ns`.
 
     Raises:
         NotFoundError: there is none; the message says why.
     """
     known = _usable(track)
-    if len(known) < FEWEST_SAMPLES:
+    if len(known) < MIN_SAMPLES:
         raise NotFoundError(
             f"the ball is seen in {len(known)} pictures: too few for a drop", FILM_MORE
         )
@@ -133,9 +118,9 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     along = -(track.places_px[known] @ down)
     span = float(np.ptp(along))
-    if span < _LEAST_SPAN_PX:
+    if span < _MIN_SPAN_PX:
         raise NotFoundError(too_small(track, span))
-    least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _LEAST_NOISE_PX
+    least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _MIN_NOISE_PX
     noise_px = max(noise_of(along), least_px)
     distortion_px = _STRAIGHT * span
     whole = BounceSamples(
@@ -180,10 +165,10 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
 
 
 def canonical_film(film: FilmedDrop) -> Observation:
-    """The fall and the flights that were seen, on the canonical grid of `canonical`.
+    """Return the fall and the flights that were seen, on the canonical grid of `canonical`.
 
-    They are those of the fitted ball, not the samples: those carry the noise of a track, which
-    counts for much where a bounce is small.
+    They are the fitted ball's, not the samples: those carry the noise of a track, which counts for
+    much where a bounce is small.
     """
     axis, fit, drop = canonical_axis(), film.projection, film.drop
     values = fit.bounce.heights(axis)
@@ -194,14 +179,10 @@ def canonical_film(film: FilmedDrop) -> Observation:
 
 
 def image_rows(film: FilmedDrop, start_s: float) -> Observation:
-    """The ball's y in the picture, 0 at the top and 1 at the bottom: what the paper's network sees.
+    """Return y in the picture, 0 at the top and 1 at the bottom: what the paper's network sees.
 
-    A recording that ends with the ball at rest goes on with it at rest; else what is missing is
-    NaN.
-
-    Args:
-        film: the drop.
-        start_s: where the paper's 400 samples at 60 Hz start, on the drop's clock.
+    The paper's 400 samples at 60 Hz start at `start_s`, on the drop's clock. A recording that ends
+    with the ball at rest goes on with it at rest; else what is missing is NaN.
     """
     rows = film.track.places_px[film.used, 1] / film.track.size_px[1]
     wanted = start_s + paper_axis()
@@ -213,7 +194,7 @@ def image_rows(film: FilmedDrop, start_s: float) -> Observation:
 
 
 def drop_by(film: FilmedDrop, posterior: BallPosterior) -> Drop:
-    """Its drop by another posterior of the same pictures."""
+    """Reconstruct a film's drop by another posterior of the same pictures."""
     along = -(film.track.places_px[film.used] @ film.down_px)
     noise_px = film.drop.noise_m / film.drop.drop_height_m * film.projection.span
     view = posterior.fit.projection()
@@ -221,7 +202,7 @@ def drop_by(film: FilmedDrop, posterior: BallPosterior) -> Drop:
 
 
 def _usable(track: Track) -> NDArray[np.intp]:
-    """Pictures in which the ball is found, each later than the one before."""
+    """Return the pictures in which the ball is found, each later than the one before."""
     known = np.flatnonzero(np.isfinite(track.places_px).all(axis=1))
     stamps_ns = track.stamps_ns[known]
     later = stamps_ns > np.concatenate(
@@ -231,12 +212,12 @@ def _usable(track: Track) -> NDArray[np.intp]:
 
 
 def is_whole(positions_px: Array) -> bool:
-    """Whether positions [px], of any shape, are rounded to whole pixels."""
+    """Return whether positions [px], of any shape, are rounded to whole pixels."""
     return bool(np.all(positions_px == np.round(positions_px)))
 
 
 def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first: int) -> Drop:
-    """The heights of positions along the vertical; at rest where 6 samples or more lie still."""
+    """Build a drop of positions along the vertical; at rest where 6 samples or more lie still."""
     gravity = CALIBRATED.gravity_m_s2
     height_m = gravity * fit.fall_time_s**2 / 2
     heights = np.clip(fit.heights(along, seconds), -1.0, 2.0)
@@ -267,7 +248,7 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
 
 
 def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
-    """The fit from the first impact that may be the first one, and the impacts from there on.
+    """Fit from the first impact that may be the first one; return the impacts from there on.
 
     Raises:
         _NoDropError: from none of them on the track is a drop's.
@@ -276,14 +257,14 @@ def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
     span = float(np.ptp(whole.positions))
     fitted = False
     plausible: list[tuple[FilmFit, list[int]]] = []
-    for at in range(min(len(impacts), _MOST_CANDIDATES)):
+    for at in range(min(len(impacts), _MAX_CANDIDATES)):
         found = fit_from(whole, impacts[at:])
         if found is None:
             continue
         fitted = True
         view = found.fit.projection()
-        seen = view.fall_times(found.fit.samples.seconds[-1:])[0] > _LEAST_SEEN
-        size = abs(np.log(view.span / span)) < _MOST_LOG_SIZE
+        seen = view.fall_times(found.fit.samples.seconds[-1:])[0] > _MIN_SEEN
+        size = abs(np.log(view.span / span)) < _MAX_LOG_SIZE
         bounces = view.residual_rms / view.span < _NO_DROP
         if seen and size and bounces and view.bounce.restitution <= _ENDLESS:
             plausible.append((found, impacts[at:]))
@@ -295,13 +276,13 @@ def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
 
 
 def _trusted_fit(whole: BounceSamples) -> tuple[FilmFit, list[int], float | None]:
-    """The fit to the track before its `late_fault`, its impacts, when a clock is at fault [s].
+    """Fit the track before its `late_fault`; return its impacts, when a clock is at fault [s].
 
     Raises:
         _NoDropError: see `_find_fit`.
     """
     (found, impacts), uneven_s = _find_fit(whole), None
-    for _ in range(_MOST_CUTS):
+    for _ in range(_MAX_CUTS):
         fault = late_fault(found.fit)
         if fault is None:
             break
@@ -318,9 +299,9 @@ def _trusted_fit(whole: BounceSamples) -> tuple[FilmFit, list[int], float | None
 
 
 def _deep_falls_s(samples: BounceSamples, least_px: float) -> list[float]:
-    """When falls of at least `least_px` end in an impact [s]."""
+    """Return when falls of at least `least_px` end in an impact [s]."""
     seconds, positions = samples.seconds, samples.positions
-    if len(seconds) < FEWEST_SAMPLES:
+    if len(seconds) < MIN_SAMPLES:
         return []
     impacts = film_impacts(seconds, positions, samples.noise)
     begins = [0, *impacts]

@@ -1,4 +1,4 @@
-"""Checks of a filmed drop: what an uncalibrated picture can tell of itself.
+"""Checks of a filmed drop: what an uncalibrated picture shows of its own faults.
 
 A fit takes up much of what is wrong with a film. So beside its residuals these look at what it
 cannot take up: positions that lag behind the fitted ball from some moment on, and a ball that grows
@@ -15,53 +15,36 @@ from numpy.typing import NDArray
 from analysis.checks import Check
 from analysis.drop.detection import FilmDetection
 from analysis.drop.film import FilmedDrop, is_whole
-from analysis.drop.film_faults import MOST_CLOCK_GAIN, clock_test, long_steps
-from analysis.drop.film_reasons import LEAST_FREE, free_flight
+from analysis.drop.film_faults import MAX_CLOCK_GAIN, clock_test, long_steps
+from analysis.drop.film_reasons import MIN_FREE, free_flight
 from analysis.drop.projection import Projection
 from tunenet_logs.arrays import Array
 
-_LEAST_SPAN_PX = 40
-"""Of a fall: in a smaller one the first hop of restitution .2 is under 2 px high."""
-
-_CLEAR_HOP = 6
-"""Standard deviations of the noise that a first hop has to be high."""
-
+_MIN_SPAN_PX = 40  # of a fall: in a smaller one the first hop of restitution .2 is under 2 px high
+_CLEAR_HOP = 6  # standard deviations of the noise that a first hop has to be high
+# Fractions of the pictures in which the ball has to be found, and fall times of them.
 _SEEN, _REJECT_SEEN, _LOOKED_AT = 0.8, 0.6, 4.0
-"""Fractions of the pictures in which the ball has to be found, and fall times of them."""
 
-_AWAY = 0.25
-"""Fall times from an impact, beyond which none hides where the ball is out of view."""
-
+_AWAY = 0.25  # fall times from an impact, beyond which none hides where the ball is out of view
+# Of the drop height: rms that passes, and from which on, or a worst one, nothing is a drop.
 _RESIDUAL, _REJECT_RESIDUAL, _REJECT_WORST = 0.02, 0.03, 0.10
-"""Of the drop height: rms that passes, and from which on, or a worst one, nothing is a drop."""
 
-_LONG_STEPS = 2
-"""Of pictures that were lost one here, one there; the clock's test is for one alone."""
-
-_PERSPECTIVE = 1.4
-"""Two standard deviations of its prior."""
-
+_LONG_STEPS = 2  # of pictures that were lost one here, one there; the clock's test is for one alone
+_PERSPECTIVE = 1.4  # two standard deviations of its prior
+# Fraction of repeated pictures that passes: the ball should move by the step, and did not move.
 _REPEATED, _STEP_PX, _SAME_PX = 0.05, 1.5, 0.02
-"""Fraction of repeated pictures that passes: the ball should move by the step, and did not move."""
 
+# Fraction of a size, and difference of k, that pass: light changes a ball's outline.
 _GROWS, _PERSPECTIVES_APART = 0.2, 0.2
-"""Fraction of a size, and difference of k, that pass: light changes a ball's outline."""
 
-_SDS = 4.0
-"""Standard errors that are allowed on top of a threshold."""
-
-_FEWEST_FLIGHTS = 2
-"""The first alone has no other to be compared with."""
-
-_FEWEST = 12
-"""Samples for a test of size."""
-
-_AT_REST = 1.0
-"""Fall times of a rest whose sizes count."""
+_SDS = 4.0  # standard errors that are allowed on top of a threshold
+_MIN_FLIGHTS = 2  # the first alone has no other to be compared with
+_MIN_COUNT = 12  # samples for a test of size
+_AT_REST = 1.0  # fall times of a rest whose sizes count
 
 
 def film_checks(film: FilmedDrop) -> list[Check]:
-    """What speaks for and against a track as a drop's."""
+    """Check whether a track is a drop's, in view, along parabolas and on an even clock."""
     span = film.projection.span
     residual = film.projection.residual_rms / span
     worst = float(np.quantile(np.abs(film.fit.residuals) / span, 0.98))
@@ -76,13 +59,13 @@ def film_checks(film: FilmedDrop) -> list[Check]:
             "flies freely",
             not flight.is_carried,
             f"free flight in {100 * flight.share:.0f} % of its way (wanted: "
-            f"{100 * LEAST_FREE:.0f} or more)",
+            f"{100 * MIN_FREE:.0f} or more)",
             advice="let go above the table and touch nothing, the camera still",
         ),
         Check(
             "large enough",
-            span > _LEAST_SPAN_PX,
-            f"falls {span:.0f} px (wanted: {_LEAST_SPAN_PX} or more)",
+            span > _MIN_SPAN_PX,
+            f"falls {span:.0f} px (wanted: {_MIN_SPAN_PX} or more)",
             advice="film from closer, the fall over half of the picture's height",
             doubts_model=False,
         ),
@@ -123,20 +106,20 @@ def film_checks(film: FilmedDrop) -> list[Check]:
         ),
         Check(
             "bounces alike",
-            film.flights is None or film.flights >= _FEWEST_FLIGHTS,
+            film.flights is None or film.flights >= _MIN_FLIGHTS,
             "all that are seen"
             if film.flights is None
             else f"only until the {film.flights + 1}. impact, what comes later is left out "
-            f"(wanted: {_FEWEST_FLIGHTS} flights or more)",
+            f"(wanted: {_MIN_FLIGHTS} flights or more)",
             advice="a round ball, a flat and level table",
             doubts_model=False,  # what comes later touches no flight that counts
             symptom=True,
         ),
         Check(
             "even clock",
-            gain < MOST_CLOCK_GAIN,
+            gain < MAX_CLOCK_GAIN,
             f"log likelihood ratio {gain:.1f} for missing pictures or another rate, at "
-            f"{moment_s:.2f} s (at most {MOST_CLOCK_GAIN:.0f}){left_out}",
+            f"{moment_s:.2f} s (at most {MAX_CLOCK_GAIN:.0f}){left_out}",
             advice="use the camera's own file, not a copy at another rate; name another ball or "
             "none, if one was named; a lens that bends less",
         ),
@@ -145,7 +128,7 @@ def film_checks(film: FilmedDrop) -> list[Check]:
 
 
 def hop_check(film: FilmedDrop, restitution: float) -> Check:
-    """Whether the first bounce can be seen at all, where no interval tells."""
+    """Check that the first bounce can be seen at all, where there is no interval."""
     span = film.projection.span
     noise_px = film.drop.noise_m / film.drop.drop_height_m * span
     hop_px, least = restitution**2 * span, max(_CLEAR_HOP * noise_px, 1.0)
@@ -159,7 +142,7 @@ def hop_check(film: FilmedDrop, restitution: float) -> Check:
 
 
 def _distance_checks(film: FilmedDrop) -> list[Check]:
-    """Of the perspective, and of the ball's size where that is seen."""
+    """Check the perspective, and the ball's size where that is seen."""
     fit, track = film.projection, film.track
     too_near = abs(fit.perspective) >= _PERSPECTIVE
     side = (", from below" if fit.perspective > 0 else ", from above") if too_near else ""
@@ -196,7 +179,7 @@ def _distance_checks(film: FilmedDrop) -> list[Check]:
 
 
 def scale_checks(detection: FilmDetection) -> list[Check]:
-    """Judge whether the film's frame rate is its true one, where a length is known.
+    """Check that the film's frame rate is its true one, where a length is known.
 
     A film that plays at another rate than it was filmed shows another gravity. The restitution is
     the same, the drop height, speeds and drag are not.
@@ -216,7 +199,7 @@ def scale_checks(detection: FilmDetection) -> list[Check]:
 
 
 def _seen_and_repeated(film: FilmedDrop) -> tuple[float, float]:
-    """Two fractions of pictures: in which the ball is found, and in which it has not moved at all.
+    """Return the fractions of pictures with the ball found, and with it unmoved.
 
     The first is of those from mid-fall for four fall times, without those that it flies out of; the
     second of those with a moving ball.
@@ -237,18 +220,18 @@ def _seen_and_repeated(film: FilmedDrop) -> tuple[float, float]:
 
 
 def seconds_out_of_view(film: FilmedDrop) -> Array:
-    """Times at which the ball is not found because it flies out of the picture, shape (N,) [s]."""
+    """Return the times at which the ball is out of the picture, shape (N,) [s]."""
     return _track_seconds(film)[_out_of_view(film) & ~film.track.found]
 
 
 def _track_seconds(film: FilmedDrop) -> Array:
-    """Of all pictures, on the drop's clock [s], shape (T,)."""
+    """Return the times of all pictures, on the drop's clock [s], shape (T,)."""
     seconds = film.track.stamps_ns * 1e-9
     return seconds + film.drop.seconds[0] - seconds[film.used][0]
 
 
 def _out_of_view(film: FilmedDrop) -> NDArray[np.bool_]:
-    """Pictures whose edge cuts the fitted ball in flight, well away from an impact, shape (T,)."""
+    """Return which pictures cut the ball in flight, well away from an impact, shape (T,)."""
     fit, track = film.projection, film.track
     seconds = _track_seconds(film)
     times = fit.fall_times(seconds)
@@ -267,7 +250,7 @@ def _out_of_view(film: FilmedDrop) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class SizeTrend:
-    """How the ball's size in the picture changes, beside what the fitted camera asks for.
+    """Change of the ball's size in the picture, beyond what the fitted camera predicts.
 
     Attributes:
         grows: by what fraction from the first used picture to the last, at one height.
@@ -285,7 +268,7 @@ class SizeTrend:
 def size_trend(
     seconds: Array, along_px: Array, radius_px: Array, projection: Projection
 ) -> SizeTrend | None:
-    """Reweighted least squares of log radius on height, time and speed; None for too few samples.
+    """Regress log radius on height, time and speed, reweighted; None for too few samples.
 
     A ball at height u is 1 / (1 + (e^k - 1) u) as large as at contact; a long exposure draws it out
     by its speed, which is therefore fitted too.
@@ -300,7 +283,7 @@ def size_trend(
     times = projection.fall_times(seconds)
     last = float(projection.impacts(float(seconds[-1]))[-1])
     good = np.isfinite(radius_px) & (radius_px > 0) & (times > -1) & (times < last + _AT_REST)
-    if np.count_nonzero(good) < _FEWEST:
+    if np.count_nonzero(good) < _MIN_COUNT:
         return None
     nearly = projection.perspective or 1e-6
     depth = np.log1p(np.expm1(nearly) * heights) / nearly

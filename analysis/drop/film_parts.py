@@ -1,4 +1,4 @@
-"""A film with gaps in it: nobody saw what happened there, so each part is looked at alone."""
+"""Film with gaps: each contiguous segment is searched alone."""
 
 from __future__ import annotations
 
@@ -7,25 +7,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.drop.checks import LEAST_SEEN
+from analysis.drop.checks import MIN_SEEN
 from analysis.drop.detection import FilmDetection
-from analysis.drop.film_search import FEWEST_SAMPLES
+from analysis.drop.film_search import MIN_SAMPLES
 from analysis.drop.free_fall import Drop
 from analysis.tracking.pictures import readable_frames
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.gaps import Gap, gaps_in_words, noted_gaps, parts_between
 
-_MOST_PARTS = 20
-"""Of a film that are looked at: a camera that goes so often shows no drop whole."""
-
-_HELD_FALLS, _FEWEST_HELD = 0.8, 3
-"""Fall times before its release, and pictures in them, in which somebody still holds a ball, where
-one that has bounced before is on its way up."""
+_MAX_PARTS = 20  # of a film that are looked at: a camera that goes so often shows no drop whole
+# Fall times before its release, and pictures in them, in which somebody still holds a ball, where
+# one that has bounced before is on its way up.
+_HELD_FALLS, _MIN_HELD = 0.8, 3
 
 
 class FilmPart(NamedTuple):
-    """Pictures between two gaps.
+    """Contiguous segment of pictures between two gaps.
 
     Attributes:
         first_ns: stamp of the first.
@@ -40,21 +38,21 @@ class FilmPart(NamedTuple):
     ends_in_gap: bool
 
     def shows_whole(self, drop: Drop) -> bool:
-        """Whether a drop in it is one from its release to the top of the first flight.
+        """Return whether a drop is seen from its release to the top of the first flight.
 
-        A fall that a gap hides the beginning of may be that of a later bounce.
+        A fall whose beginning is in a gap may be that of a later bounce.
         """
         after = (drop.seconds[-1] - drop.impact_s) / drop.fall_time_s
         before = (drop.release_s - drop.seconds) / drop.fall_time_s
         chosen = (before > 0) & (before < _HELD_FALLS)
         below = 1 - drop.heights_m[chosen] / drop.drop_height_m
         rising = before[chosen] ** 2
-        is_held = len(rising) >= _FEWEST_HELD and bool(np.median(below) < np.median(rising) / 2)
-        return (is_held or not self.begins_in_gap) and (after > LEAST_SEEN or not self.ends_in_gap)
+        is_held = len(rising) >= _MIN_HELD and bool(np.median(below) < np.median(rising) / 2)
+        return (is_held or not self.begins_in_gap) and (after > MIN_SEEN or not self.ends_in_gap)
 
 
 class PartedFilm(NamedTuple):
-    """A film and its gaps.
+    """Contiguous segments of a film, and its gaps.
 
     Attributes:
         start_ns: stamp of the first picture.
@@ -67,10 +65,7 @@ class PartedFilm(NamedTuple):
     gaps: tuple[Gap, ...]
 
     def first_whole_drop(self, detect: Callable[[FilmPart], FilmDetection]) -> FilmDetection:
-        """The drop in the first part that shows a whole one.
-
-        Args:
-            detect: looks at one part.
+        """Detect the drop in the first segment that shows a whole one.
 
         Raises:
             NotFoundError: none does.
@@ -78,7 +73,7 @@ class PartedFilm(NamedTuple):
         """
         reasons: list[NotFoundError | UsageError] = []
         cut: list[FilmPart] = []
-        for part in self.parts[:_MOST_PARTS]:
+        for part in self.parts[:_MAX_PARTS]:
             try:
                 found = detect(part)
                 is_whole = part.shows_whole(found.drop)
@@ -98,7 +93,7 @@ class PartedFilm(NamedTuple):
         raise NotFoundError(f"{away}, and no part between shows a whole drop{why}", remedy)
 
     def warning(self, part: FilmPart) -> str:
-        """That only this part is used."""
+        """Return the warning that only this segment is used."""
         first_s, last_s = ((end - self.start_ns) * 1e-9 for end in part[:2])
         return (
             f"the camera was away for {gaps_in_words(self.gaps, self.start_ns)}: the pictures from "
@@ -107,12 +102,7 @@ class PartedFilm(NamedTuple):
 
 
 def parted_film(episode: Episode, topic: str) -> PartedFilm | None:
-    """The parts of a film whose recorder noted gaps in it; None where it is in one piece.
-
-    Args:
-        episode: with frames.
-        topic: which of its picture topics.
-    """
+    """Split a topic's film at the gaps that its recorder noted; None where it has none."""
     gaps = noted_gaps(episode.info.notes)
     if not gaps:
         return None
@@ -125,6 +115,6 @@ def parted_film(episode: Episode, topic: str) -> PartedFilm | None:
     parts = tuple(
         FilmPart(int(part_ns.min()), int(part_ns.max()), number > 0, number < last)
         for number, part_ns in enumerate(inside)
-        if len(part_ns) >= FEWEST_SAMPLES
+        if len(part_ns) >= MIN_SAMPLES
     )
     return PartedFilm(int(stamps_ns[0]), parts, gaps)

@@ -1,4 +1,4 @@
-"""The filmed drop's presets: what a network sees of simulation and video, and its training."""
+"""Presets of the filmed drop: what a network sees of simulation and video, and its training."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from tunenet_logs.terminal import Progress
 PAPER_SIZE_PX = (100, 100)
 _PAPER_FOV_DEG = 60.0
 _PAPER_NOISE_PX = 0.2
+# The TuneNet paper's pictures and pairs; at 60 degrees hardly any drop leaves the picture.
 _PAPER_PAIRS = 800
-"""The TuneNet paper's pictures and pairs; at 60 degrees hardly any drop leaves the picture."""
 
+# A drop to simulate: rig, restitution, and the seed of the camera that films it, or None.
 Plan = tuple[DropRig, float, int | None]
-"""A drop to simulate: rig, restitution, and the seed of the camera that films it, or None."""
 
 
 def _observe_paper_plans(plans: Sequence[Plan]) -> Array:
-    """Z of a simulation, or the image's y of a filmed one; shape (N, 400, 1)."""
+    """Simulate z, or the image's y of a filmed drop; shape (N, 400, 1)."""
     curves: list[Array] = []
     simulator = DropSimulator(plans[0][0], PAPER)
     for rig, restitution, seed in plans:
@@ -45,7 +45,7 @@ def _observe_paper_plans(plans: Sequence[Plan]) -> Array:
 
 
 def paper_rows(positions_m: Array, rng: np.random.Generator) -> Array:
-    """Where a ball is in the picture of one of the paper's cameras, 0 at the top, 1 at the bottom.
+    """Project a ball into one of the paper's cameras: y, 0 at the top, 1 at the bottom.
 
     Args:
         positions_m: of the ball, shape (T, 3).
@@ -62,20 +62,20 @@ def paper_rows(positions_m: Array, rng: np.random.Generator) -> Array:
 
 
 def filled(rows: Array) -> Array:
-    """Rows with those between joined by lines, for a network that must be told every one."""
+    """Fill missing rows by linear interpolation, for a network that needs every one."""
     known, numbers = np.isfinite(rows), np.arange(len(rows))
     return np.interp(numbers, numbers[known], rows[known])
 
 
 def _paper_camera(rng: np.random.Generator) -> PinholeCamera:
-    """As the paper draws it; at 60 degrees hardly any drop leaves the picture."""
+    """Draw a camera as the paper does; at 60 degrees hardly any drop leaves the picture."""
     distance, angle = rng.uniform(5.0, 10.0), rng.uniform(0.0, 2 * np.pi)
     place = (distance * np.cos(angle), distance * np.sin(angle), rng.uniform(5.0, 8.0))
     return PinholeCamera(place, (0.0, 0.0, 2.0), PAPER_SIZE_PX, _PAPER_FOV_DEG)
 
 
 def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
-    """Both rollouts of a pair from one height; the second one is filmed."""
+    """Simulate both rollouts of a pair from one height; the second one is filmed."""
     count = count or _PAPER_PAIRS
     rng = np.random.default_rng(seed)
     plans: list[Plan] = []

@@ -1,4 +1,4 @@
-"""Why a track is no drop's: the cause, in words that tell what to do."""
+"""Reasons why a track is no drop's, in words that say what to do."""
 
 from __future__ import annotations
 
@@ -9,41 +9,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.drop.bounce_model import BounceSamples
-from analysis.drop.film_search import FEWEST_SAMPLES
+from analysis.drop.film_search import MIN_SAMPLES
 from analysis.tracking.track import Track
 
-LEAST_FREE, ENOUGH_WINDOWS = 0.1, 20
-"""Fraction of a way that is free flight below which nothing is let go, and windows of it that tell:
-short flights of a dull ball fill few."""
+# Fraction of a way that is free flight below which nothing is let go, and windows of it that tell:
+# short flights of a dull ball fill few.
+MIN_FREE, ENOUGH_WINDOWS = 0.1, 20
 
+# Px and radii, of which the larger is how far a fall sags in a window: more than noise does.
 _SAG_PX, _SAG = 3.0, 0.3
-"""Px and radii, of which the larger is how far a fall sags in a window: more than noise does."""
 
+# Px and radii, of which the larger is how far what moves goes in a window.
 _MOVES_PX, _MOVES = 2.0, 0.2
-"""Px and radii, of which the larger is how far what moves goes in a window."""
 
-_LIKE_GRAVITY = 0.4
-"""Of the flight's own acceleration, within which another window's is the same."""
-
-_APART = 3
-"""Windows between two flights: fewer are a wrong position."""
-
-_ONE_FLIGHT = 0.6
-"""Fraction of the windows that are one flight, if nothing else happens."""
-
-_ROLLS = 3.0
-"""Times as far across as along the image's vertical: it rolls."""
-
-_GAP = 1.9
-"""Periods: a longer one is without a picture of the ball."""
-
+_LIKE_GRAVITY = 0.4  # of the flight's own acceleration, within which another window's is the same
+_APART = 3  # Windows between two flights: fewer are a wrong position
+_ONE_FLIGHT = 0.6  # fraction of the windows that are one flight, if nothing else happens
+_ROLLS = 3.0  # times as far across as along the image's vertical: it rolls
+_GAP = 1.9  # periods: a longer one is without a picture of the ball
+# Radii from the edge of a picture, at least: a falling ball is out of it one picture later.
 _AT_EDGE = 2.0
-"""Radii from the edge of a picture, at least: a falling ball is out of it one picture later."""
 
 
 @dataclass(frozen=True)
 class FreeFlight:
-    """How much of a way is free flight.
+    """Share of a track that is free flight.
 
     Attributes:
         windows: short parts of the way in which the ball moves, one about each picture.
@@ -57,19 +47,14 @@ class FreeFlight:
 
     @property
     def is_carried(self) -> bool:
-        """Whether it is not: a hand, or something that rolls."""
-        return self.windows >= ENOUGH_WINDOWS and self.share < LEAST_FREE
+        """Whether the ball is carried by a hand, or rolls."""
+        return self.windows >= ENOUGH_WINDOWS and self.share < MIN_FREE
 
 
 def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFlight:
-    """Compare the acceleration in short windows with that of the flight that was found first.
-
-    Args:
-        track: see `track_ball`.
-        chosen: pictures that are looked at, shape (T,); None for all.
-    """
+    """Compare accelerations in short windows of the `chosen` pictures, (T,), with the flight's."""
     known = np.flatnonzero(track.found if chosen is None else track.found & chosen)
-    if len(known) < FEWEST_SAMPLES:
+    if len(known) < MIN_SAMPLES:
         return FreeFlight(0, 0.0, 0)
     seconds, places = track.stamps_ns[known] * 1e-9, track.places_px[known]
     radius = float(np.nanmedian(track.radius_px[known]))
@@ -94,12 +79,7 @@ def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFl
 
 
 def too_small(track: Track, span: float) -> str:
-    """The reason where the ball hardly moves along the image's vertical.
-
-    Args:
-        track: see `track_ball`.
-        span: how far it does.
-    """
+    """Explain that the ball moves by only `span` px along the image's vertical."""
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     across = track.places_px[track.found] @ np.array([down[1], -down[0]])
     wide_px = float(np.ptp(across))
@@ -113,14 +93,7 @@ def too_small(track: Track, span: float) -> str:
 
 
 def why_not(track: Track, whole: BounceSamples, impacts: list[int], *, fitted: bool) -> str:
-    """The reason where no bounce could be fitted.
-
-    Args:
-        track: see `track_ball`.
-        whole: its positions along the image's vertical.
-        impacts: samples at which a fall may end.
-        fitted: whether any of them follows a free fall.
-    """
+    """Explain why no bounce could be fitted; `fitted` if any impact follows a free fall."""
     flight = free_flight(track)
     one_flight = flight.flights == 1 and flight.share > _ONE_FLIGHT
     if flight.is_carried:
@@ -140,7 +113,7 @@ def why_not(track: Track, whole: BounceSamples, impacts: list[int], *, fitted: b
             "keep the table in view"
         )
     after = len(whole.seconds) - impacts[-1]
-    if len(impacts) == 1 and after < FEWEST_SAMPLES:
+    if len(impacts) == 1 and after < MIN_SAMPLES:
         return (
             f"the recording, or what is seen of the ball, ends {after} pictures after the impact; "
             "at the next drop: record until the ball lies still, all in view"
@@ -157,7 +130,7 @@ def why_not(track: Track, whole: BounceSamples, impacts: list[int], *, fitted: b
 
 
 def _leaves_at(track: Track, whole: BounceSamples, impact: int) -> bool:
-    """Whether a fall ends at the picture's edge, with pictures without the ball about its end."""
+    """Return whether a fall ends at the picture's edge, without the ball about its end."""
     seconds = whole.seconds
     gap_s = np.diff(seconds[max(impact - 1, 0) : impact + 2]).max(initial=0.0)
     if gap_s < _GAP * float(np.median(np.diff(seconds))):

@@ -1,4 +1,4 @@
-"""A bounce fitted to a film's track from an impact on: which samples count, for what flights."""
+"""Search for a bounce in a film's track from an impact on: its samples and flights."""
 
 from __future__ import annotations
 
@@ -15,72 +15,63 @@ from analysis.drop.bounce_model import (
     FALL,
     IDEAL,
     IMPACT,
-    MOST_BENDS,
+    MAX_BENDS,
     PERSPECTIVE,
     RESTITUTION,
     SLOPE,
     SPAN,
     BounceSamples,
 )
-from analysis.drop.bounce_samples import MOST_IMPACTS, sharp, with_held
+from analysis.drop.bounce_samples import MAX_IMPACTS, sharp, with_held
 from analysis.drop.free_fall import run_slopes, slope_corners
 from analysis.statistics import correlation_time
 from tunenet_logs.arrays import Array
 
-FEWEST_SAMPLES = 12
-"""For six unknowns and a noise."""
-
+MIN_SAMPLES = 12  # for six unknowns and a noise
+# Lower parts of a descent that are tried as its free fall, the largest first.
 _FALL_FRACTIONS = (0.96, 0.8, 0.6)
-"""Lower parts of a descent that are tried as its free fall, the largest first."""
 
 _STARTS = 6
+# Points of the grid that are fitted from (the best alone ends in the wrong minimum at times), and
+# iterations and gain in cost that end those fits, which are only compared.
 _ROUGHLY = (10, 1e-4)
-"""Points of the grid that are fitted from (the best alone ends in the wrong minimum at times), and
-iterations and gain in cost that end those fits, which are only compared."""
 
-_FEWEST = 4
-"""Samples of a fall, and of what follows it."""
-
+_MIN_COUNT = 4  # samples of a fall, and of what follows it
+# Fall times of a rest that are fitted: more of them would only repeat the contact's position.
 _REST_SEEN = 2.0
-"""Fall times of a rest that are fitted: more of them would only repeat the contact's position."""
 
-_USUAL, _SLIGHT = {SLOPE: 0.08, DRAG: 0.05}, 0.2
-"""Where the fit of a law begins: what most balls have, and a fraction of that for a second fit."""
+# Where the fit of a law begins: what most balls have, and a fraction of that for a second fit.
+_TYPICAL, _SLIGHT = {SLOPE: 0.08, DRAG: 0.05}, 0.2
 
+# By how much starts differ that may lead to different ends.
 _SHAPE, _SAME = (RESTITUTION, FALL, PERSPECTIVE), np.array([0.01, 0.02, 0.05])
-"""By how much starts differ that may lead to different ends."""
 
+# Fractions of the fall: residuals beyond noise that pass, of all flights, and of the first.
 _LITTLE, _EXACT = 0.004, 0.001
-"""Fractions of the fall: residuals beyond noise that pass, of all flights, and of the first."""
 
-_HOPELESS = 0.12
-"""Fraction of the fall, rms: a rough fit with more becomes no drop's."""
-
+_HOPELESS = 0.12  # fraction of the fall, rms: a rough fit with more becomes no drop's
+# Log likelihood that bends of the contact have to gain: of 100 straight ones 1 gains as much.
 _CLEARLY = 8.0
-"""Log likelihood that bends of the contact have to gain: of 100 straight ones 1 gains as much."""
 
-_STEEP = 0.25
-"""A slope beyond those of real balls."""
-
+_STEEP = 0.25  # a slope beyond those of real balls
+# Fall times before the impact, from which on a ball is where it is let go, to that fraction.
 _HELD, _AT_RELEASE = 1.5, 0.05
-"""Fall times before the impact, from which on a ball is where it is let go, to that fraction."""
 
+# Noise of a slope, as a fraction of the steepest, at which runs of samples are long enough.
 _SURE_SLOPE = 0.06
-"""Noise of a slope, as a fraction of the steepest, at which runs of samples are long enough."""
 
+# An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it. They are
+# higher than for recorded positions: a picture has perspective, and other things that move.
 _FAST, _SHARP = 0.25, 0.25
-"""An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it. They are
-higher than for recorded positions: a picture has perspective, and other things that move."""
 
+# Fractions of a fall: above the one the ball is lifted, below the other it lies.
 _LIFTED, _LYING = 1.15, 0.05
-"""Fractions of a fall: above the one the ball is lifted, below the other it lies."""
 
-_GAP_S = 1.0
-"""A longer time in which the ball is not found ends its bounces."""
+_GAP_S = 1.0  # a longer time in which the ball is not found ends its bounces
 
 
 class FilmFit(NamedTuple):
-    """A bounce fitted to a film.
+    """Bounce fitted to a film.
 
     Attributes:
         fit: of all unknowns.
@@ -92,12 +83,12 @@ class FilmFit(NamedTuple):
 
 
 def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> FilmFit | None:
-    """The fit if the first of these is the first impact; None where no fall is seen before."""
+    """Fit a bounce whose first impact is the first of these; None where no fall is seen before."""
     index, last = impacts[0], bounces_end(whole.seconds, whole.positions, impacts)
     best: BounceFit | None = None
     for fraction in _FALL_FRACTIONS:
         first = fall_start(whole.positions, index, fraction, whole.noise)
-        if index - first < _FEWEST or last - index < _FEWEST:
+        if index - first < _MIN_COUNT or last - index < _MIN_COUNT:
             continue
         rough = _rough_fits(whole.part(first, last), float(whole.seconds[index]))
         if not rough:
@@ -117,15 +108,15 @@ def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> FilmFit | None:
 
 
 def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceFit) -> FilmFit:
-    """The fit to as many flights as one law explains, or that to all if it explains none.
+    """Fit as many flights as one law explains, or keep the fit to all if it explains none.
 
     A ball that is out of round, or later hits an edge, is a ball up to there.
     """
     start_s, end_s = fit.samples.seconds[[0, -1]]
     first = int(np.searchsorted(whole.seconds, start_s))
-    for flights in range(min(len(impacts), MOST_IMPACTS) - 1, 0, -1):
+    for flights in range(min(len(impacts), MAX_IMPACTS) - 1, 0, -1):
         end = impacts[flights]
-        if whole.seconds[end] >= end_s or end - impacts[0] < _FEWEST:
+        if whole.seconds[end] >= end_s or end - impacts[0] < _MIN_COUNT:
             continue
         begun = whole.part(0, end)
         rough = _rough_fits(begun.part(first, end), float(whole.seconds[impacts[0]]))
@@ -136,7 +127,7 @@ def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceF
 
 
 def _likelier(fit: BounceFit, bent: BounceFit) -> BounceFit:
-    """The fit without bends unless they explain clearly more: any noise is bent a little."""
+    """Choose the fit without bends unless they explain clearly more: any noise is bent a little."""
     scale = min(fit.scale, bent.scale)
     factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
     gained = (fit.misfit_cost(scale) - bent.misfit_cost(scale)) / factor
@@ -144,15 +135,15 @@ def _likelier(fit: BounceFit, bent: BounceFit) -> BounceFit:
 
 
 def with_bends(fit: BounceFit) -> BounceFit:
-    """With a contact that may move through the picture from each impact on."""
+    """Refit with a contact that may move through the picture from each impact on."""
     impacts_s = fit.projection().impacts(float(fit.samples.seconds[-1]))
     impacts_s = float(fit.unknowns[IMPACT]) + float(np.exp(fit.unknowns[FALL])) * impacts_s
-    samples = replace(fit.samples, bends_s=tuple(impacts_s[:MOST_BENDS].tolist()))
+    samples = replace(fit.samples, bends_s=tuple(impacts_s[:MAX_BENDS].tolist()))
     return fit_bounce(samples, fit.unknowns, samples.unknowns, most=60)
 
 
 def _rough_fits(samples: BounceSamples, impact_s: float) -> list[BounceFit]:
-    """Of the ideal ball from the best points of the grid, best first."""
+    """Fit the ideal ball from the best points of the grid, best first."""
     starts = grid_starts(samples.seconds, samples.positions, impact_s, _STARTS)
     fits = [fit_bounce(samples, start, IDEAL, *_ROUGHLY) for start in starts]
     scale = min((fit.scale for fit in fits), default=1.0)
@@ -160,7 +151,7 @@ def _rough_fits(samples: BounceSamples, impact_s: float) -> list[BounceFit]:
 
 
 def _finished(whole: BounceSamples, rough: list[BounceFit]) -> BounceFit:
-    """The fit to the bounces that count and to the ball before it was let go."""
+    """Fit the bounces that count and the ball before it was let go."""
     starts: list[Array] = []
     for start in (fit.unknowns for fit in rough[:3]):  # without those that lead to the same end
         if not any(np.all(np.abs(start - kept)[list(_SHAPE)] < _SAME) for kept in starts):
@@ -179,49 +170,49 @@ def _finished(whole: BounceSamples, rough: list[BounceFit]) -> BounceFit:
 def _from_any(
     samples: BounceSamples, starts: Sequence[Array], most: int = 30, gain: float = 1e-6
 ) -> BounceFit:
-    """The best fit from any of the starts, with a usual slope and drag where they have none.
+    """Fit from all starts and keep the best, with a usual slope and drag where they have none.
 
     From too steep a law a fit may not find back to a slight one, so a slight one is tried too.
     """
     fits: list[BounceFit] = []
     for start in starts:
-        unset = not any(start[law] for law in _USUAL)
+        unset = not any(start[law] for law in _TYPICAL)
         for fraction in (1.0, _SLIGHT) if unset else (1.0,):
             begin = start.copy()
-            for law, usual in _USUAL.items():
+            for law, usual in _TYPICAL.items():
                 begin[law] = begin[law] or fraction * usual
             fits.append(fit_bounce(samples, begin, samples.unknowns, most, gain))
     return best_of(fits)
 
 
 def _counting(whole: BounceSamples, fit: BounceFit) -> BounceSamples:
-    """Without the bounces after the sixth, and without most of a rest."""
+    """Remove the bounces after the sixth, and most of a rest."""
     impact_s, fall_s = float(fit.unknowns[IMPACT]), float(np.exp(fit.unknowns[FALL]))
     seconds = fit.samples.seconds
     last = float((seconds[-1] - impact_s) / fall_s)
     starts, speeds = whole.bounce(fit.unknowns).flights(last)
-    if len(starts) > MOST_IMPACTS:
-        end = float(starts[MOST_IMPACTS])
+    if len(starts) > MAX_IMPACTS:
+        end = float(starts[MAX_IMPACTS])
     else:
         end = float(starts[-1]) if speeds[-1] == 0 else np.inf
     first = int(np.searchsorted(whole.seconds, seconds[0]))
     end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
     last_at = int(np.searchsorted(whole.seconds, end_s, side="right"))
-    return whole.part(first, last_at) if last_at - first > FEWEST_SAMPLES else fit.samples
+    return whole.part(first, last_at) if last_at - first > MIN_SAMPLES else fit.samples
 
 
 def misfit(fit: BounceFit) -> float:
-    """Residuals, as a fraction of the fall."""
+    """Return the tail of the residuals, as a fraction of the fall."""
     return fit.tail_sd / float(fit.unknowns[SPAN])
 
 
 def is_good(fit: BounceFit, little: float = _LITTLE) -> bool:
-    """Whether the residuals are noise, or little of the fall."""
+    """Return whether the residuals are noise, or little of the fall."""
     return misfit(fit) < 1.5 * fit.samples.noise / float(fit.unknowns[SPAN]) + little
 
 
 def _is_usual(whole: BounceSamples, fit: BounceFit) -> bool:
-    """Whether a law is one that balls have, and lets go of the ball where it is seen held.
+    """Return whether a law is usual for balls, and releases the ball where it is seen held.
 
     Few flights are explained by many laws.
     """
@@ -232,7 +223,7 @@ def _is_usual(whole: BounceSamples, fit: BounceFit) -> bool:
 
 
 def film_impacts(seconds: Array, along_px: Array, noise_px: float) -> list[int]:
-    """Samples at which a fast fall ends, in order.
+    """Locate the samples at which a fast fall ends, in order.
 
     The slopes are taken over as many samples as the noise requires.
 
@@ -256,7 +247,7 @@ def film_impacts(seconds: Array, along_px: Array, noise_px: float) -> list[int]:
 
 
 def fall_start(along_px: Array, index: int, fraction: float, noise_px: float) -> int:
-    """The first sample of the fall to `index`, its slow upper part left out.
+    """Locate the first sample of the fall to `index`, its slow upper part left out.
 
     There a hand may still be.
 
@@ -276,7 +267,7 @@ def fall_start(along_px: Array, index: int, fraction: float, noise_px: float) ->
 
 
 def bounces_end(seconds: Array, along_px: Array, impacts: Sequence[int]) -> int:
-    """Where the bounces after the first of these impacts end: lifted, or long not found.
+    """Locate where the bounces after the first impact end: lifted, or long not found.
 
     Args:
         seconds: shape (T,).

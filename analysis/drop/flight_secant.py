@@ -1,4 +1,4 @@
-"""Secant method on the first flight's duration: what somebody does who knows balls."""
+"""Secant method on the first flight's duration."""
 
 from __future__ import annotations
 
@@ -12,21 +12,14 @@ from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-_CLOSE = 1e-9
-"""Change of the restitution that ends a search: far below what any recording tells."""
-
-_LOW = 0.15
-"""Below it a flight may be too short to be seen, and the cost has one minimum."""
-
-_MIN_SAMPLES = 4
-"""Of a fall, and of a flight: one more than a parabola has coefficients."""
-
-_LOW_FRACTION = 0.3
-"""A flight is over below this fraction of its height: it is fitted up to there."""
+_CLOSE = 1e-9  # change of the restitution that ends a search: far below what any recording tells
+_LOW = 0.15  # below it a flight may be too short to be seen, and the cost has one minimum
+_MIN_SAMPLES = 4  # of a fall, and of a flight: one more than a parabola has coefficients
+_LOW_FRACTION = 0.3  # a flight is over below this fraction of its height: it is fitted up to there
 
 
 class FlightSecant(Estimator):
-    """Changes the restitution until the simulated ball flies as long as the target's.
+    """Secant search for the restitution at which the simulated ball flies as long as the target's.
 
     The duration is nearly proportional to the restitution: the first step goes by that, the others
     by the secant through the last two rollouts. A ball that is not seen to leave the table flies
@@ -38,7 +31,7 @@ class FlightSecant(Estimator):
     takes_one_parameter = True
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """The next place to look at, or the one of least cost; see `Estimator.estimate`."""
+        """Search for the restitution by the secant method; see `Estimator.estimate`."""
         if check_one_parameter(problem, self.name) != RESTITUTION:
             raise NotFoundError(
                 "the method secant compares flights", "leave --method out: it is for drops"
@@ -48,7 +41,7 @@ class FlightSecant(Estimator):
 
 
 def _optimize(search: Search, problem: Problem) -> None:
-    """The secant method; Brent's on the cost where durations lead no further."""
+    """Run the secant method; Brent's on the cost where durations lead no further."""
     wanted = _duration(problem.target)
     (bounds,) = (parameter.bounds for parameter in problem.parameters)
     value, last = float(problem.initial[0]), None
@@ -76,7 +69,7 @@ def _optimize(search: Search, problem: Problem) -> None:
 
 
 def _lost(wanted: float, here: tuple[float, float], last: tuple[float, float] | None) -> bool:
-    """Whether durations lead no further: the target's is not seen, or low ones come no closer."""
+    """Return whether durations lead no further: the target's is unseen, or low ones stall."""
     value, flown = here
     if wanted == 0:
         return True
@@ -86,13 +79,7 @@ def _lost(wanted: float, here: tuple[float, float], last: tuple[float, float] | 
 
 
 def _least_cost(search: Search, bounds: tuple[float, float], least: float) -> None:
-    """Brent's method on the cost, squared so that parabolas fit it.
-
-    Args:
-        search: what charges the rollouts.
-        bounds: where to look.
-        least: cost of the present answer; infinite where that is out of `bounds`.
-    """
+    """Minimise the cost by Brent's method, squared so that parabolas fit it."""
     from scipy.optimize import minimize_scalar
 
     if np.isinf(least):
@@ -111,7 +98,7 @@ def _least_cost(search: Search, bounds: tuple[float, float], least: float) -> No
 
 
 def _slope(here: tuple[float, float], last: tuple[float, float] | None) -> float:
-    """Seconds of flight for a unit of restitution; 0 where that cannot be told.
+    """Return seconds of flight for a unit of restitution; 0 where that cannot be determined.
 
     Sampling makes the duration uneven over very small changes: a slope that is far from the
     proportional one is none of the ball's.
@@ -127,7 +114,7 @@ def _slope(here: tuple[float, float], last: tuple[float, float] | None) -> float
 
 
 def _duration(observation: Observation) -> float:
-    """Of the first flight, in the unit of the observation's axis."""
+    """Return the first flight's duration, in the unit of the observation's axis."""
     seconds, heights = observation.axis, observation.values[:, 0]
     seen = np.isfinite(heights)
     seconds, heights = seconds[seen], heights[seen]
@@ -140,7 +127,7 @@ def _duration(observation: Observation) -> float:
 
 
 def first_flight_s(seconds: Array, heights: Array) -> float:
-    """Duration of the flight between the first two impacts.
+    """Measure the duration of the flight between the first two impacts.
 
     The first impact is where the parabolas of fall and flight meet, the second one where the
     flight's is as low again. So the second impact itself, which falls anywhere in the step of an

@@ -1,8 +1,8 @@
-"""Impacts with free flight on both sides, wherever they are in a recording.
+"""Impacts with free flight on both sides, anywhere in a recording.
 
-What is free on both sides of an impact measures the restitution, however the ball came to fly: let
-go, thrown, rolled off an edge, or bouncing before the recording began. A hand is no impact: it
-holds on, and what it does is no parabola.
+What is free on both sides of an impact measures the restitution, however the ball came to fly:
+let go, thrown, rolled off an edge, or bouncing before the recording began. A hand is no impact:
+it holds on, and its motion is no parabola.
 """
 
 from __future__ import annotations
@@ -15,36 +15,27 @@ from numpy.typing import NDArray
 from analysis.drop.film_search import film_impacts
 from tunenet_logs.arrays import Array
 
-_LEAST_RUN = 4
-"""Samples of a free flight beside an impact."""
-
+_MIN_RUN = 4  # samples of a free flight beside an impact
+# A sample is on a flight within so much noise and this part of the fall that the impact ends.
 _RUN_SDS, _RUN_OFF = 5.0, 4e-3
-"""A sample is on a flight within so much noise and this part of the fall that the impact ends."""
 
+# Samples from which on a flight's own curvature is fitted, and how much of gravity it may be: the
+# air takes from a fall and adds to a rise.
 _OWN_CURVE, _BENT = 8, (0.7, 1.35)
-"""Samples from which on a flight's own curvature is fitted, and how much of gravity it may be: the
-air takes from a fall and adds to a rise."""
 
+# Standard error of a flight's acceleration, of gravity's, from which on it may be anything.
 _UNSURE = 0.15
-"""Standard error of a flight's acceleration, of gravity's, from which on it may be anything."""
 
+# The same where a flight may end in a hand.
 _SURE_RUN_SDS, _SURE_RUN_OFF, _SURELY_BENT = 3.0, 1e-3, (0.85, 1.15)
-"""The same where a flight may end in a hand."""
 
-_UNSEEN_SDS = 2.0
-"""Standard deviations of the noise within which a hand's beginning is not seen."""
-
-_MISSES = 3
-"""Samples in a row off a flight, after which it is over."""
-
+_UNSEEN_SDS = 2.0  # standard deviations of the noise within which a hand's beginning is not seen
+_MISSES = 3  # samples in a row off a flight, after which it is over
+# Sample periods, and fall times, that an impact may last: a hand holds on longer.
 _TOUCH_PERIODS, _TOUCH_FALLS = 3.5, 0.12
-"""Sample periods, and fall times, that an impact may last: a hand holds on longer."""
 
-_SHORT_TOUCH = 0.03
-"""Of the flights on both sides: what is shorter may all be a touch."""
-
-_BOUNCIEST = 1.0
-"""Restitution from which on something pushes."""
+_SHORT_TOUCH = 0.03  # of the flights on both sides: what is shorter may all be a touch
+_BOUNCIEST = 1.0  # restitution from which on something pushes
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +58,7 @@ class Chain:
 
 
 def chains_in(seconds: Array, heights: Array, gravity: float, noise: float) -> list[Chain]:
-    """Impacts with free flight on both sides, those with nothing else between them together.
+    """Find impacts with free flight on both sides, those with nothing else between as one chain.
 
     Args:
         seconds: shape (T,), increasing.
@@ -77,7 +68,7 @@ def chains_in(seconds: Array, heights: Array, gravity: float, noise: float) -> l
     """
     chains: list[Chain] = []
     end = 0
-    for index in film_impacts(seconds, heights, noise) if len(seconds) > 2 * _LEAST_RUN else []:
+    for index in film_impacts(seconds, heights, noise) if len(seconds) > 2 * _MIN_RUN else []:
         found = _impact_at(seconds, heights, index, end, gravity, noise)
         if found is None:
             continue
@@ -100,12 +91,12 @@ def chains_in(seconds: Array, heights: Array, gravity: float, noise: float) -> l
 def _impact_at(
     seconds: Array, heights: Array, index: int, start: int, gravity: float, noise: float
 ) -> tuple[int, int, int] | None:
-    """First free sample, last one before the impact, last free one after it; None if it is none."""
+    """Return the fall's first sample and last, and the flight's last; None where none meet."""
     low = index - 1 + int(np.argmin(heights[max(index - 1, 0) : index + 2]))
     best: tuple[tuple[float, int], tuple[int, int, int]] | None = None
     for before in range(low - 2, low + 2):
-        for after in range(before + 1, min(before + 4, len(heights) - _LEAST_RUN)):
-            if before - start < _LEAST_RUN:
+        for after in range(before + 1, min(before + 4, len(heights) - _MIN_RUN)):
+            if before - start < _MIN_RUN:
                 continue
             found = _meets(seconds, heights, (before, after), gravity, noise, start)
             if found is None:
@@ -128,7 +119,7 @@ def _meets(
     noise: float,
     start: int,
 ) -> tuple[float, tuple[int, int, int]] | None:
-    """How long both flights are, and their ends, where they meet between two samples."""
+    """Return how long both flights are, and their ends, where they meet between two samples."""
     before, after = around
     fall = _line(seconds, heights, np.arange(max(start, before - 5), before + 1), gravity)
     rise = _line(seconds, heights, np.arange(after, min(after + 6, len(heights))), gravity)
@@ -163,15 +154,7 @@ def _meets(
 def surely_free(
     seconds: Array, heights: Array, chain: Chain, gravity: float, noise: float
 ) -> tuple[int, int]:
-    """First and last sample of a chain that no hand has touched, or is about to.
-
-    Args:
-        seconds: shape (T,), increasing.
-        heights: along what is up, shape (T,).
-        chain: of them.
-        gravity: in their units.
-        noise: standard deviation of a height.
-    """
+    """Return the first and last sample of a chain that no hand touches, or is about to."""
     speed = np.ptp(heights[chain.first : chain.last + 1])
     near = _SURE_RUN_SDS * noise + _SURE_RUN_OFF * float(speed)
     before, after = chain.impacts[0], chain.impacts[-1] + 1
@@ -197,9 +180,9 @@ def _run(
     near: float,
     bent: tuple[float, float] = _BENT,
 ) -> int | None:
-    """The last sample of the free flight that begins at one, in a direction; None if too short."""
+    """Extend a free flight from a sample in a direction, to its last; None if too short."""
     count = min(6, abs(end - at) + 1)
-    if count < _LEAST_RUN:
+    if count < _MIN_RUN:
         return None
     last = at + step * (count - 1)
     while True:
@@ -228,8 +211,8 @@ def _run(
 
 
 def _is_free(seconds: Array, heights: Array, gravity: float, noise: float) -> bool:
-    """Whether a flight is long enough to show gravity, and shows it: a hand pulls otherwise."""
-    if len(seconds) < _LEAST_RUN:
+    """Return whether a flight shows gravity, long enough to: a hand pulls otherwise."""
+    if len(seconds) < _MIN_RUN:
         return False
     inverse = np.linalg.pinv(np.vander(seconds - seconds.mean(), 3))
     shown = -2 * float(inverse[0] @ heights) / gravity
@@ -239,7 +222,7 @@ def _is_free(seconds: Array, heights: Array, gravity: float, noise: float) -> bo
 
 
 def _line(seconds: Array, heights: Array, rows: NDArray[np.intp], gravity: float) -> Array:
-    """A parabola of gravity's curvature: half of that, slope and height in the middle, and when."""
+    """Fit a parabola of gravity's curvature: half of it, slope, height and time at the middle."""
     middle = float(seconds[rows].mean())
     since = seconds[rows] - middle
     straight = heights[rows] + gravity / 2 * since**2
@@ -254,7 +237,7 @@ def _parabola(
     gravity: float,
     bent: tuple[float, float] = _BENT,
 ) -> Array:
-    """The same with a curvature of its own, where the samples are many, near gravity's."""
+    """Fit the same with its own curvature near gravity's, where the samples are many."""
     if len(rows) < _OWN_CURVE:
         return _line(seconds, heights, rows, gravity)
     middle = float(seconds[rows].mean())

@@ -1,4 +1,4 @@
-"""Find drops in a recorded height: the fall, the first impact, the first flight, the rest.
+"""Drop detection in a recorded height: the fall, the first impact, the first flight, the rest.
 
 Between impacts the height is a parabola of one curvature, -g. The fall before an impact and the
 flight after it are fitted together; where the two meet is the impact, to a small fraction of a
@@ -30,32 +30,25 @@ from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
+# Below that neither a fall and a flight (5 and 3 samples) nor a noise can be told.
 _MIN_SAMPLES = 10
-"""Below that neither a fall and a flight (5 and 3 samples) nor a noise can be told."""
 
+# Over which a slope is taken: in it a ball gains .25 m/s, little beside an impact's jump.
 _SLOPE_WINDOW_S = 0.025
-"""Over which a slope is taken: in it a ball gains .25 m/s, little beside an impact's jump."""
 
+# An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it.
 _FAST, _SHARP = 0.12, 0.15
-"""An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it."""
 
+# Before an impact, where the noise is estimated anew: most of a log may be rest, and quieter.
 _NOISE_WINDOW_S = 0.4
-"""Before an impact, where the noise is estimated anew: most of a log may be rest, and quieter."""
 
-_MARGIN_S = 1.0
-"""Kept before the release and of the rest, to be seen in a review."""
-
-_MOST_FALL_TIMES = 40
-"""After the impact: a ball of restitution .95 has come to rest by then."""
-
+_MARGIN_S = 1.0  # kept before the release and of the rest, to be seen in a review
+_MAX_FALL_TIMES = 40  # after the impact: a ball of restitution .95 has come to rest by then
+# Fraction off standard gravity from which any other drop of the recording is preferred.
 _ODD_GRAVITY = 0.2
-"""Fraction off standard gravity from which any other drop of the recording is preferred."""
 
-_ROUGH = 0.05
-"""Of a restitution by parabolas: what a short or bent flight may be off."""
-
-_MOST_OUTLIERS = 8
-"""More of them are no exception: then it is the recording that is in doubt."""
+_ROUGH = 0.05  # of a restitution by parabolas: what a short or bent flight may be off
+_MAX_OUTLIERS = 8  # more of them are no exception: then it is the recording that is in doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +104,7 @@ class Drop(Impact):
 
 
 def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
-    """All drops in a recording, in order; each ends where the ball is lifted again.
+    """Find all drops in a recording, in order; each ends where the ball is lifted again.
 
     Args:
         seconds: sample times [s], shape (T,), increasing.
@@ -156,7 +149,7 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
 
 
 def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
-    """Single samples that no ball can have been at: marker swaps, dropped detections.
+    """Flag single samples that no ball can have been at: marker swaps, dropped detections.
 
     Such a sample leaves both neighbours farther than a fall through the whole height could. The
     whole height is measured without the 4 highest and lowest samples, so that a few outliers do not
@@ -170,7 +163,7 @@ def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
         Shape (T,); nothing where there seem to be more than 8.
     """
     found = np.zeros(len(heights_m), dtype=bool)
-    each_end = _MOST_OUTLIERS // 2
+    each_end = _MAX_OUTLIERS // 2
     if len(heights_m) < 4 * each_end:
         return found
     ordered = np.partition(heights_m, (each_end, len(heights_m) - 1 - each_end))
@@ -179,11 +172,11 @@ def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
     off_m = np.abs(heights_m[1:-1] - (heights_m[2:] + heights_m[:-2]) / 2)
     apart_m = np.abs(heights_m[2:] - heights_m[:-2])
     found[1:-1] = (off_m > reach_m + 0.05 * whole_m) & (apart_m < off_m)
-    return found if found.sum() <= _MOST_OUTLIERS else np.zeros_like(found)
+    return found if found.sum() <= _MAX_OUTLIERS else np.zeros_like(found)
 
 
 def run_slopes(seconds: Array, heights: Array, width: int) -> Array:
-    """Slope a second of each run of width + 1 samples, between the means of its halves.
+    """Return the slope a second of each run of width + 1 samples, between its halves' means.
 
     Args:
         seconds: shape (T,).
@@ -203,7 +196,7 @@ def run_slopes(seconds: Array, heights: Array, width: int) -> Array:
 
 
 def slope_corners(slopes: Array, width: int, fast: float, sharp: float) -> list[int]:
-    """Samples at which a fast fall ends within a sample or two, in order.
+    """Locate the samples at which a fast fall ends within a sample or two, in order.
 
     Args:
         slopes: see `run_slopes`, shape (T - width,).
@@ -225,7 +218,7 @@ def slope_corners(slopes: Array, width: int, fast: float, sharp: float) -> list[
 def _fit_drop(
     seconds: Array, heights: Array, start: int, index: int, noise: float
 ) -> tuple[Drop, int]:
-    """The drop that first hits the table near sample `index`, and the sample where it ends."""
+    """Fit the drop that first hits the table near sample `index`; return it and its end."""
     clock = seconds - seconds[index]
     before = heights[max(start, int(np.searchsorted(clock, -_NOISE_WINDOW_S))) : index]
     noise = max(noise, noise_of(before)) if len(before) >= _MIN_SAMPLES else noise
@@ -259,7 +252,7 @@ def _fit_drop(
         raise NotFoundError("the ball does not bounce: it stays where it lands", GOOD_DROP)
     release_s, release_m = release(clock, heights, start, int(fall[-1]), impact)
     first = max(start, int(np.searchsorted(clock, release_s - _MARGIN_S)))
-    last_s = impact.impact_s + _MOST_FALL_TIMES * impact.fall_time_s
+    last_s = impact.impact_s + _MAX_FALL_TIMES * impact.fall_time_s
     if len(rest):
         last_s = min(last_s, clock[rest[0]] + _MARGIN_S)
     last = min(end, int(np.searchsorted(clock, last_s)))
@@ -288,11 +281,9 @@ def _fit_drop(
 
 
 def _is_free(drop: Drop, next_s: float) -> bool:
-    """Whether it falls, or flies, with about the gravity of the earth.
+    """Return whether fall or flight, until the next fall ends, has about the gravity of the earth.
 
-    Args:
-        drop: of which the air may slow the fall by far more than the flight.
-        next_s: when the next fast fall ends.
+    The air may slow the fall by far more than the flight.
     """
     inner = np.flatnonzero((drop.seconds > drop.impact_s) & (drop.seconds < next_s))[1:-1]
     between = gravity_of(drop.seconds, drop.heights_m, inner, drop.noise_m)
@@ -301,13 +292,7 @@ def _is_free(drop: Drop, next_s: float) -> bool:
 
 
 def _has_rebound(since: Array, heights: Array, impact: Impact, noise: float) -> bool:
-    """Whether the ball rises after the impact by more than chance would have it.
-
-    Args:
-        since: times after the impact [s], shape (T,).
-        heights: heights [m], shape (T,).
-        impact: the impact.
-        noise: standard deviation of a height [m].
+    """Return whether the ball rises after the impact by more than chance would have it.
 
     Raises:
         NotFoundError: the recording ends too early to tell.

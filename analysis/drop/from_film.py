@@ -1,4 +1,4 @@
-"""A drop from pictures: the ball's coefficient of restitution from an uncalibrated video."""
+"""Drop from pictures: the ball's coefficient of restitution from an uncalibrated video."""
 
 from __future__ import annotations
 
@@ -37,11 +37,10 @@ if TYPE_CHECKING:
 
     from analysis.record import Tuning
 
-_MOST_GAP_FALLS = 0.4
-"""Fall times without a sample: an impact may hide in a longer gap, even of few pictures."""
+# Fall times without a sample: an impact may hide in a longer gap, even of few pictures.
+_MAX_GAP_FALLS = 0.4
 
-_UNSURE = 0.1
-"""Half width of an interval from which on nothing is reported."""
+_UNSURE = 0.1  # half width of an interval from which on nothing is reported
 
 
 class DropFromFilm:
@@ -58,13 +57,13 @@ class DropFromFilm:
     rebounds = staticmethod(reported_rebounds)
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
-        """By its pictures; see `Experiment.claim`."""
+        """Claim an episode by its pictures; see `Experiment.claim`."""
         topics = episode.picture_topics
         there = bool(topics) if topic is None else topic in topics
         return Claim.PLAINLY if there else Claim.NONE
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> FilmDetection:
-        """The ball in the pictures of the first camera that shows a drop."""
+        """Detect the ball in the pictures of the first camera that shows a drop."""
         topics = episode.picture_topics if selection.topic is None else (selection.topic,)
         physical = PRESETS[preset].physical
         with one_thread():
@@ -112,7 +111,7 @@ class DropFromFilm:
                 advice="tune the file as it was before it was damaged",
             ),
             *film_checks(film),
-            *recording_checks(part, sideways_m, _MOST_GAP_FALLS, excused_s),
+            *recording_checks(part, sideways_m, _MAX_GAP_FALLS, excused_s),
         ]
         checks += scale_checks(detection)
         if not detection.physical:  # z and y are not to be compared
@@ -139,7 +138,7 @@ class DropFromFilm:
 def _detect_whole(
     episode: Episode, topic: str, selection: Selection, *, physical: bool
 ) -> FilmDetection:
-    """The ball in the pictures of one topic, where there are gaps in one part between them."""
+    """Detect the ball in one topic's pictures, where there are gaps in one segment of them."""
     film = parted_film(episode, topic)
     if film is None:
         return _detect_in(episode, topic, selection, physical=physical)
@@ -159,7 +158,7 @@ def _detect_in(
     physical: bool,
     part: FilmPart | None = None,
 ) -> FilmDetection:
-    """The ball in the pictures of one topic, or in a part of them, with what is known of it."""
+    """Detect the ball in one topic's pictures, or a segment of them, and what is known of it."""
     span_ns = (part.first_ns, part.last_ns) if part else None
     pictures = Pictures(episode, topic, selection.start_s, selection.end_s, span_ns)
     track, warnings = _tracked(pictures, selection.hints, episode.info)
@@ -210,7 +209,7 @@ def _detect_in(
 
 
 def _tracked(pictures: Pictures, hints: Hints, info: EpisodeInfo) -> tuple[Track, list[str]]:
-    """The track by the user's hints, else by the recording's own, and what to say of it."""
+    """Track the ball by the user's hints, else by the recording's own; return warnings, too."""
     if hints != Hints():
         return track_ball(pictures, hints), []
     marked = _marked(info, pictures)
@@ -225,7 +224,7 @@ def _tracked(pictures: Pictures, hints: Hints, info: EpisodeInfo) -> tuple[Track
 
 
 def _marked(info: EpisodeInfo, pictures: Pictures) -> Hints:
-    """The ball as it was marked in the preview of the recording, if it was.
+    """Return the ball as it was marked in the preview of the recording, if it was.
 
     What was marked before the recording began is looked for at its beginning.
     """

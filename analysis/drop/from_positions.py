@@ -1,4 +1,4 @@
-"""A drop from recorded positions: the ball's coefficient of restitution from its height."""
+"""Drop from recorded positions: the ball's coefficient of restitution from its height."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ if TYPE_CHECKING:
 
     from analysis.record import Tuning
 
+# Rms [drop heights] that the paper's 60 Hz simulator may be off, and how much of the noise adds to
+# it: what white noise alone hardly exceeds.
 _PAPER_FIT, _NOISE_SHARE = 0.03, 1.2
-"""Rms [drop heights] that the paper's 60 Hz simulator may be off, and how much of the noise adds
-to it: what white noise alone hardly exceeds."""
 
 
-_MOST_TOUCH_FALLS = 0.13
-"""Fall times for which a thrown ball is on the ground: no sample of it is used there."""
+# Fall times for which a thrown ball is on the ground: no sample of it is used there.
+_MAX_TOUCH_FALLS = 0.13
 
-_MOST_SIDEWAYS = 0.5
-"""Of the impact's speed: a ball that rolls off an edge goes sideways by some of it."""
+# Of the impact's speed: a ball that rolls off an edge goes sideways by some of it.
+_MAX_SIDEWAYS = 0.5
 
 
 class DropFromPositions:
@@ -71,7 +71,7 @@ class DropFromPositions:
     rebounds = staticmethod(reported_rebounds)
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
-        """By its positions: a tree of frames is in every robot's log; see `Experiment.claim`."""
+        """Claim by positions, mere frames weakly: every robot logs them; see `Experiment.claim`."""
         signals = episode.signals.values() if topic is None else episode.signals_of(topic)
         positions = [signal.name for signal in signals if signal.is_position]
         if not positions:
@@ -80,7 +80,7 @@ class DropFromPositions:
         return Claim.PERHAPS if frames else Claim.PLAINLY
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> DropDetection:
-        """The first drop of the ball's signal; see `Experiment.detect`."""
+        """Detect the first drop of the ball's signal; see `Experiment.detect`."""
         reasons: list[tuple[str, NotFoundError]] = []
         found: DropDetection | None = None
         for signal in _candidates(episode, selection):
@@ -107,8 +107,8 @@ class DropFromPositions:
         checks = recording_checks(
             drop,
             detection.sideways_m,
-            _MOST_TOUCH_FALLS if drop.launched else 0.0,
-            most_sideways=_MOST_SIDEWAYS,
+            _MAX_TOUCH_FALLS if drop.launched else 0.0,
+            most_sideways=_MAX_SIDEWAYS,
             sunk_m=detection.sunk_m,
         )
         if not detection.physical:  # the paper's simulator has a drag of its own
@@ -134,12 +134,11 @@ class DropFromPositions:
         return log_drop(stream, tuning)
 
 
-_FEW_TYPES = 2
-"""Channels that are listed with their types where none is of use: it is one line."""
+_FEW_TYPES = 2  # channels that are listed with their types where none is of use: it is one line
 
 
 def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
-    """Position signals in the order in which to try them."""
+    """Return the position signals in the order in which to try them."""
     if selection.topic is not None:
         positions = position_signals(episode.signals_of(selection.topic))
         if not positions:
@@ -161,7 +160,7 @@ def _candidates(episode: Episode, selection: Selection) -> list[Signal]:
 def _detect_in(
     episode: Episode, signal: Signal, selection: Selection, preset: str
 ) -> DropDetection:
-    """The drop in one track, with its stamps as they were taken."""
+    """Detect the drop in one track, with late stamps corrected."""
     check_start(selection.start_s, float(signal.seconds[-1]))
     arrivals = correct_late_stamps(signal.stamps_ns)
     even = replace(signal, stamps_ns=arrivals.stamps_ns)
@@ -177,7 +176,7 @@ def _detect_in(
 
 
 def _spread(found: DropDetection) -> list[str]:
-    """How much the bounces of a ball that was thrown again and again differ."""
+    """Describe how much the bounces of a ball differ that was thrown again and again."""
     if not found.others or found.posterior is None:
         return []
     values = [one.restitution for one in found.rebounds]
@@ -188,7 +187,7 @@ def _spread(found: DropDetection) -> list[str]:
 
 
 def _why_none(episode: Episode, reasons: Sequence[tuple[str, NotFoundError]]) -> str:
-    """That none of the tracks is a ball's that bounces, and what the file is."""
+    """Explain that none of the tracks is a ball's that bounces, and what the file is."""
     name, reason = reasons[0]
     first = f"{name}: {reason.what}"
     if len(reasons) == 1:
@@ -198,7 +197,7 @@ def _why_none(episode: Episode, reasons: Sequence[tuple[str, NotFoundError]]) ->
 
 
 def _paper_warnings(drop: Drop) -> list[str]:
-    """What a user of the paper's networks should know of a drop."""
+    """Return the warnings of a drop to users of the paper's networks."""
     height = drop.release_m - drop.table_m + views.PAPER_RADIUS_M
     low, high = PAPER_HEIGHT_M
     if low - 0.1 <= height <= high + 0.1:

@@ -1,4 +1,4 @@
-"""A drop by its impacts alone: restitution from how much shorter each flight is."""
+"""Drop by its impacts alone: restitution from the ratios of successive flights' durations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from analysis.checks import Check, CrossCheck
 from analysis.drop.remedies import RIGHT_SOUND, RIGHT_TIMES
 from analysis.drop.times.checks import ratio_cross_check, times_checks
 from analysis.drop.times.detection import (
-    FEWEST_IMPACTS,
+    MIN_IMPACTS,
     TimesDetection,
     no_times,
     signals_in,
@@ -20,7 +20,7 @@ from analysis.drop.times.fit import Rig
 from analysis.drop.times.impact_prior import ONSET_JITTER_S
 from analysis.drop.times.listened import listened
 from analysis.drop.times.motion import heard_motion, heard_rebounds
-from analysis.drop.times.posterior import MOST_TIMES
+from analysis.drop.times.posterior import MAX_TIMES
 from analysis.estimators.base import FitResult, Step
 from analysis.experiment import Claim, Preset
 from analysis.selection import Selection, Subject, check_start
@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 
     from analysis.record import Tuning
 
-_HIGHEST_M = 100.0
-"""Of a drop that somebody measured."""
+_HIGHEST_M = 100.0  # of a drop that somebody measured
 
 
 class DropFromTimes:
@@ -55,7 +54,7 @@ class DropFromTimes:
     rebounds = staticmethod(heard_rebounds)
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
-        """By impact times or sound, where no positions and no pictures show more."""
+        """Claim an episode by impact times or sound, where no positions or pictures show more."""
         sounds = [one for one in episode.sound_topics if topic in (None, one)]
         if not signals_in(episode, topic) and not sounds:
             return Claim.NONE
@@ -65,7 +64,7 @@ class DropFromTimes:
         return Claim.PERHAPS if more or episode.picture_topics else Claim.PLAINLY
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> TimesDetection:  # noqa: ARG002 (there is one)
-        """The signal with the most times, else the sound; see `Experiment.detect`."""
+        """Detect the signal with the most times, else the sound; see `Experiment.detect`."""
         names = signals_in(episode, selection.topic)
         if not names and episode.sound_topics:
             return _heard_in_sound(episode, selection)
@@ -82,15 +81,13 @@ class DropFromTimes:
         begin_s = -np.inf if selection.start_s is None else selection.start_s
         end_s = np.inf if selection.end_s is None else selection.end_s
         times_s = signal.seconds[(signal.seconds >= begin_s) & (signal.seconds <= end_s)]
-        if len(times_s) < FEWEST_IMPACTS:
+        if len(times_s) < MIN_IMPACTS:
             raise NotFoundError(
                 f"{signal.name}: {len(times_s)} impact times, too few for two whole flights",
-                f"at the next drop: record {FEWEST_IMPACTS} impacts or more",
+                f"at the next drop: record {MIN_IMPACTS} impacts or more",
             )
-        if len(times_s) > MOST_TIMES:
-            warnings.append(
-                f"the first {MOST_TIMES} of {len(times_s)} times are used (see --start)"
-            )
+        if len(times_s) > MAX_TIMES:
+            warnings.append(f"the first {MAX_TIMES} of {len(times_s)} times are used (see --start)")
         height_m = selection.height_m
         if signal.counts_frames:
             warnings.append(
@@ -105,7 +102,7 @@ class DropFromTimes:
         return TimesDetection(
             topic=signal.name,
             start_ns=int(signal.stamps_ns[0]),
-            times_s=times_s[:MOST_TIMES],
+            times_s=times_s[:MAX_TIMES],
             rig=Rig(ball.drag_1_m, height_m, not signal.counts_frames),
             ball=ball,
             warnings=tuple(warnings),
@@ -142,7 +139,7 @@ def _heard_in_sound(episode: Episode, selection: Selection) -> TimesDetection:
     _check_height(selection.height_m)
     heard = listened(episode, selection)
     count = len(heard.knocks)
-    if count < FEWEST_IMPACTS:
+    if count < MIN_IMPACTS:
         knocks = {0: "no knock is", 1: "1 knock is"}.get(count, f"{count} knocks are")
         raise NotFoundError(
             f"{heard.sound.name}: {knocks} heard, too few for two flights",

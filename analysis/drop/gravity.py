@@ -1,4 +1,4 @@
-"""Gravity in a recording, whatever its units: the acceleration that free flights share.
+"""Gravity in a recording of any units: the acceleration that free flights share.
 
 A body that nothing touches moves on a parabola, and all parabolas of one recording have the same
 acceleration. So the acceleration that most windows share is gravity in the recording's own units of
@@ -16,40 +16,28 @@ from numpy.typing import NDArray
 from analysis.statistics import noise_of
 from tunenet_logs.arrays import Array
 
+# Samples in which an acceleration is looked for: a tenth of a second at 60 Hz, and at 1 kHz.
 _WINDOWS = (7, 11, 17, 27, 43, 69, 109)
-"""Samples in which an acceleration is looked for: a tenth of a second at 60 Hz, and at 1 kHz."""
 
-_BLOCK = 2000
-"""Windows that are fitted at a time: a log of an hour has tens of thousands."""
-
-_MOST_SHARED = 1500
-"""Windows that are compared, each with each."""
-
-_ALIKE = 0.1
-"""Fraction by which the air, and noise, move an acceleration of free flight."""
-
-_SURE_SDS = 8.0
-"""Standard errors that an acceleration is away from none."""
-
+_BLOCK = 2000  # Windows that are fitted at a time: a log of an hour has tens of thousands
+_MAX_SHARED = 1500  # Windows that are compared, each with each
+_ALIKE = 0.1  # fraction by which the air, and noise, move an acceleration of free flight
+_SURE_SDS = 8.0  # standard errors that an acceleration is away from none
+# Residual of a window's parabola, in standard deviations of the noise and in its own size.
 _SMOOTH_SDS, _SMOOTH = 3.0, 2e-3
-"""Residual of a window's parabola, in standard deviations of the noise and in its own size."""
 
-_STILL = 1e-3
-"""Of the noisiest axis: one with less noise is made up."""
+_STILL = 1e-3  # of the noisiest axis: one with less noise is made up
+# Windows that share an acceleration, and the same of one that was expected.
+_MIN_FREE, _MIN_EXPECTED = 20, 6
 
-_FEWEST_FREE, _FEWEST_EXPECTED = 20, 6
-"""Windows that share an acceleration, and the same of one that was expected."""
-
-_EXPECTED = 0.2
-"""Fraction that an acceleration may be off the expected one."""
-
+_EXPECTED = 0.2  # fraction that an acceleration may be off the expected one
+# An axis of the recording that is so near to the vertical is the vertical.
 _SNAP = np.cos(np.radians(3.0))
-"""An axis of the recording that is so near to the vertical is the vertical."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """The acceleration that the free flights of a recording share.
+    """Acceleration that the free flights of a recording share.
 
     Attributes:
         size: in the recording's units.
@@ -63,18 +51,18 @@ class Gravity:
 
     @property
     def tilt_deg(self) -> float:
-        """Between what is up and the nearest axis [degrees]."""
+        """Angle between up and the nearest axis [degrees]."""
         return float(np.degrees(np.arccos(np.clip(np.abs(self.up).max(), 0.0, 1.0))))
 
     @property
     def up_name(self) -> str:
-        """What is up, in words: "+y"."""
+        """Axis nearest to up, by name: "+y"."""
         axis = int(np.abs(self.up).argmax())
         return ("+" if self.up[axis] > 0 else "-") + "xyz"[axis]
 
 
 def gravity_in(seconds: Array, positions: Array, expected: float | None = None) -> Gravity | None:
-    """The acceleration that free flights share; None where there are none.
+    """Estimate the acceleration that free flights share; None where there are none.
 
     Args:
         seconds: on any clock, shape (T,), increasing.
@@ -88,8 +76,8 @@ def gravity_in(seconds: Array, positions: Array, expected: float | None = None) 
     if expected is not None:
         near = np.abs(np.linalg.norm(vectors, axis=1) / expected - 1) < _EXPECTED
         vectors, offs, weights = vectors[near], offs[near], weights[near]
-    if len(vectors) > _MOST_SHARED:
-        best = np.argsort(weights, kind="stable")[-_MOST_SHARED:]
+    if len(vectors) > _MAX_SHARED:
+        best = np.argsort(weights, kind="stable")[-_MAX_SHARED:]
         vectors, offs, weights = vectors[best], offs[best], weights[best]
     if not len(vectors):
         return None
@@ -98,7 +86,7 @@ def gravity_in(seconds: Array, positions: Array, expected: float | None = None) 
     alike = apart < _ALIKE * np.minimum(sizes[:, None], sizes)
     most = int((alike @ weights).argmax())
     members = alike[most]
-    if weights[members].sum() < (_FEWEST_FREE if expected is None else _FEWEST_EXPECTED):
+    if weights[members].sum() < (_MIN_FREE if expected is None else _MIN_EXPECTED):
         return None
     mean = np.average(vectors[members], axis=0, weights=weights[members])
     up = -mean / np.linalg.norm(mean)
@@ -113,7 +101,7 @@ def gravity_in(seconds: Array, positions: Array, expected: float | None = None) 
 def _accelerations(
     seconds: Array, positions: Array, noises: Array, width: int, sure: float
 ) -> tuple[Array, Array, Array]:
-    """Of the windows of a width that are parabolas: accelerations, residuals, weights, (W, ...)."""
+    """Return accelerations, residuals and weights of a width's parabolic windows, (W, ...)."""
     none = np.empty((0, 3)), np.empty(0), np.empty(0)
     if len(seconds) < width:
         return none

@@ -1,4 +1,4 @@
-"""What a microphone heard beside a ball that is seen: onsets, some of them its impacts."""
+"""Onsets that a microphone heard beside a ball that is seen, some of them its impacts."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class HeardImpacts:
     topic: str = ""
 
     def since(self, start_ns: int) -> HeardImpacts:
-        """With times that count from another stamp."""
+        """Return the onsets with times that count from another stamp."""
         later_s = (self.start_ns - start_ns) * 1e-9
         return replace(self, start_ns=start_ns, times_s=self.times_s + later_s)
 
     def only(self, chosen: NDArray[np.bool_]) -> HeardImpacts:
-        """Those of a mask, shape (N,)."""
+        """Return the onsets of a mask, shape (N,)."""
         return replace(
             self,
             times_s=self.times_s[chosen],

@@ -1,8 +1,8 @@
-"""Which of the onsets in a sound track are the impacts that the pictures foretell.
+"""Match the onsets in a sound track to the impacts that the pictures predict.
 
-The fit to the pictures says when each impact was, with a covariance: two impacts that are told
-apart well may both be late together. One offset is common to all that is heard. From each pair of
-an impact and an onset on, the others are looked for in turn, the surest first, and each that is
+The fit to the pictures predicts when each impact was, with a covariance: two impacts that are
+resolved well may both be late together. One offset is common to all that is heard. From each pair
+of an impact and an onset on, the others are looked for in turn, the surest first, and each that is
 heard narrows the rest (a Kalman filter's update). What a match is worth is by how much likelier its
 onsets are as impacts than as so many onsets at any time.
 """
@@ -16,57 +16,38 @@ from numpy.typing import NDArray
 
 from analysis.drop.bounce_fit import BounceFit
 from analysis.drop.bounce_model import HIGH, IMPACT, OFFSET
-from analysis.drop.bounce_samples import MOST_IMPACTS
+from analysis.drop.bounce_samples import MAX_IMPACTS
 from analysis.drop.heard import HeardImpacts
 from analysis.drop.heard_touches import OFFSET_SD_S, HeardTouches
 from analysis.statistics import correlation_time
 from tunenet_logs.arrays import Array
 
-FARTHEST_OFFSET_S = 0.1
-"""That sound and pictures may be apart."""
+FARTHEST_OFFSET_S = 0.1  # that sound and pictures may be apart
+MIN_HEARD = 3  # impacts: two whole flights
+MIN_LOG_ODDS = 7.0  # of impacts against onsets at any time, from which on a match is one
+_HEARD = 0.8  # probability that an impact is heard
+_FARTHEST_SDS = 4.0  # an onset that is farther from where an impact is foretold is none of it
+_UNEVEN = 0.003  # fraction of a flight's duration by which real ones leave any law
+_MIN_SD_S = 1e-4  # of an onset: no microphone's distance and no table is better
+_MIN_RATE_HZ = 1.0  # of onsets: in a silent room as many could be heard by chance
+_MAX_ONSETS = 400  # near a drop; a track with more of them has no silence to hear a bounce in
+# Impacts of a drop that are listened for, and the shortest flight between two.
+_MAX_HEARD, _MIN_S = 25, 0.03
 
-FEWEST_HEARD = 3
-"""Impacts: two whole flights."""
+# Later impacts that are not heard, one after the other, and how unsure the next may be.
+_MAX_PASSED_OVER, _MAX_UNSURE_S = 1, 0.004
 
-LEAST_LOG_ODDS = 7.0
-"""Of impacts against onsets at any time, from which on a match is one."""
-
-_HEARD = 0.8
-"""Probability that an impact is heard."""
-
-_FARTHEST_SDS = 4.0
-"""An onset that is farther from where an impact is foretold is none of it."""
-
-_UNEVEN = 0.003
-"""Fraction of a flight's duration by which real ones leave any law."""
-
-_LEAST_SD_S = 1e-4
-"""Of an onset: no microphone's distance and no table is better."""
-
-_LEAST_RATE_HZ = 1.0
-"""Of onsets: in a silent room as many could be heard by chance."""
-
-_MOST_ONSETS = 400
-"""Near a drop; a track with more of them has no silence to hear a bounce in."""
-
-_MOST_HEARD, _SHORTEST_S = 25, 0.03
-"""Impacts of a drop that are listened for, and the shortest flight between two."""
-
-_MOST_PASSED_OVER, _MOST_UNSURE_S = 1, 0.004
-"""Later impacts that are not heard, one after the other, and how unsure the next may be."""
-
-_SHORT = 1e-6
-"""By which an unknown is moved for a derivative."""
+_SHORT = 1e-6  # by which an unknown is moved for a derivative
 
 
 @dataclass(frozen=True, eq=False)
 class HeardMatch:
-    """Onsets that are a drop's impacts.
+    """Onsets matched to a drop's impacts.
 
     Attributes:
-        touches: them.
+        touches: the matched onsets.
         offset_s: by how much they are later than the pictures have them.
-        log_odds: see above.
+        log_odds: of the match against onsets at any time.
         onsets: how many there are in all, while the ball bounces.
     """
 
@@ -78,7 +59,7 @@ class HeardMatch:
 
 @dataclass(frozen=True, eq=False)
 class ForetoldImpacts:
-    """Impacts by a fit.
+    """Impact times predicted by a fit.
 
     Attributes:
         times_s: shape (K,).
@@ -89,20 +70,20 @@ class ForetoldImpacts:
     covariance: Array
 
     def told(self, at: int, off_s: float, variance: float) -> ForetoldImpacts:
-        """With one of them measured: by how much it is later, and the variance of that [s^2]."""
+        """Apply a Kalman update: impact `at` is `off_s` late, with this variance [s^2]."""
         gain = self.covariance[:, at] / variance
         covariance = self.covariance - np.outer(gain, self.covariance[at])
         return replace(self, times_s=self.times_s + gain * off_s, covariance=covariance)
 
 
 def foretold(fit: BounceFit) -> ForetoldImpacts:
-    """The impacts that are within what was fitted."""
+    """Predict the impacts that are within what was fitted."""
     count = len(fit.projection().impacts(float(fit.samples.seconds[-1])))
-    return _foretold(fit, np.arange(min(count, MOST_IMPACTS + 1)))
+    return _foretold(fit, np.arange(min(count, MAX_IMPACTS + 1)))
 
 
 def _foretold(fit: BounceFit, numbers: NDArray[np.intp]) -> ForetoldImpacts:
-    """Impacts of these numbers, in a row; late by the offset of a sound that is in the fit."""
+    """Predict impacts of consecutive numbers, late by the sound's offset where the fit has one."""
     samples, unknowns = fit.samples, fit.unknowns
     times_s = samples.touches_s(unknowns, numbers)
     rows = np.zeros((len(numbers), len(fit.free)))
@@ -125,30 +106,26 @@ def _foretold(fit: BounceFit, numbers: NDArray[np.intp]) -> ForetoldImpacts:
 
 
 def later_touches(fit: BounceFit, heard: HeardImpacts) -> HeardTouches | None:
-    """Onsets that follow those of a fit to both, each where the ball is to touch next.
+    """Match the onsets after those of a joint fit, on its clock, to the impacts that follow.
 
     Too low to be seen, later bounces tell most of how the restitution falls with speed.
-
-    Args:
-        fit: with touches.
-        heard: all onsets, on its clock.
     """
     assert fit.samples.heard is not None
     begin = int(fit.samples.heard.numbers.max()) + 1
-    numbers = np.arange(begin, _MOST_HEARD)
-    times_s = fit.samples.touches_s(fit.unknowns, np.arange(begin - 1, _MOST_HEARD))
-    numbers = numbers[np.cumprod(np.diff(times_s) > _SHORTEST_S).astype(bool)]
+    numbers = np.arange(begin, _MAX_HEARD)
+    times_s = fit.samples.touches_s(fit.unknowns, np.arange(begin - 1, _MAX_HEARD))
+    numbers = numbers[np.cumprod(np.diff(times_s) > _MIN_S).astype(bool)]
     if not len(numbers) or not len(heard.times_s):
         return None
     impacts = _foretold(fit, numbers)
     span_s = float(np.ptp(heard.times_s))
-    rate_hz = max(len(heard.times_s) / max(span_s, 1e-3), _LEAST_RATE_HZ)
+    rate_hz = max(len(heard.times_s) / max(span_s, 1e-3), _MIN_RATE_HZ)
     pairs: list[tuple[int, int]] = []
     passed_over = 0
     for at in range(len(numbers)):
         onset = int(np.abs(heard.times_s - impacts.times_s[at]).argmin())
         off_s, variance, gained = _compared(impacts, heard, (at, onset), rate_hz)
-        if passed_over > _MOST_PASSED_OVER or variance > _MOST_UNSURE_S**2:
+        if passed_over > _MAX_PASSED_OVER or variance > _MAX_UNSURE_S**2:
             break
         if gained < np.log(1 - _HEARD):
             passed_over += 1
@@ -160,20 +137,15 @@ def later_touches(fit: BounceFit, heard: HeardImpacts) -> HeardTouches | None:
 
 
 def match_onsets(impacts: ForetoldImpacts, heard: HeardImpacts) -> HeardMatch | None:
-    """The likeliest of all matches; None where too few onsets fit.
-
-    Args:
-        impacts: by the pictures, three or more.
-        heard: on their clock.
-    """
+    """Match onsets to three impacts or more, on one clock; None where too few onsets fit."""
     first_s, last_s = impacts.times_s[[0, -1]]
     near = heard.times_s > first_s - FARTHEST_OFFSET_S
     near &= heard.times_s < last_s + FARTHEST_OFFSET_S
     heard = heard.only(near)
     count = len(heard.times_s)
-    if not FEWEST_HEARD <= count <= _MOST_ONSETS:
+    if not MIN_HEARD <= count <= _MAX_ONSETS:
         return None
-    rate_hz = max(count / float(last_s - first_s + 2 * FARTHEST_OFFSET_S), _LEAST_RATE_HZ)
+    rate_hz = max(count / float(last_s - first_s + 2 * FARTHEST_OFFSET_S), _MIN_RATE_HZ)
     offsets_s = heard.times_s - impacts.times_s[:, None]
     best: HeardMatch | None = None
     tried: set[tuple[int, int]] = set()
@@ -182,7 +154,7 @@ def match_onsets(impacts: ForetoldImpacts, heard: HeardImpacts) -> HeardMatch | 
             continue
         found, pairs = _from_pair(impacts, heard, (number, onset), rate_hz)
         tried.update(pairs)  # from any of its pairs it would be found again
-        if len(pairs) >= FEWEST_HEARD and (best is None or found.log_odds > best.log_odds):
+        if len(pairs) >= MIN_HEARD and (best is None or found.log_odds > best.log_odds):
             best = found
     return None if best is None else replace(best, onsets=count)
 
@@ -190,7 +162,7 @@ def match_onsets(impacts: ForetoldImpacts, heard: HeardImpacts) -> HeardMatch | 
 def _from_pair(
     impacts: ForetoldImpacts, heard: HeardImpacts, pair: tuple[int, int], rate_hz: float
 ) -> tuple[HeardMatch, list[tuple[int, int]]]:
-    """The match that one impact and one onset begin."""
+    """Grow the match that one impact and one onset begin."""
     told = replace(impacts, covariance=impacts.covariance + OFFSET_SD_S**2)
     open_numbers = set(range(len(told.times_s)))
     number, onset = pair
@@ -218,7 +190,7 @@ def _from_pair(
 def _compared(
     impacts: ForetoldImpacts, heard: HeardImpacts, pair: tuple[int, int], rate_hz: float
 ) -> tuple[float, float, float]:
-    """An onset with an impact: how much later it is, the variance of that, and its log odds."""
+    """Compare an onset with an impact: how late it is, the variance of that, and its log odds."""
     at, onset = pair
     variance = float(impacts.covariance[at, at]) + _sds_s(heard)[onset] ** 2
     off_s = float(heard.times_s[onset] - impacts.times_s[at])
@@ -230,16 +202,16 @@ def _compared(
 
 
 def _touches(pairs: list[tuple[int, int]], heard: HeardImpacts) -> HeardTouches:
-    """Of pairs of an impact's number and an onset."""
+    """Build the touches of pairs of an impact's number and an onset."""
     numbers, onsets = np.array(pairs).T
     return HeardTouches(numbers, heard.times_s[onsets], _sds_s(heard)[onsets])
 
 
 def _sds_s(heard: HeardImpacts) -> Array:
-    return np.maximum(heard.sds_s, _LEAST_SD_S)
+    return np.maximum(heard.sds_s, _MIN_SD_S)
 
 
 def _own_log_odds(heard: HeardImpacts, onset: int) -> float:
-    """What an onset's own sound takes from a match: it adds nothing."""
+    """Return what an onset's own sound takes from a match: it adds nothing."""
     probability = float(np.clip(heard.probabilities[onset], 1e-3, 0.5))
     return float(np.log(probability / (1 - probability)))

@@ -1,4 +1,4 @@
-"""Impacts of a ball that is seen, as they were heard, each with its number."""
+"""Heard impacts of a ball that is seen, each with its number."""
 
 from __future__ import annotations
 
@@ -11,23 +11,21 @@ from numpy.typing import NDArray
 from analysis.drop.since_impacts import since_impacts_s
 from tunenet_logs.arrays import Array
 
+# By how much sound may be late, or early, beside the pictures: what phones and cameras do.
 OFFSET_SD_S = 0.1
-"""By how much sound may be late, or early, beside the pictures: what phones and cameras do."""
 
+# How long a contact lasts: from .3 ms (steel on glass) to 8 ms (a soft ball on a table).
 TOUCH_S, TOUCH_SD_S = 0.002, 0.0025
-"""How long a contact lasts: from .3 ms (steel on glass) to 8 ms (a soft ball on a table)."""
 
-HEARD_FREEDOM = 4.0
-"""Degrees of freedom of Student's t of a heard time: an onset may be an echo's."""
-
+HEARD_FREEDOM = 4.0  # degrees of freedom of Student's t of a heard time: an onset may be an echo's
+# How likely is each standard deviation of an impact's own restitution about the law, as a fraction
+# of it.
 SCATTERS = {0.0005: 0.5, 0.002: 0.3, 0.006: 0.15, 0.02: 0.05}
-"""How likely is each standard deviation of an impact's own restitution about the law, as a fraction
-of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeardTouches:
-    """When the ball is heard to touch the table.
+    """Times at which the ball is heard to touch the table.
 
     Attributes:
         numbers: of the impacts, 0 the first of the drop, shape (N,).
@@ -43,18 +41,18 @@ class HeardTouches:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the times about a law's [s²]: a ball that returns faster flies longer ever after."""
+        """Covariance of the times about a law's [s²]: a faster return delays all that follows."""
         later_s = since_impacts_s(self.times_s, self.numbers)
         return np.diag(self.sds_s**2) + self.scatter**2 * later_s @ later_s.T
 
     @cached_property
     def whitening(self) -> Array:
-        """What makes residuals of the times independent and of size 1, shape (N, N)."""
+        """Whitening matrix of the times' residuals, shape (N, N)."""
         rows = np.linalg.inv(np.linalg.cholesky(self.covariance))
         return np.asarray(rows, dtype=np.float64)
 
     def only(self, chosen: NDArray[np.bool_]) -> HeardTouches:
-        """Those of a mask, shape (N,)."""
+        """Return the touches of a mask, shape (N,)."""
         return replace(
             self,
             numbers=self.numbers[chosen],
@@ -63,7 +61,7 @@ class HeardTouches:
         )
 
     def beside(self, more: HeardTouches) -> HeardTouches:
-        """And others, which come later."""
+        """Append other touches, which come later."""
         return replace(
             self,
             numbers=np.concatenate([self.numbers, more.numbers]),

@@ -1,4 +1,8 @@
-"""Where a fall and the flight after it meet, and which samples belong to each of them."""
+"""Impact where a fall and the flight after it meet, and the samples of each.
+
+Throughout, `clock` are times [s] and `heights` heights [m], shape (T,), `noise` is the standard
+deviation of a height [m], and `index` a sample within one or two of the impact.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +16,12 @@ from analysis.drop.remedies import GOOD_DROP
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-Indices = NDArray[np.intp]
-"""Of samples, increasing."""
+Indices = NDArray[np.intp]  # of samples, increasing
 
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """The first impact of a drop.
+    """First impact of a drop.
 
     Attributes:
         impact_s: its time [s].
@@ -50,7 +53,7 @@ class Impact:
 
 @dataclass(frozen=True, eq=False)
 class ImpactFit(Impact):
-    """An impact as it is fitted, on a clock of the caller's.
+    """Fitted impact, on a clock of the caller's.
 
     Attributes:
         contact_sd_m: standard error of the contact's height [m].
@@ -62,17 +65,10 @@ class ImpactFit(Impact):
 
 
 def meet(clock: Array, heights: Array, fall: Indices, flight: Indices, noise: float) -> ImpactFit:
-    """Fit fall and flight with one curvature by least squares, and find where they cross.
+    """Locate an impact by intersecting the parabolas before and after it.
 
-    Standard errors are the fit's covariance carried through the crossing by central differences
-    (the delta method).
-
-    Args:
-        clock: times [s], shape (T,).
-        heights: heights [m], shape (T,).
-        fall: samples of the fall.
-        flight: samples of the first flight, at least 2.
-        noise: standard deviation of a height [m].
+    One least-squares fit gives both, with one curvature. Standard errors are its covariance carried
+    through the crossing by central differences (the delta method). Needs 2 samples of the flight.
     """
     times = np.concatenate([clock[fall], clock[flight]])
     in_fall = np.arange(len(times)) < len(fall)
@@ -101,13 +97,7 @@ def meet(clock: Array, heights: Array, fall: Indices, flight: Indices, noise: fl
 
 
 def falling_to(level_m: float, fall: Array, level_sd_m: float = 0.0) -> ImpactFit:
-    """Where a fall's parabola comes down to a known level; what comes after it is NaN.
-
-    Args:
-        level_m: height [m].
-        fall: parabola, highest power first, shape (3,).
-        level_sd_m: standard error of the level [m].
-    """
+    """Intersect a fall's parabola (highest power first) with a level [m]; the rebound is NaN."""
     curve, slope, offset = fall.tolist()
     speed = float(np.sqrt(max(slope**2 - 4 * curve * (offset - level_m), 0.0)))
     return ImpactFit(
@@ -123,15 +113,8 @@ def falling_to(level_m: float, fall: Array, level_sd_m: float = 0.0) -> ImpactFi
 
 
 def gravity_of(clock: Array, heights: Array, indices: Indices, noise: float) -> float:
-    """Acceleration of some samples of free flight [m/s²]; NaN where they do not fix it.
-
-    Args:
-        clock: times [s], shape (T,).
-        heights: heights [m], shape (T,).
-        indices: of the samples to fit.
-        noise: standard deviation of a height [m].
-    """
-    if len(indices) < _FEWEST:
+    """Estimate the acceleration of free flight [m/s²]; NaN where the samples do not fix it."""
+    if len(indices) < _MIN_COUNT:
         return float("nan")
     times = clock[indices] - clock[indices].mean()
     design = np.column_stack([np.ones_like(times), times, times**2])
@@ -141,7 +124,7 @@ def gravity_of(clock: Array, heights: Array, indices: Indices, noise: float) -> 
 
 
 def _crossing(coefficients: NDArray[Any]) -> Array:
-    """Time, height, speed before and ratio of the speeds where the two parabolas cross."""
+    """Return time, height, speed before and ratio of the speeds where two parabolas cross."""
     offset, slope, offset_up, slope_up, curve = coefficients
     impact = (offset_up - offset) / (slope - slope_up)
     speed = -(slope + 2 * curve * impact)
@@ -150,43 +133,30 @@ def _crossing(coefficients: NDArray[Any]) -> Array:
     return np.array([impact, height, speed, after / speed])
 
 
-_FEWEST, _SURE_GRAVITY = 4, 0.5
-"""Samples that fix an acceleration, and its standard error [m/s²] beyond which it is not fixed."""
+# Samples that fix an acceleration, and its standard error [m/s²] beyond which it is not fixed.
+_MIN_COUNT, _SURE_GRAVITY = 4, 0.5
 
+# Samples of a flight from which on its own curvature is known, and how much more than the fall's
+# that may be.
 _PARABOLA, _FASTER = 6, 1.8
-"""Samples of a flight from which on its own curvature is known, and how much more than the fall's
-that may be."""
 
-MIN_DROP_M = 0.02
-"""A lower fall lasts 64 ms: a camera of 60 Hz sees it in four pictures."""
-
+MIN_DROP_M = 0.02  # a lower fall lasts 64 ms: a camera of 60 Hz sees it in four pictures
+# Lower parts of a descent that are tried as its free fall, the largest first.
 _FALL_FRACTIONS = (0.95, 0.8, 0.6, 0.4, 0.25)
-"""Lower parts of a descent that are tried as its free fall, the largest first."""
 
-_SHORTEST_FALL = 4
-"""Samples of a fall: one more than its parabola has coefficients."""
-
-_REST_WINDOW_S = 0.25
-"""Longer than the top of a bounce stays within the tolerance of a rest."""
-
+_MIN_FALL = 4  # samples of a fall: one more than its parabola has coefficients
+_REST_WINDOW_S = 0.25  # longer than the top of a bounce stays within the tolerance of a rest
+# Samples that are looked through at first: a ball rests soon, whatever the recording's length.
 _FIRST_BLOCK = 256
-"""Samples that are looked through at first: a ball rests soon, whatever the recording's length."""
 
 
 def fall_samples(
     clock: Array, heights: Array, start: int, index: int, noise: float
 ) -> tuple[Indices, Array]:
-    """Samples of the free fall before an impact, and their parabola.
+    """Select the samples of the free fall before an impact, and fit their parabola.
 
-    Of what leads down to the impact, the largest lower part that is a parabola: the ball may have
-    been held, carried or lowered by hand before.
-
-    Args:
-        clock: times [s], shape (T,).
-        heights: heights [m], shape (T,).
-        start: first sample that may belong to it.
-        index: a sample within one or two of the impact.
-        noise: standard deviation of a height [m].
+    It is the largest lower part of the way down that is a parabola, from `start` on: the ball may
+    have been held, carried or lowered by hand before.
 
     Returns:
         Their indices, at least 4, and the least-squares parabola, highest power first, shape (3,).
@@ -206,7 +176,7 @@ def fall_samples(
         high = np.flatnonzero(heights[first : index - 1] > low + fraction * depth)
         begin = first + (int(high[-1]) + 1 if len(high) else 0)
         fall = np.arange(begin, index - 1)
-        if len(fall) < _SHORTEST_FALL:
+        if len(fall) < _MIN_FALL:
             continue
         parabola = np.polyfit(clock[fall], heights[fall], 2)
         residuals = heights[fall] - np.polyval(parabola, clock[fall])
@@ -219,16 +189,9 @@ def fall_samples(
 def release(
     clock: Array, heights: Array, start: int, last: int, impact: ImpactFit
 ) -> tuple[float, float]:
-    """When [s] and at what height [m] a fall began: the apex of its upper quarter.
+    """Estimate when [s] and at what height [m] a fall began: the apex of its upper quarter.
 
     Drag bends a long fall, so the parabola of its end would put the release elsewhere.
-
-    Args:
-        clock: times [s], shape (T,).
-        heights: heights [m], shape (T,).
-        start: first sample that may belong to it.
-        last: last sample of the fall.
-        impact: at its end.
     """
     contact = impact.contact_m
     begin, top = last, float(heights[max(start, last - 5) : last + 1].max())
@@ -251,19 +214,10 @@ def release(
 
 
 def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise: float) -> Indices:
-    """Samples of the first flight: as long as they lie on one parabola of the fall's curvature.
+    """Select the first flight's samples: those on one parabola, of about the fall's curvature.
 
-    How many they are is found by doubling, then by bisection.
-
-    Args:
-        clock: times [s], shape (T,).
-        heights: heights [m], shape (T,).
-        index: a sample within one or two of the impact.
-        fall: parabola of the fall, highest power first, shape (3,).
-        noise: standard deviation of a height [m].
-
-    Returns:
-        Their indices: at least 3, or none.
+    Their number, at least 3 or none, is found by doubling, then by bisection. `fall` is the fall's
+    parabola, highest power first, shape (3,).
     """
     tolerance = 4 * noise + 5e-4 * np.ptp(heights)
     landing = falling_to(float(heights[max(index - 3, 0) : index + 4].min()), fall)
@@ -299,15 +253,7 @@ def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise:
 def rest_and_end(
     clock: Array, heights: Array, index: int, impact: Impact, noise: float
 ) -> tuple[Indices, int]:
-    """Samples at rest after the bounces (perhaps none), and where the ball is moved again.
-
-    Args:
-        clock: times [s], shape (T,).
-        heights: heights [m], shape (T,).
-        index: a sample within one or two of the impact.
-        impact: the impact.
-        noise: standard deviation of a height [m].
-    """
+    """Find the samples at rest after the bounces (perhaps none), and where the ball is moved."""
     contact, depth = impact.contact_m, impact.drop_height_m
     after = heights[index + 1 :]
     above = np.flatnonzero(after > contact + 1.1 * depth + 6 * noise)

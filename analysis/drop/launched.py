@@ -12,38 +12,33 @@ from analysis.drop.impact import Impact, Indices, gravity_of, meet
 from analysis.drop.positions_fit import fit_positions, noise_floor
 from tunenet_logs.arrays import Array
 
-_MOST = 40
-"""Chains of bounces in one recording; more tell nothing new."""
+_MAX = 40  # chains of bounces in one recording; more tell nothing new
+# Times that either end is cut, by how much of its flight, and samples that stay on either side.
+_MAX_CUTS, _CUT, _MIN_COUNT = 5, 0.14, 6
 
-_MOST_CUTS, _CUT, _FEWEST = 5, 0.14, 6
-"""Times that either end is cut, by how much of its flight, and samples that stay on either side."""
-
+# Unknowns of a bounce that a flight tells, standard errors of a residual's size, and what a cut has
+# to gain of its logarithm.
 _FREE, _CHANCE, _GAIN = 5, 2.0, 0.05
-"""Unknowns of a bounce that a flight tells, standard errors of a residual's size, and what a cut
-has to gain of its logarithm."""
 
-_BESIDE, _LONGEST_TOUCH = (0.06, 0.4), 0.06
-"""Fall times from an impact between which a flight is surely free, and that a touch may last to
-either side."""
+# Fall times from an impact between which a flight is surely free, and that a touch may last to
+# either side.
+_BESIDE, _MAX_TOUCH = (0.06, 0.4), 0.06
 
+# Fall times, and sample periods: what holds a ball for longer is a hand.
 _HELD_ON, _HELD_PERIODS = 0.1, 2.2
-"""Fall times, and sample periods: what holds a ball for longer is a hand."""
 
+# Of the drop height, and of the noise, below the contact: no table lets a ball go there.
 _SUNK, _SUNK_SDS = 0.02, 4.0
-"""Of the drop height, and of the noise, below the contact: no table lets a ball go there."""
 
+# Of the drop height, and of the noise: a sample farther from its flight touches the ground.
 _CLOSE, _CLOSE_SDS = 5e-4, 3.0
-"""Of the drop height, and of the noise: a sample farther from its flight touches the ground."""
 
-_ODD_GRAVITY = 0.3
-"""Fraction off gravity from which a short fall and flight tell none of their own."""
-
-_LEAST_SAMPLES = 12
-"""Of a chain: eight unknowns of which three have priors, and a noise."""
+_ODD_GRAVITY = 0.3  # fraction off gravity from which a short fall and flight tell none of their own
+_MIN_SAMPLES = 12  # of a chain: eight unknowns of which three have priors, and a noise
 
 
 def launched_drops(seconds: Array, heights_m: Array, gravity: float, noise_m: float) -> list[Drop]:
-    """All bounces between free flights, those that follow each other freely as one drop.
+    """Find all bounces between free flights, those that follow each other freely as one drop.
 
     Args:
         seconds: shape (T,), increasing.
@@ -51,17 +46,17 @@ def launched_drops(seconds: Array, heights_m: Array, gravity: float, noise_m: fl
         gravity: of the free flights [m/s²].
         noise_m: standard deviation of a height there.
     """
-    chains = chains_in(seconds, heights_m, gravity, noise_m)[:_MOST]
+    chains = chains_in(seconds, heights_m, gravity, noise_m)[:_MAX]
     found = [_drop(seconds, heights_m, chain, gravity, noise_m) for chain in chains]
     return [_without_hands(drop) for drop in found if drop is not None]
 
 
 def _without_hands(drop: Drop) -> Drop:
-    """Without what no ball does at either end, where a hand is only beginning to touch it."""
+    """Trim what no ball does at either end, where a hand is only beginning to touch it."""
     best, least = drop, _misfit(drop)
     for from_start in (True, False):
         kept = best
-        for _ in range(_MOST_CUTS):
+        for _ in range(_MAX_CUTS):
             if least < 0.0:
                 return best
             kept = _cut(kept, from_start)
@@ -74,7 +69,7 @@ def _without_hands(drop: Drop) -> Drop:
 
 
 def _misfit(drop: Drop) -> float:
-    """Logarithm of the residuals over the noise, less what chance makes of it; below 0 if none."""
+    """Return the log of residuals over noise, less what chance makes of it; below 0 if none."""
     fit = fit_positions(drop)
     if fit is None:
         return np.inf
@@ -84,7 +79,7 @@ def _misfit(drop: Drop) -> float:
 
 
 def _cut(drop: Drop, from_start: bool) -> Drop | None:
-    """Without another part of its fall or of its last flight; None where too little is left."""
+    """Trim another part of the fall or of the last flight; None where too little is left."""
     seconds = drop.seconds
     side = seconds < drop.impact_s if from_start else seconds > drop.flight_s[0]
     count = max(1, round(_CUT * np.count_nonzero(side)))
@@ -92,7 +87,7 @@ def _cut(drop: Drop, from_start: bool) -> Drop | None:
     left = seconds[kept]
     if (
         min(np.count_nonzero(left < drop.impact_s), np.count_nonzero(left > drop.impact_s))
-        < _FEWEST
+        < _MIN_COUNT
     ):
         return None
     return replace(
@@ -110,12 +105,12 @@ def _cut(drop: Drop, from_start: bool) -> Drop | None:
 def _drop(
     seconds: Array, heights: Array, chain: Chain, gravity: float, noise: float
 ) -> Drop | None:
-    """One chain as a drop; None where it is too short."""
+    """Build a drop of one chain; None where it is too short."""
     first, last = surely_free(seconds, heights, chain, gravity, noise)
     at = chain.impacts[0]
     end = min(chain.flights[0], last)
     fall, flight = np.arange(first, at + 1), np.arange(at + 1, end + 1)
-    if min(len(fall), len(flight)) < 3 or last + 1 - first < _LEAST_SAMPLES:
+    if min(len(fall), len(flight)) < 3 or last + 1 - first < _MIN_SAMPLES:
         return None
     if len(flight) > 4 and len(chain.impacts) > 1:
         flight = flight[:-1]  # the last one may have touched the table
@@ -159,7 +154,7 @@ def _drop(
 
 
 def _holds(seconds: Array, touching: Indices, impact: Impact) -> bool:
-    """Whether the samples in which a ball is touched last longer than a bounce."""
+    """Return whether the ball is touched for longer than in a bounce."""
     around = np.clip([touching[0] - 1, touching[-1] + 1], 0, len(seconds) - 1)
     longest_s = max(
         _HELD_ON * impact.fall_time_s, _HELD_PERIODS * float(np.median(np.diff(seconds)))
@@ -175,20 +170,20 @@ def _touching(
     impact: Impact,
     noise: float,
 ) -> Indices:
-    """Samples about an impact in which the ball is on the ground, and on neither of its flights.
+    """Return the samples about an impact in which the ball is on the ground, on neither flight.
 
     A soft ball is there for 10 to 20 ms, of which a fast camera sees many pictures.
     """
     near_s, far_s = (fraction * impact.fall_time_s for fraction in _BESIDE)
     since = seconds - (seconds[index] + seconds[index + 1]) / 2
     inside = np.arange(ends[0], ends[1] + 1)
-    longest = _LONGEST_TOUCH * impact.fall_time_s
+    longest = _MAX_TOUCH * impact.fall_time_s
     close = _CLOSE * impact.drop_height_m + _CLOSE_SDS * noise
     found: list[Indices] = []
     for side in (-1, 1):
         at = inside[(side * since[inside] > near_s) & (side * since[inside] < far_s)]
         rows = inside[(side * since[inside] > 0) & (side * since[inside] < longest)]
-        if len(at) < _FEWEST or not len(rows):
+        if len(at) < _MIN_COUNT or not len(rows):
             continue
         curve = np.polyfit(since[at], heights[at], 2)
         off = np.abs(heights[rows] - np.polyval(curve, since[rows])) > close
@@ -202,7 +197,7 @@ def _touching(
 def _crossing(
     clock: Array, heights: Array, fall: Indices, flight: Indices, gravity: float
 ) -> Impact:
-    """Where two flights of known gravity meet, on the clock."""
+    """Intersect two flights of known gravity, on the clock."""
     level = heights + gravity / 2 * clock**2
     (down, below), (up, above) = (np.polyfit(clock[one], level[one], 1) for one in (fall, flight))
     at_s = (below - above) / (up - down)

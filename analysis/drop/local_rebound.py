@@ -1,8 +1,8 @@
-"""What is known of a ball in a recorded drop; one that was thrown is looked at twice.
+"""Posterior of a ball in a recorded drop, widened by a second estimate if it was thrown.
 
 A thrown ball spins. Then the air bends its flight, and a marker that is not quite at its middle
 wobbles, both by more than the noise. The speeds by the parabolas next to the impact alone, each
-with a curvature of its own, are a second estimate that suffers otherwise. Where the two are farther
+with a curvature of its own, are a second estimate with other errors. Where the two are farther
 apart than chance has it, the interval covers what is between them.
 """
 
@@ -19,28 +19,17 @@ from analysis.drop.positions_fit import fit_positions, noise_floor
 from analysis.statistics import TWO_SIDED
 from tunenet_logs.arrays import Array
 
-_NEAR = (0.2, 0.27, 0.35)
-"""Fall times on either side of the impact."""
-
-_TOUCHING_PERIODS = 1.0
-"""Sample periods on either side in which the ball may touch the ground."""
-
-_FEWEST = 6
-"""Samples of a parabola with an error of its own."""
-
-_CHANCE = 2.0
-"""Standard errors that two estimates may be apart by chance."""
+_NEAR = (0.2, 0.27, 0.35)  # fall times on either side of the impact
+_TOUCHING_PERIODS = 1.0  # sample periods on either side in which the ball may touch the ground
+_MIN_COUNT = 6  # samples of a parabola with an error of its own
+_CHANCE = 2.0  # standard errors that two estimates may be apart by chance
 
 
 @lru_cache(maxsize=64)
 def drop_posterior(drop: Drop, drag_1_m: float | None) -> BallPosterior | None:
-    """What the samples say of the ball; None where they are too few for a fit.
+    """Compute the ball's posterior; None where the samples are too few for a fit.
 
-    A drop is looked at by the search, the problem and the checks: what it says is kept.
-
-    Args:
-        drop: as it was found.
-        drag_1_m: of a known ball [1/m].
+    The search, the problem and the checks all ask for it: it is cached.
     """
     fit = fit_positions(drop, drag_1_m)
     if fit is None:
@@ -50,7 +39,7 @@ def drop_posterior(drop: Drop, drag_1_m: float | None) -> BallPosterior | None:
 
 
 def _widened(drop: Drop, posterior: BallPosterior) -> BallPosterior:
-    """With an interval that holds what parabolas next to the impact say, too."""
+    """Widen the interval to hold what parabolas next to the impact say, too."""
     beyond = max(_beyond_chance(drop, posterior, near) for near in _NEAR)
     ends = posterior.interval95.copy()
     reach = np.hypot(ends[0] - posterior.values[0], TWO_SIDED * beyond)
@@ -60,7 +49,7 @@ def _widened(drop: Drop, posterior: BallPosterior) -> BallPosterior:
 
 
 def _touch(drop: Drop, posterior: BallPosterior) -> float:
-    """By how much the restitution depends on where in a long touch its speeds are taken.
+    """Return how far the restitution depends on where in a long touch its speeds are taken.
 
     The flights are prolonged to where they meet. A soft ball has touched down before, and leaves
     the ground after that, with gravity at work in between.
@@ -73,7 +62,7 @@ def _touch(drop: Drop, posterior: BallPosterior) -> float:
 
 
 def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
-    """How far the parabolas' restitution is off, without what chance makes of it."""
+    """Return how far the parabolas' restitution is off, without what chance makes of it."""
     view = posterior.fit.projection()
     since = drop.seconds - view.impact_s
     touching_s = _TOUCHING_PERIODS * float(np.median(np.diff(drop.seconds)))
@@ -82,7 +71,7 @@ def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
     near_s = near * view.fall_time_s
     before = (since < -touching_s) & (since > -near_s)
     after = (since > touching_s) & (since < min(near_s, next_s - touching_s))
-    if min(np.count_nonzero(before), np.count_nonzero(after)) < _FEWEST:
+    if min(np.count_nonzero(before), np.count_nonzero(after)) < _MIN_COUNT:
         return 0.0
     ball_m = view.positions(view.bounce.heights(view.fall_times(drop.seconds)), drop.seconds)
     noise_m = max(noise_floor(drop), posterior.fit.scale)
@@ -101,7 +90,7 @@ def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
 def _speeds(
     since: Array, seen_m: Array, ball_m: Array, noise_m: float
 ) -> tuple[float, float, float]:
-    """Speeds at the impact by a parabola of what was seen and of the ball; the error [m/s]."""
+    """Fit parabolas: the impact's speeds as seen and of the ball, and the error [m/s]."""
     inverse = np.linalg.pinv(np.vander(since, 3))
     seen, ball = inverse[1] @ seen_m, inverse[1] @ ball_m
     return float(seen), float(ball), float(noise_m * np.linalg.norm(inverse[1]))

@@ -1,7 +1,7 @@
-"""How the tuned simulator moves beside what was observed: sample by sample, nothing interpolated.
+"""Tuned simulator compared with the observation: sample by sample, nothing interpolated.
 
-Positions are compared in m, films in px through the fitted camera, and both are said in % of the
-drop height. What counts is from the release to the last bounce in view.
+Positions are compared in m, films in px through the fitted camera, and both are reported in % of
+the drop height. What counts is from the release to the last bounce in view.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.drop.bounce_model import BounceSamples
 from analysis.drop.bounce_posterior import ball_posterior
-from analysis.drop.bounce_samples import FEWEST_SAMPLES
+from analysis.drop.bounce_samples import MIN_SAMPLES
 from analysis.drop.contact_clock import contact_clock
 from analysis.drop.detection import AnyDetection
 from analysis.drop.equivalent import equivalents
@@ -22,7 +22,7 @@ from analysis.drop.projection import Projection
 from analysis.drop.untold import SLOPE_AND_DRAG, untold
 from analysis.estimators.base import Step, Trace
 from analysis.motion import (
-    MOST_SAMPLES,
+    MAX_SAMPLES,
     Curves,
     Equivalents,
     Motion,
@@ -34,43 +34,30 @@ from recorders.simulators.contact import CALIBRATED
 from recorders.simulators.drop import DRAG
 from tunenet_logs.arrays import Array
 
-_AFTER_FALLS = 1.0
-"""Fall times after the last bounce in view that the curves show."""
-
-_BEFORE_FALLS = 0.25
-"""Fall times before the release: enough to see that the ball was still."""
-
-_CLEAR_HOP = 0.003
-"""Of the drop height: a lower bounce is not in view."""
-
-_HOP_SDS = 3.0
-"""Standard deviations of the noise, likewise."""
-
-_MOST_LEFT_OUT = 0.05
-"""Fraction of the samples that may be something else than the ball."""
-
+_AFTER_FALLS = 1.0  # fall times after the last bounce in view that the curves show
+_BEFORE_FALLS = 0.25  # fall times before the release: enough to see that the ball was still
+_CLEAR_HOP = 0.003  # of the drop height: a lower bounce is not in view
+_HOP_SDS = 3.0  # standard deviations of the noise, likewise
+_MAX_LEFT_OUT = 0.05  # fraction of the samples that may be something else than the ball
+# A sample farther from the simulation than so much noise and this fraction of the drop height is
+# something else, as long as few are.
 _FAR_SDS, _FAR = 6.0, 0.01
-"""A sample farther from the simulation than so much noise and this fraction of the drop height is
-something else, as long as few are."""
 
+# Standard deviations that noise may add to a mean square: one in twenty has more.
 _CHANCE_SDS = 1.64
-"""Standard deviations that noise may add to a mean square: one in twenty has more."""
 
-_FEWEST_BENDS = 20
-"""Samples whose third differences tell their noise."""
+_MIN_BENDS = 20  # samples whose third differences tell their noise
+# Impacts in the first part: before the second one no fit can know how the ball bounces.
+_MIN_BEGUN = 2
 
-_FEWEST_BEGUN = 2
-"""Impacts in the first part: before the second one no fit can know how the ball bounces."""
+# Part of the time that the held-out fit sees, and samples that are to be foretold.
+_BEGUN, _MIN_HELD_OUT = 0.6, 6
 
-_BEGUN, _FEWEST_HELD_OUT = 0.6, 6
-"""Part of the time that the held-out fit sees, and samples that are to be foretold."""
-
-_SAME_S = 2e-9
-"""Stamps that differ by less are of one moment."""
+_SAME_S = 2e-9  # stamps that differ by less are of one moment
 
 
 def simulated(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
-    """Times on the log's clock [s] and heights [drop heights] of an iterate, each (T,)."""
+    """Return an iterate's times on the log's clock [s] and heights [drop heights], each (T,)."""
     assert step.evaluation is not None
     episode = step.evaluation.episode
     signal = next(iter(episode.signals.values()))
@@ -85,7 +72,7 @@ def simulated(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
 
 
 def simulated_m(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
-    """Times on the log's clock [s] and heights above the table [m] of an iterate, each (T,)."""
+    """Return an iterate's times on the log's clock [s] and heights on the table [m], each (T,)."""
     assert step.evaluation is not None
     seconds, heights = simulated(detection, step)
     rig_m = step.evaluation.episode.info.rig["drop_height_m"]
@@ -94,7 +81,7 @@ def simulated_m(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=1)
 def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
-    """The last rollout against every sample in view; None where a preset has no camera for it.
+    """Compare the last rollout with every sample in view; None where there is no camera for it.
 
     The checks and the record ask for the same one: it is kept until the next.
     """
@@ -107,7 +94,7 @@ def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
     seconds, positions, heights = samples.seconds[at], samples.positions[at], heights[rows]
     noise = _noise(samples)
     inside = in_view(detection, seconds, noise / view.span)
-    if np.count_nonzero(inside) < FEWEST_SAMPLES:
+    if np.count_nonzero(inside) < MIN_SAMPLES:
         return None
     off = view.positions(heights[inside], seconds[inside]) - positions[inside]
     off = np.maximum(np.abs(off) - _blurred(samples, view, seconds[inside]), 0.0) / view.span
@@ -126,14 +113,14 @@ def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
 
 
 def fit_excess_percent(detection: AnyDetection) -> float | None:
-    """How far the fit, not yet simulated, is from the samples in view, beyond their noise [%]."""
+    """Return how far the fit is from the samples in view, beyond their noise [%]."""
     view = _view(detection)
     if view is None or detection.posterior is None:
         return None
     samples = detection.observed
     noise = _noise(samples)
     seen = samples.only(in_view(detection, samples.seconds, noise / view.span))
-    if len(seen.seconds) < FEWEST_SAMPLES:
+    if len(seen.seconds) < MIN_SAMPLES:
         return None
     off = np.abs(seen.residuals(detection.posterior.fit.unknowns)) / view.span
     off = off[_of_the_ball(off, noise / view.span)]
@@ -141,9 +128,9 @@ def fit_excess_percent(detection: AnyDetection) -> float | None:
 
 
 def held_out_percent(detection: AnyDetection) -> float | None:
-    """How far a fit to the first 60 % of the time is off on the rest [% of the drop height].
+    """Return the hold-out error of a fit to the first 60 % of the time [% of the drop height].
 
-    Without the noise in it, and what chance makes of it in few samples; None where too little is
+    The noise, and what chance makes of it in few samples, is taken off; None where too little is
     seen in either part.
     """
     view = _view(detection)
@@ -158,10 +145,10 @@ def held_out_percent(detection: AnyDetection) -> float | None:
     until_s = begin_s + _BEGUN * (end_s - begin_s)
     rest = inside & (seconds > until_s)
     impacts = view.impacts(until_s)
-    if len(impacts) < _FEWEST_BEGUN:
+    if len(impacts) < _MIN_BEGUN:
         return None
     fit = detection.begun(until_s)
-    if fit is None or np.count_nonzero(rest) < _FEWEST_HELD_OUT:
+    if fit is None or np.count_nonzero(rest) < _MIN_HELD_OUT:
         return None
     begun = ball_posterior(fit).fit
     later = seen.only(rest)
@@ -173,7 +160,7 @@ def held_out_percent(detection: AnyDetection) -> float | None:
 
 
 def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
-    """The curves at the observation's own stamps, how far they are apart, and without air."""
+    """Compare both curves at the observation's own stamps, and find drag-free equivalents."""
     last = trace.steps[-1]
     return Motion(
         curves=_curves(detection, last),
@@ -187,12 +174,12 @@ def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
 
 
 def tells_speed(detection: AnyDetection) -> bool:
-    """Whether metres and seconds are known; a film's scale is its clock, where it has one."""
+    """Return whether metres and seconds are known; a film's scale is its clock, if it has one."""
     return detection.tells_speed
 
 
 def in_view(detection: AnyDetection, seconds: Array, noise: float) -> NDArray[np.bool_]:
-    """Which times are from the release to the last bounce in view; noise in drop heights."""
+    """Return which times are from release to last bounce in view; noise in drop heights."""
     posterior, drop = detection.posterior, detection.drop
     assert posterior is not None
     end_s = last_bounce_s(posterior.fit.projection(), float(seconds[-1]), noise)
@@ -200,7 +187,7 @@ def in_view(detection: AnyDetection, seconds: Array, noise: float) -> NDArray[np
 
 
 def last_bounce_s(view: Projection, until_s: float, noise: float) -> float:
-    """When the last bounce ends that is high enough to be seen, and in view [s]."""
+    """Return when the last bounce ends that is high enough to be seen, and in view [s]."""
     last = (until_s - view.impact_s) / view.fall_time_s
     starts, speeds = view.bounce.flights(last)
     high = speeds**2 / 4 > max(_CLEAR_HOP, _HOP_SDS * noise)
@@ -209,7 +196,7 @@ def last_bounce_s(view: Projection, until_s: float, noise: float) -> float:
 
 
 def _blurred(samples: BounceSamples, view: Projection, seconds: Array) -> Array:
-    """How far a picture may show the ball from where it is at its time, for an impact is in it.
+    """Return how far an open shutter may blur the ball from its place, about an impact.
 
     While the shutter is open the ball comes down and goes up again: what is seen is a mean of both.
     """
@@ -225,8 +212,8 @@ def _blurred(samples: BounceSamples, view: Projection, seconds: Array) -> Array:
 
 
 def _noise(samples: BounceSamples) -> float:
-    """Of the samples, by themselves, in their unit."""
-    least = samples.own_noise / 2 if len(samples.positions) > _FEWEST_BENDS else samples.own_noise
+    """Estimate the samples' noise by themselves, in their unit."""
+    least = samples.own_noise / 2 if len(samples.positions) > _MIN_BENDS else samples.own_noise
     return max(surer_noise_of(samples.positions), least) if len(samples.positions) > 3 else least
 
 
@@ -236,20 +223,20 @@ def _view(detection: AnyDetection) -> Projection | None:
 
 
 def matched(seconds: Array, of_rollout: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of samples and of the rollout's at the same moments."""
+    """Return the indices of samples and of the rollout's at the same moments."""
     rows = np.clip(np.searchsorted(of_rollout, seconds - _SAME_S), 0, len(of_rollout) - 1)
     at = np.flatnonzero(np.abs(of_rollout[rows] - seconds) <= _SAME_S)
     return at, rows[at]
 
 
 def _of_the_ball(off: Array, noise: float) -> NDArray[np.bool_]:
-    """Without what is far off, as long as that is little; in drop heights."""
+    """Flag all samples but those far off, as long as these are few; in drop heights."""
     far = off > _FAR_SDS * noise + _FAR
-    return ~far if np.count_nonzero(far) <= _MOST_LEFT_OUT * len(off) else np.ones_like(far)
+    return ~far if np.count_nonzero(far) <= _MAX_LEFT_OUT * len(off) else np.ones_like(far)
 
 
 def _curves(detection: AnyDetection, last: Step) -> Curves | None:
-    """Both curves; None where they share fewer than two stamps."""
+    """Return both curves; None where they share fewer than two stamps."""
     drop = detection.drop
     samples, view = detection.observed, _view(detection)
     seconds, noise = samples.seconds, _noise(samples)
@@ -262,7 +249,7 @@ def _curves(detection: AnyDetection, last: Step) -> Curves | None:
         end_s += _AFTER_FALLS * drop.fall_time_s
     inside = (seconds >= drop.release_s - _BEFORE_FALLS * drop.fall_time_s) & (seconds <= end_s)
     inside &= np.isfinite(heights_m)
-    every = max(1, -(-int(np.count_nonzero(inside)) // MOST_SAMPLES))
+    every = max(1, -(-int(np.count_nonzero(inside)) // MAX_SAMPLES))
     seconds, heights_m = seconds[inside][::every], heights_m[inside][::every]
     if len(seconds) < 2:
         return None
@@ -281,7 +268,7 @@ def _curves(detection: AnyDetection, last: Step) -> Curves | None:
 
 
 def _untold(detection: AnyDetection, trace: Trace) -> tuple[str, ...]:
-    """What the samples leave to the priors, where slope and drag were asked for."""
+    """Return what the samples leave to the priors, where slope and drag were asked for."""
     posterior = detection.posterior if detection.physical else None
     if posterior is None or len(trace.estimate) <= SLOPE_AND_DRAG:
         return ()

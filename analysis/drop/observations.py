@@ -1,4 +1,4 @@
-"""A drop as an observation: in fall times and drop heights, or as the paper has it.
+"""Drop as an observation: in fall times and drop heights, or as the paper has it.
 
 With s = (t - t_impact) / T0 (T0 the time of the fall without air) and u the height above contact in
 drop heights, a bounce is one curve that depends on the ball alone: on its restitution, on how that
@@ -20,33 +20,30 @@ from tunenet_logs.episode import Episode
 
 CANONICAL_PER_FALL = 32
 CANONICAL_BEFORE = 28
+# The canonical grid: points in each fall time, how many of them are before the first impact, and
+# fall times after it. The first moments of a fall are left out: a hand may still be there.
 CANONICAL_SPAN = 4
-"""The canonical grid: points in each fall time, how many of them are before the first impact, and
-fall times after it. The first moments of a fall are left out: a hand may still be there."""
 
 PAPER_RATE_HZ = 60.0
 PAPER_SAMPLES = 400
-PAPER_RADIUS_M = 0.5
-"""The simulation of the TuneNet paper: samples and ball."""
-
-_PAPER_UNIT_M = 5.0
-"""Its highest drop: with it z is from 0 to about 1."""
+PAPER_RADIUS_M = 0.5  # the simulation of the TuneNet paper: samples and ball
+_PAPER_UNIT_M = 5.0  # its highest drop: with it z is from 0 to about 1
 
 
 def canonical_axis() -> Array:
-    """Points of the canonical grid [fall times after the first impact], shape (156,)."""
+    """Return the canonical grid [fall times after the first impact], shape (156,)."""
     last = CANONICAL_SPAN * CANONICAL_PER_FALL
     return np.setdiff1d(np.arange(-CANONICAL_BEFORE, last + 1), [0]) / CANONICAL_PER_FALL
 
 
 def canonical_observation(values: Array) -> Observation:
-    """Heights [drop heights] on the canonical grid, shape (156,)."""
+    """Wrap heights [drop heights] on the canonical grid, shape (156,)."""
     axis = canonical_axis()
     return Observation(values[:, None], axis, "time after impact [fall times]", ("[drop heights]",))
 
 
 def canonical(drop: Drop) -> Observation:
-    """Height [drop heights] against time [fall times].
+    """Resample a drop to the canonical grid: height [drop heights] against time [fall times].
 
     A ball that is seen to rest goes on resting; else what comes after the recording is NaN.
     """
@@ -62,13 +59,9 @@ def canonical(drop: Drop) -> Observation:
 def rollout_drop(
     episode: Episode, rig: DropRig, contact: ContactSettings, drop_height_m: float | None = None
 ) -> Drop:
-    """The drop of a simulated episode, whose rig and release are known exactly.
+    """Build the drop of a simulated episode, whose rig and release are known exactly.
 
-    Args:
-        episode: the rollout.
-        rig: of it.
-        contact: of it.
-        drop_height_m: what heights are measured by; None for the rig's own, of a ball let go.
+    Heights are measured by `drop_height_m`; None for the rig's own, of a ball let go.
     """
     height_m = rig.gap_m if drop_height_m is None else drop_height_m
     signal, gravity = episode.signals[TOPIC], contact.gravity_m_s2
@@ -97,7 +90,7 @@ def rollout_drop(
 
 
 def paper_heights(drop: Drop) -> Observation:
-    """400 samples of z [m] at 60 Hz from the release, as the paper's network has them.
+    """Resample z [m] to 400 samples at 60 Hz from the release, as the paper's network has it.
 
     z is that of a ball of 0.5 m radius on a plane at z = 0. A recording that ends with the ball at
     rest goes on with it at rest; else what is missing is NaN.
@@ -110,7 +103,7 @@ def paper_heights(drop: Drop) -> Observation:
 
 
 def paper_start_s(drop: Drop) -> float:
-    """When the paper's simulation of a drop starts, so that its k-th sample is k periods later [s].
+    """Return when the paper's simulation starts [s]: its k-th sample is k periods later.
 
     The engine's step (v += -g dt, then z += v dt) puts its k-th sample where free fall is after
     k + 1/2 periods. A recording that starts with the release, to within a sample or so, is taken
@@ -124,18 +117,18 @@ def paper_start_s(drop: Drop) -> float:
 
 
 def paper_rollout(episode: Episode) -> Observation:
-    """The paper's rollout as it is: z after each of 400 steps."""
+    """Return the paper's rollout as it is: z after each of 400 steps."""
     return _paper_observation(episode.signals[TOPIC].values[:, 2])
 
 
 def paper_unit_heights(episode: Episode) -> Observation:
-    """The paper's rollout for a network that sees a video beside it: z from 0 to about 1 [5 m]."""
+    """Return z from 0 to about 1 [5 m], for a paper's network that sees a video beside it."""
     heights = episode.signals[TOPIC].values[:, 2] / _PAPER_UNIT_M
     return Observation(heights[:, None].copy(), paper_axis(), "time [s]", ("z [5 m]",))
 
 
 def paper_axis() -> Array:
-    """Times of the paper's samples after the start [s], shape (400,)."""
+    """Return the times of the paper's samples after the start [s], shape (400,)."""
     return np.arange(1, PAPER_SAMPLES + 1) / PAPER_RATE_HZ
 
 
@@ -151,11 +144,6 @@ def _between_impacts(times: Array, heights: Array, wanted: Array) -> Array:
     it, two agree; with one in the gap itself, the two neighbours meet there from above and the
     gap's own lies over both. The median is right every time. A ball at rest is no parabola: there
     the straight line is the lower bound.
-
-    Args:
-        times: of the samples [fall times], shape (T,).
-        heights: there [drop heights], shape (T,).
-        wanted: times to interpolate at, shape (L,).
     """
     gap = np.clip(np.searchsorted(times, wanted, side="right") - 1, 1, len(times) - 3)
 

@@ -1,4 +1,4 @@
-"""Where a ball is that an impact returned a little faster than the law has it."""
+"""Derivatives of positions and times by each impact's own restitution."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import numpy as np
 from analysis.drop.bounce_model import FALL, IMPACT, BounceSamples
 from tunenet_logs.arrays import Array
 
-_FASTER = 1e-5
-"""Fraction of a restitution by which positions and times are differentiated."""
+_FASTER = 1e-5  # fraction of a restitution by which positions and times are differentiated
 
 
 def moved_by_own(samples: BounceSamples, unknowns: Array) -> tuple[Array, Array]:
-    """What each impact's own restitution moves, for a fraction of it.
+    """Differentiate positions and touch times by each impact's own restitution, relative.
 
     Args:
         samples: with impacts that were heard.

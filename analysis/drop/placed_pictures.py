@@ -1,7 +1,7 @@
-"""Pictures whose place on the camera's clock their arrival leaves open, placed by the ball.
+"""Placement of pictures whose stamps the arrival leaves open, by the ball's motion.
 
 Where pictures are lost on their way, those around the loss may be a tick earlier or later. A ball
-that falls is elsewhere a tick later, so its flight as the other pictures tell it shows which.
+that falls is elsewhere a tick later, so its flight in the other pictures shows which.
 """
 
 from __future__ import annotations
@@ -19,28 +19,18 @@ from tunenet_logs.errors import NotFoundError
 from tunenet_logs.late_stamps import CorrectedStamps
 
 _ROUNDS = 2
-_LEAST_PX = 0.3
-"""Standard deviation of a place, at least."""
-
-_MOST_COST = 12.0
-"""Log likelihood that a single place may cost: a wrong one is not the ball's."""
-
-_AFTER_RELEASE = -0.95
-"""Fall times from which on the ball flies for sure."""
+_MIN_PX = 0.3  # standard deviation of a place, at least
+_MAX_COST = 12.0  # log likelihood that a single place may cost: a wrong one is not the ball's
+_AFTER_RELEASE = -0.95  # fall times from which on the ball flies for sure
 
 
 def placed_by_motion(
     track: Track, arrivals: CorrectedStamps, start_ns: int, ball: Ball | None
 ) -> tuple[Track, CorrectedStamps]:
-    """The track and its stamps with unsure pictures where the ball's flight wants them.
+    """Place unsure pictures of a track, and its stamps, where the ball's flight wants them.
 
-    Both as they were where no picture is unsure, or no drop is found.
-
-    Args:
-        track: at the corrected stamps.
-        arrivals: of all pictures; those of the track among them.
-        start_ns: where the drop's clock is 0.
-        ball: what was dropped, if that is known.
+    Both are unchanged where no picture is unsure, or no drop is found. `track` is at the corrected
+    stamps of `arrivals`, which are of all pictures.
     """
     numbers = np.searchsorted(arrivals.stamps_ns, track.stamps_ns)
     for _ in range(_ROUNDS):
@@ -73,7 +63,7 @@ def placed_by_motion(
 def _film_of(
     track: Track, unsure: NDArray[np.bool_], start_ns: int, ball: Ball | None
 ) -> FilmedDrop | None:
-    """The drop as the sure pictures tell it; as all do where those are too few."""
+    """Fit the drop to the sure pictures, or to all where those are too few."""
     sure = replace(track, places_px=np.where(unsure[:, None], np.nan, track.places_px))
     for tried in (sure, track):
         try:
@@ -84,19 +74,13 @@ def _film_of(
 
 
 def _misfit(film: FilmedDrop, along: Array, seconds: Array) -> Array:
-    """Log likelihood's negative of places at times; 0 where nothing flies, or nothing was seen.
-
-    Args:
-        film: the drop.
-        along: positions of N pictures along the image's vertical [px], shape (N,).
-        seconds: at which each may have been taken, shape (N, S).
-    """
+    """Return the negative log likelihood of places (N,) at times (N, S); 0 where nothing flies."""
     flat, fit = seconds.ravel(), film.projection
     times = fit.fall_times(flat)
     heights = fit.bounce.heights(np.maximum(times, _AFTER_RELEASE))
     off = (fit.positions(heights, flat).reshape(seconds.shape) - along[:, None]) / max(
-        fit.residual_rms, _LEAST_PX
+        fit.residual_rms, _MIN_PX
     )
-    cost = np.minimum(0.5 * off**2, _MOST_COST)
+    cost = np.minimum(0.5 * off**2, _MAX_COST)
     flies = (times >= _AFTER_RELEASE) & (flat <= film.end_s)
     return np.where(flies.reshape(seconds.shape) & np.isfinite(off), cost, 0.0)

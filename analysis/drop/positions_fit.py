@@ -1,4 +1,4 @@
-"""A bounce fitted to recorded heights: more and more flights, as long as one law explains them.
+"""Bounce fit to recorded heights: more and more flights, as long as one law explains them.
 
 The first flight fixes the restitution to a few thousandths, which is near enough for the second,
 and so on: far ahead the cost has dozens of minima.
@@ -23,43 +23,36 @@ from analysis.drop.bounce_model import (
     SPAN,
     BounceSamples,
 )
-from analysis.drop.bounce_samples import FEWEST_SAMPLES, sharp, with_held
+from analysis.drop.bounce_samples import MIN_SAMPLES, sharp, with_held
 from analysis.drop.free_fall import Drop
 from tunenet_logs.arrays import Array
 
-_FALL_SEEN = 0.95
-"""Fraction of the fall that is fitted: earlier a hand may still touch the ball."""
-
+_FALL_SEEN = 0.95  # fraction of the fall that is fitted: earlier a hand may still touch the ball
+# Fall times of a rest that are fitted: more of them would only repeat the table's level.
 _REST_SEEN = 4.0
-"""Fall times of a rest that are fitted: more of them would only repeat the table's level."""
 
+# Flights that are fitted in turn, as long as one law explains them to within the noise.
 _FLIGHTS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 19, 22, 26, 30, 35, 40)
-"""Flights that are fitted in turn, as long as one law explains them to within the noise."""
 
-_LEAST_HOP = 2.0
-"""Standard deviations of the noise that a flight is high, or the ball seems to lie still."""
+# Standard deviations of the noise that a flight is high, or the ball seems to lie still.
+_MIN_HOP = 2.0
 
-_EXACT = 1e-4
-"""Fraction of the drop height that no recording, and no model of a ball, is held to."""
+_EXACT = 1e-4  # fraction of the drop height that no recording, and no model of a ball, is held to
+# Fraction of the drop height: a drop of the engine without noise is off by as much.
+_MIN_NOISE = 1e-5
 
-_LEAST_NOISE = 1e-5
-"""Fraction of the drop height: a drop of the engine without noise is off by as much."""
+_FIT_SD = 4.0  # standard deviations of a residual variance within which it is noise
+# Where the fits begin: what most balls have, the drag times the drop height.
+_TYPICAL_SLOPE, _TYPICAL_DRAG = 0.05, 0.03
 
-_FIT_SD = 4.0
-"""Standard deviations of a residual variance within which it is noise."""
-
-_USUAL_SLOPE, _USUAL_DRAG = 0.05, 0.03
-"""Where the fits begin: what most balls have, the drag times the drop height."""
-
+# Where they begin if parabolas show no restitution.
 _RESTITUTIONS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
-"""Where they begin if parabolas show no restitution."""
 
-_ROUGHLY = (12, 1e-4)
-"""Iterations and gain in cost that end the fits which only lead to the next."""
+_ROUGHLY = (12, 1e-4)  # iterations and gain in cost that end the fits which only lead to the next
 
 
 def samples_of(drop: Drop, drag_1_m: float | None) -> BounceSamples:
-    """The drop's heights as samples of a bounce; a drag of a known ball [1/m], or None."""
+    """Convert a drop's heights to samples of a bounce; a drag of a known ball [1/m], or None."""
     return BounceSamples(
         drop.seconds,
         drop.heights_m,
@@ -72,17 +65,12 @@ def samples_of(drop: Drop, drag_1_m: float | None) -> BounceSamples:
 
 
 def noise_floor(drop: Drop) -> float:
-    """Standard deviation of a height [m]: its noise, or what no recording is held to."""
-    return max(drop.noise_m, _LEAST_NOISE * drop.drop_height_m)
+    """Return the standard deviation of a height [m]: its noise, or what no recording is held to."""
+    return max(drop.noise_m, _MIN_NOISE * drop.drop_height_m)
 
 
 def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None:
-    """Fit a drop; None where too little is seen.
-
-    Args:
-        drop: as it was found.
-        drag_1_m: of a known ball [1/m].
-    """
+    """Fit a bounce to a drop, flight by flight; None where too little is seen."""
     if not (drop.fall_time_s > 0 and drop.drop_height_m > 0):  # NaN is not
         return None
     whole = samples_of(drop, drag_1_m)
@@ -93,7 +81,7 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
     for flights in _FLIGHTS:
         chosen = _window(whole, unknowns, flights, rest_seen)
         count = int(np.count_nonzero(chosen))
-        if count < FEWEST_SAMPLES or (best is not None and count == len(best.residuals)):
+        if count < MIN_SAMPLES or (best is not None and count == len(best.residuals)):
             continue
         samples = whole.only(chosen)
         starts = [unknowns] if best else _first_starts(unknowns)
@@ -105,7 +93,7 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
 
 
 def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
-    """The drop with impact, contact and fall by a fit: from rest, and through the air.
+    """Replace impact, contact and fall of a drop by a fit's: from rest, and through the air.
 
     The last, low bounces look like a rest: as high as they are by the fit, it is none too high.
     """
@@ -135,7 +123,7 @@ def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
 
 
 def finished(whole: BounceSamples, fit: BounceFit) -> BounceFit:
-    """With the ball in the hand before, without the samples at impacts, to the end."""
+    """Refit to the end: with the ball in the hand before, without the samples at impacts."""
     samples = fit.samples if whole.flies_in else with_held(whole, fit)
     if samples is not fit.samples:
         held = fit_bounce(samples, fit.unknowns, fit.free)
@@ -145,17 +133,17 @@ def finished(whole: BounceSamples, fit: BounceFit) -> BounceFit:
 
 
 def _start(drop: Drop) -> Array:
-    """Unknowns by the parabolas of fall and flight, shape (14,); restitution 0 if not seen."""
+    """Return start unknowns by fall and flight parabolas, shape (14,); restitution 0 if unseen."""
     start = np.zeros(len(LOW))
     restitution = np.nan_to_num(np.clip(drop.flight_restitution, 0.02, 0.99))
     start[[RESTITUTION, IMPACT, FALL]] = restitution, drop.impact_s, np.log(drop.fall_time_s)
     start[[CONTACT, SPAN]] = drop.contact_m, drop.drop_height_m
-    start[[SLOPE, DRAG]] = _USUAL_SLOPE, _USUAL_DRAG
+    start[[SLOPE, DRAG]] = _TYPICAL_SLOPE, _TYPICAL_DRAG
     return start
 
 
 def _first_starts(start: Array) -> list[Array]:
-    """With the restitution that parabolas saw, or with several where they saw none."""
+    """Return a start with the restitution of parabolas, or several where they saw none."""
     if start[RESTITUTION]:
         return [start]
     starts = [start.copy() for _ in _RESTITUTIONS]
@@ -167,12 +155,12 @@ def _first_starts(start: Array) -> list[Array]:
 def _window(
     whole: BounceSamples, unknowns: Array, flights: int, rest_seen: float
 ) -> NDArray[np.bool_]:
-    """The samples from most of the fall to the end of `flights` flights, and of a rest."""
+    """Select the samples from most of the fall to the end of `flights` flights, and of a rest."""
     times = whole.times(unknowns)
     ball = whole.bounce(unknowns)
     starts, speeds = ball.flights(float(times[-1]))
     hops = float(unknowns[SPAN]) * speeds**2 / 4
-    low = np.flatnonzero(hops < _LEAST_HOP * whole.noise)
+    low = np.flatnonzero(hops < _MIN_HOP * whole.noise)
     rest = len(starts) - 1 if not len(low) else int(low[0])
     if flights < min(len(starts), rest):
         end = starts[flights]
@@ -184,7 +172,7 @@ def _window(
 
 
 def _is_explained(fit: BounceFit, before: BounceFit, drop: Drop) -> bool:
-    """Whether one more flight leaves residuals that are noise."""
+    """Return whether one more flight leaves residuals that are noise."""
     noise = max(drop.noise_m, _spread(before))
     freedom = max(len(fit.residuals) - len(fit.free), 1)
     allowed = noise**2 * (1 + _FIT_SD * np.sqrt(2 / freedom))
@@ -192,6 +180,6 @@ def _is_explained(fit: BounceFit, before: BounceFit, drop: Drop) -> bool:
 
 
 def _spread(fit: BounceFit) -> float:
-    """Standard deviation of the residuals."""
+    """Return the standard deviation of the residuals."""
     freedom = max(len(fit.residuals) - len(fit.free), 1)
     return float(np.sqrt(np.sum(fit.residuals**2) / freedom))

@@ -1,4 +1,4 @@
-"""The drop's presets: which simulator, observation, network and training go together."""
+"""Presets of the drop: which simulator, observation, network and training go together."""
 
 from __future__ import annotations
 
@@ -27,35 +27,31 @@ from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 
+# A rollout to make: rig, settings, values.
 Plan = tuple[DropRig, ContactSettings, Mapping[str, float]]
-"""A rollout to make: rig, settings, values."""
 
-PAPER_HEIGHT_M = (4.0, 5.0)
-"""Of the ball's centre, in the paper's training data."""
-
+PAPER_HEIGHT_M = (4.0, 5.0)  # of the ball's centre, in the paper's training data
 PAPER_RESTITUTION = (0.3, 0.7)
-_PAPER_PAIRS = 800
-"""The paper's range of restitutions, and its number of pairs."""
-
+_PAPER_PAIRS = 800  # the paper's range of restitutions, and its number of pairs
 _GAP_M = (0.3, 5.0)
+# Drops to train for. The observation leaves both out: they only vary how it is sampled.
 _RATES_HZ = (60.0, 120.0, 240.0)
-"""Drops to train for. The observation leaves both out: they only vary how it is sampled."""
 
-_MOST_DRAG = 0.5
-"""Drag times drop height, of balls to train for: more than a table-tennis ball's from 3 m."""
+# Drag times drop height, of balls to train for: more than a table-tennis ball's from 3 m.
+_MAX_DRAG = 0.5
 
+# Rollouts, and pairs that are drawn among them: a pair costs nothing more.
 _ROLLOUTS, _PAIRS = 4096, 204_800
-"""Rollouts, and pairs that are drawn among them: a pair costs nothing more."""
 
 
 @lru_cache(maxsize=1)
 def _world(radius_m: float, contact: ContactSettings) -> BallWorld:
-    """One a process: making it takes as long as a dozen rollouts."""
+    """Return one world a process: making it takes as long as a dozen rollouts."""
     return engine().ball_world(radius_m, contact)
 
 
 def _observe_plans(plans: Sequence[Plan]) -> Array:
-    """Observations of rollouts, shape (N, L, 1); runs in the worker processes."""
+    """Simulate and observe plans, shape (N, L, 1); runs in the worker processes."""
     curves: list[Array] = []
     rig, contact, _ = plans[0]
     simulator = DropSimulator(rig, contact, _world(rig.radius_m, contact))
@@ -72,13 +68,9 @@ def _observe_plans(plans: Sequence[Plan]) -> Array:
 def observe_paper_drops(
     releases_m: Array, restitutions: Array, workers: Workers, progress: Progress
 ) -> Array:
-    """Rollouts of the paper's simulator as its network sees them, shape (N, 400, 1).
+    """Simulate the paper's drops as its network sees them, shape (N, 400, 1).
 
-    Args:
-        releases_m: heights of the ball's centre, shape (N,).
-        restitutions: shape (N,).
-        workers: who make them.
-        progress: where to show it.
+    `releases_m` are heights of the ball's centre, shape (N,).
     """
     radius = views.PAPER_RADIUS_M
     plans = [
@@ -93,7 +85,7 @@ def observe_paper_drops(
 
 
 def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
-    """Both rollouts of a pair from one height, U(4, 5) m; restitutions U(.3, .7)."""
+    """Simulate both rollouts of a pair from one height, U(4, 5) m; restitutions U(.3, .7)."""
     count = count or _PAPER_PAIRS
     rng = np.random.default_rng(seed)
     heights = np.repeat(rng.uniform(*PAPER_HEIGHT_M, count), 2)
@@ -103,11 +95,11 @@ def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progr
 
 
 def _canonical_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
-    """Real balls, evenly over their ranges; any rig will do, so heights and rates vary."""
+    """Simulate real balls, evenly over their ranges; any rig will do, so heights and rates vary."""
     count = count or _PAIRS
     rollouts = min(_ROLLOUTS, 2 * count)
     rng = np.random.default_rng(seed)
-    ranges = np.array([one.training_range for one in (RESTITUTION, SLOPE)] + [(0.0, _MOST_DRAG)])
+    ranges = np.array([one.training_range for one in (RESTITUTION, SLOPE)] + [(0.0, _MAX_DRAG)])
     shares = (np.arange(rollouts) + rng.random((3, rollouts))) / rollouts
     shares = np.array([rng.permutation(share) for share in shares])
     values = (ranges[:, :1] + np.ptp(ranges, axis=1)[:, None] * shares).T

@@ -1,4 +1,4 @@
-"""What is likely of a fit's unknowns beside its samples, one combination of them at a time."""
+"""Priors and measurements of a fit's unknowns, one linear combination of them at a time."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Prior:
-    """How far one combination of the unknowns is from what is likely.
+    """Prior on one linear combination of the unknowns.
 
     Attributes:
         slopes: of the combination over the unknowns in it, by index.
         off: from the likeliest.
         sd: standard deviation.
         freedom: of Student's t; infinite for a normal distribution.
-        measured: whether a measurement says so, and not what is known of balls and cameras.
+        measured: whether it is a measurement, not a prior of balls and cameras.
     """
 
     slopes: dict[int, float]
@@ -27,7 +27,7 @@ class Prior:
 
     @property
     def cost(self) -> float:
-        """Minus the logarithm of its density, without constants."""
+        """Negative log density, without constants."""
         square = (self.off / self.sd) ** 2
         if np.isinf(self.freedom):
             return 0.5 * square
@@ -35,7 +35,7 @@ class Prior:
 
     @property
     def weight(self) -> float:
-        """Of its square, where t is fitted by reweighting."""
+        """Weight of its squared residual, where t is fitted by reweighting."""
         if np.isinf(self.freedom):
             return self.sd**-2
         square = (self.off / self.sd) ** 2

@@ -1,4 +1,4 @@
-"""The estimation problem that a detected drop poses: a simulator that drops or throws it alike."""
+"""Estimation problem of a detected drop: a simulator that drops or throws it alike."""
 
 from __future__ import annotations
 
@@ -14,27 +14,22 @@ from recorders.simulators.drop import DropRig, DropSimulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError, UsageError
 
-HIGHEST_M = 100.0
-"""Of a drop: from higher up lengths are more likely in mm or cm than in m."""
-
+HIGHEST_M = 100.0  # of a drop: from higher up lengths are more likely in mm or cm than in m
+# Where the log tells no unit, and what was found is no drop in any.
 NO_FALL = (
     "no fall of a ball is seen in it: what moves there falls neither freely nor onto a table "
     "(see --start, --end for a part)"
 )
-"""Where the log tells no unit, and what was found is no drop in any."""
 
-_HIGHEST_SIMULATED_M = 1000.0
-"""Of a drop in the log's unit of length."""
+_HIGHEST_SIMULATED_M = 1000.0  # of a drop in the log's unit of length
+# Samples after the end of a recording that a rollout may have, for each that was recorded.
+_MAX_MISSING = 100
 
-_MOST_MISSING = 100
-"""Samples after the end of a recording that a rollout may have, for each that was recorded."""
-
-_SHORT = 1e-5
-"""Of a speed that is a difference of two heights [fall times]."""
+_SHORT = 1e-5  # of a speed that is a difference of two heights [fall times]
 
 
 def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
-    """A simulator with the drop's own height, stamps and release.
+    """Set up a simulator with the drop's own height, stamps and release.
 
     Args:
         detection: the drop.
@@ -63,7 +58,7 @@ def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
         return Problem(detection.target, simulator, view, initial)
 
     def exact_fit(start: Array) -> FitResult | None:
-        """The ball that explains all samples best; more values than `start` has are left away."""
+        """Return the ball that explains all samples best, as many values as `start` has."""
         posterior = detection.posterior
         if posterior is None:
             return None
@@ -82,7 +77,7 @@ def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
 
 
 def _at_launch(detection: AnyDetection, drop_height_m: float) -> tuple[float, float]:
-    """Height above contact [m] and upward speed [m/s] of a thrown ball at its first sample."""
+    """Return height over contact [m] and upward speed [m/s] of a thrown ball's first sample."""
     posterior = detection.posterior
     if posterior is None:
         raise NotFoundError("too few samples of the ball's flights are seen", DENSER)
@@ -93,7 +88,7 @@ def _at_launch(detection: AnyDetection, drop_height_m: float) -> tuple[float, fl
 
 
 def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
-    """The rig whose rollouts show the same drop at the same stamps."""
+    """Build the rig whose rollouts show the same drop at the same stamps."""
     drop, start_ns = detection.drop, detection.start_ns
     if not detection.physical:
         gap = drop.release_m - drop.table_m
@@ -103,7 +98,7 @@ def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
     seconds = detection.observed.seconds
     wanted_s = drop.impact_s + (views.CANONICAL_SPAN + 1) * drop.fall_time_s
     missing = max(0, int(np.ceil((wanted_s - seconds[-1]) / period_s)))
-    if missing > _MOST_MISSING * len(seconds):
+    if missing > _MAX_MISSING * len(seconds):
         raise UsageError("its stamps are too uneven: most are close together, and some far apart")
     seconds = np.concatenate([seconds, seconds[-1] + period_s * np.arange(1, missing + 1)])
     seconds = contact_clock(detection).to_free(seconds)

@@ -1,9 +1,8 @@
-"""Each impact by itself: its restitution without a law, and the ratio of two flights' durations.
+"""Restitution of each impact without a law, and the ratio of two flights' durations.
 
-`fitted_rebounds` fits each impact's restitution without a law that binds them. `flight_ratio` needs
-no camera and no scale: in any picture, and in any log, the flights before and after an impact are
-smooth curves of time that meet at it, and how much shorter the second flight is than the first is
-the restitution of the second impact.
+`flight_ratio` needs no camera and no scale: in any picture, and in any log, the flights before
+and after an impact are smooth curves of time that meet at it, and the second flight's duration
+over the first's is the restitution of the second impact.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from analysis.drop.bounce_model import (
     SPAN,
 )
 from analysis.drop.bounce_posterior import BallPosterior
-from analysis.drop.bounce_samples import MOST_IMPACTS
+from analysis.drop.bounce_samples import MAX_IMPACTS
 from analysis.drop.projection import PERSPECTIVE_SD, projected
 from analysis.estimators.base import Trace
 from analysis.record import Rebound
@@ -37,45 +36,41 @@ from tunenet_logs.arrays import Array
 if TYPE_CHECKING:
     from analysis.drop.detection import AnyDetection
 
-_CLEAR_HOP = 4.0
-"""Standard deviations of a position that a flight has to be high."""
-
+_CLEAR_HOP = 4.0  # standard deviations of a position that a flight has to be high
+# Of each restitution about the fit's: no law, but no impact is far from all others.
 _PRIOR_SD = 0.15
-"""Of each restitution about the fit's: no law, but no impact is far from all others."""
 
 _CAMERA = (IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
+# Unknowns that are fitted with the restitutions, and by how much they are differentiated.
 _STEPS = np.array([1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
-"""Unknowns that are fitted with the restitutions, and by how much they are differentiated."""
 
-_FIXED = 1e12
-"""Precision of an unknown that is known."""
-
+_FIXED = 1e12  # precision of an unknown that is known
+# Of Gauss-Newton's method: it begins nearly at the end, at the fit. A step of so few standard
+# errors is the last.
 _ITERATIONS, _SETTLED = 6, 1e-5
-"""Of Gauss-Newton's method: it begins nearly at the end, at the fit. A step of so few standard
-errors is the last."""
 
-_FEWEST_SAMPLES, _PARABOLA, _CUBIC = 4, 5, 9
-"""Of a flight: for a restitution of its own (a parabola has three coefficients), for a parabola
-through them, and for a cubic, which perspective asks for."""
+# Of a flight: for a restitution of its own (a parabola has three coefficients), for a parabola
+# through them, and for a cubic, which perspective asks for.
+_MIN_SAMPLES, _PARABOLA, _CUBIC = 4, 5, 9
 
-_OUTLIER = 5.0
-"""Standard deviations from the fit, beyond which a sample is not the ball."""
+_OUTLIER = 5.0  # standard deviations from the fit, beyond which a sample is not the ball
 
 
 def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
-    """Each impact whose flight is seen to its end; the first has the posterior's restitution.
+    """Fit the restitution of each impact whose flight is seen to its end, by Gauss-Newton.
 
-    The camera is fitted with them; no law binds them but that none is far (0.15) from the fit's.
+    The first has the posterior's. The camera is fitted with them; no law binds them but that none
+    is far (0.15) from the fit's.
     """
     fit = posterior.fit
     law = fit.samples.bounce(fit.unknowns)
     times = fit.samples.times(fit.unknowns)
     starts, speeds = law.flights(float(times[-1]))
     count = 0  # of flights that are high enough, and seen to their end
-    for begin, end, speed in zip(starts[:MOST_IMPACTS], starts[1:], speeds, strict=False):
+    for begin, end, speed in zip(starts[:MAX_IMPACTS], starts[1:], speeds, strict=False):
         hop = fit.unknowns[SPAN] * speed**2 / 4
         seen = np.count_nonzero((times > begin) & (times < end))
-        if end > times[-1] or hop < _CLEAR_HOP * fit.scale or seen < _FEWEST_SAMPLES:
+        if end > times[-1] or hop < _CLEAR_HOP * fit.scale or seen < _MIN_SAMPLES:
             break
         count += 1
     if not count:
@@ -109,7 +104,7 @@ def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
 
 
 def first_rebound(posterior: BallPosterior) -> Rebound:
-    """The first impact, whose flight need not be seen to its end."""
+    """Return the first impact, whose flight need not be seen to its end."""
     view = posterior.fit.projection()
     low, high = posterior.interval95[0].tolist()
     unit_m_s = CALIBRATED.gravity_m_s2 * view.fall_time_s / 2
@@ -118,7 +113,7 @@ def first_rebound(posterior: BallPosterior) -> Rebound:
 
 
 def reported_rebounds(detection: AnyDetection, trace: Trace) -> tuple[Rebound, ...]:
-    """The impacts that the fit tells apart, else the first, whose restitution is the tuning's."""
+    """Return the impacts that the fit tells apart, else the first by the tuning's restitution."""
     if trace.fit is not None and trace.fit.detail:
         return trace.fit.detail
     ends = None
@@ -131,19 +126,13 @@ def reported_rebounds(detection: AnyDetection, trace: Trace) -> tuple[Rebound, .
 
 
 def _impact_speeds(ball: Bounce, leaving: Array) -> Array:
-    """Of the impacts that the ball leaves with these speeds [drop heights, sqrt(2 H / g)]."""
+    """Return the speeds before impacts left with these speeds [drop heights, sqrt(2 H / g)]."""
     later = [ball.flight(float(speed))[1] for speed in leaving[:-1]]
     return np.array([ball.impact_speed, *later])
 
 
 def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
-    """Restitutions and their standard errors by Gauss-Newton's method, without outliers.
-
-    Args:
-        fit: of the law.
-        law: the ball.
-        first: restitutions to begin with, shape (N,).
-    """
+    """Fit N restitutions and their standard errors by Gauss-Newton's method, without outliers."""
     weights = np.where(np.abs(fit.residuals) < 4 * fit.scale, 1.0, 0.0)
     scale = fit.scale * np.sqrt(correlation_time(fit.residuals, len(fit.free)))
     camera = fit.unknowns[list(_CAMERA)]
@@ -185,7 +174,7 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class FlightRatio:
-    """Duration of the second flight over that of the first.
+    """Ratio of the second flight's duration to the first's.
 
     Attributes:
         value: as seen.
@@ -199,7 +188,7 @@ class FlightRatio:
 
 
 def flight_ratio(fit: BounceFit) -> FlightRatio | None:
-    """From the first three impacts; None where they are not seen well enough."""
+    """Measure the ratio by the first three impacts; None where they are not seen well enough."""
     times = fit.samples.times(fit.unknowns)
     starts, _ = fit.samples.bounce(fit.unknowns).flights(float(times[-1]))
     if len(starts) < 4 or starts[2] > times[-1]:
@@ -235,7 +224,7 @@ def flight_ratio(fit: BounceFit) -> FlightRatio | None:
 
 @dataclass(frozen=True, eq=False)
 class _Flight:
-    """One flight as a polynomial of time.
+    """Flight as a polynomial of time.
 
     Attributes:
         middle: time that it is about [fall times].
@@ -248,7 +237,7 @@ class _Flight:
     covariance: Array
 
     def meets(self, then: _Flight, near: float, reach: float) -> tuple[float, float] | None:
-        """When this flight ends in the next, and the standard error; None if it does not."""
+        """Return when this flight ends in the next, and the standard error; None if it does not."""
         grid = np.linspace(near - reach, near + reach, 201)
         apart = np.polyval(self.powers, grid - self.middle)
         apart = apart - np.polyval(then.powers, grid - then.middle)

@@ -1,4 +1,4 @@
-"""The height in which a drop was sought and none was found, and what in it looks like an impact."""
+"""Height in which a drop was sought and none was found, and what in it looks like an impact."""
 
 from __future__ import annotations
 
@@ -14,22 +14,15 @@ from recorders.simulators.drop import TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, Signal
 
-_FEWEST = 12
-"""Samples in which impacts are looked for."""
-
-_FARTHEST = 1e6
-"""A coordinate beyond it is a marker for "none"."""
-
-_MOST_SAMPLES = 20_000
-"""That are looked through: of more every second, third, ..."""
-
-_LEAST_NOISE = 1e-4
-"""Of what the heights span: a simulator's have none."""
+_MIN_COUNT = 12  # samples in which impacts are looked for
+_FARTHEST = 1e6  # a coordinate beyond it is a marker for "none"
+_MAX_SAMPLES = 20_000  # that are looked through: of more every second, third, ..
+_MIN_NOISE = 1e-4  # of what the heights span: a simulator's have none
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedHeight:
-    """A signal's height.
+    """Height of a position signal.
 
     Attributes:
         signal: that it is of.
@@ -48,34 +41,34 @@ class RecordedHeight:
 
 
 def position_signals(signals: Iterable[Signal]) -> list[Signal]:
-    """Those of positions, in the order in which a drop is sought in them."""
+    """Select the signals of positions, in the order in which a drop is sought in them."""
     positions = [one for one in signals if one.is_position]
     return sorted(positions, key=lambda one: (one.name != TOPIC, "ball" not in one.name, one.name))
 
 
 def recorded_heights(episode: Episode, most: int) -> list[RecordedHeight]:
-    """Of the first `most` signals that hold positions."""
+    """Return the heights of the first `most` signals that hold positions."""
     found = (recorded_height(one) for one in position_signals(episode.signals.values())[:most])
     return [one for one in found if one is not None]
 
 
 def recorded_height(signal: Signal) -> RecordedHeight | None:
-    """The height of a signal of positions; None where it has no two samples."""
+    """Return the height of a signal of positions; None where it has no two samples."""
     seconds, values = signal.seconds, signal.values
     keep = np.all(np.abs(values) < _FARTHEST, axis=1)  # NaN is not
     seconds, values = seconds[keep], values[keep]
     if len(seconds) < 2:
         return None
     rising = np.concatenate([[True], seconds[1:] > np.maximum.accumulate(seconds)[:-1]])
-    every = max(1, -(-np.count_nonzero(rising) // _MOST_SAMPLES))
+    every = max(1, -(-np.count_nonzero(rising) // _MAX_SAMPLES))
     seconds, values = seconds[rising][::every], values[rising][::every]
-    gravity = gravity_in(seconds, values) if len(seconds) >= _FEWEST else None
+    gravity = gravity_in(seconds, values) if len(seconds) >= _MIN_COUNT else None
     spans = np.ptp(values, axis=0) * np.array([0.5, 0.75, 1.0])  # z, if in doubt
     up = np.eye(3)[int(spans.argmax())] if gravity is None else gravity.up
     heights = values @ up
     heights = heights - heights.min()
     impacts: list[int] = []
-    if len(seconds) >= _FEWEST and heights.max() > 0:
-        noise = max(noise_of(heights), _LEAST_NOISE * float(heights.max()))
+    if len(seconds) >= _MIN_COUNT and heights.max() > 0:
+        noise = max(noise_of(heights), _MIN_NOISE * float(heights.max()))
         impacts = film_impacts(seconds, heights, noise)
     return RecordedHeight(signal, seconds, heights, tuple(impacts), gravity is not None)

@@ -1,12 +1,12 @@
-"""What to do at the next drop, where a recording shows none that can be used."""
+"""Remedies: what to do at the next drop, where a recording shows none that can be used."""
 
 _NEXT = "at the next drop:"
 
+# How a good drop looks: for recordings in which there is nothing like one.
 GOOD_DROP = (
     f"{_NEXT} let the ball fall from rest, from 0.3 to 2 m, onto a hard floor, in view until it "
     "lies still (docs/camera.md)"
 )
-"""How a good drop looks: for recordings in which there is nothing like one."""
 
 LONGER = f"{_NEXT} record until the ball lies still, all bounces in view"
 

@@ -1,4 +1,4 @@
-"""How long a ball has flown since each impact: by so much a faster return delays what follows."""
+"""Flight time since each impact: by so much a faster return delays what follows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tunenet_logs.arrays import Array
 
 
 def since_impacts_s(times_s: Array, numbers: NDArray[np.integer]) -> Array:
-    """Seconds from each impact to each that was heard, 0 for those before it.
+    """Return the seconds from each impact to each that was heard, 0 for those before it.
 
     An impact that was not heard lies between its neighbours, or before the first as far from it as
     the first two are apart.

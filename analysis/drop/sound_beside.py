@@ -1,4 +1,4 @@
-"""The sound beside a ball that is seen: the part in which it bounces, and what knocks there."""
+"""Sound beside a ball that is seen: the segment in which it bounces, and its onsets."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from tunenet_logs.episode import Episode
 from tunenet_logs.errors import TuneNetError
 from tunenet_logs.sound import Sound
 
+# Around the impacts that are seen: what the sound's background is learnt from.
 _BEFORE_S, _AFTER_S = 1.0, 0.5
-"""Around the impacts that are seen: what the sound's background is learnt from."""
 
-_USUAL_RISE_DB, _RISE_SD_DB = 5.0, 1.5
-"""Of a knock that is as likely a ball's as not, and how fast that changes."""
+# Of a knock that is as likely a ball's as not, and how fast that changes.
+_TYPICAL_RISE_DB, _RISE_SD_DB = 5.0, 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class SoundBeside:
-    """The sound of an episode in which a ball is seen.
+    """Sound of an episode in which a ball is seen.
 
     Attributes:
-        episode: both.
+        episode: with the ball and the sound.
         topic: of the sound.
         start_ns: where the drop's clock is 0.
     """
@@ -37,12 +37,7 @@ class SoundBeside:
     start_ns: int
 
     def with_pictures(self, pictures: BallPosterior, why_not: str = "") -> EarAndEye:
-        """What the sound adds to what is seen of the ball.
-
-        Args:
-            pictures: that, or what positions say.
-            why_not: why nothing can be added to it, in words; "" where it can.
-        """
+        """Add the sound to what pictures or positions say, unless `why_not` gives a reason."""
         if why_not:
             return EarAndEye(pictures, pictures, reason=why_not)
         try:
@@ -64,19 +59,14 @@ class SoundBeside:
 
 
 def sound_beside(episode: Episode, start_ns: int) -> SoundBeside | None:
-    """The sound of an episode; None where there is none, or whose camera's it is cannot be told.
-
-    Args:
-        episode: in which a ball is seen.
-        start_ns: where the drop's clock is 0.
-    """
+    """Return the sound of an episode; None without one, or with several cameras."""
     if not episode.sound_topics or len(episode.picture_topics) > 1:
         return None
     return SoundBeside(episode, episode.sound_topics[0], start_ns)
 
 
 def _part(sound: Sound, first_s: float, last_s: float) -> Sound:
-    """From one time to another, on the sound's own clock."""
+    """Cut a sound from one time to another, on its own clock."""
     count = len(sound.samples)
     first, last = (int(np.clip(at * sound.rate_hz, 0, count)) for at in (first_s, last_s))
     start_ns = sound.start_ns + round(first * 1e9 / sound.rate_hz)
@@ -84,7 +74,7 @@ def _part(sound: Sound, first_s: float, last_s: float) -> Sound:
 
 
 def _impacts_in(knocks: Onsets, sound: Sound) -> HeardImpacts:
-    """The knocks of a sound as what may be impacts."""
+    """Convert the onsets of a sound to what may be impacts."""
     return HeardImpacts(
         knocks.times_s,
         knocks.sds_s,
@@ -95,5 +85,5 @@ def _impacts_in(knocks: Onsets, sound: Sound) -> HeardImpacts:
 
 
 def _probabilities(rises_db: Array) -> Array:
-    """Of knocks to be a ball's, by how far they rise over the background, shape (N,)."""
-    return 1 / (1 + np.exp((_USUAL_RISE_DB - rises_db) / _RISE_SD_DB))
+    """Return each onset's probability to be a ball's, by its rise over the background, (N,)."""
+    return 1 / (1 + np.exp((_TYPICAL_RISE_DB - rises_db) / _RISE_SD_DB))

@@ -1,4 +1,4 @@
-"""Samples of a track that are no places of the ball: jumps to another thing, repeated pictures."""
+"""Outliers of a track: jumps to another thing, repeated pictures."""
 
 from __future__ import annotations
 
@@ -10,48 +10,32 @@ from numpy.typing import NDArray
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Signal
 
-_FEWEST = 15
-"""Samples of a track in which something may be left out."""
-
-_LONGEST = 8
-"""Samples that a tracker stays with another thing."""
-
+_MIN_COUNT = 15  # samples of a track in which something may be left out
+_MAX_LENGTH = 8  # samples that a tracker stays with another thing
+# Least size of a jump: in median steps of the samples around it, and in spans of the track.
 _JUMP, _JUMP_SPAN = 3.0, 0.1
-"""Least size of a jump: in median steps of the samples around it, and in spans of the track."""
 
-_BACK = 0.6
-"""Of a jump: how near to its beginning the way back ends."""
+_BACK = 0.6  # of a jump: how near to its beginning the way back ends
+_MAX = 0.2  # of all samples, that are left out as jumps
+_AROUND = 9  # samples before and behind, whose steps a step is compared with
+_MOVING = 0.02  # of the track's span, that it moves before and behind a repeated picture
+# Between repeated pictures: how many must be seen, and which part of them be multiples of one.
+_MIN_GAPS, _REGULAR = 3, 0.6
 
-_MOST = 0.2
-"""Of all samples, that are left out as jumps."""
-
-_AROUND = 9
-"""Samples before and behind, whose steps a step is compared with."""
-
-_MOVING = 0.02
-"""Of the track's span, that it moves before and behind a repeated picture."""
-
-_FEWEST_GAPS, _REGULAR = 3, 0.6
-"""Between repeated pictures: how many must be seen, and which part of them be multiples of one."""
-
-_LONGEST_CYCLE = 12
-"""Stamps from one repeated picture to the next."""
-
-_MOST_MISSING = 4
-"""Stamps of a film for each that was tracked."""
-
+_MAX_CYCLE = 12  # stamps from one repeated picture to the next
+_MAX_MISSING = 4  # stamps of a film for each that was tracked
+# Of the smaller step beside it: how far a tracker sees the same picture's ball from itself.
 _NEAR = 0.1
-"""Of the smaller step beside it: how far a tracker sees the same picture's ball from itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class BallAlone:
-    """A track without samples that are no places of the ball.
+    """Track without samples that are no places of the ball.
 
     Attributes:
         signal: what is left.
-        jumps_ns: stamps of what was left out as jumps, shape (J,).
-        words: what was left out, for a user.
+        jumps_ns: stamps of the jumps left out, shape (J,).
+        words: what was left out, for the user.
     """
 
     signal: Signal
@@ -60,14 +44,7 @@ class BallAlone:
 
 
 def ball_alone(signal: Signal) -> BallAlone | None:
-    """The track without jumps and, where it does not name metres, without repeated pictures.
-
-    Args:
-        signal: positions, shape (T, 3).
-
-    Returns:
-        None where nothing is left out.
-    """
+    """Remove jumps and, where no metres are named, repeats; None where nothing is left out."""
     steady = without_jumps(signal) or signal
     once = (None if signal.unit == "m" else without_repeats(steady)) or steady
     jumps_ns = np.setdiff1d(signal.stamps_ns, steady.stamps_ns)
@@ -81,13 +58,13 @@ def ball_alone(signal: Signal) -> BallAlone | None:
 
 
 def without_jumps(signal: Signal) -> Signal | None:
-    """The samples that are not far from both neighbours; None where all are, or too many are not.
+    """Remove samples that are far from both neighbours; None where none are, or too many.
 
     A tracker that takes another thing for the ball jumps there, stays for a few samples, and jumps
     back to near where the ball was.
     """
     values, count = signal.values, len(signal.values)
-    if count < _FEWEST:
+    if count < _MIN_COUNT:
         return None
     low, high = np.quantile(values, (0.02, 0.98), axis=0)
     least = _JUMP_SPAN * float(np.linalg.norm(high - low))
@@ -98,8 +75,8 @@ def without_jumps(signal: Signal) -> Signal | None:
     at = 0
     while at < len(far) - 1:
         away = far[at]
-        for back in far[at + 1 : at + 1 + _LONGEST]:
-            if back - away > _LONGEST:
+        for back in far[at + 1 : at + 1 + _MAX_LENGTH]:
+            if back - away > _MAX_LENGTH:
                 break
             missed = float(np.linalg.norm(values[back + 1] - values[away]))
             if missed < _BACK * min(sizes[away], sizes[back]):
@@ -107,15 +84,15 @@ def without_jumps(signal: Signal) -> Signal | None:
                 at = int(np.searchsorted(far, back))
                 break
         at += 1
-    return _kept(signal, ~left) if 0 < left.sum() <= _MOST * count else None
+    return _kept(signal, ~left) if 0 < left.sum() <= _MAX * count else None
 
 
 def without_repeats(signal: Signal) -> Signal | None:
-    """The samples that are not exactly where the one before is while the track moves.
+    """Remove samples that are exactly where the one before is while the track moves.
 
     A film that is played at another rate holds pictures twice. None where no sample is like that.
     """
-    if len(signal.values) < _FEWEST:
+    if len(signal.values) < _MIN_COUNT:
         return None
     low, high = np.quantile(signal.values, (0.02, 0.98), axis=0)
     sizes = np.linalg.norm(np.diff(signal.values, axis=0), axis=1)
@@ -130,10 +107,10 @@ def without_repeats(signal: Signal) -> Signal | None:
 
 
 def _even(signal: Signal, repeated: NDArray[np.bool_]) -> Signal | None:
-    """The pictures of a film that holds every so many twice, at even times; None if it does not.
+    """Retime a film that holds every so many pictures twice; None if it does not.
 
-    What holds 4 pictures in 5 stamps has taken them in 5/4 of a stamp's distance. The others of
-    its repeated pictures, which a tracker saw at two places or at rest, are told by that.
+    What holds 4 pictures in 5 stamps has taken them in 5/4 of a stamp's distance. That also finds
+    the other repeated pictures, which a tracker saw at two places or at rest.
     """
     stamps = signal.stamps_ns - signal.stamps_ns[0]
     step_ns = float(np.median(np.diff(stamps)))
@@ -141,11 +118,11 @@ def _even(signal: Signal, repeated: NDArray[np.bool_]) -> Signal | None:
     seen = numbers[repeated]
     gaps = np.diff(seen)
     is_film = np.abs(stamps - numbers * step_ns).max() < 0.1 * step_ns
-    is_film &= bool(np.diff(numbers).min() > 0 and numbers[-1] < _MOST_MISSING * len(numbers))
-    if len(gaps) < _FEWEST_GAPS or not is_film:
+    is_film &= bool(np.diff(numbers).min() > 0 and numbers[-1] < _MAX_MISSING * len(numbers))
+    if len(gaps) < _MIN_GAPS or not is_film:
         return None
-    fits = [np.count_nonzero(gaps % every == 0) for every in range(_LONGEST_CYCLE + 1) if every]
-    every = max(range(3, _LONGEST_CYCLE + 1), key=lambda one: (fits[one - 1], one))
+    fits = [np.count_nonzero(gaps % every == 0) for every in range(_MAX_CYCLE + 1) if every]
+    every = max(range(3, _MAX_CYCLE + 1), key=lambda one: (fits[one - 1], one))
     if fits[every - 1] < _REGULAR * len(gaps):
         return None
     regular = np.concatenate([[False], gaps % every == 0, [False]])
@@ -168,7 +145,7 @@ def _even(signal: Signal, repeated: NDArray[np.bool_]) -> Signal | None:
 
 
 def _medians(sizes: Array) -> Array:
-    """Of the steps around each, itself among them; shape (T - 1,)."""
+    """Return the median of the steps around each, itself among them; shape (T - 1,)."""
     padded = np.pad(sizes, _AROUND, mode="reflect")
     return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1), axis=1)
 

@@ -1,4 +1,4 @@
-"""The drop in a recorded track: which way is up, in which units, let go or thrown."""
+"""Drop in a recorded track: which way is up, in which units, let go or thrown."""
 
 from __future__ import annotations
 
@@ -31,38 +31,31 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import UNSTATED, Signal
 from tunenet_logs.errors import NotFoundError
 
+# What may be up, the likeliest first.
 _AXES = {
     f"{'+' if sign > 0 else '-'}{'xyz'[axis]}": sign * np.eye(3)[axis]
     for axis in (2, 1, 0)
     for sign in (1, -1)
 }
-"""What may be up, the likeliest first."""
 
-_FEWEST = 10
-"""Samples in which a bounce can be."""
+_MIN_COUNT = 10  # samples in which a bounce can be
+_FARTHEST = 1e6  # a coordinate beyond it is a marker for "none"
+# Of the drop height, and of gravity: a drop from rest that is farther off is looked at again.
+_MAX_EXCESS_PERCENT, _WITHIN_GRAVITY = 0.5, 0.05
 
-_FARTHEST = 1e6
-"""A coordinate beyond it is a marker for "none"."""
-
-_MOST_EXCESS_PERCENT, _WITHIN_GRAVITY = 0.5, 0.05
-"""Of the drop height, and of gravity: a drop from rest that is farther off is looked at again."""
-
-_LOWEST = 0.005
-"""Quantile of a recording's heights that no single bad sample moves."""
-
+_LOWEST = 0.005  # quantile of a recording's heights that no single bad sample moves
+# Of the drop height: beside others, a track that is farther off is no ball's.
 _NO_BALL_PERCENT = 5.0
-"""Of the drop height: beside others, a track that is farther off is no ball's."""
 
+# Of the drop height, and of the noise, below the contact: there it was not the table's.
 _SUNK, _SUNK_SDS = 0.03, 6.0
-"""Of the drop height, and of the noise, below the contact: there it was not the table's."""
 
-_UNSURE = 0.035
-"""Half width of an interval from which on a bounce of a thrown ball tells nothing."""
+_UNSURE = 0.035  # half width of an interval from which on a bounce of a thrown ball tells nothing
 
 
 @dataclass(frozen=True, eq=False)
 class PositionTrack:
-    """Positions of one thing, that may be a ball.
+    """Positions of one thing that may be a ball.
 
     Attributes:
         signal: positions in any unit.
@@ -77,7 +70,7 @@ class PositionTrack:
     ball: Ball
 
     def part(self, start_s: float | None, end_s: float | None) -> PositionTrack:
-        """The selected part [s since the first sample], without samples that hold no position.
+        """Select a part [s since the first sample], without samples that hold no position.
 
         Raises:
             NotFoundError: nothing is left.
@@ -94,7 +87,7 @@ class PositionTrack:
         return replace(self, signal=signal)
 
     def detect(self) -> DropDetection:
-        """The first drop, from rest if the ball moves like that, else the first free bounce.
+        """Detect the first drop, from rest if the ball moves like that, else the first free bounce.
 
         Raises:
             NotFoundError: there is none; the message says why.
@@ -119,7 +112,7 @@ class PositionTrack:
         return usual
 
     def _surely_free(self) -> DropDetection | None:
-        """As `_free`; where that does not move as found, without samples of other things."""
+        """Detect as `_free`; where that does not move as found, without samples of other things."""
         free = self._free()
         if free is not None and moves_as_found(free):
             return free
@@ -136,9 +129,9 @@ class PositionTrack:
         return replace(again, outliers=again.outliers + jumps, warnings=warnings)
 
     def _free(self) -> DropDetection | None:
-        """The drop by the gravity of the recording's own free flights; None where there is none."""
+        """Detect the drop by the gravity of the recording's own flights; None without any."""
         signal = self.signal
-        if not self.physical or len(signal.stamps_ns) < _FEWEST:
+        if not self.physical or len(signal.stamps_ns) < _MIN_COUNT:
             return None
         is_timed = signal.unit in ("m", UNSTATED) and not signal.counts_frames
         shared = gravity_in(signal.seconds, signal.values)
@@ -154,7 +147,7 @@ class PositionTrack:
         return best
 
     def _falling_with(self, gravity: Gravity) -> DropDetection | None:
-        """The drop by one gravity of the recording; None where there is none."""
+        """Detect the drop by one gravity of the recording; None where there is none."""
         signal = self.signal
         along = signal.values @ gravity.up
         chains = chains_in(signal.seconds, along, gravity.size, gravity.noise)
@@ -171,7 +164,7 @@ class PositionTrack:
         return found
 
     def _scaled_drop(self, scaled: Scaled, gravity: Gravity) -> DropDetection | None:
-        """The drop in a track of known scale: from rest if it moves like that, else launched."""
+        """Detect the drop in a track of known scale: from rest if it moves so, else launched."""
         track = replace(self, signal=scaled.signal)
         try:
             usual = track.from_rest(scaled.units, [(gravity.up_name, gravity.up)])
@@ -182,17 +175,15 @@ class PositionTrack:
         return track.launched(scaled.units, gravity, gravity.noise * scaled.size)
 
     def _usual_gravity(self) -> Gravity:
-        """Gravity along the axis on which the ball moves most, z if in doubt: flights are short."""
+        """Guess gravity along the axis of most motion, z if in doubt: flights are short."""
         spans = np.ptp(self.signal.values, axis=0) * np.array([0.5, 0.75, 1.0])
         up = np.eye(3)[int(spans.argmax())]
         return Gravity(GRAVITY_M_S2, up, noise_of(self.signal.values @ up))
 
     def from_rest(self, units: Units, ups: Iterable[tuple[str, Array]]) -> DropDetection:
-        """The first drop of a ball that was let go.
+        """Detect the first drop of a ball that was let go at rest.
 
-        Args:
-            units: of the log; this track's are metres and seconds.
-            ups: what may be up, by name, the likeliest first.
+        `units` are the log's, this track's metres and seconds; of `ups`, the likeliest comes first.
 
         Raises:
             NotFoundError: there is none.
@@ -222,7 +213,7 @@ class PositionTrack:
         raise first_reason or NotFoundError("the ball does not move", GOOD_DROP)
 
     def launched(self, units: Units, gravity: Gravity, noise_m: float) -> DropDetection | None:
-        """The first bounce between free flights that the fit explains; None without any."""
+        """Detect the first bounce between free flights that the fit explains; None without any."""
         signal, along = self.signal, self.signal.values @ gravity.up
         drops = launched_drops(self._seconds, along, GRAVITY_M_S2, noise_m)
         best: DropDetection | None = None
@@ -240,13 +231,13 @@ class PositionTrack:
 
     @property
     def _seconds(self) -> Array:
-        """Since the drop's clock began."""
+        """Seconds since the drop's clock began."""
         return (self.signal.stamps_ns - self.start_ns).astype(np.float64) * 1e-9
 
     def _detection(
         self, drops: list[Drop], units: Units, name: str, up: Array, whole: Signal
     ) -> DropDetection:
-        """The first of some drops, with what a user should know of it."""
+        """Build the detection of the first of some drops, with its warnings."""
         drop = replace(drops[0], scale_known=units.tell_speed)
         window = slice(drop.first, drop.first + len(drop.seconds) + drop.touching)
         warnings = [] if name == "+z" else [f"up is {name} in {whole.name}"]
@@ -272,30 +263,30 @@ class PositionTrack:
 
 
 def moves_as_found(detection: DropDetection) -> bool:
-    """Whether it falls with gravity onto a table, and the fit moves as it does."""
+    """Return whether it falls with gravity onto a table, and the fit moves as it does."""
     if not detection.physical:
         return detection.found.is_free
     if not _may_be(detection):
         return False
     apart = fit_excess_percent(detection)
     falls = detection.drop.gravity_m_s2 / GRAVITY_M_S2
-    return apart is not None and apart < _MOST_EXCESS_PERCENT and abs(falls - 1) < _WITHIN_GRAVITY
+    return apart is not None and apart < _MAX_EXCESS_PERCENT and abs(falls - 1) < _WITHIN_GRAVITY
 
 
 def is_something_else(detection: DropDetection) -> bool:
-    """Whether what was found moves so much otherwise than a ball that it is none."""
+    """Return whether what was found moves so unlike a ball that it is none."""
     apart = fit_excess_percent(detection) if detection.physical else 0.0
     return apart is None or apart > _NO_BALL_PERCENT
 
 
 def _excess(detection: DropDetection) -> float:
-    """How far the fit is off [% of the drop height]; infinite where there is none."""
+    """Return how far the fit is off [% of the drop height]; infinite where there is none."""
     apart = fit_excess_percent(detection)
     return np.inf if apart is None else apart
 
 
 def _may_be(detection: DropDetection) -> bool:
-    """Whether it falls about as bodies do, and never below where it bounced."""
+    """Return whether it falls about as bodies do, and never below where it bounced."""
     drop = detection.drop
     after_m = drop.heights_m[drop.seconds > drop.impact_s]
     lowest_m = drop.contact_m - _SUNK * drop.drop_height_m - _SUNK_SDS * drop.noise_m
@@ -303,7 +294,7 @@ def _may_be(detection: DropDetection) -> bool:
 
 
 def _why_not(detection: DropDetection) -> NotFoundError:
-    """Why what falls there is no drop."""
+    """Explain why what falls there is no drop."""
     drop = detection.drop
     if not drop.is_free:
         return NotFoundError(
@@ -322,7 +313,7 @@ _PART = "give --start and --end of a part in which the ball is seen, or leave th
 
 
 def _sideways(values: Array, up: Array) -> Array:
-    """Horizontal positions, shape (T, 2)."""
+    """Return the horizontal positions, shape (T, 2)."""
     axis = int(np.abs(up).argmax())
     if abs(up[axis]) == 1.0:
         return np.delete(values, axis, axis=1)

@@ -1,4 +1,4 @@
-"""The units of a recorded track: named, told by gravity, or not to be told.
+"""Units of a recorded track: named, inferred from gravity, or not to be determined.
 
 Restitution needs no unit and no clock, because a bounce is one curve in drop heights and fall
 times. Gravity tells more: what falls with 9,810 is in mm, with 981 in cm, with 386 in inches; with
@@ -17,24 +17,24 @@ from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import FRAME_NS, UNSTATED, Signal
 
+# Of lengths, and their metres, the likeliest first.
 _UNITS = (("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("ft", 0.3048), ("in", 0.0254))
-"""Of lengths, and their metres, the likeliest first."""
 
+# Units in which times may be that were taken as seconds.
 _CLOCKS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("min", 60.0))
-"""Units in which times may be that were taken as seconds."""
 
+# Fraction that a fall's acceleration may be off gravity for its unit to be known: the air.
 _NEAR = 0.12
-"""Fraction that a fall's acceleration may be off gravity for its unit to be known: the air."""
 
+# Of what records a ball; another rate that gravity would tell is a wrong unit's.
 _RATES_HZ = (5.0, 50_000.0)
-"""Of what records a ball; another rate that gravity would tell is a wrong unit's."""
 
+# A drop of which neither unit nor rate is known is simulated as one of this height.
 _NOMINAL_DROP_M = 1.0
-"""A drop of which neither unit nor rate is known is simulated as one of this height."""
 
 
 def units_words(units: Units) -> str:
-    """What was found out of the units, for a user; "" where all was named."""
+    """Describe the units that were inferred, for a user; "" where all was named."""
     if units.doubt:
         return ""
     parts: list[str] = []
@@ -51,14 +51,14 @@ def units_words(units: Units) -> str:
 
 
 def named_units(signal: Signal) -> Units:
-    """Those of a signal in metres, by its own clock."""
+    """Return the units of a signal in metres, by its own clock."""
     by = "named" if signal.unit == "m" else "gravity"
     return Units(1.0, by, signal.rate_hz, "clock")
 
 
 @dataclass(frozen=True, eq=False)
 class Scaled:
-    """A track in metres and seconds, as far as these can be known.
+    """Track in metres and seconds, as far as these can be known.
 
     Attributes:
         signal: its values in m, its stamps in ns from the same first stamp.
@@ -72,7 +72,7 @@ class Scaled:
 
 
 def scaled_by_gravity(signal: Signal, gravity: Gravity, height: float) -> Scaled:
-    """A track in units in which it falls with the gravity of the earth.
+    """Scale a track to units in which it falls with the gravity of the earth.
 
     Args:
         signal: positions in any unit.
@@ -99,13 +99,13 @@ def scaled_by_gravity(signal: Signal, gravity: Gravity, height: float) -> Scaled
 
 
 def scaled_alone(signal: Signal, gravity: Gravity) -> Scaled:
-    """A track whose unit nothing tells, by its own clock: of pixels, or of a scale."""
+    """Scale a track whose unit cannot be determined, by its own clock: of pixels, or of a scale."""
     ratio = GRAVITY_M_S2 / gravity.size
     return _scaled(signal, ratio, 1.0, Units(None, None, signal.rate_hz, "clock"))
 
 
 def _with_rate_by_gravity(signal: Signal, ratio: float, height: float) -> Scaled:
-    """Of a track that counts frames: stamps are of 1e9 / FRAME_NS frames a second."""
+    """Infer the rate of a track that counts frames, 1e9 / FRAME_NS of them a second."""
     if signal.unit == "m":
         stretch = float(np.sqrt(1 / ratio))  # true seconds in one of the stamps
         rate_hz = 1e9 / FRAME_NS / stretch
@@ -118,7 +118,7 @@ def _with_rate_by_gravity(signal: Signal, ratio: float, height: float) -> Scaled
 
 
 def _contradicted(signal: Signal, ratio: float, near: tuple[str, float] | None) -> Scaled:
-    """A track in "metres" that does not fall as metres do."""
+    """Scale a track in "metres" that does not fall as metres do."""
     rate_hz = signal.rate_hz
     falls = f"falls with {GRAVITY_M_S2 / ratio:.4g} m/s²"
     if near is not None:
@@ -138,7 +138,7 @@ def _contradicted(signal: Signal, ratio: float, near: tuple[str, float] | None) 
 
 
 def _scaled(signal: Signal, size: float, stretch: float, units: Units) -> Scaled:
-    """Values times `size`, times since the first stamp times `stretch`."""
+    """Multiply values by `size`, and times since the first stamp by `stretch`."""
     stamps_ns = signal.stamps_ns
     if stretch != 1.0 and len(stamps_ns):
         since: Array = (stamps_ns - stamps_ns[0]).astype(np.float64) * stretch

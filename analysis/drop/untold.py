@@ -1,4 +1,4 @@
-"""What a log does not tell of a ball, in words: slope and drag that only their priors say."""
+"""Parameters that a log cannot determine: slope and drag that only their priors say."""
 
 from __future__ import annotations
 
@@ -6,21 +6,16 @@ import numpy as np
 
 from analysis.drop.bounce_posterior import BallPosterior
 
-SLOPE_AND_DRAG = 2
-"""Index of the last of the parameters that this is about, in the task's order."""
-
-_TRADE = 0.9
-"""Correlation of slope and drag from which on these trade places."""
-
+SLOPE_AND_DRAG = 2  # index of the last of the parameters that this is about, in the task's order
+_TRADE = 0.9  # correlation of slope and drag from which on these trade places
+# Fraction of a prior's width that a log has to take away, or it tells little of a parameter.
 _TOLD = 0.5
-"""Fraction of a prior's width that a log has to take away, or it tells little of a parameter."""
 
-_MOST_COUNTED = 6
-"""Flights; more have other reasons than their number."""
+_MAX_COUNTED = 6  # flights; more have other reasons than their number
 
 
 def untold(posterior: BallPosterior) -> tuple[str, ...]:
-    """One sentence for each thing that the samples leave to the priors."""
+    """Return one sentence for each parameter that the samples leave to its prior."""
     unknown = [
         name for name, told in zip(("slope", "drag"), posterior.told, strict=True) if told < _TOLD
     ]
@@ -39,11 +34,11 @@ def untold(posterior: BallPosterior) -> tuple[str, ...]:
 
 
 def _seen(posterior: BallPosterior) -> str:
-    """How many flights the fit has, the one that is cut off too."""
+    """Describe how many flights the fit has, the one that is cut off too."""
     fit = posterior.fit
     seconds = fit.samples.seconds
     count = len(fit.projection().impacts(float(seconds[-1]))) if len(seconds) else 0
-    if not 0 < count <= _MOST_COUNTED:
+    if not 0 < count <= _MAX_COUNTED:
         return f"their correlation is {np.round(posterior.correlation, 2):+.2f}"
     words = ("one flight", "two flights", "three flights", "four flights", "five flights")
     return words[count - 1] if count <= len(words) else f"{count} flights"

@@ -1,1 +1,1 @@
-"""Methods that tune a simulator to a target, all behind `Estimator`."""
+"""Estimators that tune a simulator to a target, all behind `Estimator`."""

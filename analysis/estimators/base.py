@@ -1,4 +1,4 @@
-"""Problem, Estimator, Trace: what every method is given and what it returns."""
+"""Problem, Estimator, Trace: the interface of every estimation method."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from tunenet_logs.errors import UsageError
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """The paper's o: a curve on a fixed grid, which a network or a cost looks at.
+    """The paper's o: a curve on a fixed grid, input of a network or a cost.
 
     Attributes:
         values: float64, shape (L, C); NaN where the episode shows nothing.
-        axis: the L points of the grid, increasing.
-        axis_name: what the axis is, with its unit.
-        value_names: what the C channels are, with their units.
+        axis: The L points of the grid, increasing.
+        axis_name: What the axis is, with its unit.
+        value_names: What the C channels are, with their units.
 
     Raises:
-        ValueError: shapes disagree.
+        ValueError: Shapes disagree.
     """
 
     values: Array
@@ -44,22 +44,13 @@ class Observation:
 
 
 def resample(axis: Array, values: Array, wanted: Array) -> Array:
-    """Linear interpolation at `wanted`, NaN outside (Resample of algorithm 1).
-
-    Args:
-        axis: shape (T,), increasing.
-        values: shape (T,).
-        wanted: shape (L,).
-
-    Returns:
-        Shape (L,).
-    """
+    """Interpolate linearly at `wanted`, shape (L,); NaN outside (Resample of algorithm 1)."""
     return np.interp(wanted, axis, values, left=np.nan, right=np.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """One rollout of the simulator and what an observer sees of it."""
+    """One rollout of the simulator and its observation."""
 
     episode: Episode
     observation: Observation
@@ -67,13 +58,13 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class ExtraEstimate:
-    """A quantity that an exact fit finds beside the tuned parameters, where the log allows it.
+    """Quantity that an exact fit identifies beside the tuned parameters.
 
     Attributes:
-        name: the field's standard term, e.g. "payload_com".
-        unit: of all its numbers.
-        values: shape (C,).
-        interval95: lower and upper end for each, shape (C, 2).
+        name: The field's standard term, e.g. "payload_com".
+        unit: Of all its numbers.
+        values: Shape (C,).
+        interval95: Lower and upper end for each, shape (C, 2).
     """
 
     name: str
@@ -84,14 +75,14 @@ class ExtraEstimate:
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """What an experiment's exact fit finds.
+    """Result of an experiment's exact fit.
 
     Attributes:
-        values: of the tuned parameters, shape (P,).
-        interval95: lower and upper end for each, shape (P, 2).
-        extra: what else it finds.
-        detail: the fit itself, for the experiment's own checks and review.
-        path: values on the way, each of shape (P,) or more, where it goes step by step.
+        values: Of the tuned parameters, shape (P,).
+        interval95: Lower and upper end for each, shape (P, 2).
+        extra: Other quantities that were identified.
+        detail: The fit itself, for the experiment's own checks and review.
+        path: Iterates, each of shape (P,) or more, if the fit is iterative.
     """
 
     values: Array
@@ -102,22 +93,21 @@ class FitResult:
 
 
 class Problem:
-    """A target to match, a simulator to match it with, and an exact fit where there is one.
+    """Target to match, simulator to match it with, and an exact fit where there is one.
 
     Args:
-        target: o_T, what is to be matched.
+        target: o_T, the observation to match.
         simulator: f, set up like the target's rig.
-        observe: z_P, what an observer sees of a rollout; comparable with `target`.
-        initial: the P values that the estimation starts from, of the simulator's first P
-            parameters; the others stay as the simulator has them.
-        residual_units: one unit of a network's answer in each parameter's unit, shape (P,); all 1
-            if None.
-        exact_fit: from P starting values to the parameters that explain every sample best; it
-            returns None where the log shows too little. None where no such fit exists.
-        train: trains a network for this problem alone; None where one is shipped, or none exists.
+        observe: z_P, from a rollout to an observation comparable with `target`.
+        initial: Initial values of the simulator's first P parameters; the others stay as the
+            simulator has them.
+        residual_units: Unit of a network's output in each parameter's unit, shape (P,); None for 1.
+        exact_fit: Maps P starting values to the parameters that explain every sample best, or to
+            None if the log shows too little. None if no such fit exists.
+        train: Trains a network for this problem alone; None if one is shipped, or none exists.
 
     Raises:
-        UsageError: an initial value is missing, not finite or out of bounds.
+        UsageError: An initial value is missing, not finite or out of bounds.
     """
 
     def __init__(
@@ -151,7 +141,7 @@ class Problem:
         self._observe = observe
 
     def evaluate(self, values: Array) -> Evaluation:
-        """Run the simulator at `values`, shape (P,) or (S,), and observe it."""
+        """Roll out the simulator at `values`, shape (P,) or (S,), and observe it."""
         names = [parameter.name for parameter in self.parameters]
         settings: Mapping[str, float] = dict(zip(names, map(float, values), strict=True))
         self.rollouts += 1
@@ -159,27 +149,27 @@ class Problem:
         return Evaluation(episode, self._observe(episode))
 
     def misfit(self, evaluation: Evaluation) -> Array:
-        """Simulated less observed, shape (L * C,); 0 where either shows nothing."""
+        """Return the residual, simulated less observed, shape (L * C,); 0 where undefined."""
         difference = evaluation.observation.values - self.target.values
         return np.where(np.isfinite(difference), difference, 0.0).ravel()
 
     @property
     def searched(self) -> tuple[Parameter, ...]:
-        """What a search by trial varies: S, the P parameters first, then what else is unsure."""
+        """Parameters that a search varies: S, the P parameters first, then uncertain others."""
         return self.parameters
 
     @property
     def ranges(self) -> Array:
-        """Where it looks: the smallest and the largest value of each, shape (S, 2)."""
+        """Bounds of the search, shape (S, 2)."""
         return np.array([parameter.bounds for parameter in self.searched])
 
     @property
     def start(self) -> Array:
-        """Where it begins, shape (S,): `initial`, and guesses of what else is unsure."""
+        """Start of the search, shape (S,): `initial`, and guesses of uncertain others."""
         return self.initial
 
     def clamp(self, values: Array) -> Array:
-        """The nearest values within physical bounds, shape (P,) or (S,)."""
+        """Clip values to the physical bounds, shape (P,) or (S,)."""
         bounds = [parameter.bounds for parameter in self.searched[: len(values)]]
         low, high = np.array(bounds).T
         return np.clip(values, low, high)
@@ -190,9 +180,9 @@ class Step:
     """One iterate: the method's answer after a number of rollouts.
 
     Attributes:
-        values: shape (P,).
-        rollouts: simulator runs that led to it.
-        evaluation: its own rollout, where the method made one.
+        values: Shape (P,).
+        rollouts: Simulator runs that led to it.
+        evaluation: Its own rollout, if the method made one.
     """
 
     values: Array
@@ -202,11 +192,11 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The iterates of one estimation, the initial guess first, by increasing rollouts.
+    """Iterates of one estimation, the initial guess first, by increasing rollouts.
 
     Attributes:
-        fit: the exact fit whose values the last step has; None where no fit ended it.
-        method: where less was done than the estimator's name says; "" for all of it.
+        fit: The exact fit whose values the last step has; None if no fit ended it.
+        method: Name of what was done, if less than the estimator's name says; else "".
     """
 
     steps: tuple[Step, ...]
@@ -215,21 +205,21 @@ class Trace:
 
     @property
     def estimate(self) -> Array:
-        """The last iterate, shape (P,)."""
+        """Last iterate, shape (P,)."""
         return self.steps[-1].values
 
     def after(self, rollouts: int) -> Array:
-        """The answer to whoever pays for this number of rollouts, shape (P,)."""
+        """Return the estimate after at most this number of rollouts, shape (P,)."""
         return [step for step in self.steps if step.rollouts <= rollouts][-1].values
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a method may be built from.
+    """Arguments that a method may be built from.
 
     Attributes:
-        model: the network for the task and preset; None for a method that uses none.
-        seed: of the methods that draw.
+        model: The network for the task and preset; None for a method that uses none.
+        seed: Of the stochastic methods.
     """
 
     model: Model | None = None
@@ -237,7 +227,7 @@ class Setup:
 
 
 class Estimator(ABC):
-    """A method: from a problem to a trace of iterates."""
+    """Estimation method: from a problem to a trace of iterates."""
 
     name: str
     """What it is called on the command line and in tables."""
@@ -256,7 +246,7 @@ class Estimator(ABC):
 
     @classmethod
     def build(cls, setup: Setup) -> Estimator:  # noqa: ARG003 (most methods need nothing)
-        """The method as `--method` offers it."""
+        """Build the method as `--method` offers it."""
         return cls()
 
     @abstractmethod
@@ -264,8 +254,8 @@ class Estimator(ABC):
         """Spend at most `rollouts` on the problem.
 
         Returns:
-            An answer for every count of rollouts at which there is a new one; the first for none.
+            A step for every count of rollouts at which the answer changed, the first at none.
 
         Raises:
-            NotFoundError: the method does not fit the problem; the message says why.
+            NotFoundError: The method does not fit the problem; the message says why.
         """

@@ -1,4 +1,4 @@
-"""Brent's method on the cost: what a user tries first with one parameter."""
+"""Brent's method on the cost: a baseline for one parameter."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ _CLOSE = 1e-6
 
 
 class Brent(Estimator):
-    """Golden sections and parabolas over the range; one parameter.
+    """Bounded Brent search (golden section and parabolic steps) over one parameter's range.
 
-    It has no use for the initial guess. It finds one local minimum of the cost, of which there are
-    dozens.
+    It ignores the initial guess, and finds one local minimum of the cost: there are dozens.
     """
 
     name = "brent"
     takes_one_parameter = True
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """The best place so far; see `Estimator.estimate`."""
+        """Return the best rollout so far; see `Estimator.estimate`."""
         from scipy.optimize import minimize_scalar
 
         check_one_parameter(problem, self.name)

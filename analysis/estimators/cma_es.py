@@ -1,4 +1,4 @@
-"""CMA-ES (Hansen 2016) with the parameters in shares of their ranges: a user's second opinion."""
+"""CMA-ES (Hansen 2016) with the parameters scaled to their ranges: a baseline."""
 
 from __future__ import annotations
 
@@ -8,21 +8,19 @@ from analysis.estimators.base import Estimator, Problem, Setup, Trace
 from analysis.estimators.search import Search
 from analysis.optional_dependencies import needed
 
-_SIGMA = 0.3
-"""Of each range, around the initial guess."""
-
-_LEAST_DIMENSIONS = 2
-"""Of pycma; one parameter gets a second coordinate beside it, on which nothing depends."""
+_SIGMA = 0.3  # of each range, around the initial guess
+# Of pycma; one parameter gets a second coordinate beside it, on which nothing depends.
+_MIN_DIMENSIONS = 2
 
 
 class ScaledCmaEs(Estimator):
-    """pycma on the L2 norm of the misfit, from the initial guess, which is looked at first.
+    """CMA-ES on the L2 norm of the residual, from the initial guess, which is evaluated first.
 
-    Populations are pycma's, and so is what keeps them within the ranges. The answer is the best
-    place visited; a budget's remainder is spent on part of a generation.
+    Population size and bounds handling are pycma's. The answer is the best rollout; a budget's
+    remainder is spent on part of a generation.
 
     Args:
-        seed: of its sampling.
+        seed: Of its sampling.
     """
 
     name = "cma-es"
@@ -36,7 +34,7 @@ class ScaledCmaEs(Estimator):
         return cls(setup.seed)
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """The best place so far; see `Estimator.estimate`."""
+        """Return the best rollout so far; see `Estimator.estimate`."""
         search = Search(problem, rollouts)
         return search.run(lambda: self._optimize(search, problem))
 
@@ -46,7 +44,7 @@ class ScaledCmaEs(Estimator):
         count = len(problem.searched)
         rng = np.random.default_rng(self._seed)
         low, high = problem.ranges.T
-        shares = np.full(max(count, _LEAST_DIMENSIONS), 0.5)
+        shares = np.full(max(count, _MIN_DIMENSIONS), 0.5)
         shares[:count] = (problem.start - low) / (high - low)
         options = {
             "bounds": [0.0, 1.0],

@@ -1,4 +1,4 @@
-"""Least squares from many starts: what a user tries who has heard of local minima."""
+"""Multi-start trust-region least squares: a baseline."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from tunenet_logs.arrays import Array
 
 
 class LeastSquares(Estimator):
-    """scipy's trust-region least squares on the misfit, from one start after another.
+    """Trust-region reflective least squares (scipy) on the residual, from one start after another.
 
     The first start is the initial guess; the others spread evenly over the ranges. Rollouts for
     derivatives are charged like any other.
 
     Args:
-        step: of the finite differences, relative to a parameter's size. A narrow one measures the
-            slope of the local minimum it lies in, one of dozens; one wider than those measures the
-            slope of what they ride on, which leads further.
+        step: Relative step of the finite differences. A narrow one measures the slope of the local
+            minimum it lies in, one of dozens; one wider than those measures the underlying slope,
+            which leads further.
     """
 
     name = "least-squares"
@@ -29,7 +29,7 @@ class LeastSquares(Estimator):
         self._step = step
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """The best place so far; see `Estimator.estimate`."""
+        """Return the best rollout so far; see `Estimator.estimate`."""
         search = Search(problem, rollouts)
         return search.run(lambda: self._optimize(search, problem))
 
@@ -44,7 +44,7 @@ class LeastSquares(Estimator):
 
 
 def _starts(first: Array, ranges: Array) -> Iterator[Array]:
-    """The first one, then 1/2, 1/4, 3/4, 1/8, ... of the way from low to high, without end."""
+    """Yield the first start, then 1/2, 1/4, 3/4, 1/8, ... of the ranges (van der Corput)."""
     yield first
     low, high = ranges.T
     index = 1
@@ -54,7 +54,7 @@ def _starts(first: Array, ranges: Array) -> Iterator[Array]:
 
 
 def _reversed_bits(index: int) -> float:
-    """The bits of an index mirrored at the point: 1, 2, 3, ... gives 1/2, 1/4, 3/4, ..."""
+    """Return the van der Corput radical inverse in base 2: 1, 2, 3 gives 1/2, 1/4, 3/4."""
     value, share = 0.0, 0.5
     while index:
         value += share * (index & 1)

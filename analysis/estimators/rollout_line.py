@@ -1,10 +1,10 @@
-"""Straight lines through two rollouts, after the network's steps or without; then a local search.
+"""Secant steps through pairs of rollouts, after the network's steps or without; then local search.
 
 The network finds the basin of a cost that has dozens of them, in two steps. Near the target the
-misfit is a straight line in the parameter, at first: the ball's first flight is exactly that, and
-each later impact bends it. So a line through two rollouts, fitted to the longest beginning of the
-episode that it explains to within the noise, lands on the target without a single rollout more.
-What is spent beyond that scans the neighbourhood and ends with Brent's method.
+residual is linear in the parameter, at first: the ball's first flight is exactly that, and each
+later impact bends it. So a line through two rollouts, fitted to the longest beginning of the
+episode that it explains to within the noise, lands on the target without another rollout.
+The rest of the budget scans the neighbourhood and ends with Brent's method.
 """
 
 from __future__ import annotations
@@ -21,44 +21,38 @@ from analysis.statistics import noise_of
 from analysis.tunenet.network import Model
 from tunenet_logs.arrays import Array
 
+# Rollouts: two steps reach the basin; where eight lines do not end, more of them will not.
 _NETWORK_STEPS, _LINE_STEPS = 2, 8
-"""Rollouts: two steps reach the basin; where eight lines do not end, more of them will not."""
 
+# Points of the local scan, and its half width in standard errors of the last line.
 _SCAN, _SCAN_SDS = 13, 4.0
-"""Points of the local scan, and its half width in standard errors of the last line."""
 
-_LEAST_REACH, _BLIND_REACH = 1e-4, 0.03
-"""Half width of the scan [parameter]: at least, and where no line was found."""
+# Half width of the scan [parameter]: at least, and where no line was found.
+_MIN_REACH, _BLIND_REACH = 1e-4, 0.03
 
-_FEWEST = 4
-"""Samples that a line needs: twice its unknowns."""
-
-_PROBE = 0.01
-"""Step [parameter] to a second point: inside the basin, and well above rounding."""
-
+_MIN_COUNT = 4  # samples that a line needs: twice its unknowns
+_PROBE = 0.01  # step [parameter] to a second point: inside the basin, and well above rounding
+# Standard errors within which longer beginnings must agree with shorter ones (Lepski's rule).
 _CONSISTENT_SDS = 3.0
-"""Standard errors within which longer beginnings must agree with shorter ones (Lepski's rule)."""
 
+# With 16 samples or more, chance hardly leaves a third of the noise's variance.
 _ENOUGH, _CHANCE = 16, 3.0
-"""With 16 samples or more, chance hardly leaves a third of the noise's variance."""
 
-_SAME = 1e-10
-"""Differences [parameter, or of a curve] below it are rounding."""
+_SAME = 1e-10  # differences [parameter, or of a curve] below it are rounding
 
 
-Visit = tuple[float, Array]
-"""A value and the misfit of its rollout."""
+Visit = tuple[float, Array]  # a value and the misfit of its rollout
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Where a straight line through two rollouts meets the target.
+    """Secant through two rollouts, solved for the target.
 
     Attributes:
-        value: the parameter there.
-        sd: its standard error.
-        samples: length of the beginning of the episode that was fitted; 0 where none was.
-        before: the rollout that it starts from.
+        value: The parameter there.
+        sd: Its standard error.
+        samples: Length of the beginning of the episode that was fitted; 0 if none was.
+        before: The rollout that it starts from.
     """
 
     value: float
@@ -68,10 +62,10 @@ class Line:
 
 
 class RolloutLine(Estimator):
-    """Straight lines through two rollouts, for one parameter.
+    """Secant steps through two rollouts, for one parameter.
 
     Args:
-        model: the network that takes the first steps; None to start without one.
+        model: The network that takes the first steps; None to start without one.
     """
 
     name = "line"
@@ -104,14 +98,14 @@ class RolloutLine(Estimator):
             if k >= network_steps and line is None:
                 break
         if rollouts > problem.rollouts:
-            reach = max(_SCAN_SDS * line.sd, _LEAST_REACH) if line else _BLIND_REACH
+            reach = max(_SCAN_SDS * line.sd, _MIN_REACH) if line else _BLIND_REACH
             search = Search(problem, rollouts, least=_cost(_best(visited)))
             steps += _local_search(search, problem, values, reach)
         return Trace(tuple(steps))
 
 
 class TuneNetThenLine(RolloutLine):
-    """Two of TuneNet's steps, then straight lines through two rollouts, for one parameter."""
+    """Two of TuneNet's steps, then secant steps, for one parameter."""
 
     name = "tunenet+line"
     uses_network = True
@@ -135,7 +129,7 @@ def _best(visited: list[Visit]) -> Visit:
 
 
 def _next(visited: list[Visit], line: Line | None, problem: Problem) -> Line | None:
-    """Where to look next: half way back from a place that the last line led to in vain."""
+    """Choose the next line: half way back if the last one increased the residual."""
     if line is not None and line.samples:
         here, before = visited[-1], line.before
         size = [float(np.linalg.norm(misfit[: line.samples])) for _, misfit in (here, before)]
@@ -147,18 +141,18 @@ def _next(visited: list[Visit], line: Line | None, problem: Problem) -> Line | N
 
 
 def line_through(visited: list[Visit], problem: Problem) -> Line | None:
-    """The line through the last rollout and the one nearest to it in the parameter.
+    """Fit the secant through the last rollout and the one nearest to it in the parameter.
 
-    Least squares of misfit + slope x change = 0 over the first n samples, for the largest n whose
+    Least squares of residual + slope x change = 0 over the first n samples, for the largest n whose
     answer is within 3 standard errors of every shorter beginning's (Lepski's rule): where the line
     bends, longer beginnings contradict shorter ones.
 
     Args:
-        visited: value and misfit of each rollout so far, shape (L * C,).
-        problem: for the target, whose noise is estimated by its third differences.
+        visited: Value and residual of each rollout so far, shape (L * C,).
+        problem: For the target, whose noise is estimated by its third differences.
 
     Returns:
-        None where two rollouts do not differ, or too little moves.
+        None if two rollouts do not differ, or too little moves.
     """
     here, misfit = visited[-1]
     others = [one for one in visited[:-1] if abs(one[0] - here) > _SAME]
@@ -167,7 +161,7 @@ def line_through(visited: list[Visit], problem: Problem) -> Line | None:
     there, other = min(others, key=lambda one: abs(one[0] - here))
     slope = (misfit - other) / (here - there)
     count = np.cumsum(np.abs(slope) > _SAME, dtype=np.intp)
-    usable = np.flatnonzero(count >= _FEWEST)
+    usable = np.flatnonzero(count >= _MIN_COUNT)
     if not len(usable):
         return None
     power = np.cumsum(slope * slope)[usable]
@@ -183,20 +177,14 @@ def line_through(visited: list[Visit], problem: Problem) -> Line | None:
 
 
 def _probe(visit: Visit, problem: Problem) -> Line:
-    """A place near by, where all rollouts so far were one: it makes a line with them."""
+    """Return a nearby value, for a second rollout where all so far were one."""
     here = visit[0]
     beside = float(problem.clamp(np.array([here + _PROBE]))[0])
     return Line(beside if beside > here else here - _PROBE, _PROBE, 0, visit)
 
 
 def _noise_variance(problem: Problem, left: Array, count: NDArray[np.intp]) -> float:
-    """Of a sample of the target: by its third differences, or less where a line leaves less.
-
-    Args:
-        problem: for the target.
-        left: mean square of what the line leaves of each beginning.
-        count: samples that moved in each.
-    """
+    """Estimate the noise variance by third differences, or less if a line leaves less."""
     columns = problem.target.values.T
     seen = [column[np.isfinite(column)] for column in columns]
     noise = float(np.mean([noise_of(one) ** 2 for one in seen]))
@@ -205,7 +193,7 @@ def _noise_variance(problem: Problem, left: Array, count: NDArray[np.intp]) -> f
 
 
 def _local_search(search: Search, problem: Problem, values: Array, reach: float) -> list[Step]:
-    """Scan `reach` to either side, then Brent's method about the best place."""
+    """Scan `reach` to either side, then run Brent's method about the best value."""
     from scipy.optimize import minimize_scalar
 
     def cost(value: float) -> float:

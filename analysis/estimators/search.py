@@ -1,4 +1,4 @@
-"""What every search by trial has in common: a cost, a budget, the best place so far."""
+"""Budgeted black-box search: cost, rollout budget, best value so far."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ class _Spent(Exception):  # noqa: N818 (it ends a search; nothing is wrong)
 
 
 class Search:
-    """Rollouts of one problem, each charged; the answer is the best of them, or what is told.
+    """Rollouts of one problem, each charged to a budget, with the best of them or the last answer.
 
-    An optimizer of somebody else's calls `cost` or `misfit` as it likes; `run` ends it when the
-    budget is spent.
+    An external optimizer calls `cost` or `misfit` freely; `run` ends it when the budget is spent.
 
     Args:
-        problem: what to match.
-        rollouts: most rollouts to spend.
-        keep_best: the answer is the best place so far; else the last one given to `answer`.
-        least: smallest cost of what was looked at before.
+        problem: The problem to match.
+        rollouts: Maximum number of rollouts.
+        keep_best: Whether the answer is the best rollout; else the last one given to `answer`.
+        least: Smallest cost of earlier rollouts.
     """
 
     def __init__(
@@ -40,24 +39,24 @@ class Search:
         self._steps = [Step(problem.initial, 0)]
 
     def run(self, optimize: Callable[[], object]) -> Trace:
-        """Let an optimizer search until it is done or the budget is spent."""
+        """Run an optimizer until it is done or the budget is spent."""
         with suppress(_Spent):
             optimize()
         return Trace(tuple(self._steps))
 
     @property
     def spent(self) -> int:
-        """Rollouts so far."""
+        """Number of rollouts so far."""
         return self._problem.rollouts
 
     @property
     def left(self) -> int:
-        """Rollouts that may still be made."""
+        """Number of rollouts left."""
         return max(0, self._rollouts - self._problem.rollouts)
 
     @property
     def least(self) -> float:
-        """The smallest cost so far; infinite before the first rollout."""
+        """Smallest cost so far; infinite before the first rollout."""
         return self._least
 
     def evaluate(self, values: Array) -> Evaluation:
@@ -75,25 +74,25 @@ class Search:
         return evaluation
 
     def misfit(self, values: Array) -> Array:
-        """See `Problem.misfit`, at `values` of shape (P,) or (S,)."""
+        """Return `Problem.misfit` at `values` of shape (P,) or (S,)."""
         return self._problem.misfit(self.evaluate(values))
 
     def cost(self, values: Array) -> float:
-        """The L2 norm of the misfit at `values`."""
+        """Return the L2 norm of the residual at `values`."""
         return float(np.linalg.norm(self.misfit(values)))
 
     def answer(self, values: Array) -> None:
-        """What the optimizer would say now, shape (P,); a step of the trace where it is new."""
+        """Append the optimizer's present answer, shape (P,), to the trace if it is new."""
         values = self._problem.clamp(np.atleast_1d(np.asarray(values, dtype=np.float64)))
         if not np.array_equal(values, self._steps[-1].values):
             self._steps.append(Step(values, self._problem.rollouts))
 
 
 def check_one_parameter(problem: Problem, method: str) -> Parameter:
-    """The problem's only parameter.
+    """Return the problem's only parameter.
 
     Raises:
-        NotFoundError: it has several.
+        NotFoundError: It has several.
     """
     if len(problem.parameters) != 1:
         names = ", ".join(parameter.name for parameter in problem.parameters)

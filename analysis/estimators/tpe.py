@@ -1,4 +1,4 @@
-"""A tree-structured Parzen estimator (Bergstra et al. 2011): a user's all-purpose tuner."""
+"""Tree-structured Parzen estimator (Bergstra et al. 2011): a baseline."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from analysis.optional_dependencies import needed
 
 
 class Tpe(Estimator):
-    """optuna's sampler on the cost, over the ranges, the initial guess first.
+    """optuna's TPE sampler on the cost, over the ranges, the initial guess first.
 
     Args:
-        seed: of its sampling.
+        seed: Of its sampling.
     """
 
     name = "tpe"
@@ -27,7 +27,7 @@ class Tpe(Estimator):
         return cls(setup.seed)
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """The best place so far; see `Estimator.estimate`."""
+        """Return the best rollout so far; see `Estimator.estimate`."""
         search = Search(problem, rollouts)
         return search.run(lambda: self._optimize(search, problem))
 

@@ -9,14 +9,13 @@ from analysis.tunenet.network import Model
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-_MOST_SHOWN = 5
-"""Steps of a fit that goes step by step, of which each has a rollout to be shown."""
+_MAX_SHOWN = 5  # steps of a fit that goes step by step, of which each has a rollout to be shown
 
 
 class TuneNet(Estimator):
-    """Adds the network's estimate of the parameter residual, K times (eq. 5), within bounds.
+    """Iterative residual tuning: K times the network's estimate of the residual (eq. 5), in bounds.
 
-    Resample is part of the observations: both functions give them on the same axis.
+    Resample is part of the observations, which share one axis.
     """
 
     name = "tunenet"
@@ -31,7 +30,7 @@ class TuneNet(Estimator):
         return cls(setup.model)
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """One rollout an iteration; see `Estimator.estimate`."""
+        """Spend one rollout per iteration; see `Estimator.estimate`."""
         model = self._model or (problem.train and problem.train())
         assert model is not None
         values = problem.initial
@@ -47,13 +46,13 @@ class TuneNet(Estimator):
 
 
 class ExactFit(Estimator):
-    """Fits the closed-form model to every sample, from the middle of the parameters' ranges."""
+    """Closed-form model fitted to every sample, from the middle of the parameters' ranges."""
 
     name = "fit"
     takes_steps = False
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
-        """No rollout; see `Estimator.estimate`."""
+        """Fit without a rollout; see `Estimator.estimate`."""
         trace = fitted(Trace((Step(problem.initial, problem.rollouts),)), problem)
         if trace.fit is None:
             raise NotFoundError("the log shows too little for the exact fit; try --method tunenet")
@@ -66,22 +65,22 @@ class TuneNetThenFit(TuneNet):
     name = "tunenet+refine"
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """All rollouts are the network's; see `Estimator.estimate`."""
+        """Spend all rollouts on the network, then fit; see `Estimator.estimate`."""
         trace = fitted(super().estimate(problem, rollouts), problem)
         return trace if trace.fit is not None else replace(trace, method=TuneNet.name)
 
 
 def residual_of(model: Model, problem: Problem, simulated: Array, target: Array) -> Array:
-    """What the network adds to the parameters, shape (P,), of two observations of shape (L, C)."""
+    """Predict the parameter residual, shape (P,), from two observations of shape (L, C)."""
     found = model(simulated[None], target[None])[0]
     return found[: len(problem.parameters)] * problem.residual_units
 
 
 def fitted(trace: Trace, problem: Problem) -> Trace:
-    """A trace that goes on to the exact fit near its estimate; the same where the fit fails.
+    """Append the exact fit near its estimate to a trace; return the trace itself if the fit fails.
 
     Raises:
-        NotFoundError: the problem has no exact fit.
+        NotFoundError: The problem has no exact fit.
     """
     if problem.exact_fit is None:
         raise NotFoundError("no exact fit exists under this preset; use --method tunenet")
@@ -95,5 +94,5 @@ def fitted(trace: Trace, problem: Problem) -> Trace:
 
 
 def _thinned(path: tuple[Array, ...]) -> tuple[Array, ...]:
-    """A few of the values on the way of a fit, in their order."""
-    return path[:: len(path) // _MOST_SHOWN + 1]
+    """Decimate the iterates of a fit."""
+    return path[:: len(path) // _MAX_SHOWN + 1]

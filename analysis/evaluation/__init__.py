@@ -1,1 +1,1 @@
-"""The paper's experiments: its tables and figures, beside ours."""
+"""Reproduce the paper's experiments: its tables and figures, beside ours."""

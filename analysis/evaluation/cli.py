@@ -1,4 +1,4 @@
-"""tunenet-eval: the paper's experiments, its figures beside ours."""
+"""Command line of tunenet-eval: the paper's experiments, its figures beside ours."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from analysis.evaluation.choices import (
     SHOT_SECTIONS,
     SOUND_SECTIONS,
     SYSID_SECTIONS,
-    USUAL_PAYLOAD_SECTIONS,
+    TYPICAL_PAYLOAD_SECTIONS,
 )
 from analysis.evaluation.printing import EXPERIMENTS
 from tunenet_logs.commandline import Parser, is_stdout, run, whole
@@ -87,9 +87,7 @@ what a user would pick: {", ".join(METHODS[6:11])}
 ours: {", ".join(METHODS[11:13])}
 the ablation, which has no curve in the figure: {", ".join(METHODS[13:])}"""
 
-_FILES = ("json", "csv", "png", "rrd")
-"""Options that name a file to write, in that order."""
-
+_FILES = ("json", "csv", "png", "rrd")  # options that name a file to write, in that order
 _ONLY_DROP = ("methods", "rollouts", "png", "rrd")
 _TARGETS = {
     "video": FULL_VIDEO,
@@ -104,12 +102,12 @@ _WITH_SECTIONS = ("video", "payload", "real-balls", "bounce-shot", "sysid", "sou
 _WITH_SECTIONS_IN_WORDS = f"{', '.join(_WITH_SECTIONS[:-1])} and {_WITH_SECTIONS[-1]}"
 _SEEDS = {"payload": 5, "sysid": 1, "sound": 1}
 _DEFAULT_SEEDS = 3
+# Unless an experiment has its own above, or its sections have; 100 targets as in the paper.
 _DEFAULT_TARGETS = 100
-"""Unless an experiment has its own above, or its sections have; 100 targets as in the paper."""
 
 
 def build_parser() -> Parser:
-    """The command's arguments."""
+    """Build the parser of the command's arguments."""
     parser = Parser(
         "tunenet-eval", _DESCRIPTION, _EXAMPLES, failed="a figure could not be made or written"
     )
@@ -153,7 +151,7 @@ def build_parser() -> Parser:
 
 
 def _options_of_some(parser: Parser) -> None:
-    """Options that only some experiments have."""
+    """Add the options that only some experiments have."""
     drop = parser.add_argument_group("drop only", _METHODS_HELP)
     drop.add_argument(
         "--methods", metavar="A,B,...", help="only these, and no intervals (default: all)"
@@ -188,7 +186,7 @@ def _options_of_some(parser: Parser) -> None:
     parts.add_argument(
         "--sections",
         metavar="A,B,...",
-        help=f"only these tables (default: all; payload: {', '.join(USUAL_PAYLOAD_SECTIONS)})",
+        help=f"only these tables (default: all; payload: {', '.join(TYPICAL_PAYLOAD_SECTIONS)})",
     )
     shot = parser.add_argument_group("bounce-shot only")
     shot.add_argument(
@@ -200,7 +198,7 @@ def _options_of_some(parser: Parser) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of `tunenet-eval`."""
+    """Run `tunenet-eval`."""
     return run(build_parser(), _eval, argv)
 
 
@@ -227,7 +225,7 @@ def _eval(arguments: argparse.Namespace) -> int:
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
-    """Refuse what is another experiment's."""
+    """Refuse the options of another experiment."""
     what = arguments.experiment
     if what != "drop":
         for name in _ONLY_DROP:
@@ -244,7 +242,7 @@ def _check_options(arguments: argparse.Namespace) -> None:
 
 
 def _checked(arguments: argparse.Namespace) -> dict[str, FigurePlace]:
-    """Refuse at once what would fail after the work; where the files go, by their options."""
+    """Refuse at once what would fail after the work; return where the files go, by option."""
     _check_options(arguments)
 
     from analysis.evaluation.writing import FigurePlace

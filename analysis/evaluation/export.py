@@ -1,4 +1,4 @@
-"""How every experiment's results are written for other programs: JSON and CSV."""
+"""Write every experiment's results as JSON and CSV."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tunenet_logs.csv_lines import csv_line
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """Indented JSON; a figure that does not exist is null, never NaN.
+    """Serialise to indented JSON; a figure that does not exist is null, never NaN.
 
     Raises:
         ValueError: a number is NaN or infinite.
@@ -19,11 +19,6 @@ def json_text(content: Mapping[str, Any]) -> str:
 
 
 def csv_text(columns: Sequence[str], records: Sequence[Mapping[str, Any]]) -> str:
-    """A header and one line a record; None is an empty field.
-
-    Args:
-        columns: the keys of each record, in the order of the table.
-        records: the rows.
-    """
+    """Format a header and one line a record; None is an empty field."""
     rows = (csv_line(record.get(name) for name in columns) for record in records)
     return csv_line(columns) + "".join(rows)

@@ -1,4 +1,4 @@
-"""What each experiment of `tunenet-eval` prints, and the files that it can write."""
+"""Print the results of each `tunenet-eval` experiment, and list the files it can write."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from analysis.evaluation.choices import (
     REAL_SECTIONS,
     SECTIONS,
     SHOT_SECTIONS,
-    USUAL_PAYLOAD_SECTIONS,
+    TYPICAL_PAYLOAD_SECTIONS,
     chosen_names,
     chosen_sections,
 )
@@ -30,19 +30,19 @@ if TYPE_CHECKING:
     from analysis.evaluation.drop.networks import Effort
     from tunenet_logs.terminal import Progress
 
+# What an experiment can write, once all of its text is printed.
 Writers = dict[str, Callable[[FigurePlace], None]]
-"""What an experiment can write, once all of its text is printed."""
 
+# Runs with options and seeds; gives blocks of text as they are done, and the files' writers.
 Experiment = Callable[
     [argparse.Namespace, tuple[int, ...], "Progress"], tuple[Iterable[str], Writers]
 ]
-"""Runs with options and seeds; gives blocks of text as they are done, and the files' writers."""
 
 
 def _drop(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Table 2, its figure and the intervals."""
+    """Run table 2, its figure and the intervals."""
     from analysis.evaluation.drop.figure import write_figure
     from analysis.evaluation.drop.method_registry import choose_methods
     from analysis.evaluation.drop.records import drop_csv, drop_json
@@ -84,7 +84,7 @@ def _drop(
 def _motion(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Table 3."""
+    """Run table 3."""
     from analysis.evaluation.motion.records import motion_csv, motion_json
     from analysis.evaluation.motion.run import run_motion
     from analysis.evaluation.motion.tables import motion_lines
@@ -102,7 +102,7 @@ def _motion(
 def _intervals(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Coverage of the intervals of recorded drops."""
+    """Measure the coverage of the intervals of recorded drops."""
     from analysis.evaluation.drop.intervals import interval_coverages
     from analysis.evaluation.drop.records import intervals_csv, intervals_json
     from analysis.evaluation.drop.tables import coverage_table
@@ -118,7 +118,7 @@ def _intervals(
 def _payload(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Table 1, and payloads in logs like a real driver's and of strangers' arms."""
+    """Run table 1, and payloads in logs like a real driver's and of strangers' arms."""
     from analysis.evaluation.payload.logs import LogRow, log_rows
     from analysis.evaluation.payload.masses import MassOrder, MassRow, mass_rows
     from analysis.evaluation.payload.records import payload_csv, payload_json
@@ -132,7 +132,7 @@ def _payload(
     )
     from analysis.optional_dependencies import needed
 
-    wanted = chosen_sections(arguments, PAYLOAD_SECTIONS, USUAL_PAYLOAD_SECTIONS)
+    wanted = chosen_sections(arguments, PAYLOAD_SECTIONS, TYPICAL_PAYLOAD_SECTIONS)
     if "masses" in wanted:
         needed("torch")
     effort = (arguments.pairs, arguments.epochs)
@@ -171,7 +171,7 @@ def _payload(
 def _bounce_shot(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """The third experiment, in a hidden world."""
+    """Run the third experiment, in a hidden world."""
     from math import ceil as round_up
 
     from analysis.evaluation.shots.acceptance import DROPS, JudgedDrop, judged_drops
@@ -214,7 +214,7 @@ def _bounce_shot(
 def _video(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Tracks and clips of filmed drops."""
+    """Run tracks and clips of filmed drops."""
     from math import ceil as round_up
 
     from analysis.evaluation.clips.run import (
@@ -265,7 +265,7 @@ def _video(
 def _real_balls(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Balls in air, as positions and as films."""
+    """Run balls in air, as positions and as videos."""
     from analysis.evaluation.real_balls.figures import RealLine
     from analysis.evaluation.real_balls.records import real_csv, real_json
     from analysis.evaluation.real_balls.run import (
@@ -298,7 +298,7 @@ def _real_balls(
 def _engines(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Targets of each engine, tuned in each."""
+    """Tune the targets of each engine in each."""
     from analysis.evaluation.engines.records import engines_csv, engines_json
     from analysis.evaluation.engines.run import EngineOrder, engine_lines
     from analysis.evaluation.engines.tables import engine_tables

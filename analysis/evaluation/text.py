@@ -1,20 +1,18 @@
-"""What the tables of all experiments share: how errors, seeds and rows are written."""
+"""Format errors, seeds and rows for the tables of all experiments."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-NEGLIGIBLE = 1e-9
-"""An error below this is rounding of float64, and is written as none."""
-
+NEGLIGIBLE = 1e-9  # an error below this is rounding of float64, and is written as none
 _FOUR_DIGITS_FROM = 0.00095
+# Of the fourth and the fifth decimal place: what would not keep two digits is written otherwise
+# (0.000949 rounds to .00095, 0.0000949 to 9.5e-5).
 _SCIENTIFIC_BELOW = 0.000095
-"""Of the fourth and the fifth decimal place: what would not keep two digits is written otherwise
-(0.000949 rounds to .00095, 0.0000949 to 9.5e-5)."""
 
 
 def short(error: float) -> str:
-    """An error in at most 6 characters: four decimal places, or two digits if it is less."""
+    """Format an error in at most 6 characters: four decimals, or two digits if it is less."""
     if error < NEGLIGIBLE:
         return "<1e-9"
     if error < _SCIENTIFIC_BELOW:
@@ -23,16 +21,16 @@ def short(error: float) -> str:
 
 
 def short_or_dash(error: float | None) -> str:
-    """`short`; a dash where there is none."""
+    """Format by `short`; a dash where there is none."""
     return "-" if error is None else short(error)
 
 
 def seeds_in_words(seeds: Sequence[int]) -> str:
-    """Such as "seed 1" or "seeds 1 to 3"."""
+    """Describe seeds, as "seed 1" or "seeds 1 to 3"."""
     return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
 
 
 def table_line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Left-aligned columns of these widths [characters]; widths beyond the cells are not used."""
+    """Left-align columns to these widths [characters]; widths beyond the cells are not used."""
     fitted = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
     return "".join(fitted).rstrip()

@@ -1,4 +1,4 @@
-"""Tuning from a track that was made, not found in pictures."""
+"""Tune from a track that was made, not found in pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of figures: whole or not there, with the experiment that they are of."""
+"""Write files of figures: whole or not there, with the experiment that they are of."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ if TYPE_CHECKING:
     from tunenet_logs.output.owned_file import OutputPlace
 
 _KIND = "figures"
-_MADE_BY = "tunenet_eval"
-"""The first column of every table: the experiment."""
+_MADE_BY = "tunenet_eval"  # the first column of every table: the experiment
 
 
 @dataclass(frozen=True)
 class FigurePlace:
-    """Where an experiment's figures go.
+    """Destination of an experiment's figures.
 
     Attributes:
         experiment: by name.
@@ -30,7 +29,7 @@ class FigurePlace:
 
     @classmethod
     def of(cls, experiment: str, form: str, path: Path, *, overwrite: bool) -> FigurePlace:
-        """That of one option: "json", "csv", "png" or "rrd"; see `OutputPlace`."""
+        """Make the destination of one option: "json", "csv", "png" or "rrd"; see `OutputPlace`."""
         from analysis.result_files import marked, recording, table
         from tunenet_logs.output.owned_file import OutputPlace
 
@@ -46,7 +45,7 @@ class FigurePlace:
 
     @property
     def mark(self) -> str:
-        """By which the file is known."""
+        """Mark by which the file is known."""
         from analysis.result_files import mark
 
         return mark(_KIND, _as_logs(self.experiment))

@@ -1,4 +1,4 @@
-"""The card: what was tuned as plain data, for engines that have no file of their own here."""
+"""Card: a tuning as plain data, for engines without a file format here."""
 
 from __future__ import annotations
 
@@ -11,12 +11,7 @@ from tunenet_logs.terminal import one_line
 
 
 def ball_card(ball: ExportedBall, notes: list[str]) -> dict[str, Any]:
-    """Values, intervals, units, verdict, equivalents and provenance of a ball.
-
-    Args:
-        ball: what is exported.
-        notes: the remarks that other files have as comments.
-    """
+    """Build the card of a ball; `notes` are the remarks that other files have as comments."""
     known = ball.equivalents
     return {
         "kind": "ball",
@@ -54,7 +49,7 @@ def ball_card(ball: ExportedBall, notes: list[str]) -> dict[str, Any]:
 
 
 def payload_card(payload: ExportedPayload, notes: list[str]) -> dict[str, Any]:
-    """Values, intervals, units, verdict and provenance of a payload; `notes` as `ball_card`."""
+    """Build the card of a payload; `notes` as in `ball_card`."""
     xx, xy, xz, yy, yz, zz = payload.inertial.inertia_kg_m2
     return {
         "kind": "payload",
@@ -82,7 +77,7 @@ def _estimate(known: Estimate) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, which every format knows."""
+    """Convert tuples to lists, which every format has."""
     return [_plain(one) for one in value] if isinstance(value, tuple) else value
 
 

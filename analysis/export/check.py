@@ -1,4 +1,4 @@
-"""The check of an exported file: its engine drops the ball again, and its bounces are measured."""
+"""Check an exported file: drop the ball in its engine, and measure its bounces."""
 
 from __future__ import annotations
 
@@ -21,17 +21,12 @@ from recorders.simulators.closed_form.flight import lands_after_s
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import short_name
 
-LIMIT_S = 300.0
-"""Wall time that an engine may take: some compile themselves first."""
-
-_MOST_SECONDS, _MOST_BOUNCES = 10.0, 6
-"""Simulated, and bounces that are listed."""
-
+LIMIT_S = 300.0  # wall time that an engine may take: some compile themselves first
+_MAX_SECONDS, _MAX_BOUNCES = 10.0, 6  # simulated, and bounces that are listed
+# Of the drop height: the first rebound and later ones, below which an engine only settles.
 _LOWEST_FIRST, _LOWEST_REBOUND = 0.002, 0.02
-"""Of the drop height: the first rebound and later ones, below which an engine only settles."""
 
-_LAST_WORDS = 200
-"""Characters of what an engine said last."""
+_LAST_WORDS = 200  # characters of what an engine said last
 
 
 @dataclass(frozen=True)
@@ -39,10 +34,10 @@ class DropCheck:
     """How an engine moved the ball of an exported file.
 
     Attributes:
-        effective: restitution of each bounce: the root of the rebound's height over the height
+        effective: Restitution of each bounce: the root of the rebound's height over the height
             before it; with air, of the energies right after and before it.
-        rms_percent: from the recording, from the release to the last impact that was seen [% of
-            the drop height]; None where there is no recording in metres.
+        rms_percent: RMS difference from the recording, from the release to the last impact seen
+            [% of the drop height]; None without a recording in metres.
     """
 
     effective: tuple[float, ...]
@@ -50,7 +45,7 @@ class DropCheck:
 
 
 def checked(engine: ExportFormat, path: Path, ball: ExportedBall) -> DropCheck | str:
-    """Drop the ball again; why not, in words, where that cannot be."""
+    """Drop the ball in the engine, in a child process; return in words why it cannot be done."""
     if engine.LIBRARY is None or not hasattr(engine, "dropped"):
         return f"nothing here runs a file for {engine.NAME}"
     if find_spec(engine.LIBRARY) is None:
@@ -86,16 +81,16 @@ def checked(engine: ExportFormat, path: Path, ball: ExportedBall) -> DropCheck |
 
 
 def _import_path() -> str:
-    """Where this package lies, first: the child is to import the same one."""
+    """Return a PYTHONPATH by which the child imports this same package."""
     here = str(Path(__file__).parents[2])
     return os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
 def effective_restitutions(heights_m: Array, _period_s: float = 0.0) -> tuple[float, ...]:
-    """Restitution of each bounce of a ball without air, by the heights that it reaches.
+    """Measure the restitution of each bounce without air, from the apex heights.
 
     Args:
-        heights_m: of its underside, evenly spaced in time from the release on, shape (T,).
+        heights_m: Of its underside, evenly spaced in time from the release on, shape (T,).
     """
     middle = heights_m[1:-1]
     turns = 1 + np.flatnonzero((middle > heights_m[:-2]) & (middle >= heights_m[2:]))
@@ -104,19 +99,17 @@ def effective_restitutions(heights_m: Array, _period_s: float = 0.0) -> tuple[fl
     if not tops_m or tops_m[0] < _LOWEST_FIRST * height_m:
         return ()
     seen_m = [height_m, tops_m[0], *(top for top in tops_m[1:] if top > _LOWEST_REBOUND * height_m)]
-    return tuple(math.sqrt(top_m / before_m) for before_m, top_m in pairwise(seen_m))[
-        :_MOST_BOUNCES
-    ]
+    return tuple(math.sqrt(top_m / before_m) for before_m, top_m in pairwise(seen_m))[:_MAX_BOUNCES]
 
 
 def restitutions_at_impacts(heights_m: Array, period_s: float) -> tuple[float, ...]:
-    """Restitution of each bounce of a ball in air, whose contacts take one step.
+    """Measure each bounce's restitution in air, from the energies a step before and after it.
 
-    By the energies in the steps right before and after it, in which the air takes next to nothing.
+    Contacts take one step, in which the drag is negligible.
 
     Args:
-        heights_m: of its underside, evenly spaced in time from the release on, shape (T,).
-        period_s: between them.
+        heights_m: Of its underside, evenly spaced in time from the release on, shape (T,).
+        period_s: Sampling period.
     """
     middle = heights_m[1:-1]
     turns = 1 + np.flatnonzero((middle < heights_m[:-2]) & (middle <= heights_m[2:]))
@@ -125,30 +118,30 @@ def restitutions_at_impacts(heights_m: Array, period_s: float) -> tuple[float, .
     after = speeds_m_s[turns] ** 2 / 2 + GRAVITY_M_S2 * heights_m[turns + 1]
     least = _LOWEST_REBOUND * GRAVITY_M_S2 * float(heights_m[0])
     strong = (before > least) & (after > 0)
-    return tuple(np.sqrt(after[strong] / before[strong])[:_MOST_BOUNCES].tolist())
+    return tuple(np.sqrt(after[strong] / before[strong])[:_MAX_BOUNCES].tolist())
 
 
 def _top(around_m: Array) -> float:
-    """Of the parabola through three samples about a turn."""
+    """Return the vertex of the parabola through three samples about an apex."""
     before, middle, after = around_m.tolist()
     bend = before - 2 * middle + after
     return middle - (after - before) ** 2 / (8 * bend) if bend else middle
 
 
 def _seconds(ball: ExportedBall) -> float:
-    """Long enough for the recording, and for the bounces that are listed."""
+    """Return the time to simulate: the recording's, and that of the listed bounces."""
     fall_s = math.sqrt(2 * ball.drop_height_m.value / GRAVITY_M_S2)
-    bounces = sum(2 * ball.restitution**k for k in range(1, _MOST_BOUNCES + 1))
+    bounces = sum(2 * ball.restitution**k for k in range(1, _MAX_BOUNCES + 1))
     recorded_s = 0.0
     if ball.observed is not None:
         recorded_s = ball.observed.last_s - ball.observed.impact_s
-    return min(max(fall_s * (1.1 + bounces), fall_s + recorded_s), _MOST_SECONDS)
+    return min(max(fall_s * (1.1 + bounces), fall_s + recorded_s), _MAX_SECONDS)
 
 
 def _rms_percent(
     times_s: Array, heights_m: Array, seen: ObservedDrop, release_s: float
 ) -> float | None:
-    """From the recording, with the release at this moment of its clock."""
+    """Return the RMS difference from the recording, whose clock reads `release_s` at release."""
     since_s = seen.curves.seconds - release_s
     until_s = min(float(times_s[-1]), seen.last_s - release_s)
     compared = (since_s >= 0) & (since_s <= until_s) & np.isfinite(seen.curves.observed_m)

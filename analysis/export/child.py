@@ -1,4 +1,4 @@
-"""An engine in a process of its own: whatever it prints, loads or crashes stays there.
+"""Run an engine in a child process, which contains its output, libraries and crashes.
 
 Started as `python -P -m analysis.export.child ENGINE FILE HEIGHT_M SECONDS`; the last line of its
 output is a JSON with what `CanDrop.dropped` returns.

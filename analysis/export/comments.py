@@ -1,7 +1,7 @@
-"""Comments in the languages of the exported files.
+"""Write comments in the languages of the exported files.
 
-What stands in them may be a stranger's words (a log's name, a reason): no such word may end the
-comment, begin a new line, or move the cursor of whoever looks at the file.
+Their text may be untrusted (a log's name, a reason): it must not end the comment, begin a new
+line, or move the cursor of a terminal.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from tunenet_logs.terminal import one_line
 
 
 def xml_comment(lines: Iterable[str], indent: str = "") -> str:
-    """The lines as one XML comment, each printable, without the `--` that would end it."""
+    """Format lines as one XML comment, printable, without the `--` that would end it."""
     body = "".join(f"{indent}  {_without_double_dashes(one_line(line))}\n" for line in lines)
     return f"{indent}<!--\n{body}{indent}-->"
 
 
 def hash_comment(lines: Iterable[str], indent: str = "") -> str:
-    """The lines as comments of Python, YAML and USD: each behind a `#` of its own."""
+    """Format lines as `#` comments of Python, YAML and USD."""
     return "\n".join(f"{indent}# {one_line(line)}".rstrip() for line in lines)
 
 

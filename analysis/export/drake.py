@@ -1,4 +1,4 @@
-"""Drake: an SDF with ball and ground, whose dissipation makes the restitution at one speed."""
+"""Drake: an SDF with ball and ground, whose Hunt-Crossley dissipation gives the restitution."""
 
 from __future__ import annotations
 
@@ -9,19 +9,15 @@ import numpy as np
 from analysis.export.comments import xml_comment
 from analysis.export.exported import ExportedBall, ExportedPayload
 from analysis.export.head import ball_lines, payload_lines
-from analysis.export.hunt_crossley import LEAST, dissipation, restitution
+from analysis.export.hunt_crossley import MIN, dissipation, restitution
 from analysis.export.sdf import payload_model
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 
 NAME, SUFFIX, LIBRARY = "drake", ".sdf", "pydrake"
 
-STEP_S = None
-"""The plant is to be continuous: its integrator chooses its steps."""
-
-_DEPTH = 0.05
-"""Of the radius, that the ball sinks in: little beside a bounce, yet no stiff problem."""
-
+STEP_S = None  # the plant is to be continuous: its integrator chooses its steps
+_DEPTH = 0.05  # of the radius, that the ball sinks in: little beside a bounce, yet no stiff problem
 _BALL = """\
 <?xml version="1.0"?>
 {head}
@@ -105,7 +101,7 @@ def payload_text(payload: ExportedPayload) -> str:
 def dropped(
     path: Path, height_m: float, seconds: float, step_s: float = 0.0
 ) -> tuple[Array, Array]:
-    """See `CanDrop`; the plant is continuous, as the file asks, unless it is given a step [s]."""
+    """See `CanDrop`; the plant is continuous, as the file asks, unless a step [s] is given."""
     from pydrake import all as pydrake  # pyright: ignore[reportMissingImports] (an extra)
 
     builder = pydrake.DiagramBuilder()
@@ -114,7 +110,7 @@ def dropped(
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -GRAVITY_M_S2])
     plant.Finalize()
     simulator = pydrake.Simulator(builder.Build())
-    pydrake.ResetIntegratorFromFlags(simulator, "runge_kutta3", _LONGEST_STEP_S)
+    pydrake.ResetIntegratorFromFlags(simulator, "runge_kutta3", _MAX_STEP_S)
     simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
     ball = plant.GetBodyByName("ball")
@@ -123,7 +119,7 @@ def dropped(
     inspector = plant.EvalSceneGraphInspector(context)
     radius_m = inspector.GetShape(shape).radius()
     plant.SetFreeBodyPose(context, ball, pydrake.RigidTransform([*at_m[:2], radius_m + height_m]))
-    times_s = np.arange(0.0, seconds, _LONGEST_STEP_S)
+    times_s = np.arange(0.0, seconds, _MAX_STEP_S)
     heights_m = np.empty(len(times_s))
     for index, at_s in enumerate(times_s):
         simulator.AdvanceTo(at_s)
@@ -131,12 +127,12 @@ def dropped(
     return times_s, heights_m
 
 
-_LONGEST_STEP_S, _ACCURACY = 1e-3, 1e-5
-"""Of Drake's integrator: so accurate that its error is far under the model's own."""
+# Of Drake's integrator: so accurate that its error is far under the model's own.
+_MAX_STEP_S, _ACCURACY = 1e-3, 1e-5
 
 
 def _lines(ball: ExportedBall, damping_s_m: float) -> list[str]:
-    """How the restitution of this contact changes with speed, beside the tuned law."""
+    """Tabulate the restitution of this contact over speed, beside the tuned law."""
     at_m_s = ball.speed_m_s.value
     lines = [
         "Not expressed here: the air's drag, and the tuned law over speed. Drake's contact is Hunt",
@@ -150,6 +146,6 @@ def _lines(ball: ExportedBall, damping_s_m: float) -> list[str]:
         "Use a continuous plant, MultibodyPlant(time_step=0.0): with steps of 1 ms restitutions",
         "were up to 0.8 too low. Drake's gravity is 9.81 m/s^2 unless it is set to 9.80665.",
     ]
-    if ball.restitution < LEAST:
-        lines.append(f"A restitution under {LEAST:g} has no dissipation: {LEAST:g} stands for it.")
+    if ball.restitution < MIN:
+        lines.append(f"A restitution under {MIN:g} has no dissipation: {MIN:g} stands for it.")
     return lines

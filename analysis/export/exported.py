@@ -1,4 +1,4 @@
-"""What is exported: a ball's contact or a payload's inertia, and where each number comes from."""
+"""Exported quantities: a ball's contact or a payload's inertia, each number with its source."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from recorders.simulators.arm.rigid_bodies import Inertial, solid_sphere
 from recorders.simulators.base import GRAVITY_M_S2
 from recorders.simulators.speed_law import SpeedLaw
 
-_MOST_LOST = 0.99
-"""Of the fall's energy, to the air: what is closer to the terminal speed tells no height."""
+# Of the fall's energy, to the air: what is closer to the terminal speed tells no height.
+_MAX_LOST = 0.99
 
+# Who says a number: the tuning, the user, or nobody.
 Source = Literal["record", "option", "assumed"]
-"""Who says a number: the tuning, the user, or nobody."""
 
 
 @dataclass(frozen=True)
 class Sourced:
-    """A number, and who says it.
+    """A number and its source.
 
     Attributes:
-        value: in the unit that the field's name has.
-        source: who says it.
+        value: In the unit that the field's name has.
+        source: Where it comes from.
     """
 
     value: float
@@ -37,15 +37,15 @@ class Sourced:
 
 @dataclass(frozen=True)
 class ExportOrigin:
-    """Where an exported record comes from. Texts are a stranger's, each one line: see `comments`.
+    """Provenance of an exported record. Texts are untrusted, each one line: see `comments`.
 
     Attributes:
-        log: the file's name.
-        reason: why the verdict is not "ok"; None if it is.
-        log_sha256: of the log; "" where it is not known.
-        date: when it was tuned, ISO 8601; "" where it is not known.
-        version: of this package, that exports.
-        tuned_by: the version that tuned; "" where it is not known.
+        log: The file's name.
+        reason: Why the verdict is not "ok"; None if it is.
+        log_sha256: Of the log; "" if unknown.
+        date: When it was tuned, ISO 8601; "" if unknown.
+        version: Of this package, which exports.
+        tuned_by: Version that tuned; "" if unknown.
     """
 
     log: str
@@ -59,12 +59,12 @@ class ExportOrigin:
 
 @dataclass(frozen=True, eq=False)
 class ObservedDrop:
-    """What was seen, to hold an engine's own drop against.
+    """Recorded drop, to compare an engine's own with.
 
     Attributes:
-        curves: observed heights.
-        impact_s: the first impact, on the curves' clock.
-        last_s: the last impact that was seen.
+        curves: Observed heights.
+        impact_s: The first impact, on the curves' clock.
+        last_s: The last impact that was seen.
     """
 
     curves: Curves
@@ -74,23 +74,23 @@ class ObservedDrop:
 
 @dataclass(frozen=True, eq=False)
 class ExportedBall:
-    """A ball that bounces, for an engine that knows one restitution and no air.
+    """Bouncing ball, for an engine with one restitution and no air.
 
     Attributes:
-        restitution: what an engine is told, from 0 to 1.
-        meaning: of that number, in words.
-        speed_m_s: of the impact that it is meant for.
-        tuned: the restitution at the first impact, as it was tuned.
-        law: the restitution at every speed, as it was tuned; relative to `first_speed_m_s`.
-        first_speed_m_s: of the recorded first impact; None where the log does not tell it.
-        slope: of the law; None where it was not told.
-        drag: of the air [1/m]; None where it was not told.
-        equivalents: for simulators without air; None where the record has none.
-        radius_m: of the ball.
-        mass_kg: of the ball.
-        drop_height_m: of its underside over the floor, in a fall without air.
-        step_s: the engine's time step; None for the engine's own default here.
-        observed: of a ball dropped from rest; None where that does not tell metres.
+        restitution: Value for the engine, from 0 to 1.
+        meaning: Of that number, in words.
+        speed_m_s: Impact speed that it is meant for.
+        tuned: Restitution at the first impact, as tuned.
+        law: Restitution over speed, as tuned; relative to `first_speed_m_s`.
+        first_speed_m_s: Of the recorded first impact; None if unknown.
+        slope: Of the law; None if not reported.
+        drag: Of the air [1/m]; None if not reported.
+        equivalents: For simulators without air; None if the record has none.
+        radius_m: Of the ball.
+        mass_kg: Of the ball.
+        drop_height_m: Of its underside over the floor, in a fall without air.
+        step_s: The engine's time step; None for its default here.
+        observed: Of a ball dropped from rest; None if its metres are unknown.
         friction: None: a drop does not identify it.
     """
 
@@ -113,17 +113,17 @@ class ExportedBall:
 
     @property
     def drag_1_m(self) -> float:
-        """Of the air; 0 where it was not told."""
+        """Drag of the air [1/m]; 0 if not reported."""
         return self.drag.value if self.drag and isinstance(self.drag.value, float) else 0.0
 
     def in_air(self) -> ExportedBall:
-        """The same ball for an engine that has the air's drag: its own restitution and height."""
+        """Convert for an engine that simulates drag: the tuned restitution and height."""
         at = "the recorded first impact" if self.speed_m_s.source != "option" else "that speed"
         speed_m_s, height_m = self.speed_m_s, self.drop_height_m
         if speed_m_s.source == "record" and self.first_speed_m_s is not None:
             speed_m_s = Sourced(self.first_speed_m_s, "record")
         if height_m.source == "record" and self.first_speed_m_s is not None and self.drag_1_m:
-            lost = min(self.drag_1_m * self.first_speed_m_s**2 / GRAVITY_M_S2, _MOST_LOST)
+            lost = min(self.drag_1_m * self.first_speed_m_s**2 / GRAVITY_M_S2, _MAX_LOST)
             left = -math.log1p(-lost)
             height_m = Sourced(left / (2 * self.drag_1_m), "record")
         return replace(
@@ -142,12 +142,12 @@ class ExportedBall:
 
 @dataclass(frozen=True, eq=False)
 class ExportedPayload:
-    """A mass that an arm holds.
+    """Payload of an arm.
 
     Attributes:
-        mass: as it was tuned [kg].
-        com: as it was tuned, in the tool frame [m]; None where the log does not tell it.
-        radius_m: of the solid ball that the tuning takes the payload for.
+        mass: As tuned [kg].
+        com: As tuned, in the tool frame [m]; None if unidentifiable.
+        radius_m: Of the solid ball whose inertia the tuning assumes.
     """
 
     origin: ExportOrigin
@@ -157,13 +157,13 @@ class ExportedPayload:
 
     @property
     def mass_kg(self) -> float:
-        """The mass."""
+        """Mass [kg]."""
         assert isinstance(self.mass.value, float)
         return self.mass.value
 
     @property
     def com_m(self) -> tuple[float, float, float]:
-        """Centre of mass in the tool frame; its origin where the log does not tell it."""
+        """Centre of mass in the tool frame [m]; its origin if unidentifiable."""
         if self.com is None:
             return (0.0, 0.0, 0.0)
         assert isinstance(self.com.value, tuple)
@@ -172,6 +172,6 @@ class ExportedPayload:
 
     @property
     def inertial(self) -> Inertial:
-        """About the centre of mass, along the tool frame's axes."""
+        """Inertia about the centre of mass, along the tool frame's axes."""
         ball = solid_sphere(self.mass_kg, self.radius_m)
         return Inertial(ball.mass_kg, self.com_m, ball.inertia_kg_m2)

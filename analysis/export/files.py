@@ -1,4 +1,4 @@
-"""The files in which a tuning is exported, as texts."""
+"""Export a tuning as the texts of an engine's files."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 def exported_for(
     engine: ExportFormat, record: Record, said: ExportOptions
 ) -> ExportedBall | ExportedPayload:
-    """What an engine's file expresses of a tuning.
+    """Convert a record to what an engine's file expresses.
 
     Raises:
-        UsageError: an option that does not go with it, or with the engine.
-        TuneNetError: as `exported`.
+        UsageError: An option does not apply to it, or to the engine.
+        TuneNetError: As `exported`.
     """
     if said.step_s is not None and engine.STEP_S is None:
         raise UsageError(f"a file for {engine.NAME} holds no time step: leave --step out")
@@ -35,10 +35,10 @@ def exported_for(
 def export_texts(
     engine: ExportFormat, item: ExportedBall | ExportedPayload, path: Path
 ) -> dict[Path, str]:
-    """Paths and texts of the files to write; the engine's own, which is `path`, comes first.
+    """Return paths and texts of the files to write; the engine's own, which is `path`, comes first.
 
     Raises:
-        UsageError: the name does not end as the engine's files do.
+        UsageError: The name does not end as the engine's files do.
     """
     if path.suffix != engine.SUFFIX:
         raise UsageError(f"{path}: is for {engine.NAME}; give -o a name that ends {engine.SUFFIX}")
@@ -46,10 +46,10 @@ def export_texts(
 
 
 def engine_format(name: str) -> ExportFormat:
-    """The format of that name.
+    """Return the format of that name.
 
     Raises:
-        UsageError: there is none; the message lists those that there are.
+        UsageError: There is none; the message lists those that exist.
     """
     if name not in FORMATS:
         raise UsageError(f"nothing is exported to {name!r}; choose one of: {', '.join(FORMATS)}")

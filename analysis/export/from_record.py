@@ -1,4 +1,4 @@
-"""From a record to what is exported of it, with what the user says beside it."""
+"""Convert a record and the user's options to what is exported."""
 
 from __future__ import annotations
 
@@ -24,25 +24,22 @@ from tunenet_logs import __version__
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
 from tunenet_logs.terminal import one_line
 
+# Of a ball that nobody describes: a small one, as heavy as water, from a table's height.
 _RADIUS_M, _DENSITY_KG_M3, _DROP_HEIGHT_M = 0.02, 1000.0, 1.0
-"""Of a ball that nobody describes: a small one, as heavy as water, from a table's height."""
 
-_ANY_SPEED_M_S = 3.0
-"""Of a law whose impact speed is not known: it is used at no other one."""
-
-_MASS, _COM = "payload_mass", "payload_com"
-"""The names of a payload's estimates."""
+_ANY_SPEED_M_S = 3.0  # of a law whose impact speed is not known: it is used at no other one
+_MASS, _COM = "payload_mass", "payload_com"  # the names of a payload's estimates
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """What a user says beside the tuning; None where nothing is said.
+    """Options of an export; None where not given.
 
     Attributes:
-        speed_m_s: of the impact that the restitution is for.
-        radius_m: of the ball.
-        mass_kg: of the ball.
-        step_s: of the engine.
+        speed_m_s: Impact speed that the restitution is for.
+        radius_m: Of the ball.
+        mass_kg: Of the ball.
+        step_s: Of the engine.
     """
 
     speed_m_s: float | None = None
@@ -52,12 +49,12 @@ class ExportOptions:
 
 
 def exported(record: Record, options: ExportOptions) -> ExportedBall | ExportedPayload:
-    """What an engine's file is written from.
+    """Convert a record to what an engine's file is written from.
 
     Raises:
-        NotFoundError: the tuning was rejected.
-        LogError: it holds no values, or some that no engine can have.
-        UsageError: an option that does not go with it.
+        NotFoundError: The tuning was rejected.
+        LogError: It holds no values, or some that no engine can have.
+        UsageError: An option does not apply to it.
     """
     if record.verdict == "rejected":
         raise NotFoundError(
@@ -129,7 +126,7 @@ def _observed(record: Record) -> ObservedDrop | None:
 
 
 def _drop_height(record: Record, speed_m_s: float | None) -> Sourced:
-    """From which the ball falls for as long as the recorded one, without air."""
+    """Return the height from which a fall without air lasts as long as the recorded one."""
     if speed_m_s is None:
         return Sourced(_DROP_HEIGHT_M, "assumed")
     if record.motion.equivalents is not None and record.motion.equivalents.first.speeds_m_s:
@@ -144,7 +141,7 @@ def _restitution(
     speed_m_s: float | None,
     height_m: Sourced,
 ) -> tuple[float, str, Sourced]:
-    """What an engine is told, what that means, and for which impact."""
+    """Choose the engine's restitution, its meaning, and its impact speed."""
     if options.speed_m_s is not None:
         if speed_m_s is None:
             raise UsageError(
@@ -161,7 +158,7 @@ def _restitution(
 
 
 def _body(record: Record, options: ExportOptions) -> tuple[Sourced, Sourced]:
-    """Radius and mass: the user's, those of the ball that was named when recording, or usual."""
+    """Choose radius and mass: the user's, those of the ball named in the log, or usual ones."""
     named = BALLS.get(record.ball or "")
     if options.radius_m is not None:
         radius = Sourced(options.radius_m, "option")

@@ -1,4 +1,4 @@
-"""What every exported file says first: whose numbers these are, and what they mean."""
+"""Header of every exported file: provenance and meaning of its numbers."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from analysis.export.exported import ExportedBall, ExportedPayload, ExportOrigin
 from analysis.record import Estimate
 from tunenet_logs.terminal import short_name
 
-_MOST_REASON = 200
-"""Characters of a verdict's reason."""
+_MAX_REASON = 200  # characters of a verdict's reason
 
 
 def ball_lines(ball: ExportedBall) -> list[str]:
-    """Provenance and meaning of a ball's numbers; texts are not yet fit for a comment."""
+    """List provenance and meaning of a ball's numbers; not yet escaped for a comment."""
     equivalents = ball.equivalents
     return [
         *origin_lines(ball.origin),
@@ -37,7 +36,7 @@ def ball_lines(ball: ExportedBall) -> list[str]:
 
 
 def one_restitution_lines(ball: ExportedBall) -> list[str]:
-    """What an engine with one restitution and no air cannot express, and what stands for it."""
+    """List what an engine with one restitution and no air cannot express."""
     lines = ["Not expressed here: a restitution that depends on speed, and the air's drag."]
     if ball.law.slope and ball.first_speed_m_s is not None:
         speeds = (ball.speed_m_s.value * factor for factor in (0.5, 1.0, 2.0))
@@ -47,7 +46,7 @@ def one_restitution_lines(ball: ExportedBall) -> list[str]:
 
 
 def payload_lines(payload: ExportedPayload) -> list[str]:
-    """Provenance and meaning of a payload's numbers; texts are not yet fit for a comment."""
+    """List provenance and meaning of a payload's numbers; not yet escaped for a comment."""
     centre = (
         "Its centre of mass was not told apart from its mass: the tool frame's origin stands here."
         if payload.com is None
@@ -64,7 +63,7 @@ def payload_lines(payload: ExportedPayload) -> list[str]:
 
 
 def origin_lines(origin: ExportOrigin) -> list[str]:
-    """Log, verdict and versions."""
+    """List log, verdict and versions."""
     tuned = f", tuned {short_name(origin.date)} by {short_name(origin.tuned_by)}"
     lines = [
         f"Exported by tunenet-export {origin.version} from the tuning of {short_name(origin.log)}"
@@ -73,13 +72,13 @@ def origin_lines(origin: ExportOrigin) -> list[str]:
         f"Verdict: {origin.verdict}.",
     ]
     if origin.verdict == "suspect":
-        reason = short_name(origin.reason or "no reason is given", _MOST_REASON)
+        reason = short_name(origin.reason or "no reason is given", _MAX_REASON)
         lines.append(f"WARNING: this tuning is suspect: {reason}")
     return lines
 
 
 def estimate_words(name: str, estimate: Estimate) -> str:
-    """A quantity with its interval: `restitution 0.8001 (95 %: 0.7997 to 0.8005)`."""
+    """Format a quantity with its interval: `restitution 0.8001 (95 %: 0.7997 to 0.8005)`."""
     unit = "" if estimate.unit == "1" else f" {short_name(estimate.unit)}"
     if isinstance(estimate.value, tuple):
         value = ", ".join(f"{part:.4f}" for part in estimate.value)
@@ -97,7 +96,7 @@ def _interval_words(estimate: Estimate) -> str:
 
 
 def sourced_words(known: Sourced, unit: str) -> str:
-    """A number and who says it."""
+    """Format a number with its source."""
     match known.source:
         case "record":
             told = "of the tuning"

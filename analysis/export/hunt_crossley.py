@@ -1,10 +1,10 @@
-"""Hunt and Crossley's contact, F = k x (1 + d x'), and the restitution that it makes.
+"""Hunt-Crossley contact, F = k x (1 + d x'), and its coefficient of restitution.
 
-A body that meets it at speed v and leaves at e v obeys, with u = d v and gravity left out,
+A body that meets it at speed v and leaves at e v obeys, with u = d v and without gravity,
 
     u - ln(1 + u) = -e u - ln(1 - e u),
 
-whatever its mass and the stiffness k: the restitution falls with speed (Hunt and Crossley,
+independent of its mass and the stiffness k: the restitution falls with speed (Hunt and Crossley,
 "Coefficient of restitution interpreted as damping in vibroimpact", 1975).
 """
 
@@ -12,21 +12,13 @@ from __future__ import annotations
 
 import math
 
-LEAST = 0.01
-"""Restitution: a smaller one takes a dissipation without bound."""
-
-_BEND = 1e-4
-"""Of u, below which both sides are the same but for rounding, and e = 1 - 2 u / 3."""
+MIN = 0.01  # restitution: a smaller one takes a dissipation without bound
+_BEND = 1e-4  # of u, below which both sides are the same but for rounding, and e = 1 - 2 u / 3
 
 
 def dissipation(restitution: float, speed_m_s: float) -> float:
-    """The dissipation d [s/m] with which an impact of this speed has this restitution.
-
-    Args:
-        restitution: from 0 to 1; one under `LEAST` counts as that.
-        speed_m_s: of the impact, over 0.
-    """
-    wanted = max(restitution, LEAST)
+    """Solve for the dissipation d [s/m] of a restitution, at least `MIN`, at this speed."""
+    wanted = max(restitution, MIN)
     low, high = 0.0, 1 / wanted
     for _ in range(100):
         middle = (low + high) / 2
@@ -35,7 +27,7 @@ def dissipation(restitution: float, speed_m_s: float) -> float:
 
 
 def restitution(dissipation_s_m: float, speed_m_s: float) -> float:
-    """The restitution of an impact of this speed."""
+    """Solve for the coefficient of restitution at this impact speed."""
     return _restitution(dissipation_s_m * speed_m_s)
 
 

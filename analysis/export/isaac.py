@@ -1,4 +1,4 @@
-"""USD for Isaac Sim: a scene, a material and the ball that has it; or a payload's mass."""
+"""USD for Isaac Sim: a scene with material and ball, or a payload's mass."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from analysis.export.head import ball_lines, one_restitution_lines, payload_line
 
 NAME, SUFFIX, LIBRARY = "isaac", ".usda", None
 
-STEP_S = 1 / 240
-"""Four steps for each frame at 60 Hz."""
-
+STEP_S = 1 / 240  # four steps for each frame at 60 Hz
 _WARNINGS = ("This file has not been run in Isaac Sim by its writer.",)
 
 _BALL = Template("""\

@@ -1,4 +1,4 @@
-"""JSON: the card, for scripts. JSON has no comments: remarks stand under `notes`."""
+"""JSON card, for scripts; remarks are under `notes`, as JSON has no comments."""
 
 from __future__ import annotations
 

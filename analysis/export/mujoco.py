@@ -1,8 +1,8 @@
-"""MuJoCo: an MJCF file with the ball, a floor and their contact, or with a payload.
+"""MuJoCo: an MJCF file with ball, floor and their contact, or with a payload.
 
 MuJoCo's contacts have stiffness and damping, and no restitution. With no stiffness and the damping
-(1 + e) / h, one step of length h turns the speed v into -e v: what is written holds for one time
-step. A margin of half of what a ball moves in a step stands for the part of it that is past the
+(1 + e) / h, one step of length h turns the speed v into -e v, so the file is valid for one time
+step. A margin of half the ball's motion in a step accounts for the part of it that is past the
 surface.
 """
 
@@ -22,18 +22,16 @@ from tunenet_logs.arrays import Array
 
 NAME, SUFFIX, LIBRARY = "mujoco", ".xml", "mujoco"
 
+# In one the ball sinks in by speed times step: a ball of .2 that falls .2 m rebounds .002 off (at
+# .5 ms .005), and slip of a 2 cm ball at 10 m/s ends 3 % off: friction acts nearer to its centre.
 STEP_S = 0.0002
-"""In one the ball sinks in by speed times step: a ball of .2 that falls .2 m rebounds .002 off (at
-.5 ms .005), and slip of a 2 cm ball at 10 m/s ends 3 % off: friction acts nearer to its centre."""
 
 HAS_AIR = True
 
+# The margin is what a ball moves in a step at this speed: half of a fall of .2 m.
 _MARGIN_SPEED_M_S = 1.0
-"""The margin is what a ball moves in a step at this speed: half of a fall of .2 m."""
 
-_AIR_KG_M3 = 1.2
-"""Density of the air at 20 °C."""
-
+_AIR_KG_M3 = 1.2  # density of the air at 20 °C
 _TRAPS = (
     "The damping below is (1 + e) / time step: with another time step, compute it again. The",
     "integrators Euler and implicitfast bounce alike; with RK4, which many walkers' scenes have,",

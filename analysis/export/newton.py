@@ -14,9 +14,9 @@ from tunenet_logs.arrays import Array
 
 NAME, SUFFIX, LIBRARY = "newton", ".py", "newton"
 
+# At 1/240 s the effective restitution is up to .014 off when the ball falls .3 to 3 m, with this
+# step .004 (`python -m benchmarks.engines`).
 STEP_S = 1 / 960
-"""At 1/240 s the effective restitution is up to .014 off when the ball falls .3 to 3 m, with this
-step .004 (`python -m benchmarks.engines`)."""
 
 _BALL = Template('''\
 $head

@@ -1,7 +1,7 @@
-"""PyBullet: a Python file that sets contacts up and drops the ball, with the ball's URDF beside it.
+"""PyBullet: a Python file that sets up contacts and drops the ball, with the ball's URDF beside it.
 
-The settings are the calibrated ones of `recorders.simulators.contact`, for a loop that steps
-plainly, as users' loops do.
+The settings are the calibrated ones of `recorders.simulators.contact`, for a plain stepping loop
+as users write.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from tunenet_logs.arrays import Array
 
 NAME, SUFFIX, COMPANION_SUFFIX, LIBRARY = "pybullet", ".py", ".urdf", "pybullet"
 
+# The ball sinks in by speed times step before it bounces. When a ball of .3 falls .3 to 3 m, it is
+# .034 off at PyBullet's own 1/240 s, and .006 with this step (`python -m benchmarks.engines`).
 STEP_S = 1 / 960
-"""The ball sinks in by speed times step before it bounces. When a ball of .3 falls .3 to 3 m, it is
-.034 off at PyBullet's own 1/240 s, and .006 with this step (`python -m benchmarks.engines`)."""
 
+# For restitutions under the second: what a ball sinks in is a larger part of a low rebound.
 _SHORT_STEP_S, _DULL = 1 / 3840, 0.25
-"""For restitutions under the second: what a ball sinks in is a larger part of a low rebound."""
 
 _BALL = Template('''\
 $head
@@ -211,7 +211,7 @@ def payload_text(payload: ExportedPayload) -> str:
 
 
 def companion(item: ExportedBall | ExportedPayload) -> str:
-    """The URDF beside it."""
+    """Return the text of the URDF beside it."""
     return urdf.ball_text(item) if isinstance(item, ExportedBall) else urdf.payload_text(item)
 
 

@@ -1,4 +1,4 @@
-"""The engines by name, and what the file of each offers."""
+"""Registry of export formats by engine, and their interface."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from analysis.export.exported import ExportedBall, ExportedPayload
     from tunenet_logs.arrays import Array
 
+# Modules by the name that `--to` takes; each has what `ExportFormat` names.
 FORMATS: Mapping[str, str] = {
     "pybullet": "analysis.export.pybullet",
     "mujoco": "analysis.export.mujoco",
@@ -22,21 +23,19 @@ FORMATS: Mapping[str, str] = {
     "yaml": "analysis.export.yaml_card",
     "json": "analysis.export.json_card",
 }
-"""Modules by the name that `--to` takes; each has what `ExportFormat` names."""
 
 
 class ExportFormat(Protocol):
-    """The file of an engine, such as a module with these names.
+    """File format of an engine, such as a module with these names.
 
-    Three more are there where they apply: `companion` (`HasCompanion`), `dropped` (`CanDrop`), and
-    `HAS_AIR = True` where the file expresses the air's drag: it is given `ExportedBall.in_air`.
+    Optional: `companion` (`HasCompanion`), `dropped` (`CanDrop`), and `HAS_AIR = True` if the file
+    expresses the air's drag: it is then given `ExportedBall.in_air`.
 
     Attributes:
-        NAME: as `--to` takes it.
-        SUFFIX: of the exported file, with its dot.
-        STEP_S: the engine's time step that the file holds unless the user names one [s]; None
-            where the file holds none.
-        LIBRARY: what Python imports to run the engine; None where it cannot.
+        NAME: As `--to` takes it.
+        SUFFIX: Of the exported file, with its dot.
+        STEP_S: Default of the engine's time step in the file [s]; None if the file holds none.
+        LIBRARY: Module that Python imports to run the engine; None if it cannot.
     """
 
     NAME: str
@@ -45,52 +44,52 @@ class ExportFormat(Protocol):
     LIBRARY: str | None
 
     def ball_text(self, ball: ExportedBall) -> str:
-        """The file for a ball. It begins with `head.ball_lines`, and says why of each line."""
+        """Write the file for a ball, beginning with `head.ball_lines`; comments say why."""
         ...
 
     def payload_text(self, payload: ExportedPayload) -> str:
-        """The file for a payload. It begins with `head.payload_lines`."""
+        """Write the file for a payload, beginning with `head.payload_lines`."""
         ...
 
 
 class HasCompanion(Protocol):
-    """An engine whose file needs another one beside it."""
+    """Engine whose file needs another one beside it."""
 
     COMPANION_SUFFIX: str
     """Of the other file, which has the same name otherwise."""
 
     def companion(self, item: ExportedBall | ExportedPayload) -> str:
-        """Its text."""
+        """Return its text."""
         ...
 
 
 class CanDrop(Protocol):
-    """An engine that Python can run. It is called in a process of its own."""
+    """Engine that Python can run, in a child process."""
 
     def dropped(self, path: Path, height_m: float, seconds: float) -> tuple[Array, Array]:
-        """Let the ball of the exported file fall, as whoever uses the file would.
+        """Drop the ball of the exported file, as its user would.
 
-        The engine's library is imported here, and nowhere else in the engine's file.
+        The engine's library is imported here, and nowhere else in the engine's module.
 
         Args:
-            path: the exported file.
-            height_m: of the ball's underside over the floor, at rest.
-            seconds: to simulate.
+            path: The exported file.
+            height_m: Of the ball's underside over the floor, at rest.
+            seconds: To simulate.
 
         Returns:
             Seconds since the release, evenly spaced from 0 on, and heights of the underside [m];
-            each shape (T,).
+            each of shape (T,).
         """
         ...
 
 
 def export_format(name: str) -> ExportFormat:
-    """One of `FORMATS`, imported when first needed."""
+    """Import one of `FORMATS`."""
     return cast("ExportFormat", import_module(FORMATS[name]))
 
 
 def usual_suffix(engine: ExportFormat) -> str:
-    """What an exported file's name ends with: `.mujoco.xml`, `.sdf`, `.card.json`."""
+    """Return the default ending of an exported file: `.mujoco.xml`, `.sdf`, `.card.json`."""
     if engine.SUFFIX in (".json", ".yaml"):  # the tuning itself is NAME.json
         return f".card{engine.SUFFIX}"
     named = f".{engine.NAME}"
@@ -98,7 +97,7 @@ def usual_suffix(engine: ExportFormat) -> str:
 
 
 def texts(engine: ExportFormat, item: ExportedBall | ExportedPayload) -> dict[str, str]:
-    """What an engine's files hold, by suffix; the engine's own comes first."""
+    """Return the texts of an engine's files by suffix; the engine's own comes first."""
     from analysis.export.exported import ExportedBall
 
     is_ball = isinstance(item, ExportedBall)

@@ -9,9 +9,7 @@ from recorders.simulators.arm.rigid_bodies import Inertial
 
 NAME, SUFFIX, LIBRARY = "sdf", ".sdf", None
 
-STEP_S = 0.001
-"""Gazebo's own."""
-
+STEP_S = 0.001  # Gazebo's own
 _WARNINGS = (
     "Gazebo: how the coefficients of a pair combine is not documented. DART multiplies them, ODE",
     "takes the smaller one; with 1 for the ground both give the ball's. DART takes them into",
@@ -112,8 +110,7 @@ _PAYLOAD = """\
 </sdf>
 """
 
-_SLOWEST_BOUNCE_M_S = 0.01
-"""Of an impact that still bounces: what falls 5 micrometres."""
+_MIN_SPEED_BOUNCE_M_S = 0.01  # of an impact that still bounces: what falls 5 micrometres
 
 
 def ball_text(ball: ExportedBall) -> str:
@@ -126,7 +123,7 @@ def ball_text(ball: ExportedBall) -> str:
         moment=repr(ball.moment_kg_m2),
         radius=repr(ball.radius_m.value),
         restitution=repr(ball.restitution),
-        threshold=repr(_SLOWEST_BOUNCE_M_S),
+        threshold=repr(_MIN_SPEED_BOUNCE_M_S),
     )
 
 
@@ -136,7 +133,7 @@ def payload_text(payload: ExportedPayload) -> str:
 
 
 def payload_model(head: str, weight: Inertial) -> str:
-    """A payload's model, which every reader of SDF understands."""
+    """Return a payload's model, which every reader of SDF understands."""
     x, y, z = (repr(part) for part in weight.com_m)
     xx, xy, xz, yy, yz, zz = (repr(moment) for moment in weight.inertia_kg_m2)
     moments = {"xx": xx, "xy": xy, "xz": xz, "yy": yy, "yz": yz, "zz": zz}

@@ -1,4 +1,4 @@
-"""YAML: the card, for people and for configurations."""
+"""YAML card, for people and for configurations."""
 
 from __future__ import annotations
 

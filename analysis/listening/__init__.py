@@ -1,1 +1,1 @@
-"""What a microphone heard, as moments: the onsets of knocks."""
+"""Onset detection in sound."""

@@ -1,4 +1,4 @@
-"""The moment at which a knock begins, to a sample.
+"""Onset time of a knock, to a sample.
 
 It is where the sound, whitened by the background before it, changes its variance (Akaike's
 criterion, as seismologists pick the arrival of a wave; Maeda, Zisin 38, 1985). A codec spreads a
@@ -13,31 +13,26 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-_AROUND_S = (0.010, 0.006)
-"""Before and after a rise, where the moment is looked for."""
-
+_AROUND_S = (0.010, 0.006)  # before and after a rise, where the moment is looked for
+# Of background before it, and of the linear prediction that whitens it.
 _BACKGROUND_S, _ORDER = 0.05, 16
-"""Of background before it, and of the linear prediction that whitens it."""
 
+# White noise that the prediction believes in, over the background's power: of the first change, and
+# of those after it.
 _FIRM, _MILD = 1e-4, 0.1
-"""White noise that the prediction believes in, over the background's power: of the first change,
-and of those after it."""
 
-_LEAST_STEP_DB, _LEAST_GAIN = 5.0, 10.0
-"""Of a change after the first: by how much the power rises, and the log likelihood."""
+# Of a change after the first: by how much the power rises, and the log likelihood.
+_MIN_STEP_DB, _MIN_GAIN = 5.0, 10.0
 
-_MOST_STEPS = 6
-"""Changes that are followed."""
-
+_MAX_STEPS = 6  # changes that are followed
+# Over which power is averaged where its largest is looked for, and until when after that.
 _LOUDEST_S, _PAST_LOUDEST_S = 0.0005, 0.0015
-"""Over which power is averaged where its largest is looked for, and until when after that."""
 
-_EDGE = 8
-"""Samples on both sides of a change."""
+_EDGE = 8  # samples on both sides of a change
 
 
 def moment_of(samples: Array, at: int, rate_hz: float) -> tuple[float, float]:
-    """Where a knock begins, and the standard deviation of that [samples].
+    """Pick an onset by Akaike's criterion; return it and its standard deviation [samples].
 
     Args:
         samples: shape (N,).
@@ -55,16 +50,16 @@ def moment_of(samples: Array, at: int, rate_hz: float) -> tuple[float, float]:
     wide = max(round(_LOUDEST_S * rate_hz), 1)
     loudest = int(np.convolve(mild**2, np.ones(wide), "same").argmax())
     last = loudest + round(_PAST_LOUDEST_S * rate_hz)
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         change = _change(mild[int(moment) : last])
-        if change is None or change[2] < _LEAST_STEP_DB or change[3] < _LEAST_GAIN:
+        if change is None or change[2] < _MIN_STEP_DB or change[3] < _MIN_GAIN:
             break
         moment, sd = int(moment) + change[0], change[1]
     return low + moment, sd
 
 
 def _change(piece: Array) -> tuple[float, float, float, float] | None:
-    """Where a piece of white noise changes its variance.
+    """Locate where a piece of white noise changes its variance.
 
     Returns:
         That and its standard deviation [samples], the change [dB], and what it gains in log
@@ -88,7 +83,7 @@ def _change(piece: Array) -> tuple[float, float, float, float] | None:
 
 
 def _whitened(samples: Array, from_sample: int, white: float) -> Array:
-    """What a linear prediction, learnt before `from_sample`, does not foretell from there on."""
+    """Whiten from `from_sample` on by a linear prediction, learnt before it."""
     from scipy.linalg import solve_toeplitz
     from scipy.signal import lfilter
 

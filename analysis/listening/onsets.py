@@ -1,4 +1,4 @@
-"""When something knocks in a sound: onsets, each with its uncertainty, its loudness and its colour.
+"""Onsets in a sound, each with its uncertainty, its loudness and its colour.
 
 A knock raises many bands at once and within a millisecond; speech, music and an echo's tail rise
 slower, or in few bands. Its exact moment is picked by `moments`.
@@ -17,46 +17,31 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.formats.gathered_sound import reduced_hz
 from tunenet_logs.sound import Sound
 
-_EDGES_HZ = (150.0, 400.0, 800.0, 1600.0, 3200.0, 6400.0, 12_800.0, 20_000.0)
-"""Of the bands."""
-
-_LEAST_RATE_HZ = 2000.0
-"""Of a sound in which a knock is told from what is not."""
-
+_EDGES_HZ = (150.0, 400.0, 800.0, 1600.0, 3200.0, 6400.0, 12_800.0, 20_000.0)  # of the bands
+_MIN_RATE_HZ = 2000.0  # of a sound in which a knock is told from what is not
+# Between the moments at which bands are looked at, and how much of the sound each sees.
 _HOP_S, _FRAME_S = 0.001, 0.002
-"""Between the moments at which bands are looked at, and how much of the sound each sees."""
 
+# Frames: of the background before a knock, left away between, and of the knock.
 _BEFORE, _GUARD, _AFTER = 12, 2, 4
-"""Frames: of the background before a knock, left away between, and of the knock."""
 
+# Below a band's median over the whole sound nothing is told apart from digital silence.
 _FLOOR_DB = 12.0
-"""Below a band's median over the whole sound nothing is told apart from digital silence."""
 
-_MOST_DB = 25.0
-"""More than that in one band counts no more."""
-
-_LEAST_RISE_DB = 2.0
-"""Of a knock, mean over all bands."""
-
-_APART = 20
-"""Frames between two knocks: in less, the louder counts."""
-
-MOST_ONSETS = 400
-"""That are kept: those that rise the most."""
-
+_MAX_DB = 25.0  # more than that in one band counts no more
+_MIN_RISE_DB = 2.0  # of a knock, mean over all bands
+_APART = 20  # frames between two knocks: in less, the louder counts
+MAX_ONSETS = 400  # that are kept: those that rise the most
+# After a knock, in which softer ones are its echoes; and by how much softer.
 _ECHO_S, _ECHO_DB = 0.05, 1.0
-"""After a knock, in which softer ones are its echoes; and by how much softer."""
 
-_LEAST_SD_S = 2e-5
-"""Of a moment: one sample."""
-
-_LOUD_S = 0.010
-"""After the onset, in which its largest sample is looked for."""
+_MIN_SD_S = 2e-5  # of a moment: one sample
+_LOUD_S = 0.010  # after the onset, in which its largest sample is looked for
 
 
 @dataclass(frozen=True, eq=False)
 class Onsets:
-    """Knocks of a sound, in order.
+    """Onsets of a sound, in order.
 
     Attributes:
         times_s: on the sound's clock, 0 at its first sample, shape (N,) [s].
@@ -78,7 +63,7 @@ class Onsets:
         return len(self.times_s)
 
     def only(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> Onsets:
-        """These of them."""
+        """Return the chosen onsets."""
         return Onsets(
             self.times_s[chosen],
             self.sds_s[chosen],
@@ -90,11 +75,11 @@ class Onsets:
 
 
 def onsets(sound: Sound) -> Onsets:
-    """All knocks; the times are on the sound's own clock, by `rate_hz`."""
+    """Detect all onsets; the times are on the sound's own clock, by `rate_hz`."""
     samples = np.nan_to_num(sound.samples.astype(np.float64), posinf=0.0, neginf=0.0)
     heard_hz = reduced_hz(sound.file_rate_hz)  # of the samples that were kept
     hop = _hop(heard_hz)
-    if len(samples) < (_BEFORE + _GUARD + _AFTER + 2) * hop or heard_hz < _LEAST_RATE_HZ:
+    if len(samples) < (_BEFORE + _GUARD + _AFTER + 2) * hop or heard_hz < _MIN_RATE_HZ:
         none = np.zeros(0)
         return Onsets(none, none, none, none, np.zeros((0, 0)), none)
     powers = _band_powers(samples, heard_hz)
@@ -106,7 +91,7 @@ def onsets(sound: Sound) -> Onsets:
     at, sds = np.array(picked, dtype=np.float64).reshape(-1, 2).T
     found = Onsets(
         at / sound.rate_hz,
-        np.maximum(sds / sound.rate_hz, _LEAST_SD_S * heard_hz / sound.rate_hz),
+        np.maximum(sds / sound.rate_hz, _MIN_SD_S * heard_hz / sound.rate_hz),
         rises.mean(axis=0)[frames],
         10 * np.log10(own.sum(axis=0)),
         (colours_db - colours_db.mean(axis=0)).T,
@@ -117,7 +102,7 @@ def onsets(sound: Sound) -> Onsets:
 
 
 def _echoes(times_s: Array, loudness_db: Array) -> NDArray[np.bool_]:
-    """Which knocks follow a louder one so soon that a wall may have thrown that back."""
+    """Return which onsets follow a louder one so soon that they may be its echo."""
     since_s = times_s[:, None] - times_s[None, :]
     louder = loudness_db[None, :] > loudness_db[:, None] + _ECHO_DB
     return np.any((since_s > 0) & (since_s < _ECHO_S) & louder, axis=1)
@@ -128,7 +113,7 @@ def _hop(rate_hz: float) -> int:
 
 
 def _band_powers(samples: Array, rate_hz: float) -> Array:
-    """Power of each band in each frame, shape (B, F); bands above the sound's own are left away."""
+    """Return each band's power in each frame, shape (B, F), without bands above the sound's own."""
     from scipy.signal import butter, sosfilt
 
     hop, wide = _hop(rate_hz), max(round(_FRAME_S / _HOP_S), 1)
@@ -146,7 +131,7 @@ def _band_powers(samples: Array, rate_hz: float) -> Array:
 
 
 def _rises(powers: Array) -> tuple[Array, Array, Array]:
-    """Of each band at each frame [dB], and the powers before and after it; shape (B, F) each."""
+    """Return each band's rise at each frame [dB], and the powers before and after, (B, F) each."""
     from scipy.ndimage import maximum_filter1d
 
     usual = np.median(powers, axis=1, keepdims=True)
@@ -158,18 +143,18 @@ def _rises(powers: Array) -> tuple[Array, Array, Array]:
     after = maximum_filter1d(powers, _AFTER, axis=1, mode="nearest")
     after = np.roll(after, -(_AFTER // 2), axis=1)
     rises = 10 * np.log10((after + floor) / (before + floor))
-    return np.clip(rises, 0.0, _MOST_DB), before, after
+    return np.clip(rises, 0.0, _MAX_DB), before, after
 
 
 def _peaks(rise: Array) -> NDArray[np.int64]:
     from scipy.signal import find_peaks
 
-    frames, shape = find_peaks(rise, height=_LEAST_RISE_DB, distance=_APART)
-    most = np.argsort(-shape["peak_heights"])[:MOST_ONSETS]
+    frames, shape = find_peaks(rise, height=_MIN_RISE_DB, distance=_APART)
+    most = np.argsort(-shape["peak_heights"])[:MAX_ONSETS]
     return np.sort(frames[most])
 
 
 def _peak(samples: Array, at: float, rate_hz: float) -> float:
-    """The largest sample of the knock that begins there."""
+    """Return the largest sample of the knock that begins there."""
     begin = max(int(at), 0)
     return float(np.abs(samples[begin : begin + round(_LOUD_S * rate_hz)]).max(initial=0.0))

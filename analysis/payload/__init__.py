@@ -1,1 +1,1 @@
-"""What an arm holds: all that knows it."""
+"""Payload identification: an arm's payload mass and centre of mass from joint torques."""

@@ -1,8 +1,8 @@
-"""An arm's card: what its runs said of its own terms, for logs of the same arm to come.
+"""Arm card: what runs of an arm identified of its own terms, as a prior for later logs of that arm.
 
-Friction, offsets, links, tilt, encoders' zeros, rotors and hoses are an arm's, whatever it holds
-and however it moves. All that runs say of them is linear and normal about what was found, so that a
-card has it whole, in a matrix and a vector (`PayloadFit.learnt`).
+Friction, offsets, links, tilt, encoder zeros, rotors and hoses are the arm's, independent of
+payload and motion. The runs' information is linear and Gaussian about the estimate, so a precision
+matrix and a vector hold all of it (`PayloadFit.learnt`).
 """
 
 from __future__ import annotations
@@ -28,32 +28,28 @@ from tunenet_logs.terminal import one_line, short_name
 
 _KIND, _VERSION = "tunenet-logs arm card", 1
 
-MOST_CARD_BYTES = 16_000_000
-"""Of a file: that of an arm with as many joints as any may have, and half as much again."""
+# Of a file: that of an arm with as many joints as any may have, and half as much again.
+MAX_CARD_BYTES = 16_000_000
 
-_MOST_RUNS, _MOST_TERMS, _MOST_CHARACTERS = 1000, 1200, 500
-"""In a card, and in a name in it. An arm of 32 joints has 1026 terms."""
+# In a card, and in a name in it. An arm of 32 joints has 1026 terms.
+_MAX_RUNS, _MAX_TERMS, _MAX_CHARACTERS = 1000, 1200, 500
 
-_MOST = 1e15
-"""Of a number: what the best sensor says of the largest arm in a day is less."""
-
-_ROUNDING = 1e-6
-"""How far below 0 an eigenvalue may be, by the largest, where variances are 1."""
-
+_MAX = 1e15  # of a number: what the best sensor says of the largest arm in a day is less
+_ROUNDING = 1e-6  # how far below 0 an eigenvalue may be, by the largest, where variances are 1
 _REMEDY = "give the file that tunenet-tune --save-arm-card wrote, or write it anew"
 
 
 @dataclass(frozen=True, eq=False)
 class ArmCard:
-    """What runs of one arm said of it.
+    """What runs of one arm identified of it.
 
     Attributes:
-        arm_sha256: of the arm's description, a URDF (`Arm.urdf`).
-        joints: names in its logs, from base to tool.
+        arm_sha256: Of the arm's description, a URDF (`Arm.urdf`).
+        joints: Names in its logs, from base to tool.
         runs: "log" (a name) and "sha256" of each run that it is from.
-        terms: names of the arm's own terms, of which there are K.
-        learnt: of these terms, shapes (K, K) and (K,).
-        file: its name; "" for one that was not read of a file.
+        terms: Names of the arm's own terms, of which there are K.
+        learnt: Normal equations of these terms, shapes (K, K) and (K,).
+        file: Its name; "" if it was not read from a file.
     """
 
     arm_sha256: str
@@ -65,18 +61,14 @@ class ArmCard:
 
     @property
     def sha256s(self) -> frozenset[str]:
-        """Of its runs."""
+        """SHA-256 of its runs."""
         return frozenset(run["sha256"] for run in self.runs)
 
     def check_arm(self, arm: Arm, joints: tuple[str, ...]) -> None:
-        """Refuse an arm that is another one.
-
-        Args:
-            arm: of a log, as it is described.
-            joints: their names in that log.
+        """Refuse another arm than the card's, by description and joint names.
 
         Raises:
-            NotFoundError: the description or the joints' names are others.
+            NotFoundError: They differ.
         """
         place = f"--arm-card {self.file}"
         if len(joints) != len(self.joints):
@@ -100,7 +92,7 @@ class ArmCard:
         """Refuse a run that the card is from already: it would count twice.
 
         Raises:
-            UsageError: it is one of them.
+            UsageError: It is one of them.
         """
         for run in self.runs:
             if sha256 and run["sha256"] == sha256:
@@ -111,12 +103,12 @@ class ArmCard:
 
 
 def arm_sha256(arm: Arm) -> str:
-    """Of its description; the tool frame is no part of it."""
+    """Hash the arm's description; the tool frame is no part of it."""
     return hashlib.sha256(arm.urdf().encode()).hexdigest()
 
 
 def card_text(card: ArmCard) -> str:
-    """The JSON of a card."""
+    """Format a card as JSON."""
     rows, columns = np.tril_indices(len(card.terms))
     fields = {
         "kind": _KIND,
@@ -133,13 +125,13 @@ def card_text(card: ArmCard) -> str:
 
 
 def read_arm_card(path: Path) -> ArmCard:
-    """The card in a file.
+    """Read a card.
 
     Raises:
-        UsageError: it cannot be read, is something else, or has values that no card has.
+        UsageError: It cannot be read, is something else, or has invalid values.
     """
     try:
-        return card_in(read_small_file(path, MOST_CARD_BYTES), path.name)
+        return card_in(read_small_file(path, MAX_CARD_BYTES), path.name)
     except LogError as error:
         raise UsageError(f"{error}; {_REMEDY}") from error
     except OSError as error:
@@ -150,10 +142,10 @@ def read_arm_card(path: Path) -> ArmCard:
 
 
 def card_in(data: bytes, file: str) -> ArmCard:
-    """The card of a file's bytes, and its name.
+    """Parse a card from a file's bytes; `file` is its name.
 
     Raises:
-        ValueError: they are none, whatever is wrong.
+        ValueError: They are none.
     """
     try:
         return _card(parse_json(data), file)
@@ -167,7 +159,7 @@ def _card(fields: Any, file: str) -> ArmCard:
     if fields.get("version") != _VERSION:
         raise ValueError(f"version {short_name(fields.get('version'))}, not {_VERSION}")
     terms, joints = _texts(fields, "terms"), _texts(fields, "joints")
-    if not joints or len(terms) > _MOST_TERMS:
+    if not joints or len(terms) > _MAX_TERMS:
         raise ValueError(f"{len(joints)} joints with {len(terms)} terms")
     count = len(terms)
     lower = _numbers(fields, "precision", count * (count + 1) // 2)
@@ -176,8 +168,8 @@ def _card(fields: Any, file: str) -> ArmCard:
     precision += np.tril(precision, -1).T
     learnt = NormalEquations(_semidefinite(precision), _numbers(fields, "gradient", count))
     runs = fields.get("runs")
-    if not isinstance(runs, list) or not 1 <= len(runs) <= _MOST_RUNS:
-        raise ValueError(f"runs are no list of 1 to {_MOST_RUNS}")
+    if not isinstance(runs, list) or not 1 <= len(runs) <= _MAX_RUNS:
+        raise ValueError(f"runs are no list of 1 to {_MAX_RUNS}")
     return ArmCard(
         _text(fields.get("arm_sha256")),
         joints,
@@ -189,7 +181,7 @@ def _card(fields: Any, file: str) -> ArmCard:
 
 
 def _text(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > _MOST_CHARACTERS:
+    if not isinstance(value, str) or len(value) > _MAX_CHARACTERS:
         raise ValueError(f"{short_name(value)} is no short text")
     return value
 
@@ -213,16 +205,16 @@ def _numbers(fields: Mapping[str, Any], name: str, count: int) -> Array:
     if not isinstance(values, list) or len(values) != count:
         raise ValueError(f"{name} is no list of {count} numbers")
     for value in values:
-        if type(value) not in (int, float) or not math.fabs(value) <= _MOST:
-            raise ValueError(f"{short_name(value)} in {name} is no number up to {_MOST:g}")
+        if type(value) not in (int, float) or not math.fabs(value) <= _MAX:
+            raise ValueError(f"{short_name(value)} in {name} is no number up to {_MAX:g}")
     return np.array(values, dtype=np.float64)
 
 
 def _semidefinite(precision: Array) -> Array:
-    """A precision without what rounding left below 0, shape (K, K).
+    """Project a precision, shape (K, K), onto semidefinite matrices to undo rounding.
 
     Raises:
-        ValueError: it is below 0 by more.
+        ValueError: An eigenvalue is negative by more than rounding.
     """
     diagonal = np.diag(precision)
     shown = diagonal > 0

@@ -1,7 +1,7 @@
-"""An arm's recording: the new samples of its joints' positions, velocities and torques.
+"""Read an arm's log: fresh samples of joint positions, velocities and torques.
 
 A driver publishes faster than it measures, and repeats what it has: each field keeps only the
-samples that are new (`new_samples.py`). What else drivers do is undone in `driver_quirks.py`.
+samples that are new (`new_samples.py`). `driver_quirks.py` undoes other habits of drivers.
 """
 
 from __future__ import annotations
@@ -25,46 +25,42 @@ from tunenet_logs.errors import NotFoundError
 from tunenet_logs.left_out import LeftOut
 from tunenet_logs.terminal import FEW_NAMES, listed
 
+# Of the two fields that a payload is found from: what has one is of joints, whatever its name.
 JOINT_UNITS = ("N·m", "rad")
-"""Of the two fields that a payload is found from: what has one is of joints, whatever its name."""
 
+# What to do where there are no torques.
 _RECORD_REMEDY = (
     "record the driver's JointState with position and effort, or its joint_torques topic beside it"
 )
-"""What to do where there are no torques."""
 
+# In the reason why a channel is not used: it would have been torques.
 _TORQUES = re.compile(r"no torques|no measurement|not a measurement")
-"""In the reason why a channel is not used: it would have been torques."""
 
-_MOST_REASONS = 3
-"""Channels of which a refusal says why they are not used."""
+_MAX_REASONS = 3  # channels of which a refusal says why they are not used
+_MIN_SAMPLES = 20  # of a field: fewer determine neither a motion nor a rate
+# Between knots of a spline through positions: no arm's acceleration has finer detail.
+MIN_KNOT_S = 0.04
 
-_FEWEST_SAMPLES = 20
-"""Of a field: fewer determine neither a motion nor a rate."""
+# Of a motion that is fitted, whose torques become a few hundred means: of a longer one they are so
+# far apart that a motion which repeats itself looks like a drift. How often it is looked at to find
+# where it moves most, and parts that move as much as this fraction of the most.
+_MAX_S, _LOOKED_AT_S, _MUCH_ALIKE = 600.0, 0.1, 0.9
 
-LEAST_KNOT_S = 0.04
-"""Between knots of a spline through positions: no arm's acceleration has finer detail."""
-
-_LONGEST_S, _LOOKED_AT_S, _MUCH_ALIKE = 600.0, 0.1, 0.9
-"""Of a motion that is fitted, whose torques become a few hundred means: of a longer one they are so
-far apart that a motion which repeats itself looks like a drift. How often it is looked at to find
-where it moves most, and parts that move as much as this fraction of the most."""
-
+# Of a spline through positions: some minutes of rest between two motions, or so many a sample.
 _KNOTS, _KNOTS_A_SAMPLE = 50_000, 4
-"""Of a spline through positions: some minutes of rest between two motions, or so many a sample."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointSamples:
-    """One field of all joints, where it is new.
+    """Fresh samples of one field of all joints.
 
     Attributes:
-        topic: where it came from.
-        seconds: since the log's first sample [s], shape (T,), increasing.
-        values: shape (T, J), in the arm's order of joints [rad, rad/s or N·m].
-        repeated: fraction of what was recorded that only repeats a sample; not that of a rest.
-        late_s: how much later than measured a sample may be stamped; 0 where its time is known.
-        rests: first and last time of each rest [s], shape (R, 2).
+        topic: Where it came from.
+        seconds: Since the log's first sample [s], shape (T,), increasing.
+        values: Shape (T, J), in the arm's order of joints [rad, rad/s or N·m].
+        repeated: Fraction of recorded samples that only repeat one, rests aside.
+        late_s: Maximum delay from measurement to stamp; 0 if its time is known.
+        rests: First and last time of each rest [s], shape (R, 2).
     """
 
     topic: str
@@ -86,15 +82,15 @@ class JointSamples:
 
 @dataclass(frozen=True, eq=False)
 class ArmLog:
-    """An arm's recording.
+    """Log of an arm.
 
     Attributes:
-        joints: names in the log, in the arm's order.
-        position: [rad], without jumps of whole turns.
-        velocity: [rad/s] as the driver says; None where it does not.
-        effort: [N·m] as the driver says, whatever its sign means.
-        warnings: what was converted or is doubtful.
-        left_out: what torques and positions lack.
+        joints: Names in the log, in the arm's order.
+        position: [rad], unwrapped.
+        velocity: [rad/s] as reported by the driver; None if it is not.
+        effort: [N·m] as reported by the driver, in its sign convention.
+        warnings: What was converted or is doubtful.
+        left_out: Samples missing from torques and positions.
     """
 
     joints: tuple[str, ...]
@@ -122,15 +118,15 @@ def read_arm_log(
     """Find the joints of an arm in an episode.
 
     Args:
-        episode: a log's.
-        arm: whose joints are looked for.
-        topic: which to prefer where several would do; it is to have joints of the arm.
-        start_s: where to begin [s since the first sample]; None for there.
-        end_s: where to end [s since the first sample]; None for the last.
-        torque_constants: of efforts that are currents [N·m/A], one a joint or one for all.
+        episode: A log's.
+        arm: Whose joints are looked for.
+        topic: Preferred if several would do; it must have joints of the arm.
+        start_s: Where to begin [s since the first sample]; None for there.
+        end_s: Where to end [s since the first sample]; None for the last.
+        torque_constants: For efforts that are currents [N·m/A], one per joint or one for all.
 
     Raises:
-        NotFoundError: no torques, joints or topic that are not there, or too little of them.
+        NotFoundError: There are no torques, no such joints or topic, or too few samples.
     """
     if topic is not None:
         topic = _checked_topic(episode, arm, topic)
@@ -178,28 +174,19 @@ def read_arm_log(
 
 
 def most_knots(samples: int) -> int:
-    """How many a spline through so many positions may have, whatever their stamps say."""
+    """Bound the knots of a spline through so many positions, independent of their stamps."""
     return max(_KNOTS, _KNOTS_A_SAMPLE * samples)
 
 
 def _bounded(
     position: Signal, first_ns: int, part: tuple[float, float]
 ) -> tuple[tuple[float, float], list[str]]:
-    """The part of a log, without what lies beyond a pause so long that no spline goes over it.
-
-    Args:
-        position: of the joints.
-        first_ns: stamp of the log's first sample.
-        part: first and last time that count [s since `first_ns`].
-
-    Returns:
-        The same part, or a shorter one, and words on the pause.
-    """
+    """Cut a log at a pause too long for a spline; return first and last time, and remarks."""
     seconds = (position.stamps_ns - first_ns).astype(np.float64) * 1e-9
     seconds = seconds[(seconds >= part[0]) & (seconds <= part[1])]
-    if len(seconds) < _FEWEST_SAMPLES:
+    if len(seconds) < _MIN_SAMPLES:
         return part, []
-    knot_s = max(float(np.median(np.diff(seconds))), LEAST_KNOT_S)
+    knot_s = max(float(np.median(np.diff(seconds))), MIN_KNOT_S)
     keep, words = part_on_grid(seconds, knot_s * most_knots(len(seconds)))
     if not words:
         return part, []
@@ -209,41 +196,32 @@ def _bounded(
 def _busiest(
     position: Signal, first_ns: int, part: tuple[float, float]
 ) -> tuple[tuple[float, float], list[str]]:
-    """The part of a long log in which the arm moves most, the first of such that are much alike.
-
-    Args:
-        position: of the joints.
-        first_ns: stamp of the log's first sample.
-        part: first and last time that count [s since `first_ns`].
-
-    Returns:
-        The same part, or one of `_LONGEST_S`, and words on that.
-    """
+    """Return the `_MAX_S` of a long log in which the arm moves most, and remarks."""
     seconds = (position.stamps_ns - first_ns).astype(np.float64) * 1e-9
     rows = np.flatnonzero((seconds >= part[0]) & (seconds <= part[1]))
     seconds = seconds[rows]
-    if len(seconds) < _FEWEST_SAMPLES or seconds[-1] - seconds[0] <= _LONGEST_S:
+    if len(seconds) < _MIN_SAMPLES or seconds[-1] - seconds[0] <= _MAX_S:
         return part, []
     thinned = np.searchsorted(seconds, np.arange(seconds[0], seconds[-1], _LOOKED_AT_S))
     steps = np.abs(np.diff(position.values[rows[thinned]], axis=0))
     ways = np.concatenate([[0.0], np.cumsum(np.nansum(steps, axis=1))])
-    begins = np.arange(seconds[0], seconds[-1] - _LONGEST_S + _LOOKED_AT_S, _LONGEST_S / 10)
-    ends = np.minimum(np.searchsorted(seconds[thinned], begins + _LONGEST_S), len(ways) - 1)
+    begins = np.arange(seconds[0], seconds[-1] - _MAX_S + _LOOKED_AT_S, _MAX_S / 10)
+    ends = np.minimum(np.searchsorted(seconds[thinned], begins + _MAX_S), len(ways) - 1)
     moved = ways[ends] - ways[np.searchsorted(seconds[thinned], begins)]
     begin = float(begins[np.argmax(moved >= _MUCH_ALIKE * moved.max())])
     words = (
-        f"{seconds[-1] - seconds[0]:.0f} s are more than is fitted at once: the {_LONGEST_S:.0f} s "
+        f"{seconds[-1] - seconds[0]:.0f} s are more than is fitted at once: the {_MAX_S:.0f} s "
         f"from {begin:.0f} s on, where the arm moves most, are used; name others with --start and "
         "--end"
     )
-    return (begin, begin + _LONGEST_S), [words]
+    return (begin, begin + _MAX_S), [words]
 
 
 def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
-    """The topic that a user named, without the name of one of its fields.
+    """Return the topic that a user named, without the name of one of its fields.
 
     Raises:
-        NotFoundError: it has no joints, or none of them is the arm's.
+        NotFoundError: It has no joints, or none of them is the arm's.
     """
     reasons: list[NotFoundError] = []
     for signal in episode.signals_of(topic):
@@ -262,7 +240,7 @@ def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
 
 
 def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -> Signal:
-    """The signal of that unit which has all joints: the preferred topic's, else one that moves."""
+    """Pick the signal of that unit with all joints: the preferred topic's, else one that moves."""
     there = [signal for signal in episode.signals.values() if signal.unit == unit]
     if not there:
         left_out = _left_out(episode, unit)
@@ -289,21 +267,21 @@ def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -
 
 
 def _left_out(episode: Episode, unit: str) -> str:
-    """Why the log's torques were not used, where it has some; "" where it has none."""
+    """Say why the log's torques, if any, were not used."""
     reasons = [
         f"{channel.topic}: {channel.skipped}"
         for channel in episode.channels
         if unit == "N·m" and channel.skipped and _TORQUES.search(channel.skipped)
     ]
     reasons.sort(key=lambda reason: "--torque-constants" not in reason)
-    return ": " + "; ".join(reasons[:_MOST_REASONS]) if reasons else ""
+    return ": " + "; ".join(reasons[:_MAX_REASONS]) if reasons else ""
 
 
 def _measured(effort: Signal, arm: Arm) -> Signal:
-    """Torques as a sensor gives them; 0 for a joint whose torque is never a number.
+    """Return measured torques; 0 for a joint whose torque is never a number.
 
     Raises:
-        NotFoundError: no sensor gives these.
+        NotFoundError: No sensor gives these.
     """
     columns = match_joints(arm.joint_names, effort.columns)
     is_measured: NDArray[np.bool_] = np.any(np.isfinite(effort.values), axis=0)
@@ -335,17 +313,17 @@ def _fresh(
     part: tuple[float, float],
     rests: Array | None = None,
 ) -> JointSamples:
-    """What is new in a signal.
+    """Extract the fresh samples of a signal.
 
     Args:
-        signal: of one field.
-        arm: whose joints.
-        first_ns: stamp of the log's first sample.
-        part: first and last time that count [s since `first_ns`].
-        rests: when the arm rests [s], shape (R, 2); None where the signal itself shows it.
+        signal: Of one field.
+        arm: Whose joints.
+        first_ns: Stamp of the log's first sample.
+        part: First and last time that count [s since `first_ns`].
+        rests: When the arm rests [s], shape (R, 2); None if the signal itself shows it.
 
     Raises:
-        NotFoundError: it is too little.
+        NotFoundError: They are too few.
     """
     columns = match_joints(arm.joint_names, signal.columns)
     seconds = (signal.stamps_ns - first_ns).astype(np.float64) * 1e-9
@@ -354,10 +332,10 @@ def _fresh(
     seconds, values = seconds[keep], values[keep]
     new = new_samples(seconds, values, rests) if len(seconds) > 1 else None
     count = len(seconds) if new is None else len(new.rows)
-    if new is None or count < _FEWEST_SAMPLES:
+    if new is None or count < _MIN_SAMPLES:
         raise NotFoundError(
             f"{signal.name}: {count} samples of all joints are new (wanted: "
-            f"{_FEWEST_SAMPLES} or more): record for 5 s, at the driver's highest rate"
+            f"{_MIN_SAMPLES} or more): record for 5 s, at the driver's highest rate"
         )
     return JointSamples(
         _topic(signal), new.seconds, values[new.rows], new.repeated, new.late_s, new.rests
@@ -365,7 +343,7 @@ def _fresh(
 
 
 def _topic(signal: Signal) -> str:
-    """The signal's topic, without the name of the field."""
+    """Return the signal's topic, without the name of the field."""
     for ending in (".position", ".velocity", ".effort"):
         if signal.name.endswith(ending):
             return signal.name.removesuffix(ending)

@@ -1,8 +1,8 @@
-"""How an arm moved while its torques were measured: positions smoothed, with their derivatives.
+"""Smooth an arm's joint positions, and differentiate them twice.
 
 A penalised spline of degree 5 on even knots, with third differences as its penalty (P-spline,
-Eilers and Marx 1996), so that second derivatives are smooth too; its stiffness by generalised
-cross-validation (Craven and Wahba 1979), for each joint.
+Eilers and Marx 1996), so that second derivatives are smooth too; its smoothing parameter by
+generalised cross-validation (Craven and Wahba 1979), for each joint.
 """
 
 from __future__ import annotations
@@ -13,47 +13,37 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.payload.arm_log import LEAST_KNOT_S, ArmLog, most_knots
+from analysis.payload.arm_log import MIN_KNOT_S, ArmLog, most_knots
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
+# Left out at both ends: a spline's second derivative is poor where samples are on one side.
 _ENDS_S = 0.25
-"""Left out at both ends: a spline's second derivative is poor where samples are on one side."""
 
-_MOST_GAP_PERIODS, _LEAST_GAP_S = 5.0, 0.25
-"""A gap of the positions within which the motion is unknown: longer than both."""
+# A gap of the positions within which the motion is unknown: longer than both.
+_MAX_GAP_PERIODS, _MIN_GAP_S = 5.0, 0.25
 
-_FEWEST_TORQUES = 20
-"""Samples; fewer do not determine the terms of a fit."""
-
+_MIN_TORQUES = 20  # samples; fewer do not determine the terms of a fit
+# A single sample is an outlier where it is off the middle of its neighbours by more than this angle
+# and this multiple of the median.
 _OUTLIER_RAD, _OUTLIER_FACTOR = 0.05, 20.0
-"""A single sample is an outlier where it is off the middle of its neighbours by more than this
-angle and this multiple of the median."""
 
-_MOST_TORQUES = 700
-"""Samples of a fit: more cost time and add nothing, as an arm's motion is slow."""
-
+_MAX_TORQUES = 700  # samples of a fit: more cost time and add nothing, as an arm's motion is slow
+# Over which the torques of an arm hardly change: spans of samples that are averaged.
 _MEAN_SPAN_S = 0.05
-"""Over which the torques of an arm hardly change: spans of samples that are averaged."""
 
-_DEGREE = 5
-"""Of the spline: its second derivative is a cubic, smooth itself."""
-
+_DEGREE = 5  # of the spline: its second derivative is a cubic, smooth itself
+# Penalty weights that are compared: from interpolation to a parabola, four a decade.
 _STIFFNESSES = np.logspace(-9, 7, 65)
-"""Penalty weights that are compared: from interpolation to a parabola, four a decade."""
 
+# Of a degree of freedom in the score: with 1, cross-validation follows noise too often (Gu 2002).
 _DOF_COST = 1.4
-"""Of a degree of freedom in the score: with 1, cross-validation follows noise too often (Gu
-2002)."""
 
-_WINDOW_KNOTS = 300
-"""Over which the stiffness is chosen; a long recording has the same throughout."""
-
-_RIDGE = 1e-10
-"""Fraction of the penalty that keeps knots without a sample determined."""
+_WINDOW_KNOTS = 300  # over which the stiffness is chosen; a long recording has the same throughout
+_RIDGE = 1e-10  # fraction of the penalty that keeps knots without a sample determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +51,10 @@ class ArmMotion:
     """Torques, and the motion at any time between.
 
     Attributes:
-        seconds: of the torques [s], shape (T,).
-        effort: as the driver gives them [N·m], shape (T, J).
-        used: joints whose torque says something, shape (J,).
-        spline: positions of all joints [rad] over time [s].
+        seconds: Of the torques [s], shape (T,).
+        effort: As reported by the driver [N·m], shape (T, J).
+        used: Joints whose torque is informative, shape (J,).
+        spline: Positions of all joints [rad] over time [s].
     """
 
     seconds: Array
@@ -73,18 +63,18 @@ class ArmMotion:
     spline: BSpline
 
     def at(self, seconds: Array) -> tuple[Array, Array, Array]:
-        """Positions [rad], velocities [rad/s] and accelerations [rad/s^2], each (T, J)."""
+        """Return positions [rad], velocities [rad/s] and accelerations [rad/s^2], each (T, J)."""
         position, velocity, acceleration = (self.spline(seconds, order) for order in range(3))
         return position, velocity, acceleration
 
 
 def arm_motion(log: ArmLog) -> ArmMotion:
-    """Smooth the positions by splines whose stiffness is cross-validated.
+    """Smooth the positions by P-splines, with generalised cross-validation.
 
     The first and last quarter of a second are left out, and torques in gaps of the positions.
 
     Raises:
-        NotFoundError: too few torques remain.
+        NotFoundError: Too few torques remain.
     """
     positions, efforts = log.position.seconds, log.effort.seconds
     angles = log.position.values
@@ -98,18 +88,18 @@ def arm_motion(log: ArmLog) -> ArmMotion:
     spline = smoothing_spline(positions[inliers], angles[inliers], log.position.late_s)
     after = np.clip(np.searchsorted(positions, efforts), 1, len(positions) - 1)
     gaps = np.diff(positions)
-    most_s = max(_MOST_GAP_PERIODS * float(np.median(gaps)), _LEAST_GAP_S)
+    most_s = max(_MAX_GAP_PERIODS * float(np.median(gaps)), _MIN_GAP_S)
     inside = (efforts > positions[0] + _ENDS_S) & (efforts < positions[-1] - _ENDS_S)
     keep = inside & (gaps[after - 1] < most_s)
-    if np.count_nonzero(keep) < _FEWEST_TORQUES:
+    if np.count_nonzero(keep) < _MIN_TORQUES:
         raise NotFoundError(
             f"{np.count_nonzero(keep)} torques have positions about them (wanted: "
-            f"{_FEWEST_TORQUES} or more): record both at once, for 5 s"
+            f"{_MIN_TORQUES} or more): record both at once, for 5 s"
         )
     seconds, effort = efforts[keep], log.effort.values[keep]
-    if len(seconds) > _MOST_TORQUES:  # means over short spans
+    if len(seconds) > _MAX_TORQUES:  # means over short spans
         since = seconds - seconds[0]
-        width = float(since[-1]) / (_MOST_TORQUES - 1)
+        width = float(since[-1]) / (_MAX_TORQUES - 1)
         spans = (since / width).astype(np.int64)
         near = since - spans * width < _MEAN_SPAN_S
         _, spans, counts = np.unique(spans[near], return_inverse=True, return_counts=True)
@@ -122,19 +112,19 @@ def arm_motion(log: ArmLog) -> ArmMotion:
 
 
 def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpline:
-    """Fit each column of samples.
+    """Fit a P-spline to each column of samples.
 
     Args:
-        seconds: when they were taken [s], increasing, shape (T,).
-        values: shape (T, C).
-        late_s: by how much each may have been taken earlier [s]. Such errors are correlated, which
-            cross-validation takes for the curve; so no curve comes nearer than they allow.
+        seconds: Of the samples [s], increasing, shape (T,).
+        values: Shape (T, C).
+        late_s: Maximum delay from measurement to stamp [s]. Such errors are correlated, which
+            cross-validation takes for the curve; so residuals stay at least as large as they make.
     """
     from scipy.interpolate import BSpline
     from scipy.sparse import dia_array
     from scipy.sparse.linalg import splu
 
-    step = max(float(np.median(np.diff(seconds))), LEAST_KNOT_S)
+    step = max(float(np.median(np.diff(seconds))), MIN_KNOT_S)
     cells = int(np.ceil((seconds[-1] - seconds[0]) / step))
     cells = min(max(cells, _DEGREE), most_knots(len(seconds)))
     step = (seconds[-1] - seconds[0]) / cells
@@ -161,19 +151,16 @@ def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpl
 
 
 def _stiffnesses(design: Array, penalty: Array, values: Array, floor: Array) -> Array:
-    """The penalty weight of each column, by generalised cross-validation.
+    """Choose each column's penalty weight, shape (C,), by generalised cross-validation.
 
     In the basis that makes both matrices diagonal (Demmler and Reinsch 1975) a stiffness only
     shrinks each coordinate, so that all of them are compared at the cost of one.
 
     Args:
-        design: spline basis at each sample, shape (T, K).
-        penalty: squared third differences, shape (K, K).
-        values: shape (T, C).
-        floor: least variance of the residuals, shape (C,).
-
-    Returns:
-        Shape (C,).
+        design: Spline basis at each sample, shape (T, K).
+        penalty: Squared third differences, shape (K, K).
+        values: Shape (T, C).
+        floor: Least variance of the residuals, shape (C,).
     """
     from scipy.linalg import eigh
 

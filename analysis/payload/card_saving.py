@@ -1,4 +1,4 @@
-"""Writes the card that a tuning leaves of its arm."""
+"""Save the arm card of a tuning."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from analysis.payload.arm_card import MOST_CARD_BYTES, ArmCard, arm_sha256, card_in, card_text
+from analysis.payload.arm_card import MAX_CARD_BYTES, ArmCard, arm_sha256, card_in, card_text
 from analysis.payload.detection import PayloadDetection
 from analysis.payload.torque_terms import arm_terms
 from analysis.record import Tuning
@@ -16,16 +16,11 @@ from tunenet_logs.terminal import listed
 
 
 def save_arm_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
-    """Write what a tuning learnt of its arm, and what the card said that it was made with.
-
-    Args:
-        tuning: of a log, with where it comes from.
-        path: where to.
-        overwrite: whether the card of other runs may be replaced; another file never is.
+    """Write what a tuning identified of its arm, added to the card that it was made with.
 
     Raises:
-        LogError: there is nothing to write, or something else in its place; names the remedy.
-        OSError: it cannot be written.
+        LogError: There is nothing to write, or a file in its place may not be replaced.
+        OSError: It cannot be written.
     """
     detection = tuning.detection
     provenance = tuning.provenance
@@ -49,10 +44,10 @@ def save_arm_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
 
 
 def card_place(path: Path, card: ArmCard | None, *, overwrite: bool) -> OutputPlace:
-    """Where a card goes: over one of the same runs; any card's place where it is not known yet."""
+    """Return the output place of a card; without one, that of any card."""
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
-        there = card_in(file.read(MOST_CARD_BYTES + 1), path.name)
+        there = card_in(file.read(MAX_CARD_BYTES + 1), path.name)
         is_same = card is None or there.sha256s == card.sha256s
         return () if is_same else [run["log"] for run in there.runs]
 

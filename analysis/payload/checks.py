@@ -1,4 +1,4 @@
-"""Checks of a payload: the recording, an arm behind the torques, how sure the mass is."""
+"""Checks of a payload: the log, whether an arm explains the torques, precision of the mass."""
 
 from __future__ import annotations
 
@@ -17,52 +17,49 @@ from tunenet_logs.terminal import listed, short_name
 
 T = TypeVar("T")
 
-_LEAST_HZ = 8.0
-_LEAST_S, _REJECT_S = 3.0, 1.0
-_LEAST_SPAN_RAD = 0.3
-_MOST_GAP_S = 0.3
-_MOST_REPEATED = 0.7
-"""A recording that shows a mass: slower, shorter or more still, friction and offsets hide it. The
-repeated samples are a fraction of all but those of an arm at rest, which are no gap either."""
+_MIN_HZ = 8.0
+_MIN_S, _REJECT_S = 3.0, 1.0
+_MIN_SPAN_RAD = 0.3
+_MAX_GAP_S = 0.3
+# A recording that shows a mass: slower, shorter or more still, friction and offsets hide it. The
+# repeated samples are a fraction of all but those of an arm at rest, which are no gap either.
+_MAX_REPEATED = 0.7
 
-_LEAST_CORRELATION = 0.8
+_MIN_CORRELATION = 0.8
+# Velocities of the driver are like the positions' derivatives, and these below a multiple of the
+# joint's limit: else positions or stamps are wrong.
 _FAST_FACTOR = 1.5
-"""Velocities of the driver are like the positions' derivatives, and these below a multiple of the
-joint's limit: else positions or stamps are wrong."""
 
-_MOST_RMS, _REJECT_RMS, _MOST_SIMULATED = 0.03, 0.08, 0.15
-"""Residuals by what joints are built for. Those of a good fit are a torque sensor's noise, half a
-percent; a simulated arm has no friction and no offsets, so that more remains."""
+# Residuals by what joints are built for. Those of a good fit are a torque sensor's noise, half a
+# percent; a simulated arm has no friction and no offsets, so that more remains.
+_MAX_RMS, _REJECT_RMS, _MAX_SIMULATED = 0.03, 0.08, 0.15
 
+# Of the square of a standard normal variable: makes a median an rms without spikes.
 _CHI2_MEDIAN = 0.455
-"""Of the square of a standard normal variable: makes a median an rms without spikes."""
 
 _REJECT_FRACTION = 0.5
+# No arm leaves this fraction of its torques' variance unexplained, where they vary by more than
+# noise does, by what its joints are built for.
 _LIVELY = 0.03
-"""No arm leaves this fraction of its torques' variance unexplained, where they vary by more than
-noise does, by what its joints are built for."""
 
+# Natural log of the Bayes factor, and what speaks against an owner's own word. It comes of models
+# that are linear about an empty arm, which are wrong by tens on an arm with much friction:
+# strangers' arms whose weight was taken for a payload led by 4 to 13, the paper's circle is right
+# by 29.
 _SURE_ODDS, _CONTRADICTED = 15.0, -10.0
-"""Natural log of the Bayes factor, and what speaks against an owner's own word. It comes of models
-that are linear about an empty arm, which are wrong by tens on an arm with much friction: strangers'
-arms whose weight was taken for a payload led by 4 to 13, the paper's circle is right by 29."""
 
-_MOST_LAG_S = 0.1
-"""Drivers' filters are faster: more is two clocks."""
-
-_USUAL_SDS = 8.0
-"""Of a term's prior: beyond it something else is wrong with the arm."""
-
+_MAX_LAG_S = 0.1  # Drivers' filters are faster: more is two clocks
+_TYPICAL_SDS = 8.0  # of a term's prior: beyond it something else is wrong with the arm
+# Half of a 95 % interval that is of use, by what the arm weighs, or by the payload's mass where
+# that is more; and of none at all.
 _SURE_SHARE, _SURE_FRACTION, _REJECT_SHARE = 0.03, 0.1, 0.4
-"""Half of a 95 % interval that is of use, by what the arm weighs, or by the payload's mass where
-that is more; and of none at all."""
 
+# Times its highest torque at which a joint's torques are not this arm's, or not in N·m. Scales of
+# friction grow with such torques until they explain them.
 _NO_ARM_LIFTS = 5.0
-"""Times its highest torque at which a joint's torques are not this arm's, or not in N·m. Scales of
-friction grow with such torques until they explain them."""
 
+# Standard deviations below 0 at which a mass is an error of the model or of the tare.
 _BELOW_SDS = 4.0
-"""Standard deviations below 0 at which a mass is an error of the model or of the tare."""
 
 _CONVENTION_WORDS = {
     (1, True): "the joints' torques, with gravity",
@@ -87,7 +84,7 @@ _TARE_ADVICE = "record the empty gripper too and give it with --tare"
 
 
 def arm_checks(log: ArmLog, motion: ArmMotion, arm: Arm) -> list[Check]:
-    """What speaks for and against a recording, whatever is in the gripper."""
+    """Check an arm's log, independent of its payload."""
     position, velocity, _ = motion.at(motion.seconds)
     length_s = float(motion.seconds[-1] - motion.seconds[0])
     spans = np.ptp(position, axis=0)
@@ -98,16 +95,16 @@ def arm_checks(log: ArmLog, motion: ArmMotion, arm: Arm) -> list[Check]:
     return [
         Check(
             "long enough",
-            length_s >= _LEAST_S,
-            f"{length_s:.1f} s of torques with their motion (wanted: {_LEAST_S:.0f} or more)",
+            length_s >= _MIN_S,
+            f"{length_s:.1f} s of torques with their motion (wanted: {_MIN_S:.0f} or more)",
             fatal=length_s < _REJECT_S,
             advice="record 5 s of one smooth motion",
         ),
         Check(
             "the arm moves",
-            float(spans.max()) >= _LEAST_SPAN_RAD,
+            float(spans.max()) >= _MIN_SPAN_RAD,
             f"the joint that moves most turns by {spans.max():.2f} rad (wanted: "
-            f"{_LEAST_SPAN_RAD} or more)",
+            f"{_MIN_SPAN_RAD} or more)",
             advice="move all joints by half a turn or so, the payload far out to the side",
         ),
         Check(
@@ -120,22 +117,22 @@ def arm_checks(log: ArmLog, motion: ArmMotion, arm: Arm) -> list[Check]:
         ),
         Check(
             "rate",
-            slow_hz >= _LEAST_HZ,
+            slow_hz >= _MIN_HZ,
             f"positions are new at {log.position.rate_hz:.0f} Hz, torques at "
-            f"{log.effort.rate_hz:.0f} Hz (wanted: {_LEAST_HZ:.0f} or more)",
+            f"{log.effort.rate_hz:.0f} Hz (wanted: {_MIN_HZ:.0f} or more)",
             advice="raise the driver's rate",
         ),
         Check(
             "samples are new",
-            repeated <= _MOST_REPEATED,
+            repeated <= _MAX_REPEATED,
             f"{100 * repeated:.0f} % of the samples repeat the one before, rests aside (at most "
-            f"{100 * _MOST_REPEATED:.0f})",
+            f"{100 * _MAX_REPEATED:.0f})",
             advice="record at the rate at which the driver measures",
         ),
         Check(
             "no gaps",
-            gap_s <= _MOST_GAP_S,
-            f"longest time without a new sample {gap_s:.2f} s (at most {_MOST_GAP_S})",
+            gap_s <= _MAX_GAP_S,
+            f"longest time without a new sample {gap_s:.2f} s (at most {_MAX_GAP_S})",
             advice="record on a machine that keeps up, or a shorter part with --start and --end",
         ),
         *_speed_checks(log, motion, velocity, arm),
@@ -143,14 +140,7 @@ def arm_checks(log: ArmLog, motion: ArmMotion, arm: Arm) -> list[Check]:
 
 
 def _speed_checks(log: ArmLog, motion: ArmMotion, velocity: Array, arm: Arm) -> list[Check]:
-    """Whether speeds are an arm's, and like the driver's velocities, which are not used.
-
-    Args:
-        log: with these velocities, or without.
-        motion: the positions over time.
-        velocity: their derivatives [rad/s], shape (T, J).
-        arm: with the speed limits.
-    """
+    """Check speeds, (T, J) [rad/s], against the arm's limits and the driver's velocities."""
     limits = np.array([joint.max_velocity_rad_s for joint in arm.joints])
     fractions = np.quantile(np.abs(velocity), 0.99, axis=0) / limits
     worst = int(np.argmax(fractions))
@@ -176,22 +166,18 @@ def _speed_checks(log: ArmLog, motion: ArmMotion, velocity: Array, arm: Arm) -> 
     factor = float(np.sqrt(np.sum(measured**2) / np.sum(derived**2)))
     velocity_check = Check(
         "velocities agree",
-        correlation > _LEAST_CORRELATION,
+        correlation > _MIN_CORRELATION,
         f"correlation {correlation:.2f} with the positions' derivatives (wanted: over "
-        f"{_LEAST_CORRELATION}), {factor:.2f} times them; they are not used",
+        f"{_MIN_CORRELATION}), {factor:.2f} times them; they are not used",
         advice="check that positions are stamped when they are measured",
     )
     return [speed_check, velocity_check]
 
 
 def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog, *, is_stated: bool) -> list[Check]:
-    """What speaks for and against the mass; a tare that fits no arm is blamed before the log.
+    """Check a payload fit; a tare that fits no arm is blamed before the log.
 
-    Args:
-        fit: of the torques.
-        arm: whose they are.
-        log: with these torques.
-        is_stated: whether the owner says what the driver means by torque.
+    `is_stated` is whether the user states the driver's torque convention.
     """
     tare_checks = [
         _arm_check(
@@ -211,16 +197,16 @@ def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog, *, is_stated: bool) -
         _convention_check(fit, is_stated=is_stated),
         Check(
             "lag",
-            abs(fit.lag_s) < _MOST_LAG_S,
+            abs(fit.lag_s) < _MAX_LAG_S,
             f"torques are {1000 * fit.lag_s:.0f} ms behind the positions (at most "
-            f"{1000 * _MOST_LAG_S:.0f} either way)",
+            f"{1000 * _MAX_LAG_S:.0f} either way)",
             advice="stamp positions and torques with one clock, when they are measured",
         ),
         Check(
             "friction and sensors are usual",
-            sds < _USUAL_SDS,
+            sds < _TYPICAL_SDS,
             f"{worst.name} is {worst.value:+.3g}, {sds:.1f} times what is usual (at most "
-            f"{_USUAL_SDS:.0f})",
+            f"{_TYPICAL_SDS:.0f})",
             advice=_TILT_ADVICE if worst.group == "tilt" else _ZERO_ADVICE,
         ),
         _lift_check(fit, arm, log),
@@ -228,13 +214,13 @@ def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog, *, is_stated: bool) -
 
 
 def numbered(what: str, things: Sequence[T]) -> list[tuple[str, T]]:
-    """What each is called: by its number where there are several."""
+    """Name things, by number if there are several."""
     names = [what] if len(things) == 1 else [f"{what} {at}" for at in range(1, len(things) + 1)]
     return list(zip(names, things, strict=True))
 
 
 def _convention_check(fit: PayloadFit, *, is_stated: bool) -> Check:
-    """Whether it is clear what the driver means by torque."""
+    """Check whether the driver's torque convention is certain."""
     meant = _CONVENTION_WORDS[fit.convention.sign, fit.convention.has_gravity]
     if is_stated:
         return Check(
@@ -254,7 +240,7 @@ def _convention_check(fit: PayloadFit, *, is_stated: bool) -> Check:
 
 
 def _arm_check(name: str, residual: FitResidual, arm_odds: float, advice: str) -> Check:
-    """Whether any arm is behind these torques."""
+    """Check whether any arm explains these torques."""
     left = residual.residual_nm / residual.scales_nm
     rms = float(np.sqrt(np.median(left**2, axis=0).mean() / _CHI2_MEDIAN))
     moving = (residual.effort_nm - np.mean(residual.effort_nm, axis=0)) / residual.scales_nm
@@ -264,15 +250,15 @@ def _arm_check(name: str, residual: FitResidual, arm_odds: float, advice: str) -
         lost |= float(np.mean(left**2)) / spread**2 > _REJECT_FRACTION
     detail = (
         f"{100 * rms:.1f} % of what the joints are built for are left, rms (at most "
-        f"{100 * _MOST_RMS:.0f}); torques change by {100 * spread:.1f} %"
+        f"{100 * _MAX_RMS:.0f}); torques change by {100 * spread:.1f} %"
     )
     if lost:
         detail = f"these torques fit no arm, of either sign: {detail}"
-    return Check(name, rms < _MOST_RMS and not lost, detail, fatal=lost, advice=advice)
+    return Check(name, rms < _MAX_RMS and not lost, detail, fatal=lost, advice=advice)
 
 
 def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
-    """Whether the arm can hold such a mass."""
+    """Check whether the arm can hold such a mass."""
     limits = np.array([joint.max_effort_nm for joint in arm.joints])
     fractions = np.quantile(np.abs(log.effort.values), 0.99, axis=0) / limits
     worst = int(np.argmax(fractions))
@@ -293,7 +279,7 @@ def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
 
 
 def sure_check(fit: PayloadFit, arm: Arm) -> Check:
-    """Whether the interval is narrow enough to be of use."""
+    """Check whether the interval is narrow enough to be of use."""
     low, high = fit.held.interval95
     half = (high - low) / 2
     arm_kg = sum(joint.link.mass_kg for joint in arm.joints)
@@ -309,17 +295,17 @@ def sure_check(fit: PayloadFit, arm: Arm) -> Check:
 
 
 def simulation_check(residual_nm: Array, scales_nm: Array) -> Check:
-    """Whether the simulated arm needs the torques that were measured, all but what is no mass's.
+    """Check the simulated torques against the measured ones, all but nuisance terms.
 
     Args:
-        residual_nm: measured less simulated [N·m], shape (T, J).
-        scales_nm: what each joint is built for [N·m], shape (J,).
+        residual_nm: Measured less simulated [N·m], shape (T, J).
+        scales_nm: Rated torque of each joint [N·m], shape (J,).
     """
     rms = float(np.sqrt(np.mean((residual_nm / scales_nm) ** 2)))
     return Check(
         "simulation fits",
-        rms < _MOST_SIMULATED,
+        rms < _MAX_SIMULATED,
         f"measured and simulated torques differ by {100 * rms:.1f} % of what the joints are built "
-        f"for, rms, friction and offsets included (at most {100 * _MOST_SIMULATED:.0f})",
+        f"for, rms, friction and offsets included (at most {100 * _MAX_SIMULATED:.0f})",
         advice="use the preset default, or check the arm (--urdf)",
     )

@@ -1,9 +1,8 @@
-"""The noise of joint torques: white, and wandering about 0 with a time constant.
+"""Noise model of joint torques: white noise plus an Ornstein-Uhlenbeck process.
 
-What a model lacks (ripple, hoses, warming) looks like noise whose neighbours are alike. Taken for
-white it would make intervals too narrow. So it is white noise and an Ornstein-Uhlenbeck process
-(Uhlenbeck and Ornstein 1930), whose inverse covariance is tridiagonal at any stamps: weighing
-samples by it costs no more than they are many.
+Unmodelled effects (ripple, hoses, warming) look like correlated noise. Taken for white they would
+make intervals too narrow. The inverse covariance of an Ornstein-Uhlenbeck process (Uhlenbeck and
+Ornstein 1930) is tridiagonal at any stamps, so weighting samples by it costs O(T).
 """
 
 from __future__ import annotations
@@ -16,30 +15,26 @@ import numpy as np
 from tunenet_logs.arrays import Array
 
 _TIMES_S = (0.05, 0.15, 0.5, 1.5, 5.0)
+# Time constants, and variances by the white one's, that are tried.
 _RATIOS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-"""Time constants, and variances by the white one's, that are tried."""
 
-_SPIKE_SDS = 3.5
-"""Residual beyond which a sample counts for less: 1 of 2000 where noise is normal."""
-
-_LEAST_SHARE = 2e-5
-"""Of what a joint is built for: no sensor's noise is less."""
-
-_MOST_FALL = 25.0
-"""Factor by which noise falls at most from one estimate to the next: a first fit that happens to be
-near a joint's torques would give it all the weight."""
+_SPIKE_SDS = 3.5  # residual beyond which a sample counts for less: 1 of 2000 where noise is normal
+_MIN_SHARE = 2e-5  # of what a joint is built for: no sensor's noise is less
+# Factor by which noise falls at most from one estimate to the next: a first fit that happens to be
+# near a joint's torques would give it all the weight.
+_MAX_FALL = 25.0
 
 
 @dataclass(frozen=True, eq=False)
 class SeriesNoise:
-    """Of one joint's torques in one run.
+    """Noise of one joint's torques in one run.
 
     Attributes:
-        seconds: of the samples [s], shape (T,).
-        weights: of each sample's white noise: 1, less for spikes, shape (T,).
-        white_nm: standard deviation of the white part.
-        wander_nm: of the other; 0 for none.
-        time_s: its time constant.
+        seconds: Of the samples [s], shape (T,).
+        weights: Of each sample's white noise: 1, less for spikes, shape (T,).
+        white_nm: Standard deviation of the white part.
+        wander_nm: Of the Ornstein-Uhlenbeck part; 0 for none.
+        time_s: Its time constant.
     """
 
     seconds: Array
@@ -61,7 +56,7 @@ class SeriesNoise:
         return cholesky_banded(both)
 
     def weighed(self, columns: Array) -> Array:
-        """The inverse covariance times columns, shape (T, C)."""
+        """Multiply columns, shape (T, C), by the inverse covariance."""
         from scipy.linalg import cho_solve_banded
 
         white = (self.weights / self.white_nm**2)[:, None]
@@ -71,7 +66,7 @@ class SeriesNoise:
         return weighed - white * cho_solve_banded((self._factor, False), weighed)
 
     def wandering(self, residual: Array) -> Array:
-        """The likeliest wandering part of residuals, shape (T,)."""
+        """Estimate the correlated part of residuals, shape (T,): its posterior mean."""
         from scipy.linalg import cho_solve_banded
 
         if not self.wander_nm:
@@ -81,36 +76,35 @@ class SeriesNoise:
 
     @property
     def log_det(self) -> float:
-        """Of the covariance; spikes' weights are left out."""
+        """Log determinant of the covariance, spikes' weights left out."""
         white = 2 * len(self.seconds) * np.log(self.white_nm)
         if not self.wander_nm:
             return float(white)
         return float(white + 2 * np.sum(np.log(self._factor[1])) - self._wander[1])
 
     def log_likelihood(self, residual: Array) -> float:
-        """Of residuals, shape (T,)."""
+        """Return the log likelihood of residuals, shape (T,)."""
         weighed = self.weighed(residual[:, None])[:, 0]
         return -0.5 * (float(residual @ weighed) + self.log_det)
 
 
-Noises = tuple[SeriesNoise, ...]
-"""Of each joint in one run."""
+Noises = tuple[SeriesNoise, ...]  # of each joint in one run
 
 
 def estimated(
     before: Noises, residual_nm: Array, fitted: Array, least_nm: Array, *, roughly: bool
 ) -> Noises:
-    """The likeliest noise of the residuals of a fit.
+    """Estimate the noise of a fit's residuals by maximum likelihood.
 
     All time constants and variances of all joints are one banded system, without a link between
     them: one call instead of hundreds.
 
     Args:
-        before: the noise that the fit was made with.
-        residual_nm: of one run [N·m], shape (T, J).
-        fitted: how many terms each joint's samples determined: they take noise away, shape (J,).
-        least_nm: that a sensor has, shape (J,).
-        roughly: whether few time constants and variances will do.
+        before: Noise that the fit was made with.
+        residual_nm: Of one run [N·m], shape (T, J).
+        fitted: Degrees of freedom that the fit used of each joint, shape (J,).
+        least_nm: Least noise of a sensor, shape (J,).
+        roughly: Whether a coarse grid of time constants and variances suffices.
     """
     from scipy.linalg import cho_solve_banded, cholesky_banded
 
@@ -148,22 +142,19 @@ def estimated(
         time_s, ratio = (1.0, 0.0) if choice == 0 else tried[choice - 1]
         freedom = max(count - float(fitted[joint]), 1.0)
         white = float(np.sqrt(power[choice, joint] * count / freedom))
-        white = max(white, float(least_nm[joint]), before[joint].white_nm / _MOST_FALL)
+        white = max(white, float(least_nm[joint]), before[joint].white_nm / _MAX_FALL)
         wander = white * float(np.sqrt(ratio))
         renewed.append(SeriesNoise(seconds, weights[:, joint], white, wander, time_s))
     return tuple(renewed)
 
 
 def _walk(seconds: Array, time_s: float, sd: float) -> tuple[Array, float]:
-    """The wandering part's inverse covariance, as `solveh_banded` takes it, and its log det.
+    """Return the banded Ornstein-Uhlenbeck inverse covariance, shape (2, T), and its log det.
 
     Args:
-        seconds: stamps [s], shape (T,).
-        time_s: time constant.
-        sd: standard deviation.
-
-    Returns:
-        Shape (2, T), and a number.
+        seconds: Stamps [s], shape (T,).
+        time_s: Time constant.
+        sd: Standard deviation.
     """
     alike = np.exp(-np.diff(seconds) / time_s)
     own = 1 / np.maximum(1 - alike**2, 1e-12)
@@ -177,5 +168,5 @@ def _walk(seconds: Array, time_s: float, sd: float) -> tuple[Array, float]:
 
 
 def unknown(seconds: Array, sd_nm: float) -> SeriesNoise:
-    """Before anything is fitted."""
+    """Return white noise of this standard deviation, before anything is fitted."""
     return SeriesNoise(seconds, np.ones(len(seconds)), sd_nm, 0.0, 1.0)

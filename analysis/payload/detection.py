@@ -1,4 +1,4 @@
-"""An arm's motion as it was detected in an episode, and that of its empty run, the tare."""
+"""Detect an arm's motion in an episode, and read those of its empty runs (tares)."""
 
 from __future__ import annotations
 
@@ -38,32 +38,29 @@ from tunenet_logs.measured import measured
 from tunenet_logs.one_clock import jump_warnings, on_one_clock
 from tunenet_logs.reader import read_episode
 
-EFFORT = f"{TOPIC}.effort"
-"""The simulated torques."""
+EFFORT = f"{TOPIC}.effort"  # the simulated torques
+# Of the paper's circle, which takes 5 s: its network fills in what little is missing.
+_MIN_OF_CIRCLE_S = 4.0
 
-_LEAST_OF_CIRCLE_S = 4.0
-"""Of the paper's circle, which takes 5 s: its network fills in what little is missing."""
-
+# From the paper's circle at any joint: a controller's error, and no other motion.
 _OFF_CIRCLE_RAD = 0.1
-"""From the paper's circle at any joint: a controller's error, and no other motion."""
 
-_SAME_FRACTION = 0.5
-"""Of a log's torques, in a tare to the last bit: no other run repeats as many."""
+_SAME_FRACTION = 0.5  # of a log's torques, in a tare to the last bit: no other run repeats as many
 
 
 @dataclass(frozen=True, eq=False)
 class Tare:
-    """What was read of an empty run."""
+    """Empty run as it was read."""
 
     log: ArmLog
     motion: ArmMotion
 
 
 def read_tares(arm: Arm, log: ArmLog, selection: Selection) -> tuple[Tare, ...]:
-    """Read a selection's empty runs, each another; see `read_tare`.
+    """Read a selection's empty runs, all different; see `read_tare`.
 
     Raises:
-        NotFoundError: one cannot be used, is no empty run, or is there twice.
+        NotFoundError: One cannot be used, is no empty run, or occurs twice.
     """
     found: list[Tare] = []
     for tare in selection.tares:
@@ -76,7 +73,7 @@ def read_tares(arm: Arm, log: ArmLog, selection: Selection) -> tuple[Tare, ...]:
 
 
 def _is_same_run(known: ArmLog, other: ArmLog) -> bool:
-    """Whether most torques of a log are to the last bit in another."""
+    """Return whether most torques of one log occur bit by bit in the other."""
     there = {row.tobytes() for row in known.effort.values}
     same = sum(row.tobytes() in there for row in other.effort.values)
     return same > _SAME_FRACTION * len(other.effort.values)
@@ -86,13 +83,13 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: Selection)
     """Read an empty run.
 
     Args:
-        tare: its log, or what was read of one.
-        arm: whose joints are looked for.
-        log: of the run with the payload.
-        selection: how that log was read, and which topic to prefer; None for that of its torques.
+        tare: Its log, or an episode.
+        arm: Whose joints are looked for.
+        log: Of the run with the payload.
+        selection: How that log was read, and a preferred topic; None for that of its torques.
 
     Raises:
-        NotFoundError: it cannot be used, or is no empty run.
+        NotFoundError: It cannot be used, or is no empty run.
     """
     name = f" {tare}" if isinstance(tare, Path) else ""
     try:
@@ -127,7 +124,7 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: Selection)
 
 
 def conventions_of(selection: Selection) -> tuple[Convention, ...]:
-    """What a driver may mean by torque, after what its owner says."""
+    """Return the torque conventions that the user's statements leave possible."""
     sign = {"joint": 1, "load": -1, None: None}[selection.effort_sign]
     full = {"included": True, "compensated": False, None: None}[selection.gravity]
     return tuple(
@@ -139,22 +136,22 @@ def conventions_of(selection: Selection) -> tuple[Convention, ...]:
 
 @dataclass(frozen=True, eq=False)
 class PayloadDetection:
-    """An arm's motion in an episode, with the torques that it took, as one preset looks at it.
+    """An arm's motion in an episode with its torques, as one preset observes it.
 
-    What torques a driver reports (sign, with or without the arm's weight) only a fit of them shows.
-    It is made when first needed, and is the result of the method "fit" too.
+    The driver's torque convention (sign, with or without the arm's weight) is identified by the
+    fit, which is made when first needed, and is the result of the method "fit" too.
 
     Attributes:
-        physical: whether the preset looks at the arm's own motion, or at the paper's circle.
-        arm: as it is without a payload.
-        log: fresh samples of its joints.
-        start_ns: where the log's clock is 0.
-        motion: how the joints moved, at any time.
-        tares: runs with an empty gripper.
-        conventions: what the driver may mean by torque, as far as its owner does not say.
-        warnings: what a user should know, in words.
-        card: what other runs said of the arm; None for nothing.
-        gain: usual error of the torques, as a fraction.
+        physical: Whether the preset observes the arm's own motion, or the paper's circle.
+        arm: Without a payload.
+        log: Fresh samples of its joints.
+        start_ns: Origin of the log's clock.
+        motion: Joint motion at any time.
+        tares: Runs with an empty gripper.
+        conventions: Possible torque conventions, as far as the user does not state one.
+        warnings: For the user.
+        card: What other runs identified of the arm; None for nothing.
+        gain: Usual error of the torques, as a fraction.
     """
 
     physical: bool
@@ -170,36 +167,36 @@ class PayloadDetection:
 
     @property
     def topic(self) -> str:
-        """Where the torques came from."""
+        """Topic of the torques."""
         return self.log.effort.topic
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """What torques and positions lack, the tares' too."""
+        """Samples missing from torques and positions, the tares' too."""
         of_tares = (one for tare in self.tares for one in tare.log.left_out)
         return (*self.log.left_out, *(one._replace(name=f"tare: {one.name}") for one in of_tares))
 
     @property
     def window(self) -> Mapping[str, float]:
-        """First and last torque that counts [s]."""
+        """Times of the first and last torque used [s]."""
         return {"start_s": float(self.path.seconds[0]), "end_s": float(self.path.seconds[-1])}
 
     @property
     def extent(self) -> tuple[str, str]:
-        """How long it moved."""
+        """Duration of the motion."""
         return "motion", f"{self.path.seconds[-1] - self.path.seconds[0]:.1f} s"
 
     @cached_property
     def path(self) -> JointPath:
-        """How the joints moved when each torque was measured."""
+        """Joint positions, velocities and accelerations at the torques' stamps."""
         return JointPath(self.motion.seconds, *self.motion.at(self.motion.seconds))
 
     @cached_property
     def fit(self) -> PayloadFit:
-        """All that is in the torques.
+        """Fit of payload and nuisance terms to the torques.
 
         Raises:
-            NotFoundError: the mass is over the highest that any arm holds.
+            NotFoundError: The mass is over the highest that any arm holds.
         """
         fit = self._fitted([tare.motion for tare in self.tares])
         most_kg = PAYLOAD_MASS.bounds[1]
@@ -211,10 +208,10 @@ class PayloadDetection:
         return fit
 
     def _fitted(self, empty: Sequence[ArmMotion]) -> PayloadFit:
-        """With the card, if there is one.
+        """Fit with the card as a prior, if there is one.
 
         Raises:
-            NotFoundError: the card has numbers that are no arm's.
+            NotFoundError: The card has numbers that are no arm's.
         """
         known = self.card.learnt if self.card else None
         try:
@@ -236,10 +233,10 @@ class PayloadDetection:
 
     @cached_property
     def phase_s(self) -> float | None:
-        """Where on the paper's circle the log's clock begins; None where the preset needs none.
+        """Phase on the paper's circle where the log's clock begins; None if the preset needs none.
 
         Raises:
-            NotFoundError: it is another motion, or too little of it is there.
+            NotFoundError: It is another motion, or too little of it is there.
         """
         if self.physical:
             return None
@@ -250,30 +247,30 @@ class PayloadDetection:
                 f"payload`; this one is up to {off_rad:.2f} rad off it: use --preset default"
             )
         seconds = self.path.seconds[-1] - self.path.seconds[0]
-        if seconds < _LEAST_OF_CIRCLE_S:
+        if seconds < _MIN_OF_CIRCLE_S:
             raise NotFoundError(
                 f"{seconds:.1f} s of the circle are there, the paper's network needs "
-                f"{_LEAST_OF_CIRCLE_S:g} s: record a whole turn, or use --preset default"
+                f"{_MIN_OF_CIRCLE_S:g} s: record a whole turn, or use --preset default"
             )
         return phase_s
 
     @cached_property
     def effort_nm(self) -> Array:
-        """Torques with the joint's sign and the arm's weight in them [N·m], shape (T, J)."""
+        """Torques with the joint's sign, the arm's weight included [N·m], shape (T, J)."""
         if self.fit.convention.has_gravity:
             return self.fit.effort_nm
         return self.fit.effort_nm + held_efforts_nm(self.arm.without_limits(), self.path)
 
     @cached_property
     def simulator(self) -> PayloadSimulator:
-        """The arm along its own path; its payload's centre where the fit has it."""
+        """Simulator of the arm along its own path, with the payload's centre as fitted."""
         free = self.arm.without_limits()
         if not self.physical:
             return PayloadSimulator(free, self.path, gravity_m_s2=PAPER_GRAVITY_M_S2)
         return PayloadSimulator(free, self.path, self.fit.held.centre.likely_m)
 
     def observe(self, effort_nm: Array) -> Observation:
-        """What the preset's network sees of torques along the path [N·m], shape (T, J)."""
+        """Observe torques along the path [N·m], shape (T, J), as the preset's network does."""
         if self.phase_s is not None:
             return paper_torques(self.path.seconds, effort_nm, self.phase_s)
         own = self.simulator

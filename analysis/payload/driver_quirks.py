@@ -1,4 +1,4 @@
-"""What drivers do to joint data, undone: names, degrees, angles cut to a turn, repeated samples."""
+"""Undo habits of robot drivers: joint names, degrees, wrapped angles, repeated samples."""
 
 from __future__ import annotations
 
@@ -16,59 +16,54 @@ from tunenet_logs.episode import Signal
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.terminal import FEW_NAMES, listed, short_name
 
+# Names that end in a number too, but not in that of a joint of the arm.
 _NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
-"""Names that end in a number too, but not in that of a joint of the arm."""
 
+# A joint's name that says no more than its number: a driver's other topic may give it.
 _GENERIC = re.compile(r"(?:joint|axis|j|a)?[_\- .]*(\d+)", re.I)
-"""A joint's name that says no more than its number: a driver's other topic may give it."""
 
 _TURN_RAD = 2 * np.pi
 
 _SLACK_RAD = 0.3
-_MOST_TURNS = 2.1
-"""An angle further beyond its joint's limits, or of more turns, is odd: calibration explains less,
-and few joints turn more than twice."""
+# An angle further beyond its joint's limits, or of more turns, is odd: calibration explains less,
+# and few joints turn more than twice.
+_MAX_TURNS = 2.1
 
-_DEGREES_SHARE = 1 / 3
-"""Of the joints that turn: as many have odd angles where they are in degrees."""
+_DEGREES_SHARE = 1 / 3  # of the joints that turn: as many have odd angles where they are in degrees
+# A speed over this multiple of its joint's limit, or over this one, is odd: no arm reaches it.
+_LIMIT_FACTOR, _MAX_SPEED_RAD_S = 3.0, 15.0
 
-_LIMIT_FACTOR, _FASTEST_RAD_S = 3.0, 15.0
-"""A speed over this multiple of its joint's limit, or over this one, is odd: no arm reaches it."""
-
+# A tenth of the samples must be odd: fewer are glitches.
 _FAST_QUANTILE, _BEYOND_FRACTION = 0.9, 0.1
-"""A tenth of the samples must be odd: fewer are glitches."""
 
+# Ticks and clock in turn; the ticks of a regular driver stay the same after two or three.
 _CLOCK_ITERATIONS = 5
-"""Ticks and clock in turn; the ticks of a regular driver stay the same after two or three."""
 
-_MOST_OUTSIDE = 0.05
+_MAX_OUTSIDE = 0.05
+# Fraction of the samples that may lie outside of their messages, beyond this fraction of the time
+# between two messages: some messages are late.
 _CLOCK_SLACK = 0.15
-"""Fraction of the samples that may lie outside of their messages, beyond this fraction of the time
-between two messages: some messages are late."""
 
-_MOST_TICK_MEDIANS = 3.0
-"""Median times between new samples, from one to the next: more is a rest."""
-
-_FEWEST_TICKS = 20
-"""Fewer samples fit an even clock by chance."""
+_MAX_TICK_MEDIANS = 3.0  # median times between new samples, from one to the next: more is a rest
+_MIN_TICKS = 20  # fewer samples fit an even clock by chance
 
 
 def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ...]:
-    """The index of each joint's column.
+    """Match each joint to its column.
 
     Drivers give a joint several names: `j2s7s300_joint_3`, `left_joint_3`, `joint3`. So names are
-    compared whole first, then by their ending, then by the number that they end in. Columns that
-    are only numbered, as many as the arm has joints, are its joints from base to tool.
+    compared whole, then by suffix, then by trailing number. Columns that are only numbered, as many
+    as the arm has joints, are its joints from base to tool.
 
     Args:
-        joints: the arm's, base to tool.
-        columns: of a signal; more than the arm's, and in any order.
+        joints: The arm's, base to tool.
+        columns: Of a signal; may be more than the arm's, in any order.
 
     Returns:
         An index into `columns` for each joint.
 
     Raises:
-        NotFoundError: a joint has no column, or several; the message lists what is there.
+        NotFoundError: A joint has no column, or several; the message lists what is there.
     """
     for rule in (eq, _is_ending, _is_joint_number, _is_number):
         matches = [[k for k, name in enumerate(columns) if rule(joint, name)] for joint in joints]
@@ -99,23 +94,23 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
 
 
 def _is_ending(joint: str, name: str) -> bool:
-    """One name is the other's ending, after a separator: `left/joint_3`, `joint_3`."""
+    """Return whether one name is the other's suffix, after a separator."""
     longer, shorter = sorted((name.lower(), joint.lower()), key=len, reverse=True)
     return bool(shorter) and bool(re.search(rf"(^|[^a-z0-9]){re.escape(shorter)}$", longer))
 
 
 def _is_joint_number(joint: str, name: str) -> bool:
-    """`joint_3`, `joint3` or `j3` at the end."""
+    """Match `joint_3`, `joint3` or `j3` at the end."""
     return _is_numbered(joint, name, r"j(oint)?[ _\-.]*")
 
 
 def _is_number(joint: str, name: str) -> bool:
-    """Any name that ends in the number."""
+    """Match any name that ends in the number."""
     return _is_numbered(joint, name, r"(^|[^0-9])")
 
 
 def _is_numbered(joint: str, name: str, before: str) -> bool:
-    """Both names end in the same number, the column's with `before` (an expression) before it."""
+    """Match names of one trailing number, the column's after the pattern `before`."""
     number = re.search(r"(?<![0-9])[0-9]{1,9}$", joint)
     if number is None or _NOT_OF_THE_ARM.search(name):
         return False
@@ -123,15 +118,15 @@ def _is_numbered(joint: str, name: str, before: str) -> bool:
 
 
 def in_newton_metres(effort: Signal, arm: Arm, constants: Sequence[float]) -> Signal:
-    """Efforts that are currents [A] as torques.
+    """Convert efforts that are currents [A] to torques.
 
     Args:
-        effort: of all joints, and perhaps of others.
-        arm: whose joints they are.
-        constants: N·m for each A, one a joint of the arm from base to tool, or one for all.
+        effort: Of all joints, and perhaps of others.
+        arm: Whose joints they are.
+        constants: Torque constants [N·m/A], one per joint from base to tool, or one for all.
 
     Raises:
-        NotFoundError: there are fewer or more of them; the message says how many are wanted.
+        NotFoundError: There are fewer or more of them; the message says how many are wanted.
     """
     if len(constants) not in (1, len(arm.joints)):
         raise NotFoundError(
@@ -144,16 +139,16 @@ def in_newton_metres(effort: Signal, arm: Arm, constants: Sequence[float]) -> Si
 
 
 def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str]]:
-    """Angles as the arm can have had them, and what was done to them in words.
+    """Convert angles to unwrapped radians, and say what was converted.
 
-    Degrees give themselves away: as radians many joints are outside of their limits, or turn many
-    times. A speed that no arm has tells nothing of the unit: wrong stamps give it, too, and so does
-    a second publisher; nor does one joint whose turns a driver counts.
+    Degrees are detected as radians that put many joints outside their limits, or over many turns. A
+    speed that no arm has is no sign of the unit: wrong stamps give it, too, and so does a second
+    publisher; nor is one joint whose turns a driver counts.
 
     Args:
-        seconds: times [s], shape (T,).
-        values: as the driver gives them, shape (T, J); of a joint that slides in m.
-        arm: whose they are.
+        seconds: Stamps [s], shape (T,).
+        values: As the driver gives them, shape (T, J); of a prismatic joint in m.
+        arm: Whose they are.
 
     Returns:
         Angles [rad] (or [m]) without jumps of whole turns, shape (T, J), and remarks.
@@ -188,11 +183,11 @@ def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str
 
 
 def _misplaced(values: Array, arm: Arm) -> NDArray[np.bool_]:
-    """Which joints are where none can be, shape (J,)."""
+    """Return which joints are where none can be, shape (J,)."""
     found: list[bool] = []
     for joint, column in zip(arm.joints, values.T, strict=True):
         low, high = joint.limits_rad
-        is_beyond = bool(np.abs(column).max() > _MOST_TURNS * _TURN_RAD)
+        is_beyond = bool(np.abs(column).max() > _MAX_TURNS * _TURN_RAD)
         if np.isfinite(high - low) and high - low < _TURN_RAD:
             beyond = np.mod(column - low + _SLACK_RAD, _TURN_RAD) > high - low + 2 * _SLACK_RAD
             is_beyond |= bool(np.mean(beyond) > _BEYOND_FRACTION)
@@ -201,37 +196,37 @@ def _misplaced(values: Array, arm: Arm) -> NDArray[np.bool_]:
 
 
 def _too_fast(seconds: Array, values: Array, arm: Arm) -> NDArray[np.bool_]:
-    """Which joints are faster than any is, shape (J,)."""
+    """Return which joints are faster than any can be, shape (J,)."""
     steps = np.diff(values, axis=0)
     steps -= _TURN_RAD * np.round(steps / _TURN_RAD)
     speeds = np.quantile(np.abs(steps) / np.diff(seconds)[:, None], _FAST_QUANTILE, axis=0)
-    fastest = [min(_LIMIT_FACTOR * one.max_velocity_rad_s, _FASTEST_RAD_S) for one in arm.joints]
+    fastest = [min(_LIMIT_FACTOR * one.max_velocity_rad_s, _MAX_SPEED_RAD_S) for one in arm.joints]
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
     return turns & (speeds > np.array(fastest))
 
 
 def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:
-    """Times of an even clock at which samples were measured; None where none fits.
+    """Fit a uniform clock to the times at which samples were measured; None if none fits.
 
     A driver that publishes faster than it measures repeats samples. One that is new in a message
-    was measured some time since the message before. Where all that fits one even clock (fitted by
+    was measured some time since the message before. If all that fits one uniform clock (fitted by
     alternating least squares: the nearest tick of each sample, then a line through the ticks), it
-    tells the times far better than the messages do: their beat with it would look like a tremor.
-    Where the arm rests, no sample is new for many ticks.
+    gives far better stamps than the messages do: their beat with it would look like a tremor. While
+    the arm rests, no sample is new for many ticks.
 
     Args:
-        before: time of the message before each new sample's [s], shape (T,); the first has none.
-        seconds: time of the message that shows it first [s], shape (T,).
+        before: Time of the message before each new sample's [s], shape (T,); the first has none.
+        seconds: Time of the message that shows it first [s], shape (T,).
 
     Returns:
         Times [s], shape (T,), and the clock's period [s].
     """
-    if len(seconds) < _FEWEST_TICKS:
+    if len(seconds) < _MIN_TICKS:
         return None
     begins, ends = before[1:], seconds[1:]
     middles = (begins + ends) / 2
     steps = np.diff(middles)
-    usual = steps[steps <= _MOST_TICK_MEDIANS * np.median(steps)]
+    usual = steps[steps <= _MAX_TICK_MEDIANS * np.median(steps)]
     period = float(np.mean(usual))
     rested = np.where(steps <= usual.max(), 1.0, np.round(steps / period))
     ticks = np.cumsum(np.concatenate([[1.0], rested]))
@@ -242,21 +237,17 @@ def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:
     times = start + period * ticks
     slack = _CLOCK_SLACK * float(np.median(ends - begins))
     outside = (times < begins - slack) | (times > ends + slack)
-    if np.any(np.diff(ticks) < 1) or float(np.mean(outside)) > _MOST_OUTSIDE:
+    if np.any(np.diff(ticks) < 1) or float(np.mean(outside)) > _MAX_OUTSIDE:
         return None
     first = min(np.floor((seconds[0] - start) / period), ticks[0] - 1)
     return np.concatenate([[start + period * first], times]), float(period)
 
 
 def check_joints(joints: Sequence[str], of_log: Sequence[str]) -> None:
-    """Refuse runs of another arm, by the names of its joints.
-
-    Args:
-        joints: of the other runs.
-        of_log: of the log, as many.
+    """Refuse runs of another arm, by the names of its joints, as many as in the log.
 
     Raises:
-        NotFoundError: they are others; names that say nothing of an arm go with any.
+        NotFoundError: They differ; generic names match any.
     """
     for other, own in zip(joints, of_log, strict=True):
         if other != own and not (_GENERIC.fullmatch(other) or _GENERIC.fullmatch(own)):

@@ -1,9 +1,9 @@
-"""Linear terms whose scales the samples themselves decide on.
+"""Bayesian linear regression with hierarchical prior scales.
 
-Each group of terms (all joints' offsets, say) has one scale: near 0 where a log shows none of it,
-over 1 where it shows more than is usual. The likeliest scales are found together (type II maximum
-likelihood, MacKay 1992); what the samples cannot tell of a scale is then averaged over, one group
-at a time, and widens the answer.
+Each group of terms (all joints' offsets, say) has one scale: near 0 if a log shows none of it,
+over 1 if it shows more than is usual. Scales are found together by evidence maximisation (type II
+maximum likelihood, MacKay 1992); their uncertainty is then marginalised, one group at a time, and
+widens the posterior.
 """
 
 from __future__ import annotations
@@ -17,32 +17,29 @@ from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
 
-_LEAST, _MOST, _MOST_KNOWN = -7.0, 2.5, 1.1
-"""Of a scale's logarithm: a thousandth; twelve times what is usual; three times that of what a
-maker or a calibration states. More of that would make any arm fit any torques."""
+# Of a scale's logarithm: a thousandth; twelve times what is usual; three times that of what a maker
+# or a calibration states. More of that would make any arm fit any torques.
+_MIN, _MAX, _MAX_KNOWN = -7.0, 2.5, 1.1
 
+# Groups of that kind; hoses without a bound would carry an arm's weight.
 KNOWN = ("links", "gain", "tilt", "zeros", "lag", "hoses and gears")
-"""Groups of that kind; hoses without a bound would carry an arm's weight."""
 
+# How fast a scale's prior falls below and above 1: in so many logarithms to a third.
 _DOWN, _UP = 2.5, 0.6
-"""How fast a scale's prior falls below and above 1: in so many logarithms to a third."""
 
+# Logarithms of scales that are averaged over.
 _GRID = np.array([-7.0, -4.0, -2.5, -1.5, -0.75, 0.0, 0.5, 1.0, 1.6, 2.3])
-"""Logarithms of scales that are averaged over."""
 
-_IDEAL_ODDS = float(np.log(0.3 / 0.7))
-"""Natural log of the odds that a log is a simulator's."""
-
-_FLOOR = 1e-12
-"""Of a variance, by the largest: rounding makes no variance 0."""
+_IDEAL_ODDS = float(np.log(0.3 / 0.7))  # natural log of the odds that a log is a simulator's
+_FLOOR = 1e-12  # of a variance, by the largest: rounding makes no variance 0
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """What weighted samples say of linear terms: all that least squares needs of them.
+    """Weighted normal equations: the sufficient statistics of linear least squares.
 
     Attributes:
-        precision: slopes' sum of squares A^T W A, shape (N, N).
+        precision: A^T W A, shape (N, N).
         gradient: A^T W y, of the log likelihood at 0, shape (N,).
     """
 
@@ -50,11 +47,11 @@ class NormalEquations:
     gradient: Array
 
     def marginal(self, kept: NDArray[np.int64], sds: Array) -> NormalEquations:
-        """What the samples say of some terms, whatever the others are.
+        """Marginalise all but some terms (Schur complement).
 
         Args:
-            kept: indices of the terms that stay, shape (K,).
-            sds: of the others' priors about 0, shape (N,); those of the kept terms do not count.
+            kept: Indices of the terms that stay, shape (K,).
+            sds: Of the others' priors about 0, shape (N,); those of the kept terms do not count.
         """
         others = np.setdiff1d(np.arange(len(sds)), kept)
         scale = sds[others]
@@ -71,7 +68,7 @@ class NormalEquations:
         )
 
     def among(self, indices: NDArray[np.int64], count: int) -> NormalEquations:
-        """The same of `count` terms, of which these are the ones at `indices`."""
+        """Embed in `count` terms, of which these are the ones at `indices`."""
         precision, gradient = np.zeros((count, count)), np.zeros(count)
         precision[np.ix_(indices, indices)] = self.precision
         gradient[indices] = self.gradient
@@ -80,13 +77,13 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class TermPosterior:
-    """Of all terms.
+    """Gaussian posterior of all terms.
 
     Attributes:
-        means: shape (N,).
+        means: Shape (N,).
         root: R of the covariance R^T R, shape (N, N).
-        sds: of the priors, shape (N,).
-        log_evidence: of the samples under these priors, up to what all priors share.
+        sds: Of the priors, shape (N,).
+        log_evidence: Of the samples under these priors, up to a constant that all priors share.
     """
 
     means: Array
@@ -96,17 +93,17 @@ class TermPosterior:
 
     @cached_property
     def covariance(self) -> Array:
-        """Shape (N, N)."""
+        """Posterior covariance, shape (N, N)."""
         return self.root.T @ self.root
 
     @cached_property
     def variances(self) -> Array:
-        """The covariance's diagonal, which a search needs without the rest, shape (N,)."""
+        """Diagonal of the covariance, without the rest, shape (N,)."""
         return np.einsum("ij,ij->j", self.root, self.root)
 
 
 def posterior(normal: NormalEquations, sds: Array) -> TermPosterior:
-    """Under normal priors about 0 of these standard deviations, shape (N,).
+    """Compute the posterior under Gaussian priors about 0 of these standard deviations, shape (N,).
 
     Solved in units of the priors, so that a prior of width 0 is no special case.
     """
@@ -130,14 +127,14 @@ def likeliest_scales(
     start: Mapping[str, float],
     steps: int,
 ) -> dict[str, float]:
-    """Logarithms of each group's scale.
+    """Find the logarithm of each group's prior scale by evidence maximisation.
 
     Args:
-        normal: the samples.
-        sds: priors at scale 1, shape (N,).
-        groups: indices of the terms of each.
-        start: where to begin.
-        steps: of a quasi-Newton search.
+        normal: The samples.
+        sds: Priors at scale 1, shape (N,).
+        groups: Indices of the terms of each.
+        start: Initial logarithms.
+        steps: Of a quasi-Newton search.
     """
     from scipy.optimize import minimize
 
@@ -157,14 +154,14 @@ def likeliest_scales(
         np.array([start.get(name, 0.0) for name in names]),
         jac=True,
         method="L-BFGS-B",
-        bounds=[(_LEAST, _MOST_KNOWN if name in KNOWN else _MOST) for name in names],
+        bounds=[(_MIN, _MAX_KNOWN if name in KNOWN else _MAX) for name in names],
         options={"maxiter": steps, "maxfun": 2 * steps},
     ).x
     return dict(zip(names, best.tolist(), strict=True))
 
 
 def scaled(sds: Array, groups: Mapping[str, NDArray[np.int64]], logs: Mapping[str, float]) -> Array:
-    """Priors at these scales, shape (N,)."""
+    """Scale the priors' standard deviations by group, shape (N,)."""
     own = sds.copy()
     for name, indices in groups.items():
         own[indices] *= np.exp(logs.get(name, 0.0))
@@ -177,18 +174,18 @@ def averaged(
     logs: Mapping[str, float],
     interest: NDArray[np.int64],
 ) -> tuple[Array, Array]:
-    """Means and covariance of some terms, over how large each group may be.
+    """Marginalise the posterior of some terms over the groups' scales.
 
-    To first order: what one group's scale changes is added up over the groups.
+    To first order: the changes by each group's scale are added up.
 
     Args:
-        found: at the likeliest scales.
-        groups: indices of the terms of each.
-        logs: logarithms of the likeliest scales.
-        interest: indices of the terms that are wanted, shape (I,).
+        found: At the likeliest scales.
+        groups: Indices of the terms of each.
+        logs: Logarithms of the likeliest scales.
+        interest: Indices of the terms that are wanted, shape (I,).
 
     Returns:
-        Shapes (I,) and (I, I).
+        Means and covariance, shapes (I,) and (I, I).
     """
     count = len(interest)
     means, covariance = found.means[interest], found.covariance[np.ix_(interest, interest)]
@@ -201,7 +198,7 @@ def averaged(
         priors = found.sds[rows[own]] / np.exp(logs[name])
         precision[own, own] -= 1 / found.sds[rows[own]] ** 2
         tried: list[tuple[float, NDArray, NDArray]] = []
-        for log in _GRID[(_MOST_KNOWN if name in KNOWN else _MOST) > _GRID]:
+        for log in _GRID[(_MAX_KNOWN if name in KNOWN else _MAX) > _GRID]:
             under = precision.copy()
             under[own, own] += 1 / (priors * np.exp(log)) ** 2
             spread = np.linalg.inv(under)
@@ -225,20 +222,20 @@ def without(
     logs: Mapping[str, float],
     absent: Sequence[str],
 ) -> tuple[TermPosterior, float]:
-    """The same terms where some groups are not there at all, as in a simulation.
+    """Compute the posterior without some groups, as in a simulation, and its probability.
 
     Args:
-        normal: the samples.
-        found: with all groups.
-        groups: indices of the terms of each.
-        logs: logarithms of the likeliest scales.
-        absent: groups that are not there.
+        normal: The samples.
+        found: With all groups.
+        groups: Indices of the terms of each.
+        logs: Logarithms of the likeliest scales.
+        absent: Groups that are not there.
 
     Returns:
-        The terms, and the probability of that before all else is weighed: 3 of 10 logs are such.
+        The posterior, and its probability by Bayes factor; 3 of 10 logs are such a priori.
     """
     gone = [name for name in absent if name in groups]
-    sds = scaled(found.sds, groups, {name: _LEAST - logs[name] for name in gone})
+    sds = scaled(found.sds, groups, {name: _MIN - logs[name] for name in gone})
     ideal = posterior(normal, sds)
     priors = sum(_log_prior(logs[name])[0] for name in gone)
     odds = ideal.log_evidence - posterior(normal, found.sds).log_evidence - priors + _IDEAL_ODDS
@@ -246,7 +243,7 @@ def without(
 
 
 def _at_least(covariance: Array, least: Array) -> Array:
-    """A covariance that is nowhere below another one."""
+    """Raise a covariance so that it is nowhere below another one."""
     root = np.linalg.cholesky(least + _FLOOR * np.max(np.diag(least)) * np.eye(len(least)))
     inside = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
     values, axes = np.linalg.eigh((inside + inside.T) / 2)
@@ -254,6 +251,6 @@ def _at_least(covariance: Array, least: Array) -> Array:
 
 
 def _log_prior(log: float) -> tuple[float, float]:
-    """Of a scale's logarithm, up to a constant, and its slope."""
+    """Return the log prior of a scale's logarithm, up to a constant, and its slope."""
     up, down = np.exp(log / _UP), np.exp(-log / _DOWN)
     return -float(np.log(up + down)), -float((up / _UP - down / _DOWN) / (up + down))

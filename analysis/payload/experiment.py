@@ -1,4 +1,4 @@
-"""The payload: the mass in an arm's gripper, from the torques of its joints."""
+"""Payload experiment: the mass in an arm's gripper, from the torques of its joints."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
     from analysis.record import Tuning
 
+# How far the cross-check may be off, by what the arm weighs and by the payload's mass: it has no
+# friction.
 _AGREEMENT, _TARED_AGREEMENT = (0.06, 0.1), (0.03, 0.05)
-"""How far the cross-check may be off, by what the arm weighs and by the payload's mass: it has no
-friction."""
 
 _DISAGREEMENT = "record the empty gripper along the same motion and name it with --tare"
 _TARED_DISAGREEMENT = (
@@ -61,7 +61,7 @@ class PayloadExperiment:
     presets: Mapping[str, Preset] = PRESETS
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
-        """By its torques, or joints without; see `Experiment.claim`."""
+        """Claim logs with joint torques, perhaps with joints; see `Experiment.claim`."""
         episode = measured(episode)
         signals = episode.signals.values() if topic is None else episode.signals_of(topic)
         units = {signal.unit for signal in signals}
@@ -70,7 +70,7 @@ class PayloadExperiment:
         return Claim.PERHAPS if "rad" in units else Claim.NONE
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> PayloadDetection:
-        """The arm's motion, and that of its empty run; see `Experiment.detect`."""
+        """Read the arm's motion, and its empty runs; see `Experiment.detect`."""
         episode = measured(episode)
         chosen = which_arm(episode, selection.arm, selection.topic)
         arm = chosen.arm
@@ -113,15 +113,15 @@ class PayloadExperiment:
         )
 
     def problem(self, detection: PayloadDetection, initial: Array) -> Problem:
-        """A simulator that moves the arm as it moved; `initial` has the shape (1,) [kg].
+        """Pose the problem of an arm driven along its path; `initial` has the shape (1,) [kg].
 
         Raises:
-            NotFoundError: the motion or the torques are none that the preset can use.
-            UsageError: the initial value is out of bounds.
+            NotFoundError: The preset cannot use the motion or the torques.
+            UsageError: The initial value is out of bounds.
         """
 
         def exact_fit(start: Array) -> FitResult:
-            """All that is in the torques, which are linear in the mass: no start is needed."""
+            """Fit the torques; they are linear in the mass, so no start is needed."""
             del start
             fit, centre = detection.fit.held, detection.fit.held.centre
             extra: tuple[ExtraEstimate, ...] = ()
@@ -159,7 +159,7 @@ class PayloadExperiment:
         return (*checks, sure_check(found, arm)) if fit else tuple(checks)
 
     def cross_check(self, detection: PayloadDetection, estimate: Array) -> CrossCheck | None:
-        """A line through the torques of 0 and 1 kg, with nothing else in them but offsets."""
+        """Estimate the mass by the secant through torques of 0 and 1 kg, with offsets only."""
         if not detection.physical:
             return None
         fit = detection.fit
@@ -187,11 +187,11 @@ class PayloadExperiment:
         )
 
     def motion(self, detection: PayloadDetection, trace: Trace) -> Motion | None:
-        """None: torques of seven joints are the review's; see `Experiment.motion`."""
+        """Return None: the review shows the torques; see `Experiment.motion`."""
         del detection, trace
 
     def rebounds(self, detection: PayloadDetection, trace: Trace) -> tuple[Rebound, ...]:
-        """None; see `Experiment.rebounds`."""
+        """Return none; see `Experiment.rebounds`."""
         del detection, trace
         return ()
 

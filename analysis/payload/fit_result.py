@@ -1,4 +1,4 @@
-"""What a fit of an arm's torques finds: the payload, and all else that is in them."""
+"""Result of a fit of an arm's torques: the payload, and all nuisance terms."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.payload.evidence import NormalEquations
-from analysis.payload.held import LEAST_MASS_KG, Held
+from analysis.payload.held import MIN_MASS_KG, Held
 from analysis.payload.torque_model import Convention
 from tunenet_logs.arrays import Array
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One term that is not the payload's.
+    """One nuisance term.
 
     Attributes:
-        name: in words.
-        group: that it is scaled with (`torque_terms.make_terms`).
-        value: its mean [N·m, N·m for each rad/s or rad/s², m, rad, s, or a fraction].
-        sd: standard deviation, in the same unit.
-        prior_sd: of its prior about 0 at scale 1, in the same unit.
+        name: In words.
+        group: That it is scaled with (`torque_terms.make_terms`).
+        value: Its mean [N·m, N·m for each rad/s or rad/s², m, rad, s, or a fraction].
+        sd: Standard deviation, in the same unit.
+        prior_sd: Of its prior about 0 at scale 1, in the same unit.
     """
 
     name: str
@@ -35,12 +35,12 @@ class Nuisance:
 
 @dataclass(frozen=True, eq=False)
 class FitResidual:
-    """What a fit does not explain of the torques of one run.
+    """Residual of a fit to the torques of one run.
 
     Attributes:
-        residual_nm: measured less predicted, of the joints that were fitted [N·m], shape (T, U).
-        effort_nm: as measured, of the same [N·m], shape (T, U).
-        scales_nm: what these joints are built for [N·m], shape (U,).
+        residual_nm: Measured less predicted, of the joints that were fitted [N·m], shape (T, U).
+        effort_nm: As measured, of the same [N·m], shape (T, U).
+        scales_nm: Rated torque of these joints [N·m], shape (U,).
     """
 
     residual_nm: Array
@@ -50,25 +50,25 @@ class FitResidual:
 
 @dataclass(frozen=True, eq=False)
 class PayloadFit:
-    """What is in the gripper.
+    """Fit of the payload and all nuisance terms.
 
     Attributes:
-        held: mass, centre and inertia.
-        convention: sign of the torques, and whether gravity is in them.
-        convention_odds: log evidence (natural) by which it leads the next one; below 0 where the
-            log speaks for one that its owner excluded.
-        arm_odds: log evidence by which it leads torques that no arm is behind.
-        nuisances: all other terms.
+        held: Mass, centre of mass and inertia.
+        convention: Sign of the torques, and whether gravity is included.
+        convention_odds: Log evidence (natural) by which it leads the next one; below 0 if the
+            log speaks for one that the user excluded.
+        arm_odds: Log evidence over a model without an arm.
+        nuisances: All other terms.
         bound_kg: Cramér-Rao bound of the mass's standard deviation, under the likeliest scales.
-        scales: of each group of terms, by its usual size.
-        scales_nm: what each joint is built for [N·m], shape (J,).
-        seconds: of the torques [s], shape (T,).
-        effort_nm: as measured, with the joint's sign [N·m], shape (T, J).
-        predicted_nm: by the fit [N·m], shape (T, J).
-        used: joints that were fitted, shape (J,).
-        lag_s: of the torques behind the positions [s].
-        tare_residuals: of the empty runs' torques.
-        learnt: what all runs say of the arm's own terms (`Terms.arms`), for logs to come.
+        scales: Of each group of terms, relative to its usual size.
+        scales_nm: Rated torque of each joint [N·m], shape (J,).
+        seconds: Of the torques [s], shape (T,).
+        effort_nm: As measured, with the joint's sign [N·m], shape (T, J).
+        predicted_nm: By the fit [N·m], shape (T, J).
+        used: Joints that were fitted, shape (J,).
+        lag_s: Of the torques behind the positions [s].
+        tare_residuals: Of the empty runs' torques.
+        learnt: What all runs identify of the arm's own terms (`Terms.arms`), for later logs.
     """
 
     held: Held
@@ -89,18 +89,18 @@ class PayloadFit:
 
     @property
     def residual_nm(self) -> Array:
-        """Measured less predicted [N·m], shape (T, J)."""
+        """Residual, measured less predicted [N·m], shape (T, J)."""
         return self.effort_nm - self.predicted_nm
 
     @property
     def residual(self) -> FitResidual:
-        """Of the joints that were fitted."""
+        """Residual of the joints that were fitted."""
         used = self.used
         return FitResidual(self.residual_nm[:, used], self.effort_nm[:, used], self.scales_nm[used])
 
     @property
     def identifiability(self) -> str:
-        """Whether mass, centre of mass and inertia are told apart, in a sentence."""
+        """Whether mass, centre of mass and inertia are identifiable, in a sentence."""
         centre = self.held.centre
         if centre.is_identifiable:
             spread = ", ".join(f"{1000 * sd:.1f}" for sd in centre.sds_m)
@@ -108,7 +108,7 @@ class PayloadFit:
             if self.held.inertia:
                 return f"{told}, and its inertia"
             return f"{told}; its inertia needs faster turns of the hand, there and back in a second"
-        if centre.mass_kg <= LEAST_MASS_KG:
+        if centre.mass_kg <= MIN_MASS_KG:
             return "the payload is too light for its centre of mass to show"
         most_g = 10 * max(abs(kg_for_m) for kg_for_m in centre.kg_for_m)
         remedy = "turn the hand by 90° about two axes in the motion (the last three joints)"

@@ -1,4 +1,4 @@
-"""Gauss-Newton over all terms at once: their values, their scales, and what noise is left."""
+"""Gauss-Newton over all terms at once: their values, their prior scales, and the noise."""
 
 from __future__ import annotations
 
@@ -17,40 +17,38 @@ from analysis.payload.evidence import (
     posterior,
     scaled,
 )
-from analysis.payload.held import LEAST_MASS_KG
+from analysis.payload.held import MIN_MASS_KG
 from analysis.payload.same_path import TorqueRows, rows_of
 from analysis.payload.torque_model import Convention, Linearization, LoggedArm
 from analysis.payload.torque_terms import CENTRE, INERTIA, MASS, Terms
 from tunenet_logs.arrays import Array
 
-_MOST_LAG_S, _MOST_TURN_RAD = 0.2, 0.2
-"""Lags, tilts and encoders' zeros are clipped here: torques are linear in them only while they are
-small."""
+# Lags, tilts and encoders' zeros are clipped here: torques are linear in them only while they are
+# small.
+_MAX_LAG_S, _MAX_TURN_RAD = 0.2, 0.2
 
-_START_SHARE, _LEAST_SHARE = 0.02, 2e-5
-"""Noise before anything is fitted, and of the best sensor, by what a joint is built for."""
+# Noise before anything is fitted, and of the best sensor, by what a joint is built for.
+_START_SHARE, _MIN_SHARE = 0.02, 2e-5
 
-_ANY_OFFSET = 2.5
-"""Logarithm of a scale with which an offset explains any constant torque."""
-
+_ANY_OFFSET = 2.5  # logarithm of a scale with which an offset explains any constant torque
+# Of the search for scales, in each iteration: it goes on where the last one ended. With 3 it stood
+# still for some, and a wrong convention looked likelier by 130.
 _SCALE_STEPS = 12
-"""Of the search for scales, in each iteration: it goes on where the last one ended. With 3 it stood
-still for some, and a wrong convention looked likelier by 130."""
 
 
 @dataclass(frozen=True, eq=False)
 class GaussNewton:
-    """A fit of all terms.
+    """Gauss-Newton iterate of all terms.
 
     Attributes:
-        runs: the log and its tares.
-        terms: the unknowns.
-        convention: what the driver means by torque.
-        known: what is known of the arm from elsewhere, about terms of 0; None for nothing.
-        noises: of each series of rows (`same_path.rows_of`) and joint.
-        found: the terms.
-        logs: logarithms of the scale of each group.
-        log_evidence: up to what all models of these runs share.
+        runs: The log and its tares.
+        terms: The unknowns.
+        convention: The driver's torque convention.
+        known: Prior information on the arm, about terms of 0; None for nothing.
+        noises: Of each series of rows (`same_path.rows_of`) and joint.
+        found: Posterior of the terms.
+        logs: Logarithms of the scale of each group.
+        log_evidence: Up to a constant that all models of these runs share.
     """
 
     runs: tuple[LoggedArm, ...]
@@ -69,7 +67,7 @@ class GaussNewton:
         convention: Convention,
         known: NormalEquations | None = None,
     ) -> GaussNewton:
-        """All terms at 0, the mean of their priors."""
+        """Start with all terms at 0, the mean of their priors."""
         terms = runs[0].terms
         beside = next((run.covered for run in runs if run.covered is not None), None)
         log_s = runs[0].motion.seconds
@@ -84,21 +82,21 @@ class GaussNewton:
         return cls(runs, terms, convention, known, noises, nothing)
 
     def linearized(self) -> list[Linearization]:
-        """Of each run, about the terms that are found."""
+        """Linearise each run about the present terms."""
         return [run.linearized(self.found.means, self.convention) for run in self.runs]
 
     def rows(self, lines: Sequence[Linearization]) -> list[TorqueRows]:
-        """What least squares sees of each run's linear model."""
+        """Build the least-squares rows of each run's linear model."""
         return rows_of(self.runs, lines, self.convention)
 
     def fitted(self, rows: Sequence[TorqueRows], at: Array, *, roughly: bool) -> GaussNewton:
-        """The terms of linear models, the scales of their groups, then the noise that is left.
+        """Solve linear models for the terms, their groups' scales, then the noise of the residual.
 
         Args:
-            rows: of linear models of these runs.
-            at: the values of the terms about which they are, shape (N,).
-            roughly: whether it is only to be compared with others. Sensors' offsets may then be
-                anything: what a driver means shows in how torques change, not in what they are.
+            rows: Of linear models of these runs.
+            at: Terms about which they are linear, shape (N,).
+            roughly: Whether it is only to be compared with others. Sensor offsets are then free: a
+                convention shows in how torques change, not in what they are.
         """
         normal = self.normal_equations(rows, at)
         searched = self.groups
@@ -117,7 +115,7 @@ class GaussNewton:
             for joint in np.flatnonzero(series.used).tolist():
                 evidence += own[joint].log_likelihood(target[:, joint])
         found = self._clipped(found)
-        least_nm = _LEAST_SHARE * self.terms.scales_nm
+        least_nm = _MIN_SHARE * self.terms.scales_nm
         noises: list[Noises] = []
         for own, series in zip(self.noises, rows, strict=True):
             residual_nm = series.after_nm(found.means - at)
@@ -126,12 +124,12 @@ class GaussNewton:
         return replace(self, noises=tuple(noises), found=found, logs=logs, log_evidence=evidence)
 
     def with_usual_offsets(self) -> GaussNewton:
-        """The same, sensors' offsets no longer of any size."""
+        """Return a copy whose sensor offsets have their usual prior again."""
         return replace(self, logs={**self.logs, "offset": 0.0})
 
     @property
     def groups(self) -> dict[str, NDArray[np.int64]]:
-        """Terms that share a scale; the payload's mass has none, and nothing else that is 0."""
+        """Terms that share a scale; the payload's mass and terms fixed at 0 have none."""
         of = self.terms.of
         return {
             name: indices
@@ -141,15 +139,15 @@ class GaussNewton:
 
     @property
     def _sds(self) -> Array:
-        """At scale 1; those of the payload's centre and inertia are by its mass, shape (N,)."""
+        """Prior deviations at scale 1, shape (N,); the payload's centre and inertia go by mass."""
         sds = self.terms.sds.copy()
-        mass_kg = max(abs(float(self.found.means[MASS])), LEAST_MASS_KG)
+        mass_kg = max(abs(float(self.found.means[MASS])), MIN_MASS_KG)
         sds[CENTRE] *= mass_kg
         sds[INERTIA] *= mass_kg
         return sds
 
     def normal_equations(self, rows: Sequence[TorqueRows], at: Array) -> NormalEquations:
-        """Of the terms themselves, linear about `at`."""
+        """Accumulate the normal equations of the terms, linear about `at`."""
         count = len(self.terms.sds)
         precision, gradient = np.zeros((count, count)), np.zeros(count)
         if self.known is not None:
@@ -165,16 +163,16 @@ class GaussNewton:
         return NormalEquations(precision, gradient)
 
     def residual_nm(self, run: int, lines: Sequence[Linearization], change: Array) -> Array:
-        """Measured less predicted, the terms changed by `change` from where lines are, (T, J)."""
+        """Return the residual after a `change` from the linearisation point, shape (T, J)."""
         measured_nm = self.runs[run].torques_nm(self.convention)
         return measured_nm - lines[run].predicted_nm - lines[run].moved_nm(change)
 
     def _clipped(self, found: TermPosterior) -> TermPosterior:
         means = found.means.copy()
         for name, most in (
-            ("lag", _MOST_LAG_S),
-            ("tilt", _MOST_TURN_RAD),
-            ("zeros", _MOST_TURN_RAD),
+            ("lag", _MAX_LAG_S),
+            ("tilt", _MAX_TURN_RAD),
+            ("zeros", _MAX_TURN_RAD),
         ):
             indices = self.terms.of[name]
             means[indices] = np.clip(means[indices], -most, most)

@@ -1,8 +1,8 @@
-"""What is held, from the terms that a fit found: a body that there can be.
+"""Physically consistent payload from the fitted terms.
 
-A body's mass is not below 0, and its mass, first moments and inertia together are those of some
-distribution of mass: its pseudo-inertia has no negative eigenvalue (Wensing, Kim and Slotine 2018).
-Such bodies are a convex set, so that the mean of those that are drawn is one of them.
+Mass is not below 0, and mass, first moments and inertia are together those of some distribution of
+mass: the pseudo-inertia matrix is positive semidefinite (Wensing, Kim and Slotine 2018). Such
+bodies are a convex set, so that the mean of sampled ones is one of them.
 """
 
 from __future__ import annotations
@@ -20,32 +20,28 @@ from tunenet_logs.arrays import Array
 Three = tuple[float, float, float]
 Pair = tuple[float, float]
 
-LEAST_MASS_KG = 0.05
-"""Below which a payload has no centre of mass that torques show."""
-
+MIN_MASS_KG = 0.05  # below which a payload has no centre of mass that torques show
+# Of each axis of a centre of mass: its interval is then narrower than a hand.
 _IDENTIFIABLE_SD_M = 0.012
-"""Of each axis of a centre of mass: its interval is then narrower than a hand."""
 
-_MOST_M = 0.5
-"""Of a centre along an axis: no hand holds a thing by a point further away."""
-
+_MAX_M = 0.5  # of a centre along an axis: no hand holds a thing by a point further away
+# Standard deviation of a moment of inertia, of the largest one: from which on it is told.
 _TOLD_SHARE = 0.2
-"""Standard deviation of a moment of inertia, of the largest one: from which on it is told."""
 
-_DRAWS, _FEWEST_DRAWS, _SEED = 4000, 200, 17
-"""Bodies that are drawn, and how many of them there must be."""
+# Bodies that are drawn, and how many of them there must be.
+_DRAWS, _MIN_DRAWS, _SEED = 4000, 200, 17
 
 
 @dataclass(frozen=True)
 class Centre:
-    """Where the payload's centre of mass is in the tool frame.
+    """Centre of mass of the payload in the tool frame.
 
     Attributes:
         com_m: x, y, z [m].
-        sds_m: standard deviation of each [m].
-        mass_kg: that it is the centre of.
-        kg_for_m: by how much a mass that is fitted with the centre in the tool frame is wrong, for
-            each m that it is off along x, y, z.
+        sds_m: Standard deviation of each [m].
+        mass_kg: That it is the centre of.
+        kg_for_m: Error of a mass that is fitted with the centre in the tool frame, per metre that
+            the centre is off along x, y, z.
     """
 
     com_m: Three
@@ -55,18 +51,18 @@ class Centre:
 
     @property
     def is_identifiable(self) -> bool:
-        """Whether the log determines it beside the mass."""
-        return max(self.sds_m) < _IDENTIFIABLE_SD_M and self.mass_kg > LEAST_MASS_KG
+        """Whether the log identifies it beside the mass."""
+        return max(self.sds_m) < _IDENTIFIABLE_SD_M and self.mass_kg > MIN_MASS_KG
 
     @property
     def likely_m(self) -> Three:
-        """What a simulation holds it by: the tool frame's origin where nothing else can be."""
-        can_be = self.mass_kg > LEAST_MASS_KG and max(map(abs, self.com_m)) < _MOST_M
+        """Centre of mass for a simulation: the tool frame's origin if this one cannot be."""
+        can_be = self.mass_kg > MIN_MASS_KG and max(map(abs, self.com_m)) < _MAX_M
         return self.com_m if can_be else (0.0, 0.0, 0.0)
 
     @property
     def loose(self) -> tuple[str, ...]:
-        """Axes along which it is not determined, with their standard deviations."""
+        """Axes along which it is not identifiable, with their standard deviations."""
         return tuple(
             f"{axis} (sd {1000 * sd:.0f} mm)"
             for axis, sd in zip("xyz", self.sds_m, strict=True)
@@ -86,7 +82,7 @@ class Inertia:
 
     Attributes:
         kg_m2: xx, xy, yy, xz, yz, zz.
-        interval95: of each.
+        interval95: Of each.
     """
 
     kg_m2: tuple[float, ...]
@@ -95,15 +91,15 @@ class Inertia:
 
 @dataclass(frozen=True)
 class Held:
-    """What is in the gripper.
+    """Payload of the arm.
 
     Attributes:
         mass_kg: 0 or more.
-        interval95: of the mass [kg]; from 0 where the log does not tell it from nothing.
-        signed_kg: the mass as fitted, which may be below 0.
-        sd_kg: its standard deviation.
-        centre: of mass, whether the log determines it or not.
-        inertia: None where the log does not tell it.
+        interval95: Of the mass [kg]; from 0 if it is not significant.
+        signed_kg: Mass as fitted, which may be below 0.
+        sd_kg: Its standard deviation.
+        centre: Of mass, whether identifiable or not.
+        inertia: None if unidentifiable.
     """
 
     mass_kg: float
@@ -115,7 +111,7 @@ class Held:
 
 
 def held(means: Array, covariance: Array) -> Held:
-    """A body, from a normal distribution of the payload's terms, shapes (10,) and (10, 10)."""
+    """Build a payload from the Gaussian posterior of its terms, shapes (10,) and (10, 10)."""
     signed_kg, sd_kg = float(means[MASS]), float(np.sqrt(covariance[MASS, MASS]))
     centre = _centre(means, covariance)
     inertia = _inertia(means, covariance) if centre.is_identifiable else None
@@ -124,7 +120,7 @@ def held(means: Array, covariance: Array) -> Held:
 
 
 def _interval(mean_kg: float, sd_kg: float) -> Pair:
-    """95 % of a normal distribution, of its part from 0 on where it is hardly above 0."""
+    """Return the 95 % interval of a Gaussian, truncated at 0 if its mean is hardly above."""
     from scipy.special import ndtr, ndtri
 
     if mean_kg > TWO_SIDED * sd_kg:
@@ -136,8 +132,8 @@ def _interval(mean_kg: float, sd_kg: float) -> Pair:
 
 
 def _centre(means: Array, covariance: Array) -> Centre:
-    """First moments over the mass."""
-    mass_kg = max(float(means[MASS]), LEAST_MASS_KG)
+    """Divide first moments by the mass, with first-order error propagation."""
+    mass_kg = max(float(means[MASS]), MIN_MASS_KG)
     com_m = means[CENTRE] / mass_kg
     # The error of a quotient to first order: its Jacobian by mass and first moments.
     to_com = np.concatenate([-com_m[:, None], np.eye(3)], axis=1) / mass_kg
@@ -152,7 +148,7 @@ def _centre(means: Array, covariance: Array) -> Centre:
 
 
 def _inertia(means: Array, covariance: Array) -> Inertia | None:
-    """Of the bodies that there can be, among those that are drawn."""
+    """Average sampled inertias with a positive semidefinite pseudo-inertia."""
     rng = np.random.default_rng(_SEED)
     drawn = rng.multivariate_normal(means, covariance, _DRAWS, method="eigh")
     tensors = np.einsum("nk,kij->nij", drawn[:, INERTIA], np.stack(moments()))
@@ -164,7 +160,7 @@ def _inertia(means: Array, covariance: Array) -> Inertia | None:
     pseudo[:, :3, 3] = pseudo[:, 3, :3] = firsts
     pseudo[:, 3, 3] = masses
     there = np.linalg.eigvalsh(pseudo)[:, 0] >= 0
-    if np.count_nonzero(there) < _FEWEST_DRAWS:
+    if np.count_nonzero(there) < _MIN_DRAWS:
         return None
     masses, firsts = masses[there, None, None], firsts[there]
     about = np.einsum("ni,ni->n", firsts, firsts)[:, None, None] * np.eye(3)

@@ -1,7 +1,7 @@
-"""Which samples of a driver are new, and when they were measured; a rest is many of the same.
+"""Find which samples of a driver are new, and when they were measured.
 
 A driver that publishes faster than it measures repeats samples, in runs that end in a step as large
-as the motion beside them is fast. Where the arm rests, samples are the same too, but nothing moved
+as the motion beside them is fast. While the arm rests, samples repeat too, but nothing moved
 meanwhile: the step after them is small for their time. These were measured, and count.
 """
 
@@ -15,37 +15,36 @@ from numpy.typing import NDArray
 from analysis.payload.driver_quirks import even_clock
 from tunenet_logs.arrays import Array
 
-_STALE_FRACTION, _FEWEST_STALE_RUNS = 0.03, 3
-"""Of runs that repeat a sample while the arm moves, from which on a driver publishes faster than it
-measures: two measured values are equal now and then, a driver is stuck once."""
+# Of runs that repeat a sample while the arm moves, from which on a driver publishes faster than it
+# measures: two measured values are equal now and then, a driver is stuck once.
+_STALE_FRACTION, _MIN_STALE_RUNS = 0.03, 3
 
+# Of the way that the speed beside a run, and that of the whole motion, would make in its time: a
+# step after it that is smaller is none of a motion that went on.
 _STILL_FRACTION, _SLOW_FRACTION = 0.4, 0.1
-"""Of the way that the speed beside a run, and that of the whole motion, would make in its time: a
-step after it that is smaller is none of a motion that went on."""
 
+# Of the smallest change of a joint: a value that changes by less was only rounded meanwhile.
 _COARSE_STEPS = 1.5
-"""Of the smallest change of a joint: a value that changes by less was only rounded meanwhile."""
 
+# Before and after a run, where its speed is looked for: the longer of both.
 _BESIDE_S, _BESIDE_MESSAGES = 0.15, 4
-"""Before and after a run, where its speed is looked for: the longer of both."""
 
+# Of a driver that repeats samples: the same for longer was measured several times.
 _REST_PERIODS = 2.5
-"""Of a driver that repeats samples: the same for longer was measured several times."""
 
-_TURNS = (0.0, 2 * np.pi, 360.0)
-"""By which angles jump that are cut to a turn, in rad or degrees."""
+_TURNS = (0.0, 2 * np.pi, 360.0)  # by which angles jump that are cut to a turn, in rad or degrees
 
 
 @dataclass(frozen=True, eq=False)
 class NewSamples:
-    """The samples of a signal that count.
+    """New samples of a signal.
 
     Attributes:
-        seconds: when each was measured [s], shape (T,), increasing.
-        rows: of the signal, shape (T,).
-        repeated: fraction of what was recorded that only repeats a sample; not that of a rest.
-        late_s: how much later than measured a sample may be stamped; 0 where its time is known.
-        rests: first and last time of each rest [s], shape (R, 2).
+        seconds: When each was measured [s], shape (T,), increasing.
+        rows: Of the signal, shape (T,).
+        repeated: Fraction of recorded samples that only repeat one, rests aside.
+        late_s: Maximum delay from measurement to stamp; 0 if its time is known.
+        rests: First and last time of each rest [s], shape (R, 2).
     """
 
     seconds: Array
@@ -57,12 +56,12 @@ class NewSamples:
 
 @dataclass(frozen=True, eq=False)
 class _Runs:
-    """Samples in a row that are the same.
+    """Runs of equal samples.
 
     Attributes:
-        begins: index of the first of each, shape (R,).
-        ends: index behind the last of each, shape (R,).
-        still: whether a run of several is of an arm at rest, shape (R,).
+        begins: Index of the first of each, shape (R,).
+        ends: Index behind the last of each, shape (R,).
+        still: Whether a run of several is of an arm at rest, shape (R,).
     """
 
     begins: NDArray[np.int64]
@@ -71,23 +70,23 @@ class _Runs:
 
     @property
     def lengths(self) -> NDArray[np.int64]:
-        """Samples of each, shape (R,)."""
+        """Number of samples of each, shape (R,)."""
         return self.ends - self.begins
 
     @property
     def owner(self) -> NDArray[np.int64]:
-        """The run of each sample, shape (N,)."""
+        """Index of the run of each sample, shape (N,)."""
         return np.repeat(np.arange(len(self.begins)), self.lengths)
 
 
 def new_samples(seconds: Array, values: Array, rests: Array | None = None) -> NewSamples:
-    """Find what is new in a signal, and when it was measured.
+    """Find the new samples of a signal, and when they were measured.
 
     Args:
-        seconds: of its messages [s], shape (N,), increasing; two or more.
-        values: shape (N, J).
-        rests: when the arm rests [s], shape (R, 2): only then does a value that stays the same
-            count. None where the signal itself shows it: positions do.
+        seconds: Of its messages [s], shape (N,), increasing; two or more.
+        values: Shape (N, J).
+        rests: When the arm rests [s], shape (R, 2): only then does a value that stays the same
+            count. None if the signal itself shows it: positions do.
     """
     runs = _runs_of(seconds, values)
     repeats = runs.lengths - 1
@@ -95,7 +94,7 @@ def new_samples(seconds: Array, values: Array, rests: Array | None = None) -> Ne
     stale_runs = np.count_nonzero(repeats[moving])
     stale = int(repeats[moving].sum())
     repeated = stale / (stale + len(runs.begins))
-    if stale_runs < max(_FEWEST_STALE_RUNS, _STALE_FRACTION * len(runs.begins)):
+    if stale_runs < max(_MIN_STALE_RUNS, _STALE_FRACTION * len(runs.begins)):
         owner = runs.owner
         keep = runs.still[owner] & _within(seconds, rests)
         keep[runs.begins] = True
@@ -117,7 +116,7 @@ def new_samples(seconds: Array, values: Array, rests: Array | None = None) -> Ne
 
 
 def _runs_of(seconds: Array, values: Array) -> _Runs:
-    """Runs of the same samples, and which of them are rests."""
+    """Find runs of equal samples, and which of them are rests."""
     changes = np.any(values[1:] != values[:-1], axis=1)
     begins = np.concatenate([[0], np.flatnonzero(changes) + 1])
     ends = np.append(begins[1:], len(values))
@@ -143,26 +142,26 @@ def _runs_of(seconds: Array, values: Array) -> _Runs:
 
 
 def _within_a_turn(steps: Array) -> Array:
-    """Steps without the jumps of angles that are cut to a turn."""
+    """Remove the jumps of wrapped angles from steps."""
     ways = np.stack([np.abs(np.abs(steps) - turn) for turn in _TURNS])
     nearest = np.array(_TURNS)[np.argmin(ways, axis=0)]
     return steps - np.sign(steps) * nearest
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
-    """The value below and above which the weights are the same; 0 where there are none."""
+    """Return the weighted median; 0 without weights."""
     order = np.argsort(values)
     sums = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(sums, sums[-1] / 2)])
 
 
 def _spans(seconds: Array, runs: _Runs, chosen: NDArray[np.bool_]) -> Array:
-    """First and last time of some runs [s], shape (R, 2)."""
+    """Return first and last time of some runs [s], shape (R, 2)."""
     return np.column_stack([seconds[runs.begins[chosen]], seconds[runs.ends[chosen] - 1]])
 
 
 def _within(seconds: Array, rests: Array | None) -> NDArray[np.bool_]:
-    """Whether each time is in one of the rests; all are where none are given."""
+    """Return whether each time is in one of the rests; all are if none are given."""
     if rests is None or not len(rests):
         return np.full(len(seconds), rests is None)
     at = np.searchsorted(rests[:, 0], seconds, side="right") - 1
@@ -176,17 +175,14 @@ def _in_rests(
     measured: Array,
     period_s: float,
 ) -> tuple[Array, NDArray[np.int64]]:
-    """What a driver that repeats samples measured while the arm rested.
+    """Return times [s] and rows that a sample-repeating driver measured while the arm rested.
 
     Args:
-        seconds: of the messages [s], shape (N,).
-        runs: of the same samples.
-        resting: which of them are rests, shape (R,).
-        measured: when the first of each run was measured [s], shape (R,).
-        period_s: between measurements [s].
-
-    Returns:
-        Times [s] and rows of the first message that shows each.
+        seconds: Of the messages [s], shape (N,).
+        runs: Of equal samples.
+        resting: Which of them are rests, shape (R,).
+        measured: When the first of each run was measured [s], shape (R,).
+        period_s: Between measurements [s].
     """
     owner = runs.owner
     ticks = np.floor((seconds - measured[owner]) / period_s).astype(np.int64)

@@ -1,6 +1,6 @@
-"""The payload's presets: what a network sees of the torques, and how it is trained.
+"""Presets of the payload experiment: the network's observation of torques, and its training.
 
-One reading a joint for any motion, or all torques of the paper's circle as they are.
+One reading per joint for any motion, or all torques of the paper's circle as they are.
 """
 
 from __future__ import annotations
@@ -29,54 +29,46 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.terminal import Progress
 
+# Joints that a reading is taken of, those that feel a payload most: a Jaco has as many.
 READINGS = 7
-"""Joints that a reading is taken of, those that feel a payload most: a Jaco has as many."""
 
 PAPER_RATE_HZ = 60.0
 PAPER_SAMPLES = 300
-PAPER_JOINTS = 7
-"""What the paper's network sees: 5 s of a Jaco's torques (Allevato et al. 2019)."""
-
-CIRCLE_S = 2 * np.pi / CIRCLE_RAD_S
-"""A turn."""
-
-_NEAR_S = 0.05
-"""To the nearest torque: between samples further apart nothing is interpolated."""
-
+PAPER_JOINTS = 7  # what the paper's network sees: 5 s of a Jaco's torques (Allevato et al. 2019).
+CIRCLE_S = 2 * np.pi / CIRCLE_RAD_S  # a turn
+_NEAR_S = 0.05  # to the nearest torque: between samples further apart nothing is interpolated
+# Phases that the search for the circle begins with, some degrees apart; then it halves its step,
+# down to microseconds.
 _COARSE, _HALVINGS = 64, 16
-"""Phases that the search for the circle begins with, some degrees apart; then it halves its step,
-down to microseconds."""
 
 PAPER_GRAVITY_M_S2 = (0.0, 0.0, -10.0)
 PAPER_MASS_KG = (0.0, 1.0)
+# The paper's simulator, masses that networks learn from, and pairs (Allevato et al. 2019).
 _PAPER_PAIRS = 1000
-"""The paper's simulator, masses that networks learn from, and pairs (Allevato et al. 2019)."""
 
+# Random motions of our network, and masses along each: all 30 ordered pairs of a motion are learnt
+# from, so that a pair costs little simulation.
 _PATHS, _MASSES = 512, 6
-"""Random motions of our network, and masses along each: all 30 ordered pairs of a motion are
-learnt from, so that a pair costs little simulation."""
 
-_RATE_HZ = 20.0
-"""Of a motion's samples: readings are sums over them, which more would not change."""
-
+_RATE_HZ = 20.0  # of a motion's samples: readings are sums over them, which more would not change
+# Standard deviation of half of a motion's masses about the others: a last iteration's pairs.
 _NEAR_KG = 0.1
-"""Standard deviation of half of a motion's masses about the others: a last iteration's pairs."""
 
 
 def payload_readings(effort_nm: Array, empty_nm: Array, per_kg_nm: Array) -> Observation:
-    """Each joint's part of the payload's mass, so that one network serves every arm and motion.
+    """Project torques to each joint's share of the mass: one network serves every arm and motion.
 
-    A joint's torques beyond those of the empty arm are projected on what a kilogram adds to them;
-    the sum over all joints is the mass by least squares. Constant torques are left out of both: a
-    sensor's offset is one. Joints are in the order of how much of a payload they feel.
+    Torques beyond those of the empty arm are projected on what a kilogram adds; their sum over all
+    joints is the least-squares mass. Means are removed from both, and so sensor offsets. Joints are
+    ordered by how much of a payload they feel.
 
     Args:
-        effort_nm: along a motion [N·m], shape (T, J).
-        empty_nm: with nothing in the gripper, along the same motion [N·m], shape (T, J).
-        per_kg_nm: what a kilogram adds to that [N·m], shape (T, J).
+        effort_nm: Along a motion [N·m], shape (T, J).
+        empty_nm: With an empty gripper, along the same motion [N·m], shape (T, J).
+        per_kg_nm: What a kilogram adds to that [N·m], shape (T, J).
 
     Returns:
-        Values in kg, shape (7, 1); 0 for joints that the arm has not.
+        Values in kg, shape (7, 1); 0 for joints that the arm lacks.
     """
     felt = per_kg_nm - per_kg_nm.mean(axis=0)
     beyond = effort_nm - empty_nm
@@ -89,12 +81,12 @@ def payload_readings(effort_nm: Array, empty_nm: Array, per_kg_nm: Array) -> Obs
 
 
 def paper_torques(seconds: Array, effort_nm: Array, phase_s: float = 0.0) -> Observation:
-    """Seven torques at 60 Hz for the first 5 s of the paper's circle, as its network sees them.
+    """Resample seven torques at 60 Hz over the first 5 s of the paper's circle.
 
     Args:
-        seconds: times of the torques [s], shape (T,), increasing.
+        seconds: Of the torques [s], shape (T,), increasing.
         effort_nm: [N·m], shape (T, 7).
-        phase_s: how far along the circle the arm is at 0 s [s].
+        phase_s: How far along the circle the arm is at 0 s [s].
 
     Returns:
         Values in N·m, shape (300, 7); NaN where there are no torques.
@@ -112,10 +104,10 @@ def paper_torques(seconds: Array, effort_nm: Array, phase_s: float = 0.0) -> Obs
 
 
 def circle_phase_s(path: JointPath) -> tuple[float, float]:
-    """How far along the paper's circle a motion is at 0 s, and its worst distance from it [rad].
+    """Find a motion's phase on the paper's circle at 0 s, and its worst distance from it [rad].
 
     Raises:
-        NotFoundError: it is the motion of another arm.
+        NotFoundError: It is the motion of another arm.
     """
     if path.position_rad.shape[1] != PAPER_JOINTS:
         raise NotFoundError("the paper's network knows the Jaco alone; use --preset default")
@@ -136,9 +128,9 @@ def circle_phase_s(path: JointPath) -> tuple[float, float]:
 
 
 def observe_circle(masses_kg: Sequence[float]) -> Array:
-    """The paper's circle with each payload, shape (N, 300, 7) [N·m]; runs in worker processes.
+    """Compute torques of the paper's circle by inverse dynamics, shape (N, 300, 7) [N·m].
 
-    By inverse dynamics, which the rollout's torques equal.
+    They equal the rollout's torques. Runs in worker processes.
     """
     arm, path = jaco(), circle(PAPER_RATE_HZ, PAPER_SAMPLES / PAPER_RATE_HZ)
     return np.array(
@@ -147,7 +139,7 @@ def observe_circle(masses_kg: Sequence[float]) -> Array:
 
 
 def _observe_paths(plans: Sequence[tuple[int, tuple[float, ...]]]) -> Array:
-    """Readings of payloads (masses) along random motions (seeds), shape (paths * masses, 7, 1)."""
+    """Observe payloads (masses) along random motions (seeds): (paths * masses, 7, 1)."""
     arm = jaco()
     found: list[Array] = []
     for seed, masses_kg in plans:
@@ -161,7 +153,7 @@ def _observe_paths(plans: Sequence[tuple[int, tuple[float, ...]]]) -> Array:
 
 
 def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
-    """Two circles a pair, masses U(0, 1) kg."""
+    """Make training pairs of two circles, masses U(0, 1) kg."""
     count = count or _PAPER_PAIRS
     masses = np.random.default_rng(seed).uniform(*PAPER_MASS_KG, 2 * count)
     observations = observe_all(observe_circle, masses.tolist(), workers, progress)
@@ -169,7 +161,7 @@ def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progr
 
 
 def _readings_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
-    """All pairs of a few masses along one motion; half of the masses near another."""
+    """Make all pairs of a few masses along one motion; half of the masses near another."""
     rng = np.random.default_rng(seed)
     each = _MASSES * (_MASSES - 1)
     paths = _PATHS if count is None else -(-count // each)

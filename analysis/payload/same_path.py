@@ -1,8 +1,7 @@
-"""A tare along the log's own path: what the model lacks is in both, and not in their difference.
+"""Difference and mean of a log and a tare along one path, which separate unmodelled effects.
 
-Ripple, hoses and whatever else nobody modelled depends on where an arm is. Where two runs are in
-the same places at the same times, their difference and their mean are series of their own: what
-wanders in both is in the mean alone.
+Ripple, hoses and other unmodelled effects depend on the arm's configuration. Where two runs are in
+the same places at the same times, such effects are in their mean alone, not in their difference.
 """
 
 from __future__ import annotations
@@ -18,31 +17,28 @@ from analysis.payload.torque_model import Convention, Linearization, LoggedArm
 from analysis.payload.torque_terms import OWN_TERMS
 from tunenet_logs.arrays import Array
 
+# Root mean square and greatest distance of two runs along one path: how a controller repeats.
 _NEAR_RAD, _NEVER_BEYOND_RAD = 0.01, 0.05
-"""Root mean square and greatest distance of two runs along one path: how a controller repeats."""
 
-_OVERLAP = 0.9
-"""Of the log that a tare along its path covers at least."""
+_OVERLAP = 0.9  # of the log that a tare along its path covers at least
+# Of the search for the time by which the one began later: positions a second, shifts that are
+# tried, and how often the step between them is halved then.
+_COARSE_HZ, _MAX_SHIFTS, _HALVINGS = 20.0, 400, 12
 
-_COARSE_HZ, _MOST_SHIFTS, _HALVINGS = 20.0, 400, 12
-"""Of the search for the time by which the one began later: positions a second, shifts that are
-tried, and how often the step between them is halved then."""
-
-_DRIFTS, _LAG = slice(-2, None), -OWN_TERMS - 3
-"""Columns of a run's own terms."""
+_DRIFTS, _LAG = slice(-2, None), -OWN_TERMS - 3  # columns of a run's own terms
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueRows:
-    """A series of torques as least squares sees it.
+    """Least-squares rows of a series of torques.
 
     Attributes:
         seconds: [s], shape (T,).
-        left_nm: measured less predicted, at the values about which it is linear, shape (T, J).
-        columns: terms that each joint's slopes are by, shape (J, C).
-        slopes: shape (T, J, C).
-        own: which of those columns are of a joint alone.
-        used: joints that count, shape (J,).
+        left_nm: Residual at the linearisation point, shape (T, J).
+        columns: Terms that each joint's slopes are by, shape (J, C).
+        slopes: Shape (T, J, C).
+        own: Which of those columns belong to a joint alone.
+        used: Joints that count, shape (J,).
     """
 
     seconds: Array
@@ -53,14 +49,14 @@ class TorqueRows:
     used: NDArray[np.bool_]
 
     def after_nm(self, change: Array) -> Array:
-        """What is left once the terms have changed by `change`, shape (N,): (T, J)."""
+        """Return the residual, (T, J), after the terms have changed by `change`, shape (N,)."""
         return self.left_nm - np.einsum("tjc,jc->tj", self.slopes, change[self.columns])
 
 
 def rows_of(
     runs: Sequence[LoggedArm], lines: Sequence[Linearization], convention: Convention
 ) -> list[TorqueRows]:
-    """Of each run; of a log and a tare that is along it, their difference and their mean."""
+    """Build the rows of each run; of a log and a tare along it, their difference and mean."""
     rows = [
         TorqueRows(
             run.motion.seconds,
@@ -97,7 +93,7 @@ def rows_of(
 
 
 def along(motion: ArmMotion, tare: ArmMotion) -> tuple[ArmMotion, NDArray[np.bool_]] | None:
-    """The tare at the log's own times, and which of these it covers; None where it is elsewhere."""
+    """Resample a tare at the log's own times, and say which it covers; None if elsewhere."""
     seconds = motion.seconds
     length_s = float(seconds[-1] - seconds[0])
     step_s = 1 / _COARSE_HZ
@@ -117,7 +113,7 @@ def along(motion: ArmMotion, tare: ArmMotion) -> tuple[ArmMotion, NDArray[np.boo
         away = np.abs(where[inside] - tare.spline(at[inside]))
         return float(np.sqrt(np.mean(away**2))), float(away.max())
 
-    count = int(min(np.ceil((high - low) / step_s) + 1, _MOST_SHIFTS))
+    count = int(min(np.ceil((high - low) / step_s) + 1, _MAX_SHIFTS))
     shifts = np.linspace(low, high, count)
     best = min(shifts.tolist(), key=off)
     step = float(shifts[1] - shifts[0]) if count > 1 else step_s

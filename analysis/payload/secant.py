@@ -1,4 +1,4 @@
-"""The mass by a line through two rollouts of the other engine: a second way to it."""
+"""Cross-check the mass by a secant through two rollouts in another engine's inverse dynamics."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from recorders.simulators.arm.dynamics import held_efforts_nm, joint_efforts_nm
 from recorders.simulators.arm.path import JointPath
 from tunenet_logs.arrays import Array
 
-_OFFSET_SHARE = 0.01
-"""Usual offset of a sensor, by what its joint is built for."""
+_OFFSET_SHARE = 0.01  # usual offset of a sensor, by what its joint is built for
 
 
 def secant(
@@ -27,19 +26,19 @@ def secant(
     scales_nm: Array,
     tares: Sequence[ArmMotion] = (),
 ) -> float:
-    """The mass [kg]; it may be below 0.
+    """Estimate the mass by a secant through rollouts of 0 and 1 kg [kg]; it may be below 0.
 
     Torques are linear in the mass, so the arm without a payload and with 1 kg, driven along the
-    logged motion, give it by least squares in closed form. Only the sensors' offsets are taken out.
+    logged motion, give it by least squares in closed form. Only sensor offsets are removed.
 
     Args:
-        arm: as it is without a payload.
-        motion: while it held it.
-        convention: what its driver means by torque.
-        lag_s: of the torques behind the positions [s].
-        com_m: the payload's centre in the tool frame.
-        scales_nm: what each joint is built for [N·m], shape (J,).
-        tares: while it held nothing: what the same line makes of them is no payload.
+        arm: Without a payload.
+        motion: While it held it.
+        convention: The driver's torque convention.
+        lag_s: Of the torques behind the positions [s].
+        com_m: The payload's centre of mass in the tool frame.
+        scales_nm: Rated torque of each joint [N·m], shape (J,).
+        tares: While it held nothing: the mass that this gives for them is subtracted.
     """
     arm = arm.without_limits()
     masses_kg = []

@@ -1,9 +1,9 @@
-"""What an arm holds, from its torques: mass, centre of mass, inertia, and how sure each is.
+"""Identify an arm's payload from its torques: mass, centre of mass, inertia, with intervals.
 
-Torques are linear in the payload. What makes it hard is all else that is in them: friction,
-offsets, gains, a lag, links that weigh something else than the model's, a base that is not level.
-They are fitted too, with priors whose scale the log decides on (`evidence.py`), and with runs of
-the empty gripper (tares) that have all of them but the payload.
+Torques are linear in the payload. Nuisance terms make it hard: friction, offsets, gains, a lag,
+link masses other than the model's, a base that is not level. They are fitted too, with priors
+whose scale the log decides on (`evidence.py`), and with runs of the empty gripper (tares) that
+have all of them but the payload.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from analysis.payload.torque_terms import (
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 
+# Factor on standard deviations where runs share an arm: what a model of it lacks is in none of them
+# alone. By made arms of another generator, whose intervals held 88 to 92 % without it.
 _SHARED_SD = 1.2
-"""Factor on standard deviations where runs share an arm: what a model of it lacks is in none of
-them alone. By made arms of another generator, whose intervals held 88 to 92 % without it."""
 
+# Fits of linear models to choose a convention: of all four, then of those that may still win; and
+# of Gauss-Newton with the best.
 _COMPARISONS, _MORE_COMPARISONS, _ITERATIONS = 3, 6, 3
-"""Fits of linear models to choose a convention: of all four, then of those that may still win; and
-of Gauss-Newton with the best."""
 
-_MOST_BEHIND = 50.0
-"""Log evidence by which a convention may be behind and still win: noise settles slowly."""
+# Log evidence by which a convention may be behind and still win: noise settles slowly.
+_MAX_BEHIND = 50.0
 
 
 def fit_payload(
@@ -59,18 +59,18 @@ def fit_payload(
     known: NormalEquations | None = None,
     gain: float = GAIN,
 ) -> PayloadFit:
-    """Find mass, centre of mass and inertia of what an arm holds.
+    """Fit mass, centre of mass and inertia of an arm's payload.
 
-    Linear models of all conventions of a driver are compared by their evidence. Gauss-Newton goes
-    on with the best one, and its answer is averaged over how large each group of terms may be.
+    Linear models of all torque conventions are compared by their evidence. Gauss-Newton refines the
+    best one, and its posterior is marginalised over the scale of each group of terms.
 
     Args:
-        arm: as it is without a payload.
-        motion: while it held it.
-        tares: while it held nothing, with the same driver: any motions will do.
-        conventions: that the driver may have, as far as its owner knows.
-        known: what other runs said of the arm's own terms (`PayloadFit.learnt`).
-        gain: usual error of the torques, as a fraction: of each joint alone, and, as far as it is
+        arm: Without a payload.
+        motion: While it held it.
+        tares: While it held nothing, with the same driver: any motions will do.
+        conventions: Possible ones, as far as the user does not state one.
+        known: What other runs identified of the arm's own terms (`PayloadFit.learnt`).
+        gain: Usual error of the torques, as a fraction: of each joint alone, and, as far as it is
             more than a driver's own, of all joints in common.
     """
     model = ArmModel(arm)
@@ -108,11 +108,10 @@ def fit_payload(
 def _likeliest(
     runs: tuple[LoggedArm, ...], conventions: Sequence[Convention], known: NormalEquations | None
 ) -> tuple[GaussNewton, float, float]:
-    """The fit with the likeliest of some conventions.
+    """Fit all conventions, and return the likeliest allowed one with its log evidence ratios.
 
-    Returns:
-        It, by how much its log evidence leads that of every other convention (less than 0 where one
-        that was left out is likelier), and that of torques that no arm is behind.
+    The first is over every other convention (below 0 if one that was excluded is likelier), the
+    second over a model without an arm.
     """
     nothing = np.zeros(len(runs[0].terms.sds))
     lines = {
@@ -128,7 +127,7 @@ def _likeliest(
     }
     for _ in range(_MORE_COMPARISONS):
         leader = max(fit.log_evidence for fit in fits.values())
-        near = [one for one, fit in fits.items() if fit.log_evidence > leader - _MOST_BEHIND]
+        near = [one for one, fit in fits.items() if fit.log_evidence > leader - _MAX_BEHIND]
         if len(near) == 1:
             break
         fits |= {one: _compared(fits[one], rows[one], 1) for one in near}
@@ -145,23 +144,23 @@ def _likeliest(
 
 
 def _compared(fit: GaussNewton, rows: Sequence[TorqueRows], count: int) -> GaussNewton:
-    """Some rough fits of linear models about 0, each with the last one's noise."""
+    """Run some rough fits of linear models about 0, each with the last one's noise."""
     for _ in range(count):
         fit = fit.fitted(rows, np.zeros(len(fit.terms.sds)), roughly=True)
     return fit
 
 
 def _without_arm(line: Linearization, terms: Terms) -> Linearization:
-    """Torques of sensors and friction alone."""
+    """Keep only the torques of sensors and friction."""
     kept = np.isin(np.array(terms.groups), ("offset", "friction", "drift", "warming"))
     slopes = line.slopes * kept[line.columns]
     return Linearization(np.zeros_like(line.predicted_nm), line.columns, slopes)
 
 
 def _payload(fit: GaussNewton, normal: NormalEquations) -> tuple[Array, Array, float]:
-    """Means of the payload's terms, shape (10,), their covariance, (10, 10), and a bound [kg].
+    """Return means of the payload's terms, shape (10,), covariance, (10, 10), and a bound [kg].
 
-    An average of two models: an arm with all that arms have, and a simulated one, with none of it.
+    Averages two models: an arm with all nuisance terms, and a simulated one, without any.
     """
     own = np.arange(PAYLOAD_TERMS)
     means, covariance = averaged(fit.found, fit.groups, fit.logs, own)

@@ -1,11 +1,11 @@
-"""What a driver reports as torques, as a function of the terms of `torque_terms.py`.
+"""Torques that a driver reports, as a function of the terms of `torque_terms.py`.
 
-It is the torque of a rigid arm (its links a little other than the model's, its base not quite
-level, its encoders off zero) and of its rotors and gears, times a gain, late by a lag, plus what
-sensors and hoses add. A run with an empty gripper has the same terms, without the payload.
+They are those of a rigid arm (link parameters near the model's, a base not quite level, encoders
+off zero) and of its rotors and gears, times a gain, delayed by a lag, plus what sensors and hoses
+add. A run with an empty gripper has the same terms, without the payload.
 
-The model is Pinocchio's regressor: the torques of a rigid arm are linear in the masses, first
-moments and inertias of its links, and of what it holds (Atkeson, An and Hollerbach 1986).
+The rigid part is Pinocchio's joint-torque regressor: torques are linear in the masses, first
+moments and inertias of links and payload (Atkeson, An and Hollerbach 1986).
 """
 
 from __future__ import annotations
@@ -31,32 +31,30 @@ from recorders.simulators.arm.rigid_bodies import rotation_from_rpy
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 
+# Speed below which dry friction fades: a motion's zero crossing is not known better.
 _SIGN_RAD_S = 0.015
-"""Speed below which dry friction fades: a motion's zero crossing is not known better."""
 
+# Speeds over which friction falls from its peak: Stribeck's are between them.
 _SHAPE_RAD_S = (0.03, 0.1, 0.3)
-"""Speeds over which friction falls from its peak: Stribeck's are between them."""
 
+# Of one body in Pinocchio: mass, first moments (3), and the inertia about the joint's frame as xx,
+# xy, yy, xz, yz, zz, which is its lower triangle by rows.
 _BODY_PARAMETERS = 10
-"""Of one body in Pinocchio: mass, first moments (3), and the inertia about the joint's frame as
-xx, xy, yy, xz, yz, zz, which is its lower triangle by rows."""
 
-_LEAST_KG = 1e-6
-"""Of a link, whatever a fit makes of it on its way."""
-
+_MIN_KG = 1e-6  # of a link, whatever a fit makes of it on its way
 _OFFSET, _LOAD_WAY, _LOAD, _GAIN = 0, 2, 7, 9
 _GEAR = slice(1, 9)
+# Of a joint's own terms: what is a gear's, between the arm and the sensor; and what is not.
 _BESIDE = [_OFFSET, *range(10, OWN_TERMS)]
-"""Of a joint's own terms: what is a gear's, between the arm and the sensor; and what is not."""
 
 
 @dataclass(frozen=True)
 class Convention:
-    """What a driver means by torque.
+    """Torque convention of a driver.
 
     Attributes:
-        sign: +1 where it is the joint's, -1 where it is the load's.
-        has_gravity: whether the arm's own weight is in it.
+        sign: +1 if it is the joint's torque, -1 if it is the load's.
+        has_gravity: Whether the arm's own weight is included.
     """
 
     sign: int
@@ -68,11 +66,11 @@ CONVENTIONS = tuple(Convention(sign, full) for full in (True, False) for sign in
 
 @dataclass(frozen=True, eq=False)
 class RigidTorques:
-    """Of an arm along a motion, with all that its links and payload are found to be.
+    """Torques of a rigid arm along a motion, with its links and payload as fitted.
 
     Attributes:
-        total_nm: shape (T, J).
-        slopes: by the payload's terms, the links', the tilt and the encoders' zeros: (T, J, C).
+        total_nm: Shape (T, J).
+        slopes: By the payload's terms, the links', the tilt and the encoder zeros: (T, J, C).
     """
 
     total_nm: Array
@@ -80,10 +78,10 @@ class RigidTorques:
 
 
 class ArmModel:
-    """The arm in Pinocchio.
+    """Rigid-body model of the arm in Pinocchio.
 
     Args:
-        arm: checked numbers; it stands upright, but for a tilt.
+        arm: Checked numbers; it stands upright, but for a tilt.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -94,28 +92,28 @@ class ArmModel:
         self._payload = _payload_parameters(arm)
 
     def empty_nm(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Torques of the arm as described, along a motion of shape (T, J)."""
+        """Compute torques of the arm as described (Newton-Euler), along a motion of (T, J)."""
         self._become(self._links, np.zeros(2))
         rows = zip(position, velocity, acceleration, strict=True)
         model, data, rnea = self._model, self._data, self._library.rnea
         return np.stack([rnea(model, data, *row).copy() for row in rows])
 
     def gravity_nm(self, position: Array) -> Array:
-        """Torques of gravity alone on the arm as described [N·m], shape (T, J)."""
+        """Compute gravity torques of the arm as described [N·m], shape (T, J)."""
         self._become(self._links, np.zeros(2))
         return self._held_nm(position)
 
     def torques(
         self, position: Array, velocity: Array, acceleration: Array, values: Array, *, held: bool
     ) -> RigidTorques:
-        """Along a motion [rad, rad/s, rad/s^2], each of shape (T, J), with their slopes.
+        """Compute torques along a motion, with their derivatives by the terms (regressor).
 
         Args:
-            position: of each joint.
-            velocity: likewise.
-            acceleration: likewise.
-            values: of the terms, shape (N,): the payload's, the links', tilt and zeros are used.
-            held: whether the payload is there.
+            position: Of each joint [rad], shape (T, J).
+            velocity: [rad/s], shape (T, J).
+            acceleration: [rad/s^2], shape (T, J).
+            values: Of the terms, shape (N,): the payload's, the links', tilt and zeros are used.
+            held: Whether the payload is there.
         """
         count = position.shape[1]
         first = PAYLOAD_TERMS
@@ -158,20 +156,20 @@ class ArmModel:
         return np.stack([compute(self._model, self._data, row).copy() for row in position])
 
     def _become(self, bodies: Array, tilt: Array) -> None:
-        """Give the links these parameters, shape (J, 10), and gravity this tilt, shape (2,)."""
+        """Set the links' parameters, shape (J, 10), and the tilt of gravity, shape (2,)."""
         down = -np.sqrt(max(1.0 - float(tilt @ tilt), 0.0))
         self._model.gravity.linear = GRAVITY_M_S2 * np.array([*tilt, down])
         for index, body in enumerate(bodies, 1):
             own = body.copy()
-            own[0] = max(own[0], _LEAST_KG)
+            own[0] = max(own[0], _MIN_KG)
             self._model.inertias[index] = self._library.Inertia.FromDynamicParameters(own)
 
 
 def _payload_parameters(arm: Arm) -> Array:
-    """Parameters of the last joint's body, by the payload's terms, shape (10, 10).
+    """Return the last body's inertial parameters by the payload's terms, shape (10, 10).
 
-    Its mass brings the inertia of a solid ball. The square of its centre's offset is left out: the
-    torques of an arm do not show it.
+    A payload's mass has the inertia of a solid ball. The square of its centre's offset is left out:
+    an arm's torques do not show it.
     """
     rotation = rotation_from_rpy(arm.tool_from_last_rpy)
     tool = np.array(arm.tool_from_last_m)
@@ -191,7 +189,7 @@ def _payload_parameters(arm: Arm) -> Array:
 
 
 def moments() -> list[Array]:
-    """Tensors of the six moments of inertia, in the order of the payload's terms, each (3, 3)."""
+    """Return the unit tensors of the six moments of inertia, in order, each (3, 3)."""
     tensors = []
     for row, column in zip(*np.tril_indices(3), strict=True):
         tensor = np.zeros((3, 3))
@@ -201,18 +199,18 @@ def moments() -> list[Array]:
 
 
 def smooth_sign(velocity: Array) -> Array:
-    """Which way joints turn, of velocities [rad/s]: -1 to 1, smooth about standing still."""
+    """Return the sign of velocities [rad/s], smoothed about 0 by a tanh."""
     return np.tanh(velocity / _SIGN_RAD_S)
 
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """Torques about some values of the terms.
+    """Torques linearised about some values of the terms.
 
     Attributes:
-        predicted_nm: at these values [N·m], shape (T, J).
-        columns: which terms each joint's slopes are by, shape (J, C).
-        slopes: derivatives, shape (T, J, C).
+        predicted_nm: At these values [N·m], shape (T, J).
+        columns: Terms that each joint's slopes are by, shape (J, C).
+        slopes: Derivatives, shape (T, J, C).
     """
 
     predicted_nm: Array
@@ -220,21 +218,21 @@ class Linearization:
     slopes: Array
 
     def moved_nm(self, change: Array) -> Array:
-        """By how much torques change with the terms, by `change` of shape (N,): (T, J)."""
+        """Return the change of torques, (T, J), for a change of the terms, shape (N,)."""
         return np.einsum("tjc,jc->tj", self.slopes, change[self.columns])
 
 
 @dataclass(frozen=True, eq=False)
 class LoggedArm:
-    """One run's torques as a function of the terms.
+    """Torque model of one run.
 
     Attributes:
-        model: the arm's.
-        terms: of all runs that are fitted together.
-        motion: this one's.
+        model: The arm's.
+        terms: Of all runs that are fitted together.
+        motion: This one's.
         run: 0 for the log itself, from 1 for its tares.
-        covered: of a tare that is along the log's path, which of the log's times it covers; None
-            for any other run.
+        covered: For a tare along the log's path, which of the log's times it covers; None for any
+            other run.
     """
 
     model: ArmModel
@@ -245,16 +243,16 @@ class LoggedArm:
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Samples that are measured, shape (T,): a tare along the log's path may not cover it."""
+        """Measured samples, shape (T,): a tare along the log's path may not cover it."""
         return np.ones(len(self.motion.seconds), bool) if self.covered is None else self.covered
 
     def torques_nm(self, convention: Convention) -> Array:
-        """As measured, with the joint's sign [N·m], shape (T, J)."""
+        """Return measured torques with the joint's sign [N·m], shape (T, J)."""
         return convention.sign * self.motion.effort
 
     @property
     def columns(self) -> NDArray[np.int64]:
-        """Which terms torques depend on, for each joint, shape (J, C).
+        """Indices of the terms that each joint's torques depend on, shape (J, C).
 
         First what all joints share, the lag last of it; then the joint's own; then its drifts.
         """
@@ -266,7 +264,7 @@ class LoggedArm:
         return np.hstack([np.tile(np.append(common, lag), (joints, 1)), own, drifts])
 
     def linearized(self, values: Array, convention: Convention) -> Linearization:
-        """The torques and their derivatives about values of the terms, shape (N,)."""
+        """Linearise the torques about values of the terms, shape (N,)."""
         columns, joints, seconds = self.columns, self.terms.joints, self.motion.seconds
         first = columns.shape[1] - OWN_TERMS - 2
         of_joint = values[columns[:, first : first + OWN_TERMS]]
@@ -292,7 +290,7 @@ class LoggedArm:
 
 
 def _own_features(rigid_nm: Array, position: Array, velocity: Array, acceleration: Array) -> Array:
-    """What a joint's own terms multiply, in their order, shape (T, J, OWN_TERMS); gains are 0."""
+    """Return the regressors of the joints' own terms, (T, J, OWN_TERMS); gains are 0."""
     way = smooth_sign(velocity)
     slow = [way * np.exp(-((velocity / width) ** 2)) for width in _SHAPE_RAD_S]
     angles = [wave * position for wave in range(1, WAVES + 1)]

@@ -1,7 +1,7 @@
-"""What an arm's torques contain beside the model's: terms with priors, each group with a scale.
+"""Terms of an arm's torques beside the model's, with priors in groups of one scale each.
 
-Sizes are fractions of what each joint is built for, so that a wrist and a shoulder, a desk's arm
-and a factory's, have the same table. How large a group is, the log decides (`evidence.py`).
+Sizes are fractions of each joint's rated torque, so that a wrist and a shoulder, a desk's arm and
+a factory's, have the same table. The log decides on the scale of a group (`evidence.py`).
 """
 
 from __future__ import annotations
@@ -17,23 +17,21 @@ from analysis.payload.arm_motion import ArmMotion
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 
+# Mass [kg], first moments [kg·m] (3), and what the inertia is more than a ball's [kg·m²] (6).
 PAYLOAD_TERMS = 10
-"""Mass [kg], first moments [kg·m] (3), and what the inertia is more than a ball's [kg·m²] (6)."""
 
 MASS = 0
 CENTRE = slice(1, 4)
 INERTIA = slice(4, 10)
 
 CENTRE_SD_M = 0.05
-INERTIA_SD_M2 = 0.003
-"""Of a kilogram: where in a hand its centre may be, and how long it may be."""
-
-WAVES = 8
-"""Harmonics of a joint's angle: hoses that pull, and the slower part of a gear's ripple."""
-
+INERTIA_SD_M2 = 0.003  # of a kilogram: where in a hand its centre may be, and how long it may be
+WAVES = 8  # harmonics of a joint's angle: hoses that pull, and the slower part of a gear's ripple
+# Of dry friction over speed, beside its sign: Stribeck's peak at three widths, and unevenness.
 SHAPES = 4
-"""Of dry friction over speed, beside its sign: Stribeck's peak at three widths, and unevenness."""
 
+# Usual ones. Of a joint's highest torque: offsets, friction (viscous for 1 rad/s), what depends on
+# the angle, drifts; rotors for 1 rad/s². A fraction: friction under load.
 _SIZES = {
     "offset": 0.01,
     "viscous friction": 0.02,
@@ -45,40 +43,38 @@ _SIZES = {
     "warming": 0.003,
     "hoses and gears": 0.01,
 }
-"""Usual ones. Of a joint's highest torque: offsets, friction (viscous for 1 rad/s), what depends on
-the angle, drifts; rotors for 1 rad/s². A fraction: friction under load."""
 
+# Of a torque that a driver reports, and of one made of a motor's current: constants that two
+# laboratories published for one kind of arm are 13 to 49 % apart.
 GAIN, CURRENT_GAIN = 0.02, 0.12
-"""Of a torque that a driver reports, and of one made of a motor's current: constants that two
-laboratories published for one kind of arm are 13 to 49 % apart."""
 
+# Errors of an arm's description: fractions, and of a centre for an arm of 1 m.
 _LINK_MASS, _LINK_CENTRE_M, _LINK_INERTIA = 0.04, 0.003, 0.2
-"""Errors of an arm's description: fractions, and of a centre for an arm of 1 m."""
 
+# Of a base about each level axis, of an encoder, of torques behind positions.
 _TILT_RAD, _ZERO_RAD, _LAG_S = 0.01, 0.005, 0.02
-"""Of a base about each level axis, of an encoder, of torques behind positions."""
 
-_LEAST_LOAD = 0.25
-"""Of the highest torque of the joint that works hardest: where no log comes near it, the limits of
-a description are nobody's."""
+# Of the highest torque of the joint that works hardest: where no log comes near it, the limits of a
+# description are nobody's.
+_MIN_LOAD = 0.25
 
+# A joint without a known limit is built for this share of the hardest one's work at least.
 _SHARE = 0.1
-"""A joint without a known limit is built for this share of the hardest one's work at least."""
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """The unknowns of some runs of one arm, the payload's first.
+    """Unknowns of some runs of one arm, the payload's first.
 
     Those of one joint are stored together, in the order of `own_groups`.
 
     Attributes:
-        joints: how many.
-        runs: how many; the first one is the log, the others are its tares.
-        names: in words, of each of the N terms.
-        groups: that are scaled together, of each.
-        sds: of the priors about 0 at scale 1, shape (N,); the payload's are by the kilogram.
-        scales_nm: what each joint is built for [N·m], shape (J,).
+        joints: Number of joints.
+        runs: Number of runs; the first one is the log, the others are its tares.
+        names: In words, of each of the N terms.
+        groups: That are scaled together, of each.
+        sds: Of the priors about 0 at scale 1, shape (N,); the payload's are per kilogram.
+        scales_nm: Rated torque of each joint [N·m], shape (J,).
     """
 
     joints: int
@@ -96,22 +92,13 @@ class Terms:
 
     @cached_property
     def arms(self) -> NDArray[np.int64]:
-        """Indices of what is the arm's, in any run of it."""
+        """Indices of the arm's own terms, the same in any of its runs."""
         own = ("payload", "centre", "inertia", "lag", "drift", "warming")
         return np.flatnonzero(~np.isin(self.groups, own))
 
 
 def torque_scales_nm(arm: Arm, motions: Sequence[ArmMotion], empty_nm: Sequence[Array]) -> Array:
-    """What each joint is built for: its highest torque, or by what the logs show.
-
-    Args:
-        arm: with its limits.
-        motions: of each run.
-        empty_nm: torques of the arm's model in each run, (T, J).
-
-    Returns:
-        Shape (J,) [N·m].
-    """
+    """Return each joint's rated torque, shape (J,): its limit, or by what the logs show."""
     shown = np.zeros(len(arm.joints))
     for motion, own_nm in zip(motions, empty_nm, strict=True):
         for torques in (motion.effort, own_nm):
@@ -119,20 +106,20 @@ def torque_scales_nm(arm: Arm, motions: Sequence[ArmMotion], empty_nm: Sequence[
     limits = np.array([joint.max_effort_nm for joint in arm.joints])
     shown = np.maximum(shown, _SHARE * shown.max())
     known = np.isfinite(limits)
-    limits = np.where(known, limits, shown / _LEAST_LOAD)
+    limits = np.where(known, limits, shown / _MIN_LOAD)
     load = float(np.max(shown / limits))
-    return np.maximum(limits * min(1.0, load / _LEAST_LOAD), 1e-3)
+    return np.maximum(limits * min(1.0, load / _MIN_LOAD), 1e-3)
 
 
 def make_terms(arm: Arm, scales_nm: Array, runs: int, *, drifts: bool, gain: float = GAIN) -> Terms:
-    """For an arm, and a log with its tares.
+    """Build the terms of an arm, for a log with its tares.
 
     Args:
-        arm: whose joints and links.
-        scales_nm: what each joint is built for [N·m], shape (J,).
+        arm: Whose joints and links.
+        scales_nm: Rated torque of each joint [N·m], shape (J,).
         runs: 1 for a log alone.
-        drifts: whether offsets are other runs' too, so that each has its own change of them.
-        gain: usual error of the torques, as a fraction.
+        drifts: Whether other runs share the offsets, so that each has its own drift of them.
+        gain: Usual error of the torques, as a fraction.
     """
     numbers = range(1, len(arm.joints) + 1)
     axes = ("x", "y", "z")
@@ -169,21 +156,21 @@ def make_terms(arm: Arm, scales_nm: Array, runs: int, *, drifts: bool, gain: flo
 
 
 def arm_terms(arm: Arm) -> tuple[str, ...]:
-    """Names of what is the arm's, in any run of it (`Terms.arms`)."""
+    """Return the names of the arm's own terms, the same in any of its runs (`Terms.arms`)."""
     terms = make_terms(arm, np.ones(len(arm.joints)), 1, drifts=True)
     return tuple(terms.names[index] for index in terms.arms.tolist())
 
 
+# Groups that no plain simulation has.
 NOT_SIMULATED = (
     *("offset", "friction", "friction at low speed", "friction under load", "rotor", "gain"),
     *("links", "tilt", "zeros", "hoses and gears", "drift", "warming"),
 )
-"""Groups that no plain simulation has."""
 
 _MOMENTS = ("xx", "xy", "yy", "xz", "yz", "zz")
 
+# Of one joint: offset, viscous and dry friction, its shapes, load, rotor, gain, waves.
 OWN_TERMS = 6 + SHAPES + 2 * WAVES
-"""Of one joint: offset, viscous and dry friction, its shapes, load, rotor, gain, waves."""
 
 
 def _of_joint(number: int, scale_nm: float, gain: float) -> list[tuple[str, str, float]]:

@@ -1,4 +1,4 @@
-"""Which arm a log is of: the one that a user names, else the one that its joints' names say."""
+"""Choose the arm of a log: the one that the user names, else by its joint names."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.terminal import FEW_NAMES, listed, short_name
 
+# Joints that are only numbered, one fewer than the default arm has.
 _SIX = tuple(f"joint_{number}" for number in range(1, 7))
-"""Joints that are only numbered, one fewer than the default arm has."""
 
 _OTHER = "--urdf FILE --tool-link LINK for any other"
 
 
 @dataclass(frozen=True)
 class ChosenArm:
-    """The arm that a log is taken to be of.
+    """Arm that a log is taken to be of.
 
     Attributes:
-        arm: its joints called as in the log, where its drivers have several names for them.
-        remarks: why this one, and what is not known of it.
+        arm: Its joints named as in the log, if its drivers have several names for them.
+        remarks: Why this one, and what is not known of it.
     """
 
     arm: Arm
@@ -36,17 +36,17 @@ class ChosenArm:
 def which_arm(
     episode: Episode, named: str | tuple[Path, str] | None, topic: str | None
 ) -> ChosenArm:
-    """The arm of a log.
+    """Choose the arm of a log.
 
     Args:
-        episode: the log's.
-        named: a known arm's name, or a URDF and the link that holds the payload; None where the
-            user says nothing.
-        topic: which channel to go by; None for all, those with torques first.
+        episode: The log's.
+        named: A known arm's name, or a URDF and the link that holds the payload; None if the user
+            names none.
+        topic: Channel to go by; None for all, those with torques first.
 
     Raises:
-        UsageError: the name is no arm's, or the URDF makes no sense.
-        NotFoundError: nobody names the arm, and it could be several, none of them the default.
+        UsageError: The name is no arm's, or the URDF is invalid.
+        NotFoundError: No arm is named, and it could be several, none of them the default.
     """
     if isinstance(named, tuple):
         arm = read_arm(*named)
@@ -74,7 +74,7 @@ def which_arm(
 def _by_names(
     called: tuple[KnownArm, ...], columns: Sequence[str], there: Sequence[Sequence[str]]
 ) -> ChosenArm:
-    """The usual one of the arms that have these names."""
+    """Choose the usual one of the arms that have these names."""
     first, *others = called
     if first.is_said_by_names:
         variants = f"; with another hand, or none: {in_words(others)}" if others else ""
@@ -98,14 +98,14 @@ def _default(there: Sequence[Sequence[str]]) -> ChosenArm:
 
 
 def _chosen(known: KnownArm, there: Sequence[Sequence[str]], why: str) -> ChosenArm:
-    """A known arm, its joints called as those columns that have all of them."""
+    """Build a known arm, its joints named as the columns that have all of them."""
     columns = next((one for one in there if known.names_in(one)), ())
     doubts = (f"arm: {known.doubt}",) if known.doubt else ()
     return ChosenArm(known.arm(columns), (why, *doubts))
 
 
 def _columns(episode: Episode, topic: str | None) -> list[tuple[str, ...]]:
-    """The joints' names of each field, the preferred topic's and those of torques first."""
+    """List the joint names of each field, the preferred topic's and those of torques first."""
     fields = [signal for signal in episode.signals.values() if signal.unit in JOINT_UNITS]
     wanted = {signal.name for signal in episode.signals_of(topic)} if topic else set()
     fields.sort(key=lambda signal: (signal.name not in wanted, signal.unit != "N·m"))

@@ -1,1 +1,1 @@
-"""What a tuned ball is for: the shot that a robot is to take."""
+"""Planning of a robot's bounce shot with a tuned ball."""

@@ -1,7 +1,7 @@
-"""What a tuning knows of a ball: its restitution at any speed and the air's drag, and how surely.
+"""Ball as known from a tuning: restitution over speed and drag, with their uncertainty.
 
-Restitution, slope and drag are those that were tuned. Of a tuning that holds no slope, the law is
-fitted to its bounces.
+Restitution, slope and drag are the tuned ones. Without a tuned slope, the law is fitted to the
+bounces.
 """
 
 from __future__ import annotations
@@ -26,48 +26,39 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError, NotFoundError
 from tunenet_logs.terminal import one_line
 
-TOLD_SD = 0.01
-"""Assumed of a restitution that a user gives without one, or that has no interval."""
-
+TOLD_SD = 0.01  # assumed of a restitution that a user gives without one, or that has no interval
+# Of the logarithm of a restitution whose speed is unknown: the shot's may be half or twice it.
 _NO_SPEED_SD = SLOPE_SD * math.log(2)
-"""Of the logarithm of a restitution whose speed is unknown: the shot's may be half or twice it."""
 
-_LEAST_SD = 0.002
-"""Of any restitution: so that no bounce with a tiny interval outweighs all others."""
-
+_MIN_SD = 0.002  # of any restitution: so that no bounce with a tiny interval outweighs all others
+# Assumed of a drag without an interval, where half of it is not more: what a usual ball has.
 _DRAG_SD_1_M = 0.02
-"""Assumed of a drag without an interval, where half of it is not more: what a usual ball has."""
 
+# Fraction of a drag by which that of size and mass may be off: no ball is a smooth sphere.
 _SAME_DRAG = 0.2
-"""Fraction of a drag by which that of size and mass may be off: no ball is a smooth sphere."""
 
-SLOPE, DRAG = "restitution_slope", "drag"
-"""The names of a tuning's estimates."""
-
-_MOST_DRAG_1_M = 10.0
-"""No ball that falls has more."""
-
+SLOPE, DRAG = "restitution_slope", "drag"  # the names of a tuning's estimates
+_MAX_DRAG_1_M = 10.0  # no ball that falls has more
+# Where a slope comes from: the tuning, its bounces, the user, nowhere (it is 0).
 SlopeSource = Literal["tuned", "bounces", "told", "assumed"]
-"""Where a slope comes from: the tuning, its bounces, the user, nowhere (it is 0)."""
 
-_FASTEST_M_S = 1e4
-"""Of an impact; nothing that people drop is faster."""
+_MAX_SPEED_M_S = 1e4  # of an impact; nothing that people drop is faster
 
 
 @dataclass(frozen=True, eq=False)
 class KnownBall:
-    """A ball as it is known.
+    """Ball with its uncertainty.
 
     Attributes:
-        law: the most likely one.
-        covariance: of the logarithm of its restitution and of its slope, shape (2, 2).
-        bounces: how many were seen.
-        remarks: what a user should know, in words.
-        slope_source: where the law's slope comes from.
-        drag_1_m: deceleration by the air over speed squared; None where only the rig's ball tells.
-        drag_sd_1_m: its standard deviation; 0 where it is taken as told.
-        name: of the ball, as it was recorded.
-        logs: that it was tuned from; see `logs_of`.
+        law: The most likely one.
+        covariance: Of the logarithm of its restitution and of its slope, shape (2, 2).
+        bounces: Number seen.
+        remarks: For the user.
+        slope_source: Where the law's slope comes from.
+        drag_1_m: Deceleration by the air over speed squared; None for that of the rig's ball.
+        drag_sd_1_m: Its standard deviation; 0 if the user states the drag.
+        name: Of the ball, as it was recorded.
+        logs: That it was tuned from; see `logs_of`.
     """
 
     law: SpeedLaw
@@ -86,7 +77,7 @@ class KnownBall:
         return math.sqrt(self.covariance[1, 1])
 
     def sd_at(self, speed_m_s: float) -> float:
-        """Standard deviation of the restitution at an impact of this speed."""
+        """Return the standard deviation of the restitution at this impact speed."""
         row = np.array([1.0, -math.log(speed_m_s / self.law.at_m_s)])
         restitution = max(float(self.law.at(np.array(speed_m_s))), TOLD_SD)
         return restitution * math.sqrt(row @ self.covariance @ row)
@@ -98,27 +89,27 @@ def told_ball(
     sd: float = TOLD_SD,
     drag_1_m: float | None = None,
 ) -> KnownBall:
-    """A ball whose restitution the user gives.
+    """Build a ball whose restitution the user states.
 
     Args:
-        restitution: at 3 m/s where there is a slope, else at the shot's own impact.
-        slope: how it falls with speed; see `SpeedLaw`.
-        sd: of the restitution.
-        drag_1_m: of the air; that of the rig's ball if None.
+        restitution: At 3 m/s if there is a slope, else at the shot's own impact.
+        slope: Its exponent over speed; see `SpeedLaw`.
+        sd: Of the restitution.
+        drag_1_m: Of the air; None for that of the rig's ball.
 
     Raises:
-        UsageError: no ball has it.
+        UsageError: No ball has it.
     """
     covariance = _covariance(restitution, sd)
     return KnownBall(SpeedLaw(restitution, slope), covariance, drag_1_m=drag_1_m)
 
 
 def read_tuning(path: Path) -> KnownBall:
-    """The ball of a tuning's JSON.
+    """Read the ball of a tuning's JSON.
 
     Raises:
-        LogError: cannot be read, or is no tuning of a ball.
-        NotFoundError: the tuning was rejected; says why.
+        LogError: It cannot be read, or is no tuning of a ball.
+        NotFoundError: The tuning was rejected; the message says why.
     """
     record = read_record(path)
     if record.verdict == "rejected":
@@ -142,12 +133,12 @@ def read_tuning(path: Path) -> KnownBall:
 
 
 def contradiction(ball: KnownBall, rig_ball: ShotBall, *, is_told: bool) -> str | None:
-    """What of the rig's ball is not as that of the tuning, in words; None where nothing is.
+    """Describe how the rig's ball contradicts that of the tuning; None if it does not.
 
     Args:
-        ball: of the tuning.
-        rig_ball: of the rig.
-        is_told: whether the user gave the rig; what nobody told can contradict in size only.
+        ball: Of the tuning.
+        rig_ball: Of the rig.
+        is_told: Whether the user gave the rig; the default one can contradict in size only.
     """
     named = BALLS.get(ball.name)
     if named is not None and contradict(rig_ball.body, named):
@@ -167,10 +158,10 @@ def contradiction(ball: KnownBall, rig_ball: ShotBall, *, is_told: bool) -> str 
 
 
 def _ball_of(record: Record) -> KnownBall:
-    """By what was tuned; of a record without a slope, by its bounces.
+    """Build the ball by what was tuned; of a record without a slope, by its bounces.
 
     Raises:
-        ValueError: it holds a value that no ball has.
+        ValueError: It holds a value that no ball has.
     """
     value, sd = _value_and_sd(record)
     seen = [
@@ -187,7 +178,7 @@ def _ball_of(record: Record) -> KnownBall:
         ball = KnownBall(law, covariance, len(seen), slope_source="tuned")
     else:
         ball = _fitted(np.array(seen, dtype=float))
-    drag = _tuned(record, DRAG, 0.0, _MOST_DRAG_1_M) if record.physical else None
+    drag = _tuned(record, DRAG, 0.0, _MAX_DRAG_1_M) if record.physical else None
     if drag is not None:
         sd_1_m = max(drag.value / 2, _DRAG_SD_1_M) if drag.sd is None else drag.sd
         ball = replace(ball, drag_1_m=drag.value, drag_sd_1_m=sd_1_m)
@@ -195,17 +186,17 @@ def _ball_of(record: Record) -> KnownBall:
 
 
 class _Tuned(NamedTuple):
-    """A quantity and its standard deviation, None without an interval."""
+    """Quantity and its standard deviation, None without an interval."""
 
     value: float
     sd: float | None
 
 
 def _tuned(record: Record, name: str, low: float, high: float) -> _Tuned | None:
-    """A number of a record, None where it has none.
+    """Return a record's quantity, or None.
 
     Raises:
-        ValueError: it is not from `low` to `high`.
+        ValueError: It is not from `low` to `high`.
     """
     known = record.estimate(name)
     if known is None or not isinstance(known.value, float):
@@ -219,7 +210,7 @@ def _tuned(record: Record, name: str, low: float, high: float) -> _Tuned | None:
 
 
 def _of_no_speed(value: float, sd: float) -> KnownBall:
-    """A ball of which it is not known at which speed it bounced."""
+    """Build a ball whose impact speeds are unknown."""
     return KnownBall(
         SpeedLaw(value),
         _covariance(value, sd, more=_NO_SPEED_SD),
@@ -231,19 +222,19 @@ def _of_no_speed(value: float, sd: float) -> KnownBall:
 
 
 def _covariance(value: float, sd: float, slope_sd: float = 0.0, more: float = 0.0) -> Array:
-    """Of a law, shape (2, 2); `more` is the restitution's logarithm's sd for other reasons."""
-    level = (max(sd, _LEAST_SD) / max(value, TOLD_SD)) ** 2
+    """Return a law's covariance, shape (2, 2); `more` adds to the sd of ln(restitution)."""
+    level = (max(sd, _MIN_SD) / max(value, TOLD_SD)) ** 2
     return np.diag([level + more**2, slope_sd**2])
 
 
 def _fitted(seen: Array) -> KnownBall:
-    """The law ln e = a - p ln(v / v_1) by Bayesian linear regression, with the prior p ~ N(0, 0.1).
+    """Fit ln e = a - p ln(v / v_1) by Bayesian linear regression, with the prior p ~ N(0, 0.1).
 
     Args:
-        seen: speed [m/s], restitution and its standard deviation of each bounce, shape (N, 3).
+        seen: Speed [m/s], restitution and its standard deviation of each bounce, shape (N, 3).
     """
     speeds, values, sds = seen.T
-    sds = np.maximum(sds, _LEAST_SD)
+    sds = np.maximum(sds, _MIN_SD)
     usable = values > 3 * sds
     usable[0] = True
     speeds, values, sds = speeds[usable], np.maximum(values[usable], 1e-3), sds[usable]
@@ -263,7 +254,7 @@ def _fitted(seen: Array) -> KnownBall:
 
 
 def _value_and_sd(record: Record) -> tuple[float, float]:
-    """Restitution at the first impact, and its standard deviation."""
+    """Return the restitution at the first impact, and its standard deviation."""
     known = record.estimate(RESTITUTION.name)
     if known is None or not isinstance(known.value, float):
         raise ValueError("holds no restitution; give the tuning of a dropped ball")
@@ -271,7 +262,7 @@ def _value_and_sd(record: Record) -> tuple[float, float]:
 
 
 def _checked(restitution: float, interval95: Interval | None) -> tuple[float, float]:
-    """A restitution and its standard deviation."""
+    """Return a restitution and its standard deviation."""
     if not 0 <= restitution <= 1:
         raise ValueError(f"restitution {restitution:g} is not a number from 0 to 1")
     if interval95 is None:
@@ -280,6 +271,6 @@ def _checked(restitution: float, interval95: Interval | None) -> tuple[float, fl
 
 
 def _checked_speed(speed_m_s: float | None) -> float | None:
-    if speed_m_s is not None and not 0 < speed_m_s < _FASTEST_M_S:
+    if speed_m_s is not None and not 0 < speed_m_s < _MAX_SPEED_M_S:
         raise ValueError(f"impact_speed {speed_m_s} is none")
     return speed_m_s

@@ -1,9 +1,8 @@
-"""From a ball to the shot: heights tried in the simulator, and the one that forgives most.
+"""Plan a bounce shot: simulate a range of release heights, and choose the most tolerant.
 
-As the paper does, heights are sampled evenly over what the robot reaches. Of those from which the
-ball passes the rim without touching it, the best is not simply the one that passes nearest to the
-centre: it is the one that may be farthest off, in restitution, in height and in the air's drag,
-each in units of how well it is known.
+As in the paper, heights are sampled evenly over the robot's reach. Of those from which the ball
+passes the rim without touching it, the best is not the one that passes nearest to the centre, but
+the one with the largest margin in restitution, in height and in drag, each in standard deviations.
 """
 
 from __future__ import annotations
@@ -27,38 +26,34 @@ from recorders.simulators.shot.flight import Flights
 from recorders.simulators.shot.rig import ShotRig
 from tunenet_logs.arrays import Array
 
-SHOTS = 100
-"""Heights that are tried: the paper's number."""
-
+SHOTS = 100  # heights that are tried: the paper's number
+# Standard deviations: of shots with a larger margin, the best passes nearest to the centre.
 _ENOUGH_SDS = 30.0
-"""Standard deviations: of shots with a larger margin, the best passes nearest to the centre."""
 
-_MOST_JUDGED = 40
-"""Heights whose margins are searched, those nearest to the centre: each costs many rollouts."""
+# Heights whose margins are searched, those nearest to the centre: each costs many rollouts.
+_MAX_JUDGED = 40
 
-_LEAST_DRAG_SD_1_M = 1e-5
-"""Likewise of a drag."""
-
-_LEAST_HEIGHT_SD_M = 1e-4
-"""No robot lets go more precisely; keeps the margin finite where the rig gives 0."""
+_MIN_DRAG_SD_1_M = 1e-5  # likewise of a drag
+# No robot lets go more precisely; keeps the margin finite where the rig gives 0.
+_MIN_HEIGHT_SD_M = 1e-4
 
 
 @dataclass(frozen=True)
 class BestShot:
-    """The shot to take.
+    """Shot with the largest margin.
 
     Attributes:
-        index: of its height among those that were tried.
-        height_m: from which the ball is let go, above its touching the plane.
-        miss_m: from the hoop's centre to where the ball passes its plane.
-        clearance_m: between ball and rim at the nearest.
-        impact_m_s: speed along the plane's normal.
-        restitution: at that speed.
-        restitution_sd: its standard deviation.
-        restitutions: least and greatest with which the ball passes without touching the rim.
-        heights_m: least and greatest height from which it does.
-        drags_1_m: least and greatest drag with which it does; None where it is taken as told.
-        margin: to the nearest of these ends, in standard deviations.
+        index: Of its height among those that were tried.
+        height_m: Release height of the ball above its contact with the plane.
+        miss_m: From the hoop's centre to where the ball passes its plane.
+        clearance_m: Least distance between ball and rim.
+        impact_m_s: Speed along the plane's normal.
+        restitution: At that speed.
+        restitution_sd: Its standard deviation.
+        restitutions: Least and greatest with which the ball passes without touching the rim.
+        heights_m: Least and greatest height from which it does.
+        drags_1_m: Least and greatest drag with which it does; None if the user states it.
+        margin: To the nearest of these ends, in standard deviations.
     """
 
     index: int
@@ -76,18 +71,18 @@ class BestShot:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The heights that were tried, and the best.
+    """Heights that were tried, and the best.
 
     Attributes:
-        rig: plane, hoop and reach; its ball has the drag that was tuned, where one was.
-        ball: as it is known.
-        heights_m: that were tried, ascending, shape (N,).
-        offset_m: where each would pass the hoop's plane, forward and left of its centre; NaN for
-            one that never comes down there; (N, 2).
-        clearance_m: see `signed_gap_m`, shape (N,).
-        flights: with the rim in the way, and the paths.
-        best: None where no height passes.
-        seconds: of wall time that planning took.
+        rig: Plane, hoop and reach; its ball has the tuned drag, if any.
+        ball: With its uncertainty.
+        heights_m: That were tried, ascending, shape (N,).
+        offset_m: Where each would pass the hoop's plane, forward and left of its centre, (N, 2);
+            NaN for one that never comes down there.
+        clearance_m: See `signed_gap_m`, shape (N,).
+        flights: With the rim in the way, and the paths.
+        best: None if no height passes.
+        seconds: Wall time of planning.
     """
 
     rig: ShotRig
@@ -101,17 +96,17 @@ class Plan:
 
     @property
     def miss_m(self) -> Array:
-        """From the hoop's centre, shape (N,) [m]; NaN for a ball that never comes down there."""
+        """Distance from the hoop's centre, shape (N,) [m]; NaN if it never comes down there."""
         return np.hypot(*self.offset_m.T)
 
     @property
     def nearest(self) -> int:
-        """The index of the height that passes nearest to the centre."""
+        """Index of the height that passes nearest to the centre."""
         return int(np.argmin(np.nan_to_num(self.miss_m, nan=np.inf)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know before the robot shoots."""
+        """Warnings for the user before the robot shoots."""
         found = list(self.ball.remarks)
         reach, best = self.rig.release, self.best
         if best is None and np.isnan(self.miss_m).all():
@@ -142,7 +137,7 @@ class Plan:
 
 
 def plan_shot(rig: ShotRig, ball: KnownBall, shots: int = SHOTS) -> Plan:
-    """Try `shots` heights, 2 or more, evenly over the reach, and choose the best.
+    """Simulate `shots` heights, 2 or more, evenly over the reach, and choose the best.
 
     A drag that is known of the ball replaces that of the rig's ball.
     """
@@ -165,21 +160,14 @@ def plan_shot(rig: ShotRig, ball: KnownBall, shots: int = SHOTS) -> Plan:
 
 
 def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> BestShot | None:
-    """Of the passing heights the one with the largest margin; None where none passes.
-
-    Args:
-        rig: plane, hoop and reach.
-        ball: as it is known.
-        heights: that were tried, shape (N,) [m].
-        tried: their flights with nothing in the way.
-    """
+    """Choose the passing height with the largest margin; None if none passes."""
     gaps = signed_gap_m(tried)
     candidates = np.flatnonzero(gaps > 0)
     if not len(candidates):
         return None
     misses = np.hypot(*tried.offset_m.T)
-    if len(candidates) > _MOST_JUDGED:
-        candidates = candidates[np.argsort(misses[candidates])[:_MOST_JUDGED]]
+    if len(candidates) > _MAX_JUDGED:
+        candidates = candidates[np.argsort(misses[candidates])[:_MAX_JUDGED]]
     values = ball.law.at(tried.impact_m_s[candidates])
     drags: list[Range | None] = [None] * len(candidates)
     if ball.drag_sd_1_m:
@@ -198,7 +186,7 @@ def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> Best
         room_m = min(height - ends[0], ends[1] - height)
         margins = (
             min(-shifts[0], shifts[1]) / sd,
-            room_m / max(rig.release.height_sd_m, _LEAST_HEIGHT_SD_M),
+            room_m / max(rig.release.height_sd_m, _MIN_HEIGHT_SD_M),
             _drag_margin(ball, drag),
         )
         judged.append(
@@ -223,9 +211,9 @@ def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> Best
 
 
 def _drag_margin(ball: KnownBall, drags_1_m: Range | None) -> float:
-    """To the nearer end, in standard deviations; no ball has less drag than none."""
+    """Return the margin to the nearer drag [sd]; no ball has less drag than none."""
     if drags_1_m is None or ball.drag_1_m is None:
         return math.inf
     low, high = drags_1_m
     room_1_m = min(ball.drag_1_m - low if low > 0 else math.inf, high - ball.drag_1_m)
-    return room_1_m / max(ball.drag_sd_1_m, _LEAST_DRAG_SD_1_M)
+    return room_1_m / max(ball.drag_sd_1_m, _MIN_DRAG_SD_1_M)

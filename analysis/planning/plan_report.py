@@ -1,4 +1,4 @@
-"""A plan as a table, in words and as JSON."""
+"""Report a plan as a table, in words and as JSON."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _SLOPE_SOURCES: Mapping[SlopeSource, str] = {
     "assumed": "not known, taken as none",
 }
 
+# Of the heights that do not score, every tenth is in the table: all would fill a screen.
 _EVERY = 10
-"""Of the heights that do not score, every tenth is in the table: all would fill a screen."""
 
 
 def plan_json(plan: Plan, replay: Replay | None) -> str:
-    """The plan as one JSON object; its keys are a contract, new ones may be added."""
+    """Format the plan as one JSON object; its keys are a contract, new ones may be added."""
     best = plan.best
     shots = [
         {
@@ -93,7 +93,7 @@ def _best(best: BestShot) -> dict[str, Any]:
 
 
 def plan_table(plan: Plan, replay: Replay | None) -> str:
-    """The heights that pass and every tenth of the others, then the best in words."""
+    """Format the heights that pass and every tenth of the others, then the best in words."""
     head = f"{'height':>10}  {'miss':>8}  {'to the rim':>10}  outcome"
     lines = [head]
     for index, height in enumerate(plan.heights_m.tolist()):
@@ -110,7 +110,7 @@ def plan_table(plan: Plan, replay: Replay | None) -> str:
 
 
 def best_lines(plan: Plan) -> list[str]:
-    """The shot to take, and how far off its restitution and height may be."""
+    """Describe the best shot, with its tolerances in restitution, height and drag."""
     best = plan.best
     if best is None:
         return ["no height scores"]
@@ -129,7 +129,7 @@ def best_lines(plan: Plan) -> list[str]:
 
 
 def ball_lines(plan: Plan) -> list[str]:
-    """How the ball's restitution falls with speed and the air slows it, and who says so."""
+    """Describe the ball's slope and drag, with their sources."""
     ball, law = plan.ball, plan.ball.law
     slope_sd = f" ± {ball.slope_sd:.3f}" if ball.slope_sd else ""
     drag_sd = f" ± {ball.drag_sd_1_m:.4f}" if ball.drag_sd_1_m else ""
@@ -145,7 +145,7 @@ def ball_lines(plan: Plan) -> list[str]:
 
 
 def drag_words(plan: Plan) -> str:
-    """Where the drag of a plan comes from, in words."""
+    """Describe where the drag of a plan comes from."""
     ball = plan.rig.ball
     if drag_source(plan.ball) != "rig":
         return drag_source(plan.ball)
@@ -155,14 +155,14 @@ def drag_words(plan: Plan) -> str:
 
 
 def drag_source(ball: KnownBall) -> str:
-    """Where the drag comes from: the tuning, the user, the rig's ball."""
+    """Return where the drag comes from: the tuning, the user, the rig's ball."""
     if ball.drag_1_m is None:
         return "rig"
     return "told" if ball.slope_source == "told" else "tuned"
 
 
 def outcome_words(plan: Plan, index: int) -> str:
-    """What the simulator says of one height."""
+    """Describe the simulated outcome of one height."""
     if plan.clearance_m[index] > 0:
         return "passes"
     if plan.flights.has_touched[index]:

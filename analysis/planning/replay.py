@@ -1,4 +1,4 @@
-"""The shot that was chosen, once more in a physics engine that solves its impacts."""
+"""Replay the chosen shot in a physics engine that solves its impacts."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from recorders.simulators.shot.flight import COARSE_S
 
 @dataclass(frozen=True)
 class Replay:
-    """What the engine made of the shot.
+    """The engine's rollout of the shot.
 
     Attributes:
-        engine: with its version.
-        is_through: whether the ball fell through the hoop.
-        miss_m: from the hoop's centre to where it passed; NaN where it never came down there.
+        engine: With its version.
+        is_through: Whether the ball fell through the hoop.
+        miss_m: From the hoop's centre to where it passed; NaN if it never came down there.
     """
 
     engine: str
@@ -28,7 +28,7 @@ class Replay:
 
     @property
     def words(self) -> str:
-        """On a line."""
+        """Description in one line."""
         if np.isnan(self.miss_m):
             return f"in {self.engine} it never comes down through the hoop's height"
         passed = "through the hoop" if self.is_through else "beside the hoop"
@@ -36,7 +36,7 @@ class Replay:
 
 
 def replayed(plan: Plan) -> Replay | None:
-    """The best shot in the chosen engine; None where no height scores."""
+    """Roll out the best shot in the chosen engine; None if no height scores."""
     if plan.best is None:
         return None
     flight = shoot_in_engine(plan.rig, plan.ball.law, plan.best.height_m, COARSE_S)

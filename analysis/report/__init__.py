@@ -1,1 +1,1 @@
-"""Pages and figures of tunings: the only room that knows matplotlib and Jinja2."""
+"""Report pages and figures of tunings; the only package with matplotlib and Jinja2."""

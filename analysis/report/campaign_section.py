@@ -1,4 +1,4 @@
-"""A campaign as a page shows it: rates, balls, attempts."""
+"""Section of a report page on a campaign: rates, balls, attempts."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from analysis.campaign.build import Campaign
 from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
 from analysis.terminal_table import interval_words
 
-_MOST_ROWS = 300
+_MAX_ROWS = 300
 
 Cells = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class CampaignSection:
-    """Its words.
+    """Tables of a campaign.
 
     Attributes:
-        rates: rows of whose, successes, rate and Wilson interval.
-        balls: rows of ball, mean restitution, standard deviation and drops.
-        attempts: rows of number, ball, drops, restitution, interval, outcome and reason.
-        notes: what is not in the tables.
+        rates: Rows of whose, successes, rate and Wilson interval.
+        balls: Rows of ball, mean restitution, standard deviation and drops.
+        attempts: Rows of number, ball, drops, restitution, interval, outcome and reason.
+        notes: What is not in the tables.
     """
 
     rates: tuple[Cells, ...]
@@ -32,7 +32,7 @@ class CampaignSection:
 
 
 def campaign_section(campaign: Campaign) -> CampaignSection:
-    """The tables of a campaign."""
+    """Build the tables of a campaign."""
     attempts = campaign.attempts
     rates = [
         (
@@ -61,9 +61,9 @@ def campaign_section(campaign: Campaign) -> CampaignSection:
         )
     if campaign.unread:
         notes.append(f"{campaign.unread} logs cannot be read.")
-    if len(attempts) > _MOST_ROWS:
-        notes.append(f"{len(attempts) - _MOST_ROWS} more attempts are not listed.")
-    rows = tuple(_row(attempt) for attempt in attempts[:_MOST_ROWS])
+    if len(attempts) > _MAX_ROWS:
+        notes.append(f"{len(attempts) - _MAX_ROWS} more attempts are not listed.")
+    rows = tuple(_row(attempt) for attempt in attempts[:_MAX_ROWS])
     return CampaignSection(tuple(rates), tuple(balls), rows, tuple(notes))
 
 

@@ -22,21 +22,15 @@ from analysis.report.style import (
 )
 from analysis.terminal_table import quantity
 
-_MOST_CURVES = 14
-"""Over each other: more cannot be told apart."""
-
-_MOST_POINTS = 300
-"""Drawn of each of them."""
-
-_MOST_ROWS = 40
-"""Of a chart of values."""
-
-_MOST_CHARTS = 6
+_MAX_CURVES = 14  # over each other: more cannot be told apart
+_MAX_POINTS = 300  # drawn of each of them
+_MAX_ROWS = 40  # of a chart of values
+_MAX_CHARTS = 6
 
 
 @styled
 def overlay_drawing(comparison: Comparison) -> Drawing | None:
-    """Observed and simulated heights of several drops from their first impact; None of one."""
+    """Plot observed and simulated heights of several drops from their first impact."""
     numbered = [
         (number, label, record)
         for number, (label, record) in enumerate(
@@ -45,7 +39,7 @@ def overlay_drawing(comparison: Comparison) -> Drawing | None:
         if record.motion.curves is not None and record.rebounds and record.estimates
     ]
     metres = [one for one in numbered if in_metres(one[2])]
-    shown = (metres or numbered)[:_MOST_CURVES]
+    shown = (metres or numbered)[:_MAX_CURVES]
     if len(shown) < 2:
         return None
     figure = new_figure(WIDE_IN, 3.0)
@@ -54,7 +48,7 @@ def overlay_drawing(comparison: Comparison) -> Drawing | None:
         color, pattern = log_style(place)
         curves = record.motion.curves
         assert curves is not None
-        part = thinned(len(curves.seconds), _MOST_POINTS)
+        part = thinned(len(curves.seconds), _MAX_POINTS)
         seconds = curves.seconds[part] - first_impact_s(record)
         axes.plot(seconds, curves.observed_m[part], ".", color=color, markersize=2, alpha=0.5)
         axes.plot(
@@ -78,18 +72,18 @@ def overlay_drawing(comparison: Comparison) -> Drawing | None:
 
 
 def first_impact_s(record: Record) -> float:
-    """When the ball first hits, on the log's clock."""
+    """Return the time of the first impact, on the log's clock."""
     window = record.window or {}
     return window.get("impact_s", record.rebounds[0].impact_s if record.rebounds else 0.0)
 
 
 @styled
 def values_drawing(comparison: Comparison, group: ComparedGroup) -> Drawing | None:
-    """The values of a group with their intervals, a chart each; None of a single log."""
-    charts = [one for one in group.quantities if len(one.values) > 1][:_MOST_CHARTS]
+    """Plot a group's values with their intervals, a chart each; None for a single log."""
+    charts = [one for one in group.quantities if len(one.values) > 1][:_MAX_CHARTS]
     if not charts:
         return None
-    labels = group.labels[:_MOST_ROWS]
+    labels = group.labels[:_MAX_ROWS]
     columns = min(3, len(charts))
     rows = -(-len(charts) // columns)
     width_in = WIDE_IN if columns > 1 else COLUMN_IN
@@ -134,7 +128,7 @@ def _in_words(one: ComparedQuantity) -> str:
 
 
 def comparison_drawings(comparison: Comparison) -> list[Drawing]:
-    """All of them, the curves first."""
+    """Make all figures of a comparison, the curves first."""
     drawings = [overlay_drawing(comparison)]
     drawings += [values_drawing(comparison, group) for group in comparison.groups]
     return [drawing for drawing in drawings if drawing is not None]

@@ -1,4 +1,4 @@
-"""A comparison as a page shows it."""
+"""Section of a report page on a comparison."""
 
 from __future__ import annotations
 
@@ -18,21 +18,19 @@ from analysis.pair_test import TEST_WORDS, PairTest
 from analysis.report.drawn import DrawnFigure
 from analysis.terminal_table import interval_words, quantity
 
-_MOST_TESTS = 300
-"""Of one group, those that differ first; the CSV has all."""
-
+_MAX_TESTS = 300  # of one group, those that differ first; the CSV has all
 Cells = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class ComparedTable:
-    """A group of logs that can be compared.
+    """Table of a group of comparable logs.
 
     Attributes:
-        heads: of the rows, one a log.
-        lines: what the tests say of each parameter, in a sentence.
-        tests: rows, one a pair and parameter.
-        more: tests that are not shown.
+        heads: Of the rows, one per log.
+        lines: Summary of each parameter's tests, in a sentence.
+        tests: Rows, one per pair and parameter.
+        more: Tests that are not shown.
     """
 
     title: str
@@ -45,11 +43,11 @@ class ComparedTable:
 
 @dataclass(frozen=True)
 class ComparedSection:
-    """All of it.
+    """Figures and tables of a comparison.
 
     Attributes:
-        test_words: how is tested; "" where nothing was.
-        without: rows of number, log, verdict and reason.
+        test_words: Description of the test; "" if nothing was tested.
+        without: Rows of number, log, verdict and reason.
     """
 
     drawn: tuple[DrawnFigure, ...]
@@ -59,7 +57,7 @@ class ComparedSection:
 
 
 def compared_section(comparison: Comparison, drawn: Sequence[DrawnFigure]) -> ComparedSection:
-    """The words and tables of a comparison beside its figures."""
+    """Build the tables of a comparison beside its figures."""
     numbers = {label: str(number) for number, label in enumerate(comparison.labels, 1)}
     groups = tuple(_table(group, numbers) for group in comparison.groups)
     without = tuple(
@@ -91,8 +89,8 @@ def _table(group: ComparedGroup, numbers: Mapping[str, str]) -> ComparedTable:
         lines += [f"{one.name}, {caution}" for caution in caution_lines(one, numbers)]
         tests += [(one.name, test) for test in one.tests]
     tests.sort(key=lambda pair: not pair[1].differs)
-    shown = tuple(_test(name, test, numbers) for name, test in tests[:_MOST_TESTS])
-    more = max(0, len(tests) - _MOST_TESTS)
+    shown = tuple(_test(name, test, numbers) for name, test in tests[:_MAX_TESTS])
+    more = max(0, len(tests) - _MAX_TESTS)
     cells_of_logs = tuple(tuple(row) for row in rows.values())
     return ComparedTable(group.title, tuple(heads), cells_of_logs, tuple(lines), shown, more)
 

@@ -1,4 +1,4 @@
-"""The figures of one tuning for its page, as far as they can be drawn and have room."""
+"""Draw the figures of one tuning for its page, within a budget of bytes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ from tunenet_logs.errors import LogError
 
 @dataclass(frozen=True)
 class DrawnFigure:
-    """A figure within a page.
+    """Figure within a page.
 
     Attributes:
-        shape: "broad" for one that takes the page's whole width, "tall" for one beside two others,
-            else "".
+        shape: "broad" for one of the page's whole width, "tall" for one beside two others, else "".
     """
 
     title: str
@@ -36,13 +35,13 @@ class DrawnFigure:
 
 @dataclass(eq=False)
 class Room:
-    """Bytes that figures may take."""
+    """Budget of bytes for figures."""
 
     left: int
     refused: list[str] = field(default_factory=list)
 
     def take(self, drawings: Sequence[Drawing]) -> tuple[DrawnFigure, ...]:
-        """The figures, in their order, without those that there is no room for."""
+        """Embed the figures that fit the budget, in order."""
         taken: list[DrawnFigure] = []
         for drawing in drawings:
             source = embedded(drawing)
@@ -63,7 +62,7 @@ def _shape(drawing: Drawing) -> str:
 
 
 def reviewed(record: Record, tuning: Path) -> tuple[ReviewedLog, str]:
-    """What the review beside a tuning shows, or nothing and why."""
+    """Read back the review beside a tuning; return why if it cannot be read."""
     sha256 = record.provenance.log_sha256 if record.provenance else ""
     try:
         return read_back(tuning.with_suffix(".rrd"), sha256), ""
@@ -72,7 +71,7 @@ def reviewed(record: Record, tuning: Path) -> tuple[ReviewedLog, str]:
 
 
 def drawings_of(record: Record, seen: ReviewedLog) -> list[Drawing]:
-    """All figures that a tuning and its review have, what matters first."""
+    """Draw all figures of a tuning and its review, the most important first."""
     film = seen.film
     makers: list[Callable[[], Drawing | None]] = [lambda: curves_drawing(record)]
     if film is not None:
@@ -85,7 +84,7 @@ def drawings_of(record: Record, seen: ReviewedLog) -> list[Drawing]:
 
 
 def _drawn(makers: Sequence[Callable[[], Drawing | None]]) -> Iterator[Drawing]:
-    """What can be drawn: values that no tuning has may be too large for any chart."""
+    """Yield what can be drawn: invalid values may be too large for any chart."""
     for make in makers:
         try:
             with warnings.catch_warnings():
@@ -101,7 +100,7 @@ def _drawn(makers: Sequence[Callable[[], Drawing | None]]) -> Iterator[Drawing]:
 
 
 def missing_words(record: Record, seen: ReviewedLog, why: str, refused: Sequence[str]) -> list[str]:
-    """What a reader may look for in vain, and why."""
+    """Describe which figures are missing, and why."""
     words: list[str] = []
     is_film = record.motion.fit is not None and record.motion.fit.unit == "px"
     if seen.film is None and is_film:

@@ -24,27 +24,27 @@ from analysis.report.style import (
 from analysis.speed_transport import ComparedValue, moved, restitution_value
 from tunenet_logs.arrays import Array
 
-_MOST_POINTS = 700
-"""Samples drawn of one curve: more cannot be told apart in a column, and make a page large."""
+# Samples drawn of one curve: more cannot be told apart in a column, and make a page large.
+_MAX_POINTS = 700
 
-_MOST_BOUNCES = 60
+_MAX_BOUNCES = 60
 
 _MM = 1000.0
 
 
 def in_metres(record: Record) -> bool:
-    """Whether heights are metres; else they are drop heights, as nothing tells the scale."""
+    """Return whether heights are in metres; else in drop heights, for want of a scale."""
     return "drag" not in record.motion.unknown
 
 
-def thinned(count: int, most: int = _MOST_POINTS) -> slice:
-    """Every n-th of so many samples, so that at most `most` are left."""
+def thinned(count: int, most: int = _MAX_POINTS) -> slice:
+    """Return a slice that decimates so many samples to at most `most`."""
     return slice(None, None, max(1, -(-count // most)))
 
 
 @styled
 def curves_drawing(record: Record) -> Drawing | None:
-    """Observed and simulated heights, and what they differ by; None without curves."""
+    """Plot observed and simulated heights, and the residual; None without curves."""
     curves = record.motion.curves
     if curves is None:
         return None
@@ -75,7 +75,7 @@ def _draw_curves(figure: Figure, record: Record, curves: Curves, part: slice, un
     observed, simulated = curves.observed_m[part], curves.simulated_m[part]
     upper.plot(seconds, observed, ".", color=OBSERVED, markersize=2.6, label="observed")
     upper.plot(seconds, simulated, color=SIMULATED, linewidth=1.1, label="simulated")
-    impacts = [one.impact_s for one in record.rebounds[:_MOST_BOUNCES]]
+    impacts = [one.impact_s for one in record.rebounds[:_MAX_BOUNCES]]
     inside = [at_s for at_s in impacts if curves.seconds[0] <= at_s <= curves.seconds[-1]]
     for axes in (upper, lower):
         mark_impacts(axes, inside)
@@ -105,8 +105,8 @@ def _span(values: Array) -> float:
 
 @styled
 def bounces_drawing(record: Record) -> Drawing | None:
-    """The restitution of each impact over its speed, with the tuned law; None of one impact."""
-    rebounds = record.rebounds[:_MOST_BOUNCES]
+    """Plot restitution over impact speed with the tuned law; None for one impact."""
+    rebounds = record.rebounds[:_MAX_BOUNCES]
     tuned = record.estimate("restitution")
     if len(rebounds) < 2 or tuned is None or not isinstance(tuned.value, float):
         return None
@@ -146,7 +146,7 @@ def bounces_drawing(record: Record) -> Drawing | None:
 
 
 def _draw_law(figure: Figure, record: Record, speeds_m_s: Array) -> None:
-    """The line e (v / v_1)^-p; its band has e's own error at its speed and p's beside it."""
+    """Plot e (v / v_1)^-p; its band has e's own error at its speed and p's beside it."""
     tuned = record.estimate("restitution")
     assert tuned is not None
     assert isinstance(tuned.value, float)
@@ -169,9 +169,9 @@ def _draw_law(figure: Figure, record: Record, speeds_m_s: Array) -> None:
 
 @styled
 def iterations_drawing(record: Record) -> Drawing | None:
-    """The first parameter over the iterations, with the result's interval.
+    """Plot the first parameter over the iterations, with the result's interval.
 
-    None of one step, and where there is no result: the last of them would look like one.
+    None for one step, and without a result: the last of them would look like one.
     """
     steps = record.iterations
     if len(steps) < 2 or not steps[0] or not record.estimates:

@@ -1,4 +1,4 @@
-"""Figures as bytes: for a page, in which nothing is fetched, and for files of a paper."""
+"""Render figures to bytes for a self-contained page, and to files for a paper."""
 
 from __future__ import annotations
 
@@ -13,25 +13,20 @@ from analysis.report.style import Drawing, styled
 
 Kind = Literal["png", "pdf"]
 
-_PAGE_DPI = 200
-"""Of pictures in a page: sharp on a phone's screen."""
-
-_PAPER_DPI = 300
-"""Of a PNG, and of what is no line in a PDF."""
-
-_QUALITY = 82
-"""Of a JPEG, 0 to 100."""
+_PAGE_DPI = 200  # of pictures in a page: sharp on a phone's screen
+_PAPER_DPI = 300  # of a PNG, and of what is no line in a PDF
+_QUALITY = 82  # of a JPEG, 0 to 100
 
 
 class DataUri(str):
-    """A picture within a page: text of ours, of any length."""
+    """Data URI of an image: our own text, of any length."""
 
     __slots__ = ()
 
 
 @styled
 def embedded(drawing: Drawing) -> DataUri:
-    """The figure for a page: lines as SVG, pictures as JPEG."""
+    """Render a figure for a page: lines as SVG, images as JPEG."""
     file = io.BytesIO()
     if drawing.is_photo:
         drawing.figure.savefig(
@@ -47,16 +42,10 @@ def embedded(drawing: Drawing) -> DataUri:
 
 @styled
 def write_figure(figure: Figure, path: Path, kind: Kind, made: str) -> None:
-    """Write a figure for a paper.
-
-    Args:
-        figure: drawn.
-        path: where to.
-        kind: of file.
-        made: the mark by which it is known as ours.
+    """Write a figure for a paper, with the mark `made` by which it is known as ours.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: It cannot be written.
     """
     metadata = {"Software": made} if kind == "png" else {"Creator": made}
     if kind == "pdf":

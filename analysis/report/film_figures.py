@@ -1,4 +1,4 @@
-"""Figures of a filmed ball: all of its way in one picture, and single frames, with the track."""
+"""Figures of a filmed ball: a strobe image and single frames, with the track."""
 
 from __future__ import annotations
 
@@ -26,36 +26,31 @@ from tunenet_logs.arrays import Array, Picture
 from tunenet_logs.errors import LogError
 from tunenet_logs.images import decode_image
 
+# Of what was found, and where it hits; the simulated path has the simulated curve's colour.
 _TRACK, _IMPACT = "#ffffff", "#56b4e9"
-"""Of what was found, and where it hits; the simulated path has the simulated curve's colour."""
 
-_STROBES, _FRAMES = 20, 8
-"""Pictures in the strobe picture; single frames."""
-
-_ROOM = 0.18
-"""Around the ball's way, of its longer side."""
-
+_STROBES, _FRAMES = 20, 8  # pictures in the strobe picture; single frames
+_ROOM = 0.18  # around the ball's way, of its longer side
+# Width over height of what is cut out: a ball that falls straight is still seen in its place.
 _NARROWEST = 0.45
-"""Width over height of what is cut out: a ball that falls straight is still seen in its place."""
 
 _TALLEST_IN = 4.6
 
+# Height of a single frame at most, of the time above it, and how many stand side by side: on a
+# phone they are still seen.
 _FRAME_IN, _TITLE_IN, _COLUMNS = 2.6, 0.17, 4
-"""Height of a single frame at most, of the time above it, and how many stand side by side: on a
-phone they are still seen."""
 
+# Height over width of a frame from which all of them stand in one row; width of a time [in].
 _SLIM, _TIME_IN = 4.0, 0.5
-"""Height over width of a frame from which all of them stand in one row; width of a time [in]."""
 
-_FEWEST_PX = 24
+_MIN_PX = 24
 
-_MOST_PX = 1280
-"""Longer side of a picture in memory: a figure shows no more."""
+_MAX_PX = 1280  # longer side of a picture in memory: a figure shows no more
 
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """A picture, perhaps reduced, shape (H, W, 3); when it was taken [s]; its size when whole."""
+    """Image, perhaps reduced, shape (H, W, 3); its time [s] and original size."""
 
     at_s: float
     picture: Picture
@@ -64,7 +59,7 @@ class _Frame:
 
 @styled
 def strobe_drawing(film: ReviewedFilm) -> Drawing | None:
-    """The ball at many times in one picture, with its track; None where no picture is read."""
+    """Draw a strobe image of the ball with its track; None if no image can be read."""
     frames = _frames(film, np.linspace(*_span(film), _STROBES))
     if not frames:
         return None
@@ -93,7 +88,7 @@ def strobe_drawing(film: ReviewedFilm) -> Drawing | None:
 
 @styled
 def frames_drawing(film: ReviewedFilm, record: Record) -> Drawing | None:
-    """Single pictures at the moments that matter; None where fewer than two can be read."""
+    """Draw frames at the key times; None if fewer than two can be read."""
     frames = _frames(film, key_times(film, record))
     if len(frames) < 2:
         return None
@@ -124,7 +119,7 @@ def _found(film: ReviewedFilm) -> str:
 
 
 def key_times(film: ReviewedFilm, record: Record) -> Array:
-    """The first time, impacts and, between them, the highest points; even ones without impacts."""
+    """Return the first time, impacts and the apexes between; even times without impacts."""
     first_s, last_s = _span(film)
     impacts = [one.impact_s for one in record.rebounds if first_s < one.impact_s < last_s]
     if not impacts:
@@ -136,13 +131,13 @@ def key_times(film: ReviewedFilm, record: Record) -> Array:
 
 
 def _span(film: ReviewedFilm) -> tuple[float, float]:
-    """First and last time at which there is something to see."""
+    """Return first and last time at which there is something to see."""
     seconds = film.track_s if len(film.track_s) > 1 else film.seconds
     return float(seconds[0]), float(seconds[-1])
 
 
 def _frames(film: ReviewedFilm, times: Array) -> list[_Frame]:
-    """The pictures nearest to some times, each once, those that can be read and are alike."""
+    """Read the frames nearest to some times, each once, those of equal size."""
     count = min(len(film.pictures), len(film.seconds))
     if not count:
         return []
@@ -157,23 +152,23 @@ def _frames(film: ReviewedFilm, times: Array) -> list[_Frame]:
 
 
 def _frame(film: ReviewedFilm, index: int) -> _Frame:
-    """One picture, no larger than what a figure shows.
+    """Read one frame, downsampled to what a figure shows.
 
     Raises:
-        LogError: it cannot be read.
+        LogError: It cannot be read.
     """
     import cv2
 
     picture = decode_image(film.pictures[index], "jpeg")
     height, width = picture.shape[:2]
-    scale = min(1.0, _MOST_PX / max(width, height))
+    scale = min(1.0, _MAX_PX / max(width, height))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     return _Frame(float(film.seconds[index]), np.asarray(small, np.uint8), (width, height))
 
 
 def _box(film: ReviewedFilm, size_px: tuple[int, int]) -> tuple[float, float, float, float]:
-    """What is shown of the pictures, around the ball's way: left, right, bottom, top [px]."""
+    """Return the crop around the ball's path: left, right, bottom, top [px]."""
     width, height = size_px
     whole = (-0.5, width - 0.5, height - 0.5, -0.5)
     if len(film.centers_px) < 2:
@@ -181,19 +176,19 @@ def _box(film: ReviewedFilm, size_px: tuple[int, int]) -> tuple[float, float, fl
     reach = float(np.median(film.radii_px))
     low = film.centers_px.min(axis=0) - reach
     high = film.centers_px.max(axis=0) + reach
-    longer = max(float((high - low).max()), _FEWEST_PX)
+    longer = max(float((high - low).max()), _MIN_PX)
     half = (high - low) / 2 + _ROOM * longer
     half[0] = max(half[0], _NARROWEST * half[1])
     middle = (low + high) / 2
     left, top = np.maximum(middle - half, -0.5).tolist()
     right, bottom = np.minimum(middle + half, (width - 0.5, height - 0.5)).tolist()
-    if right - left < _FEWEST_PX or bottom - top < _FEWEST_PX:
+    if right - left < _MIN_PX or bottom - top < _MIN_PX:
         return whole
     return left, right, bottom, top
 
 
 def _fitting(box: Sequence[float]) -> tuple[float, float]:
-    """Height and width of a figure with this box [in]."""
+    """Return height and width of a figure with this box [in]."""
     left, right, bottom, top = box
     ratio = (bottom - top) / (right - left)
     width_in = min(COLUMN_IN, _TALLEST_IN / ratio)
@@ -216,7 +211,7 @@ def _show(
 
 
 def _circle(axes: Axes, film: ReviewedFilm, at_s: float, thickness: float) -> None:
-    """Around the ball as it was found at a time, with a dark edge: seen on any ground."""
+    """Circle the ball as found at a time, with a dark edge: visible on any background."""
     if not len(film.track_s):
         return
     index = int(np.argmin(np.abs(film.track_s - at_s)))

@@ -1,4 +1,4 @@
-"""What a tuning's figures mean, in sentences that need no paper."""
+"""Explain a tuning's figures in plain sentences."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ _FIXED = {
     "payload_com": "centre of mass of what is held, in the frame of the tool's link",
 }
 
+# By verdict.
 NEXT = {
     "ok": "The values can be used.",
     "suspect": "The values may be wrong: use them only after looking at what failed.",
     "rejected": "No value can be reported from this recording.",
 }
-"""By verdict."""
 
 
 def meaning(record: Record, known: Estimate) -> str:
-    """A sentence for one estimate; "" for what nobody described."""
+    """Explain one estimate in a sentence; "" if there is no explanation."""
     if not record.physical:
         return "a number of this engine's settings under the paper's presets, not the ball's own"
     if known.name in _FIXED:
@@ -39,7 +39,7 @@ def meaning(record: Record, known: Estimate) -> str:
 
 
 def first_speed_m_s(record: Record) -> float | None:
-    """Of the impact that the restitution holds for; None where that is not known."""
+    """Return the impact speed that the restitution holds for, or None."""
     blank = ComparedValue("", 0.0, None, record.verdict)
     return restitution_value(blank, record).speed_m_s
 

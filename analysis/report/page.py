@@ -1,4 +1,4 @@
-"""One page, with all that it needs in itself."""
+"""Render a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -26,32 +26,21 @@ from analysis.tuning_files import TuningFile
 from tunenet_logs import __version__
 from tunenet_logs.terminal import short_name
 
-PAGE, COMPARISON = "page", "comparison"
-"""Kinds of pages, as their marks have them."""
-
-_MOST_BYTES = 2_800_000
-"""Of the figures and words of a page: under 3 MB, it goes through any mail."""
-
-_WORDS_BYTES = 12_000
-"""That the words of one tuning usually take."""
-
-_COMPARED_BYTES = 900_000
-"""Of the figures of a comparison."""
-
-_MOST_DETAILED = 24
-"""Tunings with a part of their own on a page; the overview has all."""
-
-_MOST_CHARACTERS = 1500
-"""Of one text of somebody else's."""
+PAGE, COMPARISON = "page", "comparison"  # kinds of pages, as their marks have them
+_MAX_BYTES = 2_800_000  # of the figures and words of a page: under 3 MB, it goes through any mail
+_WORDS_BYTES = 12_000  # that the words of one tuning usually take
+_COMPARED_BYTES = 900_000  # of the figures of a comparison
+_MAX_DETAILED = 24  # tunings with a part of their own on a page; the overview has all
+_MAX_CHARACTERS = 1500  # of one text of somebody else's
 
 
 @dataclass(frozen=True)
 class OverviewRow:
-    """A tuning in a line.
+    """One tuning's row of the overview.
 
     Attributes:
-        anchor: where its part begins; "" where it has none.
-        words: its values; the reason where it has none.
+        anchor: Where its part begins; "" if it has none.
+        words: Its values; the reason if it has none.
     """
 
     number: int
@@ -63,7 +52,7 @@ class OverviewRow:
 
 @dataclass(frozen=True)
 class PagePart:
-    """A tuning's part of a page."""
+    """One tuning's part of a page."""
 
     section: TuningSection
     drawn: tuple[DrawnFigure, ...]
@@ -71,10 +60,10 @@ class PagePart:
 
 
 def report_page(reported: Reported) -> str:
-    """The page of one tuning, of several, or of a campaign."""
+    """Render the page of one tuning, of several, or of a campaign."""
     tunings = reported.tunings
-    detailed = tunings[:_MOST_DETAILED]
-    compared, left = None, _MOST_BYTES
+    detailed = tunings[:_MAX_DETAILED]
+    compared, left = None, _MAX_BYTES
     if len(tunings) > 1:
         compared = _compared(
             compare([one.record for one in tunings], [one.label for one in tunings])
@@ -97,13 +86,13 @@ def report_page(reported: Reported) -> str:
 
 
 def _counts(tunings: Sequence[TuningFile]) -> tuple[str, ...]:
-    """How many there are, of each verdict."""
+    """Count the tunings by verdict."""
     counts = Counter(one.record.verdict for one in tunings)
     return f"{len(tunings)} tunings", *(f"{counts[one]} {one}" for one in NEXT if counts[one])
 
 
 def comparison_page(comparison: Comparison) -> str:
-    """The page of a comparison."""
+    """Render the page of a comparison."""
     records = zip(comparison.labels, comparison.records, strict=True)
     return _rendered(
         mark=Markup(mark(COMPARISON, logs_of(comparison.records))),  # noqa: S704 (as above)
@@ -154,7 +143,7 @@ def _overview_row(number: int, label: str, record: Record, anchor: str) -> Overv
 
 
 def _rendered(**content: object) -> str:
-    """The page; every text in it is escaped, on one line and of a bounded length."""
+    """Render the page; every text in it is escaped, on one line and of bounded length."""
     environment = Environment(
         loader=PackageLoader("analysis.report"),
         autoescape=True,
@@ -168,7 +157,7 @@ def _rendered(**content: object) -> str:
 
 
 def _shown(value: Any) -> Any:
-    """A text as a page has it; numbers and what is ours as they are."""
+    """Bound a text's length; numbers and our own markup stay as they are."""
     if isinstance(value, str) and not isinstance(value, DataUri | Markup):
-        return short_name(value, _MOST_CHARACTERS)
+        return short_name(value, _MAX_CHARACTERS)
     return value

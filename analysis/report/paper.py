@@ -1,4 +1,4 @@
-"""Figures as files for a paper: one, or a folder of all."""
+"""Write figures as files for a paper: one, or a folder of all."""
 
 from __future__ import annotations
 
@@ -16,21 +16,18 @@ from analysis.tuning_files import TuningFile
 from tunenet_logs.errors import UsageError
 from tunenet_logs.output.owned_file import OutputPlace
 
-_FIGURE = "figure"
-"""As its mark has it."""
-
-_MOST_TUNINGS = 100
-"""Whose figures are written to one folder at a time."""
+_FIGURE = "figure"  # as its mark has it
+_MAX_TUNINGS = 100  # whose figures are written to one folder at a time
 
 
 @dataclass(frozen=True)
 class FigureOrder:
-    """What to write.
+    """Figures to write.
 
     Attributes:
-        place: a file with the kind's suffix for the main figure, else a folder for all.
-        inputs: files that are read, which nothing replaces.
-        overwrite: whether figures of other logs may be replaced.
+        place: A file with the kind's suffix for the main figure, else a folder for all.
+        inputs: Files that are read, which nothing replaces.
+        overwrite: Whether figures of other logs may be replaced.
     """
 
     place: Path
@@ -40,15 +37,15 @@ class FigureOrder:
 
 
 def write_figures(order: FigureOrder, tunings: Sequence[TuningFile]) -> list[Path]:
-    """Write the figures of tunings; the files, in their order.
+    """Write the figures of tunings, and return the files in order.
 
     Raises:
-        UsageError: there is nothing to draw, or it cannot be written.
-        OSError: it cannot be written.
+        UsageError: There is nothing to draw, or it cannot be written.
+        OSError: It cannot be written.
     """
     suffix, option = f".{order.kind}", f"--{order.kind}"
-    if len(tunings) > _MOST_TUNINGS:
-        raise UsageError(f"{len(tunings)} tunings: draw at most {_MOST_TUNINGS} at a time")
+    if len(tunings) > _MAX_TUNINGS:
+        raise UsageError(f"{len(tunings)} tunings: draw at most {_MAX_TUNINGS} at a time")
     logs = logs_of(one.record for one in tunings)
 
     def checked(path: Path) -> OutputPlace:
@@ -74,7 +71,7 @@ def write_figures(order: FigureOrder, tunings: Sequence[TuningFile]) -> list[Pat
 
 
 def figure_place(path: Path, kind: Kind, logs: Logs, *, overwrite: bool) -> OutputPlace:
-    """Where a figure of some logs goes."""
+    """Return the output place of a figure of some logs."""
     knows = marked(kind, _FIGURE, logs)
     elsewhere = f"give --{kind} another file"
     return OutputPlace(path, "figure", knows, in_words(logs), elsewhere, overwrite=overwrite)
@@ -88,7 +85,7 @@ def _main(order: FigureOrder, tunings: Sequence[TuningFile]) -> Drawing:
 
 
 def _all(tunings: Sequence[TuningFile]) -> dict[str, Drawing]:
-    """Every figure by the name of its file, without the suffix."""
+    """Map the name of each figure's file, without the suffix, to the figure."""
     found: dict[str, Drawing] = {}
     for tuning in tunings:
         for drawing in _own(tuning):
@@ -100,7 +97,7 @@ def _all(tunings: Sequence[TuningFile]) -> dict[str, Drawing]:
 
 
 def _free(taken: dict[str, Drawing], name: str) -> str:
-    """A name that none of these has: two tunings may be called alike."""
+    """Number a name that is taken: two tunings may have the same."""
     number, free = 1, name
     while free in taken:
         number += 1

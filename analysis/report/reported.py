@@ -1,4 +1,4 @@
-"""What a report is of: tunings, and the campaign where outcomes are named."""
+"""Read what a report is about: tunings, and a campaign if outcomes are among the files."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tunenet_logs.terminal import Progress
 
 @dataclass(frozen=True, eq=False)
 class Reported:
-    """The contents of a report.
+    """Contents of a report.
 
     Attributes:
-        title: of the page; None for that of its tunings.
-        tunings: in their order.
-        campaigns: none, or the one whose outcomes are among the files.
+        title: Of the page; None for that of its tunings.
+        tunings: In their order.
+        campaigns: None, or the one whose outcomes are among the files.
     """
 
     title: str | None
@@ -35,13 +35,13 @@ def read_reported(
     """Read tunings, folders of them, or a campaign.
 
     Args:
-        places: files and folders.
-        jobs: processes for a campaign's drops; None for all cores.
-        progress: shows the drop under way.
-        warn: called with what cannot be read.
+        places: Files and folders.
+        jobs: Processes for a campaign's drops; None for all cores.
+        progress: Shows the drop under way.
+        warn: Called with what cannot be read.
 
     Raises:
-        UsageError: there is nothing in them that can be reported.
+        UsageError: Nothing in them can be reported.
     """
     title = real_path(places[0]).name if places[0].is_dir() else None
     if not holds_campaign(places):

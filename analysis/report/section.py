@@ -1,4 +1,4 @@
-"""One tuning as a page shows it: words and figures, taken from its record and nothing else."""
+"""Section of a report page on one tuning, from its record alone."""
 
 from __future__ import annotations
 
@@ -14,15 +14,13 @@ from analysis.record import Record
 from analysis.report.meanings import NEXT, meaning
 from analysis.terminal_table import cross_words, interval_words, quantity
 
-_MOST_ROWS = 100
-"""Of one table; what a file beyond any of ours holds is counted."""
-
+_MAX_ROWS = 100  # of one table; what a file beyond any of ours holds is counted
+# How a check says what it saw: the figure, its limit in brackets, perhaps more.
 _FIGURE_LIMIT = re.compile(
     r"(?P<figure>.*?) \((?P<limit>(?:wanted|at most|less than|over|[\d.]+ or more)[^()]*)\)"
     r"(?P<rest>.*)",
     re.DOTALL,
 )
-"""How a check says what it saw: the figure, its limit in brackets, perhaps more."""
 
 _TASKS = {"drop": "ball drop", "payload": "payload of an arm"}
 
@@ -31,11 +29,11 @@ _OCCASIONS = {"drop": "drop", "payload": "recording"}
 
 @dataclass(frozen=True)
 class CheckRow:
-    """A check as a table has it.
+    """Table row of a check.
 
     Attributes:
-        limit: "" where it is in the figure's own words.
-        advice: what to do so that it passes; "" if it passed.
+        limit: "" if it is in the figure's own words.
+        advice: How to make it pass; "" if it passed.
     """
 
     name: str
@@ -47,22 +45,22 @@ class CheckRow:
 
 @dataclass(frozen=True)
 class TuningSection:
-    """What is said of one tuning.
+    """Texts and tables of one tuning.
 
     Attributes:
-        anchor: of links to it.
-        label: of the log.
-        facts: short, in the head: task, ball, date.
-        lead: the verdict in a sentence.
-        todo: what to do, first things first.
-        parameters: rows of name, value, 95 % interval, meaning.
-        notes: what to bear in mind of them.
-        bounces: rows of number, time, restitution, 95 % interval, impact speed.
-        checks: failed ones first.
-        iterations: rows of k and values, below `iteration_names`.
-        settings: name and value, of the simulator.
-        origin: name and value, where all this comes from.
-        left_out: tables that are longer in the JSON, in words.
+        anchor: Of links to it.
+        label: Of the log.
+        facts: Short, in the head: task, ball, date.
+        lead: The verdict in a sentence.
+        todo: What to do, first things first.
+        parameters: Rows of name, value, 95 % interval, meaning.
+        notes: Remarks on these.
+        bounces: Rows of number, time, restitution, 95 % interval, impact speed.
+        checks: Failed ones first.
+        iterations: Rows of k and values, below `iteration_names`.
+        settings: Name and value, of the simulator.
+        origin: Name and value, of the provenance.
+        left_out: Tables that are longer in the JSON, in words.
     """
 
     anchor: str
@@ -84,21 +82,14 @@ class TuningSection:
 
 
 def section_of(record: Record, label: str, tuning: Path, number: int) -> TuningSection:
-    """The words of a tuning.
-
-    Args:
-        record: what its JSON says.
-        label: what the log is called.
-        tuning: the JSON.
-        number: of the tuning on its page, from 1.
-    """
+    """Build the section of a tuning; `number` is its position on the page, from 1."""
     counts = {
         "bounces": len(record.rebounds),
         "checks": len(record.checks),
         "iterations": len(record.iterations),
         "warnings": len(record.warnings),
     }
-    names = tuple(record.iterations[0])[:_MOST_ROWS] if record.iterations else ()
+    names = tuple(record.iterations[0])[:_MAX_ROWS] if record.iterations else ()
     return TuningSection(
         anchor=f"log-{number}",
         label=label,
@@ -114,11 +105,11 @@ def section_of(record: Record, label: str, tuning: Path, number: int) -> TuningS
         iterations=_iterations(record, names),
         settings=_settings(record),
         origin=_origin(record, tuning),
-        warnings=record.warnings[:_MOST_ROWS],
+        warnings=record.warnings[:_MAX_ROWS],
         left_out=tuple(
-            f"{count - _MOST_ROWS} more {what}"
+            f"{count - _MAX_ROWS} more {what}"
             for what, count in counts.items()
-            if count > _MOST_ROWS
+            if count > _MAX_ROWS
         ),
     )
 
@@ -133,7 +124,7 @@ def _facts(record: Record) -> tuple[str, ...]:
 
 
 def _todo(record: Record, tuning: Path) -> tuple[str, ...]:
-    """Failed checks' remedies, or what the values are for."""
+    """List failed checks' remedies, or what the values are for."""
     failed = [check for check in record.checks if not check.passed]
     lines: list[str] = [record.reason] if record.reason else []
     occasion = _OCCASIONS.get(record.task or "", "recording")
@@ -142,12 +133,12 @@ def _todo(record: Record, tuning: Path) -> tuple[str, ...]:
     lines += [f"At the next {occasion}: {one}." for one in advice if one not in said]
     if record.verdict == "ok":
         lines.append(f"As a file of your engine: tunenet-export {tuning.name} --to ENGINE")
-    return tuple(lines[:_MOST_ROWS])
+    return tuple(lines[:_MAX_ROWS])
 
 
 def _parameters(record: Record) -> tuple[tuple[str, str, str, str], ...]:
     rows: list[tuple[str, str, str, str]] = []
-    for known in record.estimates[:_MOST_ROWS]:
+    for known in record.estimates[:_MAX_ROWS]:
         values = known.value if isinstance(known.value, tuple) else (known.value,)
         ends: Any = known.interval95
         intervals = ends if isinstance(known.value, tuple) else (ends,)
@@ -158,7 +149,7 @@ def _parameters(record: Record) -> tuple[tuple[str, str, str, str], ...]:
         numbers = ", ".join(map(number_words, values))
         name = quantity(known.name, known.unit)
         rows.append((name, numbers, "; ".join(said), meaning(record, known)))
-    unknown = record.motion.unknown[:_MOST_ROWS] if rows else ()
+    unknown = record.motion.unknown[:_MAX_ROWS] if rows else ()
     needs = "needs units that the log does not tell"
     return (*rows, *((name, "not known", "-", needs) for name in unknown))
 
@@ -181,12 +172,12 @@ def _notes(record: Record) -> tuple[str, ...]:
             f"({same.first.rms_percent:.2f} % of the drop height off, rms), "
             f"{same.all.restitution:.4f} is best over all bounces ({same.all.rms_percent:.2f} %)."
         )
-    return tuple(notes[:_MOST_ROWS])
+    return tuple(notes[:_MAX_ROWS])
 
 
 def _bounces(record: Record) -> tuple[tuple[str, ...], ...]:
     rows: list[tuple[str, ...]] = []
-    for number, bounce in enumerate(record.rebounds[:_MOST_ROWS], 1):
+    for number, bounce in enumerate(record.rebounds[:_MAX_ROWS], 1):
         ends = "-" if bounce.interval95 is None else interval_words(*bounce.interval95)
         speed = bounce.impact_speed_m_s
         rows.append(
@@ -202,9 +193,9 @@ def _bounces(record: Record) -> tuple[tuple[str, ...], ...]:
 
 
 def check_rows(checks: Sequence[Check]) -> tuple[CheckRow, ...]:
-    """The checks, failed ones first, figure and limit apart where they are told apart."""
+    """Build the rows of checks, failed ones first, figure and limit apart if separable."""
     rows: list[CheckRow] = []
-    for check in sorted(checks, key=lambda check: check.passed)[:_MOST_ROWS]:
+    for check in sorted(checks, key=lambda check: check.passed)[:_MAX_ROWS]:
         found = _FIGURE_LIMIT.fullmatch(check.detail[:2000])
         figure, limit = check.detail, ""
         if found is not None:
@@ -217,14 +208,14 @@ def check_rows(checks: Sequence[Check]) -> tuple[CheckRow, ...]:
 def _iterations(record: Record, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     steps = record.iterations
     rows: list[tuple[str, ...]] = []
-    for k, step in enumerate(steps[:_MOST_ROWS]):
+    for k, step in enumerate(steps[:_MAX_ROWS]):
         head = "fit" if record.is_fitted and k == len(steps) - 1 else str(k)
         rows.append((head, *(number_words(step[name]) if name in step else "-" for name in names)))
     return tuple(rows)
 
 
 def _pairs(fields: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    return [(str(name), str(value)) for name, value in list((fields or {}).items())[:_MOST_ROWS]]
+    return [(str(name), str(value)) for name, value in list((fields or {}).items())[:_MAX_ROWS]]
 
 
 def _settings(record: Record) -> tuple[tuple[str, str], ...]:
@@ -247,7 +238,7 @@ def _origin(record: Record, tuning: Path) -> tuple[tuple[str, str], ...]:
         f"{name.removesuffix('_s')} {at_s:.3f} s" for name, at_s in (record.window or {}).items()
     ]
     if window:
-        pairs.append(("window", ", ".join(window[:_MOST_ROWS])))
+        pairs.append(("window", ", ".join(window[:_MAX_ROWS])))
     known = record.provenance
     if known is not None:
         options = ", ".join(f"{name}={value}" for name, value in _pairs(known.options))

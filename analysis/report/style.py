@@ -1,4 +1,4 @@
-"""How figures are drawn: sizes of a paper's column, colours that everybody tells apart."""
+"""Style of figures: widths of a paper's column, colour-blind safe colours."""
 
 from __future__ import annotations
 
@@ -17,25 +17,19 @@ from tunenet_logs.terminal import short_name
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-COLUMN_IN = 3.4
-"""Width of a figure: a column of a paper with two [in]."""
-
-WIDE_IN = 7.0
-"""Width of both columns with what is between them [in]."""
-
+COLUMN_IN = 3.4  # width of a figure: a column of a paper with two [in]
+WIDE_IN = 7.0  # width of both columns with what is between them [in]
+# What was recorded, the tuned simulator, and a third thing (Okabe and Ito 2008).
 OBSERVED, SIMULATED, THIRD = "#1a1a1a", "#d55e00", "#0072b2"
-"""What was recorded, the tuned simulator, and a third thing (Okabe and Ito 2008)."""
 
 MUTED, BAND = "#767676", "#e6e6e6"
 
+# One log after the other; beyond them, the lines' pattern changes.
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1a1a1a")
-"""One log after the other; beyond them, the lines' pattern changes."""
 
 PATTERNS = ("-", "--", "-.", ":")
 
-_FONT = "DejaVu Sans"
-"""Comes with matplotlib, so figures look the same everywhere."""
-
+_FONT = "DejaVu Sans"  # comes with matplotlib, so figures look the same everywhere
 _SETTINGS = {
     "font.family": _FONT,
     "font.size": 8.0,
@@ -68,15 +62,15 @@ _SETTINGS = {
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A figure with what is said of it.
+    """Figure with its texts.
 
     Attributes:
-        name: short, for a file's name.
-        title: above it.
-        caption: what is seen; figures in it are the record's.
-        alt: the same for who does not see it.
-        figure: drawn, not saved yet.
-        is_photo: whether it is pictures rather than lines.
+        name: Short, for a file's name.
+        title: Above it.
+        caption: What it shows; numbers in it are the record's.
+        alt: Alternative text.
+        figure: Drawn, not saved yet.
+        is_photo: Whether it is images rather than lines.
     """
 
     name: str
@@ -88,7 +82,7 @@ class Drawing:
 
 
 def styled(draw: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """A function that draws or saves, with these settings and nobody else's."""
+    """Decorate a function to draw or save with these settings instead of the user's."""
 
     @functools.wraps(draw)
     def inside(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
@@ -101,12 +95,12 @@ def styled(draw: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """An empty figure; without pyplot, so nobody's open figures change."""
+    """Create an empty figure without pyplot, so that the user's open figures stay."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def drawable(text: str, most: int = 28) -> str:
-    """A text of others with the letters that the font has."""
+    """Replace letters that the font lacks, and shorten."""
     known = get_font(findfont(FontProperties(family=_FONT))).get_charmap()
     return "".join(
         letter if ord(letter) in known else "\u25a1" for letter in short_name(text, most)
@@ -114,11 +108,11 @@ def drawable(text: str, most: int = 28) -> str:
 
 
 def log_style(index: int) -> tuple[str, str]:
-    """Colour and pattern of the line of one of several logs."""
+    """Return colour and dash pattern of one of several logs' lines."""
     return SERIES[index % len(SERIES)], PATTERNS[index // len(SERIES) % len(PATTERNS)]
 
 
 def mark_impacts(axes: Axes, seconds: list[float]) -> None:
-    """Thin lines at these times."""
+    """Draw thin lines at these times."""
     for at_s in seconds:
         axes.axvline(at_s, color=MUTED, linewidth=0.5, linestyle=(0, (2, 2)), zorder=0.5)

@@ -1,4 +1,4 @@
-"""Figures of an arm's torques, as its review has them."""
+"""Figures of an arm's torques, read from its review."""
 
 from __future__ import annotations
 
@@ -19,15 +19,13 @@ from analysis.report.style import (
 )
 from analysis.review.read_back import ReviewedTorque
 
-_MOST_SAMPLES = 250
-"""Drawn of one joint."""
-
+_MAX_SAMPLES = 250  # drawn of one joint
 _COLUMNS = 2
 
 
 @styled
 def torques_drawing(torques: Sequence[ReviewedTorque]) -> Drawing | None:
-    """Measured and simulated torques, a chart for each joint; None without any."""
+    """Plot measured and simulated torques, a chart per joint; None without any."""
     if not torques:
         return None
     rows = -(-len(torques) // _COLUMNS)
@@ -37,7 +35,7 @@ def torques_drawing(torques: Sequence[ReviewedTorque]) -> Drawing | None:
     for axes in grid.flat[len(torques) :]:
         axes.set_axis_off()
     for axes, torque in zip(grid.flat, torques, strict=False):
-        part = thinned(len(torque.seconds), _MOST_SAMPLES)
+        part = thinned(len(torque.seconds), _MAX_SAMPLES)
         seconds = torque.seconds[part]
         axes.plot(seconds, torque.observed_nm[part], ".", color=OBSERVED, markersize=1.8)
         axes.plot(seconds, torque.simulated_nm[part], color=SIMULATED, linewidth=0.9)

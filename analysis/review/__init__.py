@@ -1,1 +1,1 @@
-"""What all reviews share: charts, colours, words, and how they get into a recording."""
+"""Common parts of all reviews in Rerun: charts, colours, texts, writing."""

@@ -1,4 +1,4 @@
-"""Where a scene is looked at from, so that all of it is seen."""
+"""Place a 3D view's camera so that the whole scene is visible."""
 
 from __future__ import annotations
 
@@ -9,20 +9,17 @@ import rerun.blueprint as rrb
 
 from tunenet_logs.arrays import Array
 
-_UP_RAD = 0.35
-"""Of the camera, from the level: links hide each other less."""
-
-_TAN_ACROSS, _TAN_UP = 0.36, 0.5
-"""Tangents of half of what the camera sees."""
+_UP_RAD = 0.35  # of the camera, from the level: links hide each other less
+_TAN_ACROSS, _TAN_UP = 0.36, 0.5  # Tangents of half of what the camera sees
 
 
 def eye_controls(points_m: Array, azimuth_rad: float, margin_m: float) -> rrb.EyeControls3D:
-    """A camera that stands so far away that it sees all points.
+    """Return a camera far enough away to see all points.
 
     Args:
-        points_m: shape (P, 3).
-        azimuth_rad: the direction that it stands in, from x to y.
-        margin_m: around each point.
+        points_m: Shape (P, 3).
+        azimuth_rad: Direction to the camera, from x to y.
+        margin_m: Around each point.
     """
     middle = (points_m.min(axis=0) + points_m.max(axis=0)) / 2
     level = math.cos(_UP_RAD)

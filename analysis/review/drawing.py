@@ -1,4 +1,4 @@
-"""How a review is drawn: colours, timelines, sizes, and charts for any timeline."""
+"""Drawing primitives of a review: colours, timelines, sizes, and charts for any timeline."""
 
 from __future__ import annotations
 
@@ -15,21 +15,18 @@ import rerun.blueprint as rrb
 from analysis.terminal_table import quantity
 from tunenet_logs.arrays import Array
 
-Color = tuple[int, int, int]
-"""Red, green and blue, 0 to 255 each."""
-
-GROUND: Color = (16, 18, 24)
-"""Behind charts and scenes: nearly black, as Rerun's own views are."""
-
+Color = tuple[int, int, int]  # red, green and blue, 0 to 255 each
+GROUND: Color = (16, 18, 24)  # behind charts and scenes: nearly black, as Rerun's own views are
 OBSERVED: Color = (255, 255, 255)
 MUTED: Color = (140, 140, 140)
 SUCCESS: Color = (60, 190, 130)
 FAILURE: Color = (235, 95, 75)
+# One colour for one meaning in every review; white, the most legible, is what was recorded.
 FITTED: Color = (255, 95, 165)
-"""One colour for one meaning in every review; white, the most legible, is what was recorded."""
 
 IMPACT: Color = (255, 90, 90)
 
+# Cold to warm: readable on a dark ground, and apart for the colour-blind.
 _RAMP: tuple[Color, ...] = (
     (112, 100, 190),
     (66, 120, 220),
@@ -38,17 +35,13 @@ _RAMP: tuple[Color, ...] = (
     (160, 205, 60),
     (255, 165, 40),
 )
-"""Cold to warm: readable on a dark ground, and apart for the colour-blind."""
 
-LOG_TIME = "log_time_s"
-"""The timeline that plays: seconds since the log's first sample."""
-
-ITERATION = "iteration"
-"""The timeline that is scrubbed: k of the tuning."""
+LOG_TIME = "log_time_s"  # the timeline that plays: seconds since the log's first sample
+ITERATION = "iteration"  # the timeline that is scrubbed: k of the tuning
 
 
 def ramp(k: int, count: int) -> Color:
-    """The colour of iteration `k` of `count`, linear between those of the ramp."""
+    """Return the colour of iteration `k` of `count`, interpolated linearly."""
     place = k / max(count - 1, 1) * (len(_RAMP) - 1)
     low = min(int(place), len(_RAMP) - 2)
     pairs = zip(_RAMP[low], _RAMP[low + 1], strict=True)
@@ -57,26 +50,26 @@ def ramp(k: int, count: int) -> Color:
 
 
 def entity_of(*parts: str) -> str:
-    """The path of an entity whose parts may be anything: slashes in them part them further."""
+    """Return the path of an entity whose parts may be any text; slashes split them further."""
     return rr.new_entity_path([name for part in parts for name in part.split("/") if name])
 
 
 def application_id(kind: str) -> str:
-    """The name under which Rerun keeps a layout: one of its own for each review that is written.
+    """Return a unique application id for each review that is written.
 
-    Rerun shows another recording of the same name in the layout that it saw first, on disk until
-    somebody resets it, whatever that recording brings along.
+    Rerun shows another recording of the same id in the layout that it saw first, on disk until it
+    is reset, no matter what blueprint that recording has.
     """
     return f"tunenet {kind} {uuid.uuid4().hex[:16]}"
 
 
 def at_seconds(seconds: Array) -> rr.TimeColumn:
-    """The index of rows at these times on `LOG_TIME`, shape (T,) [s]."""
+    """Return the index of rows at these times on `LOG_TIME`, shape (T,) [s]."""
     return rr.TimeColumn(LOG_TIME, duration=seconds)
 
 
 def by_iteration(count: int, first_s: float) -> list[tuple[rr.TimeColumn, range]]:
-    """For what is drawn once an iteration: each timeline's index, and the iterations it shows.
+    """Return each timeline's index of what is drawn per iteration, and the iterations it shows.
 
     On `ITERATION` these are all of them; on `LOG_TIME` it is the last one, the result, from
     `first_s` on.
@@ -88,23 +81,23 @@ def by_iteration(count: int, first_s: float) -> list[tuple[rr.TimeColumn, range]
 
 
 def plainly(value: float) -> str:
-    """Two digits that count, without a power of ten: "5.5", "260"."""
+    """Format with two significant digits and no power of ten: "5.5", "260"."""
     return f"{float(f'{value:.2g}'):.10g}"
 
 
-_MOST_TICKS, _EDGE = 5, 0.04
-"""Steps between ticks that a low plot has room for, and room beyond its values, of their span."""
+# Steps between ticks that a low plot has room for, and room beyond its values, of their span.
+_MAX_TICKS, _EDGE = 5, 0.04
 
 
 def ticked(low: float, high: float) -> tuple[float, float]:
-    """Ends of a plot's axis that shows [low, high] and at least two ticks.
+    """Widen [low, high] to a plot's axis with at least two ticks.
 
-    Rerun marks multiples of powers of ten alone, where there is room for them. An axis that is even
-    about 0 stays so.
+    Rerun marks only multiples of powers of ten, where there is room for them. An axis that is
+    symmetric about 0 stays so.
     """
     span = high - low
     step = 10.0 ** math.floor(math.log10(span))
-    if span > _MOST_TICKS * step:
+    if span > _MAX_TICKS * step:
         step *= 10
     below, above = math.floor(low / step) * step, math.ceil(high / step) * step
     inside = math.floor(high / step) - math.ceil(low / step) + 1
@@ -119,7 +112,7 @@ def ticked(low: float, high: float) -> tuple[float, float]:
 
 
 def screen_radius(points: float) -> Any:
-    """A radius in points of the screen, whatever the zoom."""
+    """Return a radius in points of the screen, independent of the zoom."""
     return [rr.Radius.ui_points(points)]
 
 
@@ -127,46 +120,34 @@ def send_scalars(stream: rr.RecordingStream, entity: str, seconds: Array, values
     """Send a series over the log's time.
 
     Args:
-        stream: the recording.
-        entity: path of the series.
-        seconds: on `LOG_TIME`, shape (T,) [s].
-        values: shape (T,); or (T, S) for S series.
+        stream: The recording.
+        entity: Path of the series.
+        seconds: On `LOG_TIME`, shape (T,) [s].
+        values: Shape (T,); or (T, S) for S series.
     """
     stream.send_columns(
         entity, indexes=[at_seconds(seconds)], columns=rr.Scalars.columns(scalars=values)
     )
 
 
-WIDTH = 2.8
-"""Of a chart, in its heights: about the shape of the views that charts are given."""
-
-_LINES: Color = (60, 62, 70)
-"""Of a grid: just above the ground."""
-
+WIDTH = 2.8  # of a chart, in its heights: about the shape of the views that charts are given
+_LINES: Color = (60, 62, 70)  # of a grid: just above the ground
+# Lines that fill a rectangle: so thin that its corners, round by their radius, look square.
 _STRIPS = 12
-"""Lines that fill a rectangle: so thin that its corners, round by their radius, look square."""
 
+# Chart heights that a figure takes up across; figures that would overlap are left out.
 _FIGURE_WIDTH = 0.62
-"""Chart heights that a figure takes up across; figures that would overlap are left out."""
 
-_FIGURE_RISE = 0.2
-"""Chart heights from a dot up to the place that its figure hangs from."""
-
-_MOST_RISEN = 1.6
-"""Times that, in a chart whose figures are wide."""
-
-_LEAST_BAND = 0.008
-"""Chart heights: a narrower interval would not be seen."""
-
-_BAND = 0.35
-"""Of the result's colour, above the ground: the band must not hide dots and grid."""
-
+_FIGURE_RISE = 0.2  # chart heights from a dot up to the place that its figure hangs from
+_MAX_RISEN = 1.6  # times that, in a chart whose figures are wide
+_MIN_BAND = 0.008  # chart heights: a narrower interval would not be seen
+_BAND = 0.35  # of the result's colour, above the ground: the band must not hide dots and grid
+# Room under and over the values, of what they span; figures stand over them.
 _BELOW, _OVER = 0.15, 0.4
-"""Room under and over the values, of what they span; figures stand over them."""
 
 
 def chart_view(name: str, title: str, width: float = WIDTH) -> rrb.View:
-    """The view of the chart `name`, with room for the grid's labels around it."""
+    """Return the view of the chart `name`, with margins for the grid's labels."""
     return rrb.Spatial2DView(
         origin=f"/sheets/{name}",
         name=title,
@@ -183,16 +164,16 @@ def log_grid(
     marks: list[tuple[float, str]],
     hang: float = 0.085,
 ) -> None:
-    """Draw lines across at the rows, ticks below at the marks, and the labels of both.
+    """Log lines across at the rows, ticks below at the marks, and the labels of both.
 
     Args:
-        stream: the recording.
-        sheet: path of the chart's entity.
-        width: of the chart, in its heights.
+        stream: The recording.
+        sheet: Path of the chart's entity.
+        width: Of the chart, in its heights.
         rows: (y, label) of each.
         marks: (x, label) of each.
-        hang: Rerun hangs a label from its point; by so much a row's is raised to stand beside its
-            line. Less in a larger view, where text is smaller.
+        hang: How far a row's label is raised to be beside its line, as Rerun hangs it from its
+            point. Less in a larger view, where text is smaller.
     """
     lines = [[[0, y], [width, y]] for y, _ in rows] + [[[x, 0.02], [x, 0]] for x, _ in marks]
     grid = rr.LineStrips2D(lines, colors=[_LINES], radii=screen_radius(0.5))
@@ -210,10 +191,7 @@ def log_grid(
 def filled(
     left: float, right: float, top: float, bottom: float
 ) -> tuple[list[list[list[float]]], float]:
-    """A filled rectangle as lines side by side along its longer sides, and their radius.
-
-    Rerun's 2D boxes have outlines only.
-    """
+    """Fill a rectangle with lines, and return their radius: Rerun's 2D boxes have outlines only."""
     width, height = right - left, bottom - top
     radius = min(width, height) / (_STRIPS + 1)  # each line covers half of the one before
     steps = [radius * (1 + k) for k in range(_STRIPS)]
@@ -225,14 +203,14 @@ def filled(
 
 
 def mixed(color: Color, fraction: float) -> Color:
-    """The ground's colour with this fraction of `color` in it."""
+    """Blend this fraction of `color` into the background."""
     pairs = zip(GROUND, color, strict=True)
     red, green, blue = (round(low + fraction * (high - low)) for low, high in pairs)
     return red, green, blue
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """About `count` round numbers in [low, high]: multiples of 1, 2 or 5 times a power of 10."""
+    """Return about `count` ticks in [low, high], multiples of 1, 2 or 5 times a power of 10."""
     raw = (high - low) / count
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((1, 2, 5, 10), key=lambda factor: abs(factor * power - raw))
@@ -245,17 +223,17 @@ class Iterates:
     """One parameter at each iteration.
 
     Attributes:
-        parameter: in words.
-        unit: "1" where it has none.
-        names: of the iterations, "k=3", "refined".
-        values: of the parameter, in `unit`.
-        colors: of the iterations.
-        span: least and greatest value that the chart shows.
-        interval95: of the result; None where none is honest.
-        chart: name of the chart that shows them.
-        title: of the chart; "" for the parameter's.
-        figures: how its numbers are written.
-        figure_width: what a number takes up across, in heights of the chart.
+        parameter: In words.
+        unit: "1" if it has none.
+        names: Of the iterations, "k=3", "refined".
+        values: Of the parameter, in `unit`.
+        colors: Of the iterations.
+        span: Range of the chart.
+        interval95: Of the result; None if no valid one exists.
+        chart: Name of the chart that shows them.
+        title: Of the chart; "" for the parameter's.
+        figures: Number format.
+        figure_width: Width of a number, in heights of the chart.
     """
 
     parameter: str
@@ -272,7 +250,7 @@ class Iterates:
 
 
 def span_of(values: Sequence[float], least: float) -> tuple[float, float]:
-    """What a chart of these values shows, with room for their figures; `least` or more."""
+    """Return a chart's range for these values, at least `least`, with room for labels."""
     low, high = min(values), max(values)
     reach = max(high - low, least)
     middle = (low + high) / 2
@@ -280,11 +258,11 @@ def span_of(values: Sequence[float], least: float) -> tuple[float, float]:
 
 
 def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float) -> None:
-    """Send the entities of `iterates_view`; the log's time begins at `first_s`."""
+    """Log the entities of `iterates_view`; the log's time begins at `first_s`."""
     low, high = iterates.span
     count = len(iterates.values)
     sheet, wide = f"sheets/{iterates.chart}", iterates.figure_width
-    rise = _FIGURE_RISE * min(wide / _FIGURE_WIDTH, _MOST_RISEN)
+    rise = _FIGURE_RISE * min(wide / _FIGURE_WIDTH, _MAX_RISEN)
 
     def y(value: float) -> float:
         return -(value - low) / (high - low)
@@ -299,7 +277,7 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
     log_grid(stream, sheet, WIDTH, rows, marks)
     if iterates.interval95 is not None:
         ends = [y(end) for end in iterates.interval95]
-        half = max(ends[0] - ends[1], _LEAST_BAND) / 2
+        half = max(ends[0] - ends[1], _MIN_BAND) / 2
         middle = sum(ends) / 2
         strips, radius = filled(0.0, WIDTH, middle - half, middle + half)
         color = mixed(iterates.colors[-1], _BAND)
@@ -325,7 +303,7 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
 
 
 def iterates_view(iterates: Iterates) -> rrb.View:
-    """The parameter by iteration, the current one ringed, the result's interval as a band."""
+    """Return the view of the parameter by iteration, with the result's interval as a band."""
     words = f"{quantity(iterates.parameter, iterates.unit)} by iteration"
     title = iterates.title or words
     return chart_view(iterates.chart, title + (", band: 95 %" if iterates.interval95 else ""))

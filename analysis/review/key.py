@@ -1,4 +1,4 @@
-"""A strip above curves that says what they are, where it hides none of them."""
+"""Legend strip above curves, where it hides none of them."""
 
 from __future__ import annotations
 
@@ -9,17 +9,14 @@ import rerun.blueprint as rrb
 
 from analysis.review.drawing import MUTED, Color, screen_radius
 
-_LINE = 0.3
-"""Length of an entry's line, of what the entry takes up."""
-
-KEY_SHARES = (0.6, 8.0)
-"""Heights of a key and of what is below it."""
+_LINE = 0.3  # length of an entry's line, of what the entry takes up
+KEY_SHARES = (0.6, 8.0)  # heights of a key and of what is below it
 
 
 def log_key(
     stream: rr.RecordingStream, entries: Sequence[tuple[str, Sequence[Color]]], entity: str = "key"
 ) -> rrb.View:
-    """Send each entry's words and the colours of its lines; the view."""
+    """Log a legend of each entry's text and line colours, and return its view."""
     strips, colors = [], []
     for entry, (_, line_colors) in enumerate(entries):
         width = _LINE / len(line_colors)

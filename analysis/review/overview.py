@@ -1,7 +1,7 @@
-"""All logs of a ledger on one page: estimates with their intervals, what is unlike the rest, why.
+"""Overview of a ledger in Rerun: estimates with their intervals, outliers, reasons.
 
-Each timeline is an order of the logs: as they were tuned, by an estimate, by its doubt. Choosing
-one sorts the curves; the table has a choice of its own, in the selection panel.
+Each timeline is an order of the logs: as tuned, by an estimate, by its uncertainty. Choosing one
+sorts the curves; the table has its own choice, in the selection panel.
 """
 
 from __future__ import annotations
@@ -21,52 +21,39 @@ from tunenet_logs.terminal import one_line
 
 Columns = Mapping[str, Sequence[Any]]
 
-_ORDER = "as_tuned"
-"""The timeline of the logs as they were tuned."""
-
+_ORDER = "as_tuned"  # the timeline of the logs as they were tuned
 _COLOURS = {"ok": (80, 200, 120), "suspect": (240, 170, 50), "rejected": (230, 80, 80)}
 _KEY = "green ok, amber suspect, red rejected, grey 95 %, pink unlike the others"
 _OUTLIER, _END = (255, 60, 200), (130, 130, 150)
 
-_TABLES = ("table/log", "table/numbers")
-"""Entities of the table's columns, from left to right."""
-
+_TABLES = ("table/log", "table/numbers")  # entities of the table's columns, from left to right
 _LOG_HEAD = "name_of_the_log_file"
+# Rerun makes a column as wide as its head.
 _TOLD_HEADS = {
     "verdict": "verdict_of_it",
     "reason": "reason_of_the_verdict",
     "error": "error_in_short",
 }
-"""Rerun makes a column as wide as its head."""
 
-_DECIMALS = 5
-"""Of figures in the table: more do not fit."""
-
-_FAR = 5.0
-"""Robust standard deviations from the median: such an estimate is pointed at."""
-
-_FEWEST = 8
-"""Estimates that tell what is unlike them."""
-
-_MOST_SHOWN = 6
-"""Estimates with a view of their own."""
-
-_WIDE = 10
-"""Largest intervals by name, in the text."""
+_DECIMALS = 5  # of figures in the table: more do not fit
+_FAR = 5.0  # robust standard deviations from the median: such an estimate is pointed at
+_MIN_COUNT = 8  # estimates that tell what is unlike them
+_MAX_SHOWN = 6  # estimates with a view of their own
+_WIDE = 10  # largest intervals by name, in the text
 
 
 def write_overview(columns: Columns, path: Path) -> None:
-    """Write a recording for Rerun.
+    """Write the overview of a ledger as a Rerun recording.
 
     Args:
-        columns: the ledger's, all of one length: "log", "verdict", "reason", and for each estimate
+        columns: The ledger's, all of one length: "log", "verdict", "reason", and for each estimate
             its value and the ends of its interval, `NAME_low` and `NAME_high`.
-        path: of the recording.
+        path: Of the recording.
     """
     verdicts = np.array([str(one) for one in columns["verdict"]])
     logs = [one_line(Path(str(one)).name) for one in columns["log"]]
     values = {name: _numbers(columns[name]) for name in _estimates(columns)}
-    names = [name for name, its in values.items() if np.isfinite(its).any()][:_MOST_SHOWN]
+    names = [name for name, its in values.items() if np.isfinite(its).any()][:_MAX_SHOWN]
     values = {name: values[name] for name in names}
     orders = _orders(columns, values, len(logs))
     outliers = {name: _unlike(values[name]) for name in names}
@@ -88,14 +75,14 @@ def write_overview(columns: Columns, path: Path) -> None:
 
 
 def _estimates(columns: Columns) -> list[str]:
-    """Names of the estimates that have intervals, those of most logs first."""
+    """List the estimates that have intervals, those of most logs first."""
     names = [name for name in columns if f"{name}_low" in columns]
     counts = {name: sum(one is not None for one in columns[name]) for name in names}
     return sorted(names, key=lambda name: -counts[name])
 
 
 def _orders(columns: Columns, values: Mapping[str, Array], count: int) -> dict[str, NDArray[Any]]:
-    """Places of the logs by the name of the order."""
+    """Return the rank of each log by the name of the order."""
     keys: dict[str, Array] = {}
     for name, its in values.items():
         keys[f"by_{name}"] = its
@@ -112,9 +99,9 @@ def _orders(columns: Columns, values: Mapping[str, Array], count: int) -> dict[s
 
 
 def _unlike(values: Array) -> NDArray[np.bool_]:
-    """Whether each value is far from most others."""
+    """Return which values are outliers by the median absolute deviation."""
     known = values[np.isfinite(values)]
-    if len(known) < _FEWEST:
+    if len(known) < _MIN_COUNT:
         return np.zeros(len(values), bool)
     middle = np.median(known)
     spread = 1.4826 * np.median(np.abs(known - middle))
@@ -130,7 +117,7 @@ def _draw(
     outliers: NDArray[np.bool_],
     orders: Mapping[str, NDArray[Any]],
 ) -> None:
-    """One estimate of all logs: points by verdict, the ends of the intervals, what is unlike."""
+    """Log one estimate of all logs: points by verdict, ends of intervals, outliers."""
     values = _numbers(columns[name])
     for end in ("low", "high"):
         ends = _numbers(columns[f"{name}_{end}"])
@@ -168,7 +155,7 @@ def _table(
     logs: Sequence[str],
     orders: Mapping[str, NDArray[Any]],
 ) -> None:
-    """A row a log: which it is, then its figures."""
+    """Send a table row per log: its identity, then its figures."""
     times = _times(orders, np.ones(len(logs), bool))
     told: dict[str, Any] = {_LOG_HEAD: list(logs)}
     for name, head in _TOLD_HEADS.items():
@@ -193,7 +180,7 @@ def _words(
     values: Mapping[str, Array],
     outliers: Mapping[str, NDArray[np.bool_]],
 ) -> str:
-    """The page's text: counts, what is unlike the others, where doubt is largest."""
+    """Describe the ledger: counts, outliers, largest uncertainties."""
     counts = ", ".join(f"{_count(verdicts, one)} {one}" for one in _COLOURS)
     lines = [f"# {len(logs)} logs", "", f"{counts}.", "", f"Curves: {_KEY}."]
     for name, its in values.items():
@@ -248,7 +235,7 @@ def _blueprint(names: Sequence[str], *, has_fit: bool) -> rrb.Blueprint:
 
 
 def _numbers(cells: Sequence[Any]) -> Array:
-    """Cells as numbers, NaN where there is none."""
+    """Convert cells to numbers, NaN where there is none."""
     return np.array([np.nan if one is None else float(one) for one in cells])
 
 

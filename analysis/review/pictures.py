@@ -1,4 +1,4 @@
-"""Recorded pictures in a review."""
+"""Recorded images in a review."""
 
 from __future__ import annotations
 
@@ -15,21 +15,17 @@ from analysis.tracking.pictures import readable_frames
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.errors import LogError
 
+# Longer side of a picture that is made smaller: about what a view on a screen shows.
 _REDUCED_PX = 640
-"""Longer side of a picture that is made smaller: about what a view on a screen shows."""
 
-_QUALITY = 85
-"""Of its JPEG, 0 to 100: what the eye cannot tell from the original."""
-
-_FONT = 0
-"""OpenCV's number of its plain sans serif."""
-
-_MOST_RECORDED = 240
-"""Pictures of a recording in which nothing was found: enough to see why, and soon loaded."""
+_QUALITY = 85  # of its JPEG, 0 to 100: what the eye cannot tell from the original
+_FONT = 0  # OpenCV's number of its plain sans serif
+# Pictures of a recording in which nothing was found: enough to see why, and soon loaded.
+_MAX_RECORDED = 240
 
 
 def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
-    """Send what the pictures show where no drop was found in them; False where there are none."""
+    """Log the images of a log without a drop; return False if there are none."""
     episode = tuning.episode
     if episode is None or episode.signals or not episode.picture_topics:
         return False
@@ -38,7 +34,7 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
         for channel in episode.channels
         if channel.topic == episode.picture_topics[0]
     )
-    every = max(1, -(-total // _MOST_RECORDED))
+    every = max(1, -(-total // _MAX_RECORDED))
     frames: list[Frame] = []
     for index, frame in enumerate(frames_to_show(episode, episode.picture_topics[0])):
         if index % every == 0:
@@ -51,7 +47,7 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
 
 
 def frames_to_show(episode: Episode, topic: str) -> Iterator[Frame]:
-    """The frames of a topic as they were recorded; bare pixels reduced, where that was done."""
+    """Yield a topic's frames as recorded; raw ones reduced, if that was done."""
     film = kept_film(episode, topic)
     if film is not None and film.is_bare and not film.is_part and film.pictures:
         return film.frames()
@@ -59,7 +55,7 @@ def frames_to_show(episode: Episode, topic: str) -> Iterator[Frame]:
 
 
 def send_pictures(stream: rr.RecordingStream, frames: list[Frame], start_ns: int) -> None:
-    """Send JPEG pictures on the log's time, which is 0 at `start_ns`."""
+    """Send JPEG images on the log's time, which is 0 at `start_ns`."""
     seconds = np.array([(frame.stamp_ns - start_ns) * 1e-9 for frame in frames])
     columns = rr.EncodedImage.columns(
         blob=[frame.data for frame in frames], media_type=["image/jpeg"] * len(frames)
@@ -68,7 +64,7 @@ def send_pictures(stream: rr.RecordingStream, frames: list[Frame], start_ns: int
 
 
 def reduced(frame: Frame) -> Frame:
-    """The picture as a small JPEG."""
+    """Downsample a frame to a small JPEG."""
     import cv2
 
     picture = frame.decode()
@@ -82,7 +78,7 @@ def reduced(frame: Frame) -> Frame:
 
 
 def blank_picture(size_px: tuple[int, int], words: str) -> bytes:
-    """A JPEG of the ground's colour with these words in the middle."""
+    """Make a JPEG of the background's colour with these words in the middle."""
     import cv2
 
     width, height = size_px

@@ -1,4 +1,4 @@
-"""What a review has that the JSON has not: the pictures with their track, the torques."""
+"""Read back what a review has and its JSON lacks: images with their track, torques."""
 
 from __future__ import annotations
 
@@ -16,37 +16,28 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import LogError
 from tunenet_logs.terminal import short_name
 
-_MOST_BYTES = 512 * 1024 * 1024
-"""Of a review file; ours keep under 50 MB of pictures."""
-
-_MOST_PICTURES, _MOST_JOINTS, _MOST_SAMPLES = 20_000, 16, 1_000_000
-"""That are taken from one file."""
-
-_CORNER_PX = 0.5
-"""From Rerun's origin, the corner of the first pixel, to ours, its middle."""
-
-_FEWEST_CORNERS = 4
-"""Of what stands for a circle."""
-
+_MAX_BYTES = 512 * 1024 * 1024  # of a review file; ours keep under 50 MB of pictures
+_MAX_PICTURES, _MAX_JOINTS, _MAX_SAMPLES = 20_000, 16, 1_000_000  # that are taken from one file
+_CORNER_PX = 0.5  # from Rerun's origin, the corner of the first pixel, to ours, its middle
+_MIN_CORNERS = 4  # of what stands for a circle
 _JOINT = re.compile(r"/torque/joint_(\d{1,2})/(observed|fit|iterations)")
 
-_PLACES = ("/film/path", "/film/track", "/film/impacts")
-"""Entities that stand still."""
+_PLACES = ("/film/path", "/film/track", "/film/impacts")  # entities that stand still
 
 
 @dataclass(frozen=True, eq=False)
 class ReviewedFilm:
-    """The pictures of a filmed ball and where it was found in them.
+    """Images of a filmed ball, and its track.
 
     Attributes:
-        seconds: of each picture on the log's time, rising [s], shape (P,).
+        seconds: Of each image on the log's time, increasing [s], shape (P,).
         pictures: JPEG, P of them.
-        track_s: when the ball was found [s], shape (T,).
-        centers_px: where, from the middle of the first pixel of a picture, shape (T, 2).
-        radii_px: of the circle around it, in pixels of a picture, shape (T,).
-        paths_px: the tuned ball's way, or the parts of a refused track, shape (N, 2) each.
-        impacts_px: where it hits, shape (I, 2).
-        is_refused: whether what was tracked makes no drop.
+        track_s: Stamps of the track [s], shape (T,).
+        centers_px: From the middle of an image's first pixel, shape (T, 2).
+        radii_px: Of the circle around it, in pixels of an image, shape (T,).
+        paths_px: The tuned ball's path, or the segments of a refused track, shape (N, 2) each.
+        impacts_px: Points of impact, shape (I, 2).
+        is_refused: Whether the track shows no drop.
     """
 
     seconds: Array
@@ -61,14 +52,14 @@ class ReviewedFilm:
 
 @dataclass(frozen=True, eq=False)
 class ReviewedTorque:
-    """The torque of one joint.
+    """Torque of one joint.
 
     Attributes:
-        joint: its number, from 1.
-        seconds: on the log's time [s], shape (T,).
-        observed_nm: as it was measured [N·m], shape (T,).
-        simulated_nm: of the rigid arm with the tuned payload [N·m], shape (T,).
-        fitted_nm: with friction, offsets and what else is in torques [N·m]; None without.
+        joint: Its number, from 1.
+        seconds: On the log's time [s], shape (T,).
+        observed_nm: As measured [N·m], shape (T,).
+        simulated_nm: Of the rigid arm with the tuned payload [N·m], shape (T,).
+        fitted_nm: With friction, offsets and other nuisance terms [N·m]; None without.
     """
 
     joint: int
@@ -80,11 +71,11 @@ class ReviewedTorque:
 
 @dataclass(frozen=True, eq=False)
 class ReviewedLog:
-    """What was read of one file.
+    """Contents of one review.
 
     Attributes:
-        film: None where it shows none.
-        torques: joint by joint; none for a ball.
+        film: None if it shows none.
+        torques: Joint by joint; none for a ball.
     """
 
     film: ReviewedFilm | None = None
@@ -92,19 +83,15 @@ class ReviewedLog:
 
 
 def read_back(path: Path, log_sha256: str) -> ReviewedLog:
-    """Read the review of a log.
-
-    Args:
-        path: the .rrd.
-        log_sha256: of the log whose review it must be.
+    """Read the review of the log with this SHA-256.
 
     Raises:
-        LogError: it is not there, cannot be read, or is of another log.
+        LogError: It does not exist, cannot be read, or is of another log.
     """
     if not path.is_file():
         raise LogError(f"{path.name} is not beside the JSON")
-    if path.stat().st_size > _MOST_BYTES:
-        raise LogError(f"{path.name} is larger than {_MOST_BYTES // 1_000_000} MB")
+    if path.stat().st_size > _MAX_BYTES:
+        raise LogError(f"{path.name} is larger than {_MAX_BYTES // 1_000_000} MB")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an unfinished file: what is in it is said below
@@ -126,7 +113,7 @@ def _read(reader: RrdReader) -> ReviewedLog:
             continue
         if not chunk.is_static and "log_time_s" not in chunk.timeline_names:
             continue
-        if chunk.num_rows > _MOST_SAMPLES:
+        if chunk.num_rows > _MAX_SAMPLES:
             raise LogError("the review has more samples than any log")
         batch = chunk.to_record_batch()
         columns = dict(zip(batch.schema.names, batch.columns, strict=True))
@@ -142,7 +129,7 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
     shown = moving.get("/film/picture")
     if shown is None:
         return None
-    seconds = _seconds(shown)[:_MOST_PICTURES]
+    seconds = _seconds(shown)[:_MAX_PICTURES]
     pictures = tuple(bytes(_only(cell)) for cell in shown["EncodedImage:blob"].to_pylist())
     scale = still.get("/film/picture", {}).get("Transform3D:scale")
     scale = 1.0 if scale is None else float(_only(scale.to_pylist()[0])[0])
@@ -169,13 +156,13 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
 
 
 def _circles(track: dict[str, Any] | None) -> tuple[Array, Array, Array]:
-    """Of each polygon around the ball its time [s], middle and radius [px of the film]."""
+    """Return time [s], centre and radius [px of the video] of each polygon around the ball."""
     cells = [] if track is None else track["LineStrips2D:strips"].to_pylist()
     polygons = [_points(cell) for cell in cells]
     rows = [
         row
         for row, one in enumerate(polygons)
-        if len(one) > _FEWEST_CORNERS and np.isfinite(one).all()
+        if len(one) > _MIN_CORNERS and np.isfinite(one).all()
     ]
     seconds: Array = np.zeros(0) if track is None else _seconds(track)[rows]
     centers: Array = np.zeros((len(rows), 2))
@@ -187,12 +174,12 @@ def _circles(track: dict[str, Any] | None) -> tuple[Array, Array, Array]:
 
 
 def _only(cell: Any) -> Any:
-    """The one value of a cell of one row."""
+    """Return the single value of a cell of one row."""
     return cell[0] if isinstance(cell, list) and len(cell) == 1 else cell
 
 
 def _points(strips: Any) -> Array:
-    """The one strip of a cell, shape (N, 2); N is 0 without."""
+    """Return the single strip of a cell, shape (N, 2); N is 0 without."""
     return np.array(strips[0] if strips else [], np.float64).reshape(-1, 2)
 
 
@@ -202,14 +189,14 @@ def _strips(column: Any) -> list[Array]:
 
 
 def _in_picture(points: Array, scale: float) -> Array:
-    """From the film's pixels to those of its pictures, which may be smaller."""
+    """Convert pixels of the video to those of its images, which may be smaller."""
     return points / scale - _CORNER_PX
 
 
 def _torques(moving: dict[str, Any]) -> tuple[ReviewedTorque, ...]:
     joints = sorted({int(found[1]) for name in moving if (found := _JOINT.fullmatch(name))})
     torques: list[ReviewedTorque] = []
-    for joint in joints[:_MOST_JOINTS]:
+    for joint in joints[:_MAX_JOINTS]:
         observed = moving.get(f"/torque/joint_{joint}/observed")
         simulated = moving.get(f"/torque/joint_{joint}/iterations")
         if observed is None or simulated is None:
@@ -230,5 +217,5 @@ def _torques(moving: dict[str, Any]) -> tuple[ReviewedTorque, ...]:
 
 
 def _last(column: Any) -> Array:
-    """The last value of each row, shape (T,): the last iteration's."""
+    """Return the last value of each row, shape (T,): the last iteration's."""
     return np.array([row[-1] if row else np.nan for row in column.to_pylist()], np.float64)

@@ -1,4 +1,4 @@
-"""How a review says what its parameters are called: as shortly as they stay apart."""
+"""Shorten parameter names for a review while they stay distinct."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 
 
 def said_names(names: Iterable[str]) -> Mapping[str, str]:
-    """Each parameter's name as a review says it: "restitution slope", "elbow.damping".
+    """Shorten each parameter's name: "restitution slope", "elbow.damping".
 
     Args:
-        names: of all parameters; of addresses such as `joint/elbow.damping` the kind is left out
-            where no other one ends the same.
+        names: Of all parameters; addresses such as `joint/elbow.damping` lose the kind if no other
+            one ends the same.
     """
     every = list(dict.fromkeys(names))
     ends = [_end(name) for name in every]
@@ -20,7 +20,7 @@ def said_names(names: Iterable[str]) -> Mapping[str, str]:
 
 
 def _end(name: str) -> str:
-    """An address without its kind, another name in words."""
+    """Return an address without its kind, or another name in words."""
     _, kind, rest = name.partition("/")
     if kind:
         return rest if "." in rest else name

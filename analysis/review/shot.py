@@ -1,4 +1,4 @@
-"""A plan in Rerun: the paths of all shots, the best one marked, the plane, the hoop.
+"""Plan in Rerun: the paths of all shots, the best one marked, the plane, the hoop.
 
 The best shot's ball flies on the shot's own time; everything else is static.
 """
@@ -30,9 +30,7 @@ from recorders.simulators.shot.flight import STEP_S
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import one_line
 
-SHOT_TIME = "shot_time_s"
-"""The timeline that plays: seconds since the ball was let go."""
-
+SHOT_TIME = "shot_time_s"  # the timeline that plays: seconds since the ball was let go
 _BEST: Color = (255, 196, 60)
 _PASSES: Color = (70, 200, 150)
 _OFF_RIM: Color = (225, 110, 90)
@@ -40,8 +38,8 @@ _MISSES: Color = (95, 100, 115)
 _BOARD: Color = (120, 104, 84)
 _HOOP: Color = (235, 90, 60)
 
-_MOST_CHART_M = 0.3
-"""Of a miss, either way: with larger ones in the chart, those at the hoop would be a line."""
+# Of a miss, either way: with larger ones in the chart, those at the hoop would be a line.
+_MAX_CHART_M = 0.3
 
 
 def write_shots(plan: Plan, path: Path) -> None:
@@ -90,7 +88,7 @@ def _log_rig(stream: rr.RecordingStream, plan: Plan) -> None:
 
 
 def _log_paths(stream: rr.RecordingStream, plan: Plan) -> None:
-    """One entity for each outcome, so that each can be hidden."""
+    """Log one entity per outcome, so that each can be hidden."""
     passing = plan.clearance_m > 0
     kinds = {
         "misses": (~passing & ~plan.flights.has_touched, (*_MISSES, 110)),
@@ -128,18 +126,18 @@ def _log_best(stream: rr.RecordingStream, plan: Plan) -> None:
 
 
 def _path(plan: Plan, index: int) -> Array:
-    """The ball's centres until its shot is over, shape (T, 3) [m]."""
+    """Return the ball's centres until its shot is over, shape (T, 3) [m]."""
     path = plan.flights.positions_m[:, index]
     moves = np.flatnonzero((path[1:] != path[:-1]).any(axis=1))
     return path[: moves[-1] + 2]
 
 
 def _log_misses(stream: rr.RecordingStream, plan: Plan) -> None:
-    """The miss by height: short of the centre below the line, beyond it above."""
+    """Log the miss by height: short of the centre below the line, beyond it above."""
     heights, miss = plan.heights_m, plan.offset_m[:, 0]
     low, high = float(heights[0]), float(heights[-1])
     reach = float(np.nanmax(np.append(np.abs(miss[np.isfinite(miss)]), 1e-3)))
-    reach = min(reach, _MOST_CHART_M)
+    reach = min(reach, _MAX_CHART_M)
     across = (heights - low) / (high - low) * WIDTH
     up = -(miss / reach + 1) / 2
     rows = [(-(at / reach + 1) / 2, f"{1000 * at:.0f}") for at in ticks(-reach, reach, 4)]

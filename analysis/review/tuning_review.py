@@ -1,8 +1,8 @@
-"""The Rerun recording of a tuning, with its blueprint: the only room that knows Rerun.
+"""Rerun recording of a tuning, with its blueprint.
 
-Everything that moves lies on the log's time, so that one play button moves the balls and the
-cursors together. A view shows only what is on the active timeline, so what is drawn for each
-iteration lies beside a static observed curve, for scrubbing `iteration`.
+Everything that moves is on the log's time, so that one play button moves the balls and the cursors
+together. A view shows only what is on the active timeline, so what is drawn for each iteration is
+beside a static observed curve, for scrubbing `iteration`.
 """
 
 from __future__ import annotations
@@ -26,28 +26,24 @@ from analysis.review.words import result_words
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.terminal import one_line
 
-_MOST_CURVES = 150
-"""Of a log in which nothing was found: more can neither be told apart nor be loaded soon."""
+# Of a log in which nothing was found: more can neither be told apart nor be loaded soon.
+_MAX_CURVES = 150
 
-_MOST_VIEWS = 4
-"""One for each unit: more would be too low to read."""
+_MAX_VIEWS = 4  # one for each unit: more would be too low to read
+# Of all legends, one over the other: what fits beside the views on a laptop's screen.
+_MAX_NAMES = 24
 
-_MOST_NAMES = 24
-"""Of all legends, one over the other: what fits beside the views on a laptop's screen."""
-
-_BESIDE = 1.6
-"""How much longer than the curves an axis is that has a legend beside them."""
-
+_BESIDE = 1.6  # how much longer than the curves an axis is that has a legend beside them
+# Of the true speed: a bounce that lasts half a second is over before it is looked at.
 _SLOW_MOTION = 0.5
-"""Of the true speed: a bounce that lasts half a second is over before it is looked at."""
 
+# Of a unit.
 _QUANTITIES = {
     "m": "positions",
     "rad": "joint positions",
     "rad/s": "joint velocities",
     "N·m": "joint torques",
 }
-"""Of a unit."""
 
 
 def write_review(tuning: Tuning, record: Record, path: Path) -> None:
@@ -90,10 +86,10 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
 
 
 def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
-    """A motion is played again and again, from the release to the last bounce; a bare film whole.
+    """Loop a motion from the release to the last bounce, or a video without a drop as a whole.
 
-    A blueprint cannot say where the cursor begins. One that plays shows the ball in its flight soon
-    after opening; one that stands would show it at rest, where the recording ends.
+    A blueprint cannot set the cursor's start. One that plays shows the ball in its flight soon
+    after opening; a paused one would show it at rest, where the recording ends.
     """
     curves = record.motion.curves
     if curves is None:
@@ -113,13 +109,13 @@ def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
 def _log_recorded(
     stream: rr.RecordingStream, tuning: Tuning, *, only_what_changes: bool
 ) -> tuple[list[rrb.View], int]:
-    """What was recorded, where the task found nothing in it: views by unit, curves left out."""
+    """Log recorded signals by unit where the task found nothing; count curves left out."""
     signals = tuning.episode.signals if tuning.episode else {}
     if only_what_changes:  # marks of events are the same at each of them
         signals = {name: one for name, one in signals.items() if np.ptp(one.values)}
     curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
     by_unit: dict[str, list[str]] = {}
-    for signal, index in curves[:_MOST_CURVES]:
+    for signal, index in curves[:_MAX_CURVES]:
         column = signal.columns[index]
         entity = entity_of("recorded", signal.name, column)
         name = one_line(f"{signal.name} {column}")
@@ -127,14 +123,14 @@ def _log_recorded(
         send_scalars(stream, entity, signal.seconds, signal.values[:, index])
         by_unit.setdefault(signal.unit, []).append(entity)
     last_s = max((float(one.seconds[-1]) for one in signals.values()), default=0.0)
-    shown = list(by_unit.items())[:_MOST_VIEWS]
-    names = _MOST_NAMES // max(len(shown), 1)
+    shown = list(by_unit.items())[:_MAX_VIEWS]
+    names = _MAX_NAMES // max(len(shown), 1)
     views = [_recorded_view(unit, some, last_s, names) for unit, some in shown]
-    return views, max(0, len(curves) - _MOST_CURVES)
+    return views, max(0, len(curves) - _MAX_CURVES)
 
 
 def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: int) -> rrb.View:
-    """Curves of one unit; their legend, where it fits, stands beside them."""
+    """Return the view of one unit's curves, with a legend beside them if it fits."""
     has_legend = len(entities) <= most_names
     begin, end = 0.0, max(last_s, 1e-3) * (_BESIDE if has_legend else 1.0)
     seconds = rr.TimeRange(
@@ -151,7 +147,7 @@ def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: in
 
 
 def _recorded_layout(evidence: rrb.Container | None, views: Sequence[rrb.View]) -> rrb.Container:
-    """What was looked at over all that was recorded, beside the words."""
+    """Lay out the evidence over all that was recorded, beside the result."""
     result = rrb.TextDocumentView(origin="/result", name="result")
     parts: list[rrb.View | rrb.Container] = [] if evidence is None else [evidence]
     parts += [rrb.Vertical(*views)] if views else []

@@ -1,4 +1,4 @@
-"""The verdict over a review: one coloured strip with large words, seen before all else."""
+"""Verdict banner over a review: one coloured strip with large words."""
 
 from __future__ import annotations
 
@@ -15,35 +15,26 @@ from analysis.review.drawing import FAILURE, SUCCESS, Color
 from analysis.review.said_names import said_names
 from tunenet_logs.terminal import short_name
 
+# Green, amber, red.
 VERDICT_COLORS: dict[Verdict, Color] = {
     "ok": SUCCESS,
     "suspect": (245, 185, 60),
     "rejected": FAILURE,
 }
-"""Green, amber, red."""
 
-VERDICT_SHARE = 0.075
-"""Of a review's height."""
-
+VERDICT_SHARE = 0.075  # of a review's height
 _INK: Color = (16, 18, 24)
 
-_SIZE_PX = (3600, 90)
-"""Width and height of the strip's picture."""
+_SIZE_PX = (3600, 90)  # width and height of the strip's picture
+_FONT = 2  # OpenCV's number of a plain sans serif with two strokes
+_MAX_LETTERS = 90  # what there is room for
+_MAX_OF_A_NAME = 60
 
-_FONT = 2
-"""OpenCV's number of a plain sans serif with two strokes."""
-
-_MOST_LETTERS = 90
-"""What there is room for."""
-
-_MOST_OF_A_NAME = 60
-
-_FIRST_WALL_NS = 10**17
-"""Stamps from 1973 on are a wall clock's; smaller ones count from a start."""
+_FIRST_WALL_NS = 10**17  # stamps from 1973 on are a wall clock's; smaller ones count from a start
 
 
 def log_verdict(stream: rr.RecordingStream, tuning: Tuning, record: Record) -> rrb.View:
-    """Send the strip; its view. Static, so that it stays on any timeline."""
+    """Log the strip as static, so that it stays on any timeline, and return its view."""
     import cv2
 
     color = VERDICT_COLORS[record.verdict]
@@ -67,11 +58,11 @@ def log_verdict(stream: rr.RecordingStream, tuning: Tuning, record: Record) -> r
 
 
 def _title(tuning: Tuning, record: Record) -> str:
-    """Which log this is, of which ball, and when it was recorded."""
-    name = short_name(os.fsencode(tuning.log.name).decode(errors="replace"), _MOST_OF_A_NAME)
+    """Format the log's name, its ball, and when it was recorded."""
+    name = short_name(os.fsencode(tuning.log.name).decode(errors="replace"), _MAX_OF_A_NAME)
     parts = [name or "log"]
     if record.ball:
-        parts.append(short_name(record.ball, _MOST_OF_A_NAME))
+        parts.append(short_name(record.ball, _MAX_OF_A_NAME))
     signals = tuning.episode.signals.values() if tuning.episode else ()
     starts_ns = [int(one.stamps_ns[0]) for one in signals if len(one.stamps_ns)]
     found = tuning.detection or tuning.refused
@@ -84,7 +75,7 @@ def _title(tuning: Tuning, record: Record) -> str:
 
 
 def _beside(record: Record) -> str:
-    """What was found and what failed: as much as there is room for, in letters that it can draw."""
+    """List estimates and failed checks, as many as fit, in letters that OpenCV draws."""
     failed = [check for check in record.checks if not check.passed]
     failed.sort(key=lambda check: not check.fatal)
     said = said_names(known.name for known in record.estimates)
@@ -102,4 +93,4 @@ def _beside(record: Record) -> str:
         parts.append(record.reason.partition("; at the next")[0])
     words = "   ".join(filter(None, parts)).replace("·", " ").replace("²", "2")
     plain = words.encode("ascii", "replace").decode()
-    return plain if len(plain) <= _MOST_LETTERS else plain[: _MOST_LETTERS - 3] + "..."
+    return plain if len(plain) <= _MAX_LETTERS else plain[: _MAX_LETTERS - 3] + "..."

@@ -1,4 +1,4 @@
-"""A tuning in words for its review: Markdown, what matters first."""
+"""Describe a tuning for its review in Markdown, the most important first."""
 
 from __future__ import annotations
 
@@ -19,25 +19,22 @@ from analysis.terminal_table import (
 )
 from tunenet_logs.terminal import one_line, short_name
 
-_SHOWN, _FEW_SHOWN = 5, 3
-"""Iterations in the table: the last ones; fewer where names are long."""
+_SHOWN, _FEW_SHOWN = 5, 3  # iterations in the table: the last ones; fewer where names are long
+# Characters of a parameter: a table on a laptop's screen has room for so many beside five values,
+# for so many beside three.
+_LONG, _MAX_OF_A_NAME = 24, 32
 
-_LONG, _MOST_OF_A_NAME = 24, 32
-"""Characters of a parameter: a table on a laptop's screen has room for so many beside five values,
-for so many beside three."""
-
-_MOST_BOUNCES = 6
-_MOST_WARNINGS = 50
-"""Rows and lines that a reader still looks through; the JSON has all."""
+_MAX_BOUNCES = 6
+_MAX_WARNINGS = 50  # rows and lines that a reader still looks through; the JSON has all
 
 
 def result_words(record: Record, preset: str, occasion: str | None) -> str:
-    """Verdict, what failed and what to do about it, parameters, bounces, iterations, checks.
+    """Format verdict, failures with remedies, parameters, bounces, iterations, checks.
 
     Args:
-        record: of the tuning.
-        preset: that it was tuned with.
-        occasion: what a user does again, e.g. "drop"; None where that is not known.
+        record: Of the tuning.
+        preset: That it was tuned with.
+        occasion: What a user repeats, e.g. "drop"; None if unknown.
     """
     lines = [f"# {record.verdict}", *_failures(record, occasion), *_parameters(record)]
     cross = record.cross_check
@@ -49,14 +46,14 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
     if passed:
         listed = [f"- {one_line(check.name)}: {one_line(check.detail)}" for check in passed]
         lines.append("passed checks:\n\n" + "\n".join(listed))  # what a table holds does not wrap
-    lines += [f"- {one_line(warning)}" for warning in record.warnings[:_MOST_WARNINGS]]
-    if len(record.warnings) > _MOST_WARNINGS:
-        lines.append(f"- {len(record.warnings) - _MOST_WARNINGS} more warnings")
+    lines += [f"- {one_line(warning)}" for warning in record.warnings[:_MAX_WARNINGS]]
+    if len(record.warnings) > _MAX_WARNINGS:
+        lines.append(f"- {len(record.warnings) - _MAX_WARNINGS} more warnings")
     return "\n\n".join(lines)
 
 
 def _failures(record: Record, occasion: str | None) -> list[str]:
-    """Each failed check with figure, limit and remedy; the reason where none failed."""
+    """List each failed check with figure, limit and remedy; the reason if none failed."""
     failed = [check for check in record.checks if not check.passed]
     if not failed:
         return [one_line(record.reason)] if record.reason else []
@@ -68,17 +65,17 @@ def _failures(record: Record, occasion: str | None) -> list[str]:
     return ["\n".join(lines)]
 
 
+# What a parameter is, shortly: a table's cells do not wrap.
 _MEANINGS = {
     "restitution": "e, the share of its speed that the ball keeps at the first impact",
     "restitution_slope": "p: at speed v it keeps e (v / v first)^-p",
     "drag": "k: the air slows it by k v²",
     "payload_mass": "held by the gripper",
 }
-"""What a parameter is, shortly: a table's cells do not wrap."""
 
 
 def _parameters(record: Record) -> list[str]:
-    """A table of them, or what there is of several numbers each."""
+    """Format a table of the scalars, and lines of the vectors."""
     single = [known for known in record.estimates if not isinstance(known.value, tuple)]
     several = [known for known in record.estimates if isinstance(known.value, tuple)]
     said = said_names(known.name for known in record.estimates)
@@ -110,19 +107,19 @@ def _are_long(names: Iterable[str]) -> bool:
 
 
 def _listed(head: tuple[str, str, str], rows: Sequence[tuple[str, str, str]]) -> str:
-    """Parameters whose names leave a table no room: a list's lines wrap."""
+    """List parameters whose names are too long for a table: a list's lines wrap."""
     *_, interval = head
     return "\n".join(f"- {name}: **{value}**, {interval}: {ends}" for name, value, ends in rows)
 
 
 def _at(record: Record) -> str:
-    """The speed that the first parameter holds for, where it is known."""
+    """Return the speed that the first parameter holds for, if known."""
     first = record.rebounds[0].impact_speed_m_s if record.rebounds else None
     return "" if first is None else f", {first:.2f} m/s"
 
 
 def _motion(record: Record) -> list[str]:
-    """How the tuned simulator moves beside what was observed, and what the log leaves open."""
+    """Describe the residual of the tuned simulator, and what the log leaves undetermined."""
     if not record.estimates:
         return []
     lines = list(record.motion.untold)
@@ -141,13 +138,13 @@ def _bounces(bounces: Sequence[Rebound]) -> list[str]:
     if len(bounces) < 2:
         return []
     rows = []
-    for number, bounce in enumerate(bounces[:_MOST_BOUNCES], start=1):
+    for number, bounce in enumerate(bounces[:_MAX_BOUNCES], start=1):
         ends = "-" if bounce.interval95 is None else interval_words(*bounce.interval95)
         speed_m_s = bounce.impact_speed_m_s
         speed = "-" if speed_m_s is None else f"{speed_m_s:.2f} m/s"
         rows.append((str(number), f"{bounce.restitution:.3f}", ends, speed))
     shown = markdown_table(("bounce", "restitution", "95 %", "impact at"), rows)
-    more = len(bounces) - _MOST_BOUNCES
+    more = len(bounces) - _MAX_BOUNCES
     return [shown, f"{more} more in the JSON"] if more > 0 else [shown]
 
 
@@ -162,7 +159,7 @@ def _iterations(record: Record, preset: str) -> list[str]:
     titles = {name: quantity(spoken[name], units.get(name, "1")) for name in spoken}
     is_long = _are_long(titles.values())
     if is_long:  # the list above has the units
-        titles = {name: short_name(spoken[name], _MOST_OF_A_NAME) for name in spoken}
+        titles = {name: short_name(spoken[name], _MAX_OF_A_NAME) for name in spoken}
     shown = list(enumerate(record.iterations))[-(_FEW_SHOWN if is_long else _SHOWN) :]
     heads = [str(k) for k, _ in shown]
     if record.is_fitted:

@@ -1,1 +1,1 @@
-"""System identification: any simulator's parameters from any log that shows what it simulates."""
+"""System identification: any simulator's parameters from any log of what it simulates."""

@@ -1,4 +1,4 @@
-"""Which motion tells a parameter that a log does not tell."""
+"""Advise which motion excites a parameter that is unidentifiable from a log."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from tunenet_logs.terminal import listed
 
 _FEW = 3
 
+# By the field's name.
 _MOTIONS: Mapping[str, str] = {
     "damping": "move it at several speeds, the fastest ones too",
     "frictionloss": "move it slowly and reverse often",
@@ -28,16 +29,10 @@ _MOTIONS: Mapping[str, str] = {
     "viscosity": "move it at several speeds",
     "delay": "command steps and fast changes",
 }
-"""By the field's name."""
 
 
 def excitation(name: str, partners: Sequence[str]) -> str:
-    """What to do so that a parameter is told.
-
-    Args:
-        name: its address, such as "joint/elbow.damping".
-        partners: those that the log mixes with it.
-    """
+    """Return what to record to make a parameter identifiable, apart from its partners."""
     field = name.partition("/")[0] if name.startswith("delay/") else name.rpartition(".")[2]
     field = field.partition("[")[0]
     motion = _MOTIONS.get(field, "record a motion that it changes")

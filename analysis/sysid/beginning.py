@@ -1,4 +1,4 @@
-"""The value and slope of sampled curves at a stamp, by their first samples."""
+"""Estimate value and slope of sampled curves at a stamp, by their first samples."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from numpy.typing import NDArray
 from analysis.sysid.compared import noise_of
 from tunenet_logs.arrays import Array
 
-_SECONDS, _MOST_SAMPLES, _LEAST_SAMPLES = 0.12, 40, 4
+_SECONDS, _MAX_SAMPLES, _MIN_SAMPLES = 0.12, 40, 4
 _SHRINKS = 0.7  # to this share, a window that a parabola misses
 _MISSES = 2.0  # standard deviations of noise, from which on it does
+# What the priors are wider by than the noise alone says: speeds change in the first samples.
 _CAUTION = 3.0
-"""What the priors are wider by than the noise alone says: speeds change in the first samples."""
 
+# For how long what begins at rest is looked at, and how much it may scatter, in its noise.
 _STAYS_S, _SCATTERS = 0.5, 2.0
-"""For how long what begins at rest is looked at, and how much it may scatter, in its noise."""
 
-Samples = tuple[NDArray[np.int64], Array]
-"""Stamps [ns] and values."""
+Samples = tuple[NDArray[np.int64], Array]  # stamps [ns] and values
 
 
 def beginning(
@@ -27,26 +26,26 @@ def beginning(
     stamp_ns: int,
     noise: float | None = None,
 ) -> tuple[tuple[float, float], tuple[float, float], bool] | None:
-    """Position and speed at a stamp, their standard deviations, and whether a position was seen.
+    """Estimate position and speed at a stamp, with sds, and whether a position was seen.
 
-    One parabola goes through the first positions and, as its slope, through the first speeds. Their
-    window shrinks until it meets them; the standard deviations own what it misses of the shortest,
-    and what speeds are off that positions contradict.
+    One parabola is fitted to the first positions and, by its slope, to the first speeds. The window
+    shrinks until it fits; the standard deviations include the misfit of the shortest one, and
+    disagreement of speeds and positions.
 
     Args:
-        positions: None where none were seen.
-        speeds: likewise.
-        stamp_ns: when.
-        noise: standard deviation of the samples' noise; None for what their differences tell.
+        positions: None if none were seen.
+        speeds: Likewise.
+        stamp_ns: The stamp.
+        noise: Standard deviation of the samples' noise; None to estimate it by differences.
     """
     at_s: list[Array] = []
     rows: list[Array] = []
     values: list[Array] = []
     for order, samples in enumerate((positions, speeds)):
-        if samples is None or len(samples[0]) < _LEAST_SAMPLES:
+        if samples is None or len(samples[0]) < _MIN_SAMPLES:
             continue
-        seconds = 1e-9 * (samples[0][:_MOST_SAMPLES] - stamp_ns).astype(np.float64)
-        count = max(int(np.sum(seconds <= _SECONDS)), _LEAST_SAMPLES)
+        seconds = 1e-9 * (samples[0][:_MAX_SAMPLES] - stamp_ns).astype(np.float64)
+        count = max(int(np.sum(seconds <= _SECONDS)), _MIN_SAMPLES)
         scatter = max(noise_of(samples[1]) if noise is None else noise, 1e-9)
         at_s.append(seconds[:count])
         rows.append(_terms(seconds[:count], order) / scatter)
@@ -62,7 +61,7 @@ def beginning(
         )
         window_s *= _SHRINKS
         fewer = [max(int(np.sum(seconds <= window_s)), 1) for seconds in at_s]
-        if misfit <= 1 or max(fewer) < _LEAST_SAMPLES:
+        if misfit <= 1 or max(fewer) < _MIN_SAMPLES:
             break
         counts = fewer
     sds = sds * max(misfit, 1.0)
@@ -70,12 +69,12 @@ def beginning(
         (_, slope), (_, slope_sd), _ = alone
         if abs(slope - found[1]) > _MISSES * slope_sd:  # such as speeds that a driver filters
             sds[1] = max(sds[1], abs(slope - found[1]))
-    knows_position = positions is not None and len(positions[0]) >= _LEAST_SAMPLES
+    knows_position = positions is not None and len(positions[0]) >= _MIN_SAMPLES
     return (float(found[0]), float(found[1])), (float(sds[0]), float(sds[1])), knows_position
 
 
 def _terms(at_s: Array, order: int) -> Array:
-    """Rows of 1, t, t²/2, t³/6 and t⁴/24, or of their slopes (order 1), shape (T, 5)."""
+    """Return rows of 1, t, t²/2, t³/6 and t⁴/24, or of their slopes (order 1), shape (T, 5)."""
     terms = [np.ones_like(at_s), at_s, at_s**2 / 2, at_s**3 / 6, at_s**4 / 24]
     return np.column_stack([np.zeros_like(at_s), *terms[:4]] if order else terms)
 
@@ -84,9 +83,9 @@ def _parabola(rows: Array, values: Array) -> tuple[Array, Array, float]:
     """Fit a parabola by least squares, to rows of terms, shape (T, 5), in units of noise.
 
     Returns:
-        Its value and slope at 0; how sure they are; and how far what it misses is beyond noise, as
-        a share: by its residuals, or by what either of the next two terms would add, which moves
-        the slope most.
+        Its value and slope at 0; their standard deviations; and the misfit beyond noise, as a
+        share: by the residuals, or by what either of the next two terms would add, which moves the
+        slope most.
     """
     scales = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     first = int(not rows[:, 0].any())  # speeds alone tell no position
@@ -107,7 +106,7 @@ def _parabola(rows: Array, values: Array) -> tuple[Array, Array, float]:
 
 
 def stays(samples: Samples | None, stamp_ns: int) -> bool:
-    """Whether what is sampled only scatters for a while after a stamp."""
+    """Return whether a signal only scatters for a while after a stamp."""
     if samples is None:
         return True
     first = samples[1][samples[0] <= stamp_ns + 1e9 * _STAYS_S]

@@ -1,4 +1,4 @@
-"""Checks of a tuned simulator: does it move as the log does, and does the log tell its numbers?"""
+"""Checks of a tuned simulator: residuals, hold-out, identifiability, step size."""
 
 from __future__ import annotations
 
@@ -14,27 +14,19 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.terminal import listed
 
-_MOVES = 3.0
-"""Times its noise that a column has to vary by, one at least."""
-
+_MOVES = 3.0  # times its noise that a column has to vary by, one at least
 _REJECT_SHARE = 0.5
+# Of a column's spread, that a simulator may leave; of one that jumps more, for a jump that is met a
+# little early or late leaves some of itself.
 _GOOD_SHARE, _GOOD_JUMPY_SHARE = 0.05, 0.1
-"""Of a column's spread, that a simulator may leave; of one that jumps more, for a jump that is met
-a little early or late leaves some of itself."""
 
-_STILL_SHARE = 1e-2
-"""Of what columns of its unit vary by, that one counts as varying by at least."""
-
-_NOISES = 1.3
-"""Times the noise that a column may keep where that is more than its share."""
-
+_STILL_SHARE = 1e-2  # of what columns of its unit vary by, that one counts as varying by at least
+_NOISES = 1.3  # times the noise that a column may keep where that is more than its share
 _HELD_OUT_FACTOR = 2.0
+# Of a column's spread: a prediction that is closer than this is good whatever the fit left.
 _SLACK_SHARE = 0.02
-"""Of a column's spread: a prediction that is closer than this is good whatever the fit left."""
 
-_EDGE_SHARE = 0.002
-"""Of a range: a value that is closer to its end lies on it."""
-
+_EDGE_SHARE = 0.002  # of a range: a value that is closer to its end lies on it
 _FEW = 4
 _WRONG_MODEL = (
     "check the model: masses, lengths, gravity, missing joints, and what --map takes for what"
@@ -42,7 +34,7 @@ _WRONG_MODEL = (
 
 
 def recording_checks(target: ComparedColumns) -> tuple[Check, ...]:
-    """What the log itself shows."""
+    """Check that the log itself moves."""
     ratios = [column.spread / max(column.noise, 1e-12) for column in target.columns]
     best = int(np.argmax(ratios))
     detail = (
@@ -54,7 +46,7 @@ def recording_checks(target: ComparedColumns) -> tuple[Check, ...]:
 
 
 def whole_check(rollout: Episode) -> Check | None:
-    """Whether a model's rollout came to its end; None of a simulator that does not tell."""
+    """Check that a model's rollout came to its end; None if the simulator does not report it."""
     stopped = rollout.info.notes.get(STOPPED)
     if stopped is None:
         return None
@@ -68,7 +60,7 @@ def whole_check(rollout: Episode) -> Check | None:
 
 
 def match_check(target: ComparedColumns, residuals: Array) -> Check:
-    """Whether what the simulator leaves of each column is its noise, or little of its motion."""
+    """Check that each column's residual is its noise, or little of its motion."""
     left = target.rms(residuals)
     spreads = np.array([_spread(target, column.unit, column.spread) for column in target.columns])
     noises = _noises(target, residuals)
@@ -93,7 +85,7 @@ def match_check(target: ComparedColumns, residuals: Array) -> Check:
 
 
 def _noises(target: ComparedColumns, residuals: Array) -> Array:
-    """Of each column; of one that jumps, what still jumps when the simulator's motion is taken off.
+    """Return the noise of each column; of one that jumps, of its residual.
 
     A servo's efforts jump with each command: by themselves they look like noise, of a size at which
     any simulator would match.
@@ -107,13 +99,13 @@ def _noises(target: ComparedColumns, residuals: Array) -> Array:
 
 
 def _spread(target: ComparedColumns, unit: str, spread: float) -> float:
-    """How much a column varies; of one that stands still, a little of what its like vary by."""
+    """Return a column's spread, at least a share of that of columns of its unit."""
     most = max(column.spread for column in target.columns if column.unit == unit)
     return max(spread, _STILL_SHARE * most, 1e-12)
 
 
 def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
-    """What an exact fit shows beyond its values."""
+    """Check an exact fit: hold-out, bounds, identifiability, step size."""
     checks = [_range_check(found), _told_check(found)]
     if found.held_out is not None:
         checks.insert(0, _held_out_check(found))
@@ -123,7 +115,7 @@ def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
 
 
 def _held_out_check(found: SimulatorFit) -> Check:
-    """Whether a fit to the beginning predicts the end, and better than the simulator as it was."""
+    """Check that a fit to the beginning predicts the end, and better than the given model."""
     held_out = found.held_out
     assert held_out is not None
     target = found.target
@@ -157,7 +149,7 @@ def _range_check(found: SimulatorFit) -> Check:
 
 
 def _is_at_an_end(parameter: Parameter, value: float) -> bool:
-    """Whether a value lies on or beyond its range's end; not so of an end that physics sets."""
+    """Return whether a value is on or beyond its range's end, physical bounds aside."""
     (low, high), (least, most) = parameter.training_range, parameter.bounds
     slack = _EDGE_SHARE * (high - low)
     is_low = value <= low + slack and low > least
@@ -179,7 +171,7 @@ def _told_check(found: SimulatorFit) -> Check:
 
 
 def _partners(found: SimulatorFit, parameter: Parameter) -> list[str]:
-    """Other untold parameters that what is seen mixes with this one."""
+    """List other unidentifiable parameters that are confounded with this one."""
     place = found.parameters.index(parameter)
     row = found.correlation[place]
     return [

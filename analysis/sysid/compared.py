@@ -1,4 +1,4 @@
-"""What of a log is compared with what of a rollout: columns of one name, at the log's stamps."""
+"""Pair the columns of a log with those of a rollout, by name, at the log's stamps."""
 
 from __future__ import annotations
 
@@ -13,33 +13,31 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 
-_MOST_SAMPLES = 20_000
-"""Of one column; more are thinned, as neighbours then tell the same."""
+_MAX_SAMPLES = 20_000  # of one column; more are thinned, as neighbours then tell the same
+_MIN_SAMPLES = 20
 
-_LEAST_SAMPLES = 20
-
+# What the variance of white noise grows by in third differences: 1 + 9 + 9 + 1.
 _SIXTH_DIFFERENCES = 20.0
-"""What the variance of white noise grows by in third differences: 1 + 9 + 9 + 1."""
 
 _MAD_TO_SD = 1.4826
 
+# Of a column's spread: one that changes more from sample to sample jumps, as a servo's efforts with
+# each command, or is noise.
 _JUMPY = 0.25
-"""Of a column's spread: one that changes more from sample to sample jumps, as a servo's efforts
-with each command, or is noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One column of one signal, as the log has it.
+    """One column of one signal in the log.
 
     Attributes:
-        signal: its signal's name.
-        name: its own.
-        unit: of its values.
-        seconds: since the first stamp that is compared, shape (T,), increasing.
-        values: shape (T,), finite.
-        noise: standard deviation of what in it is faster than any motion.
-        spread: standard deviation of its values.
+        signal: Its signal's name.
+        name: Its own.
+        unit: Of its values.
+        seconds: Since the first stamp that is compared, shape (T,), increasing.
+        values: Shape (T,), finite.
+        noise: Standard deviation of what is faster than any motion.
+        spread: Standard deviation of its values.
     """
 
     signal: str
@@ -52,12 +50,12 @@ class Column:
 
     @property
     def label(self) -> str:
-        """As a title has it."""
+        """Title of the column."""
         return f"{self.signal} {self.name}"
 
     @property
     def is_jumpy(self) -> bool:
-        """Whether it jumps, so that its `noise` is no noise alone."""
+        """Whether it jumps, so that its `noise` is not only noise."""
         return self.noise > _JUMPY * self.spread
 
 
@@ -66,8 +64,8 @@ class ComparedColumns:
     """All columns that a log and the rollouts share.
 
     Attributes:
-        start_ns: the stamp that seconds count from.
-        columns: at least one.
+        start_ns: Stamp that seconds count from.
+        columns: At least one.
     """
 
     start_ns: int
@@ -75,12 +73,12 @@ class ComparedColumns:
 
     @cached_property
     def end_s(self) -> float:
-        """The last stamp."""
+        """Last stamp."""
         return max(float(column.seconds[-1]) for column in self.columns)
 
     @cached_property
     def seconds(self) -> Array:
-        """Of all values, column by column, shape (N,)."""
+        """Stamps of all values, column by column, shape (N,)."""
         return np.concatenate([column.seconds for column in self.columns])
 
     @cached_property
@@ -90,16 +88,16 @@ class ComparedColumns:
 
     @cached_property
     def which(self) -> NDArray[np.intp]:
-        """The column's number of each value, shape (N,)."""
+        """Column index of each value, shape (N,)."""
         counts = [len(column.values) for column in self.columns]
         return np.repeat(np.arange(len(counts), dtype=np.intp), counts)
 
     def per_value(self, by_column: Sequence[float] | Array) -> Array:
-        """One number a column, repeated for each of its values, shape (N,)."""
+        """Repeat one number per column for each of its values, shape (N,)."""
         return np.asarray(by_column, dtype=np.float64)[self.which]
 
     def seen_in(self, rollout: Episode) -> Array:
-        """What a rollout shows at the same stamps, shape (N,); NaN where it shows nothing."""
+        """Interpolate a rollout at the same stamps, shape (N,); NaN where it has nothing."""
         found: list[Array] = []
         for column in self.columns:
             signal = rollout.signals.get(column.signal)
@@ -112,7 +110,7 @@ class ComparedColumns:
         return np.concatenate(found)
 
     def rms(self, residuals: Array, chosen: NDArray[np.bool_] | None = None) -> Array:
-        """Root mean square by column, shape (C,), of values of shape (N,); of those chosen."""
+        """Return the root mean square by column, shape (C,), of (chosen) values of shape (N,)."""
         kept = np.isfinite(residuals) if chosen is None else np.isfinite(residuals) & chosen
         squares = np.bincount(
             self.which, np.where(kept, residuals, 0.0) ** 2, minlength=len(self.columns)
@@ -122,16 +120,16 @@ class ComparedColumns:
 
 
 def _origin(stamps_ns: NDArray[np.int64], start_ns: int) -> int:
-    """What a rollout's stamps count from: the log's, or their own where they begin elsewhere."""
+    """Return what a rollout's stamps count from: the log's start, or their own."""
     first, last = int(stamps_ns[0]), int(stamps_ns[-1])
     return start_ns if first <= start_ns <= last else first
 
 
 def compared(observed: Episode, rollout: Episode) -> ComparedColumns:
-    """The columns that a log and a rollout of the simulator share.
+    """Pair the columns that a log and a rollout of the simulator share.
 
     Raises:
-        NotFoundError: there is none, or too few samples.
+        NotFoundError: There is none, or too few samples.
     """
     shared: list[tuple[str, str]] = []
     for name, signal in rollout.signals.items():
@@ -147,12 +145,12 @@ def compared(observed: Episode, rollout: Episode) -> ComparedColumns:
         )
     start_ns = min(int(observed.signals[name].stamps_ns[0]) for name, _ in shared)
     columns = [_column(observed, name, column, start_ns) for name, column in shared]
-    kept = tuple(column for column in columns if len(column.values) >= _LEAST_SAMPLES)
+    kept = tuple(column for column in columns if len(column.values) >= _MIN_SAMPLES)
     if not kept:
         most = max(len(column.values) for column in columns)
         raise NotFoundError(
             f"{shared[0][0]}: {most} samples are too few to tune from",
-            f"record {_LEAST_SAMPLES} or more",
+            f"record {_MIN_SAMPLES} or more",
         )
     return ComparedColumns(start_ns, kept)
 
@@ -163,13 +161,13 @@ def _column(observed: Episode, name: str, column: str, start_ns: int) -> Column:
     good = np.flatnonzero(np.isfinite(values))
     noise = noise_of(values[good])
     spread = float(np.std(values[good])) if len(good) else 0.0
-    good = good[:: max(-(-len(good) // _MOST_SAMPLES), 1)]
+    good = good[:: max(-(-len(good) // _MAX_SAMPLES), 1)]
     seconds = 1e-9 * (signal.stamps_ns[good] - start_ns).astype(np.float64)
     return Column(name, column, signal.unit, seconds, values[good], noise, spread)
 
 
 def noise_of(values: Array) -> float:
-    """Standard deviation of white noise in a sampled curve, by its third differences.
+    """Estimate the standard deviation of white noise in a sampled curve, by third differences.
 
     What is smooth over four samples has none; a step of the values' resolution is the least.
     """

@@ -1,8 +1,7 @@
-"""How sure a least-squares fit is where what it leaves is not white: a sandwich that covers.
+"""Sandwich covariance of a least-squares fit with autocorrelated residuals.
 
-Residuals of a simulator hang together: noise is filtered, and no model is exact. The scores of
-neighbouring moments are summed with Newey and West's weights (Econometrica 1987), over as long as
-they hang together (Andrews 1991).
+Residuals of a simulator are correlated: noise is filtered, and no model is exact. The scores are
+summed with Newey-West weights (Econometrica 1987), with Andrews' bandwidth (1991).
 """
 
 from __future__ import annotations
@@ -14,18 +13,16 @@ from analysis.sysid.gauss_newton import Solution, ranges_of
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 
-_MOST_BINS = 2000
-_LONGEST_SHARE = 0.2
-"""Of the log, over which scores are taken to hang together at most."""
-
+_MAX_BINS = 2000
+_MAX_SHARE = 0.2  # of the log, over which scores are taken to hang together at most
+# Precision of a parameter of which nothing is known, in its range: ten of these are one sd.
 _FLAT = 1e-2
-"""Precision of a parameter of which nothing is known, in its range: ten of these are one sd."""
 
 
 def covariance(
     solution: Solution, target: ComparedColumns, parameters: tuple[Parameter, ...]
 ) -> tuple[Array, float]:
-    """Of a solution's values, shape (P, P), and how many independent moments it rests on."""
+    """Return the values' sandwich covariance, shape (P, P), and the effective sample size."""
     scales = ranges_of(parameters)
     weights = solution.chosen / target.per_value(solution.noise) ** 2
     slopes = solution.slopes * scales
@@ -50,9 +47,9 @@ def covariance(
 
 
 def _by_moment(scores: Array, target: ComparedColumns) -> Array:
-    """Sums over all columns of what was seen at about one moment, shape (K, P)."""
+    """Sum scores over columns in bins of time, shape (K, P)."""
     longest = max(len(column.values) for column in target.columns)
-    count = min(longest, _MOST_BINS)
+    count = min(longest, _MAX_BINS)
     place = np.minimum((target.seconds / max(target.end_s, 1e-9) * count).astype(int), count - 1)
     sums = np.zeros((count, scores.shape[1]))
     np.add.at(sums, place, scores)
@@ -60,7 +57,7 @@ def _by_moment(scores: Array, target: ComparedColumns) -> Array:
 
 
 def _bandwidth(influences: Array) -> int:
-    """Moments over which scores hang together, by an autoregression of each parameter's."""
+    """Return Andrews' bandwidth by an AR(1) model of each parameter's scores."""
     count = len(influences)
     before, after = influences[:-1], influences[1:]
     power = np.sum(before**2, axis=0)
@@ -68,13 +65,13 @@ def _bandwidth(influences: Array) -> int:
     share = np.clip(share, 0.0, 0.97)
     alpha = 4 * share**2 / ((1 - share) ** 2 * (1 + share) ** 2)
     span = 1.1447 * (float(alpha.max(initial=0.0)) * count) ** (1 / 3)
-    return int(np.clip(span, 1, _LONGEST_SHARE * count))
+    return int(np.clip(span, 1, _MAX_SHARE * count))
 
 
 def _at_least(meat: Array, white: Array) -> Array:
-    """No less in any direction than white noise leaves.
+    """Raise the meat so that it is nowhere below that of white noise.
 
-    Residuals that repel each other by chance make nobody surer.
+    Anticorrelation by chance must not narrow an interval.
     """
     factor = np.linalg.cholesky(white + (1e-9 * np.trace(white) + 1e-30) * np.eye(len(white)))
     inner = np.linalg.solve(factor, np.linalg.solve(factor, meat).T)

@@ -1,4 +1,4 @@
-"""What rollouts show beside one place: slopes, how rough they are, and where the cost falls."""
+"""Finite differences of rollouts: slopes, second differences, and the cost's minimum."""
 
 from __future__ import annotations
 
@@ -10,22 +10,21 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-_NEAR = 0.5
-"""Differences within which slopes stay as they are."""
+_NEAR = 0.5  # differences within which slopes stay as they are
 
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Finite differences about one place, each parameter moved alone: P of them.
+    """Finite differences about one place, each of P parameters moved alone.
 
     Attributes:
-        place: values, shape (P,).
-        residuals: there, shape (M,).
-        moved: by how much each parameter was moved to one side, shape (P,).
-        beside: residuals there, shape (P, M).
-        back: by how much to the other, below 0 where `moved` is above; 0 where a bound is in the
-            way; shape (P,). None of differences to one side alone.
-        behind: residuals there, shape (P, M).
+        place: Values, shape (P,).
+        residuals: There, shape (M,).
+        moved: Step of each parameter to one side, shape (P,).
+        beside: Residuals there, shape (P, M).
+        back: Step to the other side, below 0 where `moved` is above; 0 at a bound; shape (P,). None
+            for one-sided differences.
+        behind: Residuals there, shape (P, M).
     """
 
     place: Array
@@ -37,19 +36,16 @@ class Differences:
 
     @property
     def is_central(self) -> bool:
-        """Whether they go to both sides."""
+        """Whether they are central."""
         return self.back is not None
 
     def is_near(self, values: Array, steps: Array) -> bool:
-        """Whether their slopes hold at other values, where differences would be as wide as steps.
-
-        Both of shape (P,).
-        """
+        """Return whether their slopes hold at other values, (P,), for these steps, (P,)."""
         return bool(np.all(np.abs(values - self.place) <= _NEAR * steps))
 
     @cached_property
     def slopes(self) -> Array:
-        """Of the residuals by the parameters, shape (M, P)."""
+        """Jacobian of the residuals by the parameters, shape (M, P)."""
         if self.back is None or self.behind is None:
             return ((self.beside - self.residuals) / self.moved[:, None]).T
         return ((self.beside - self.behind) / (self.moved - self.back)[:, None]).T
@@ -63,14 +59,13 @@ class Differences:
         return np.where(self.back[:, None] != 0, bends, 0.0)
 
     def lowest(self, cost: Callable[[Array, Array], float], least: float) -> Array | None:
-        """Where the cost itself should be lowest along one parameter, shape (P,).
+        """Minimise the cost along one parameter by a parabola through three rollouts, shape (P,).
 
-        A parabola goes through it on both sides; the one that promises most counts. Slopes over a
-        kink may point uphill where this does not.
+        The most promising parabola counts. Slopes over a kink may point uphill where it does not.
 
         Args:
-            cost: of residuals, shape (M,), and values, shape (P,).
-            least: that a parabola has to promise; None where none does.
+            cost: Of residuals, shape (M,), and values, shape (P,).
+            least: Decrease that a parabola must promise; None is returned if none does.
         """
         if self.back is None or self.behind is None:
             return None
@@ -103,15 +98,15 @@ def differences(
     *,
     is_central: bool,
 ) -> Differences:
-    """Rollouts beside a place, all at once.
+    """Roll out beside a place, all at once.
 
     Args:
-        residuals_at: at values of shape (N, P), shape (N, M).
-        place: shape (P,), within the bounds.
-        residuals: there, shape (M,).
-        steps: above 0, shape (P,).
-        bounds: lower and upper, shape (2, P); no step goes beyond, the other way instead.
-        is_central: whether to go to both sides, where the bounds let it.
+        residuals_at: At values of shape (N, P), shape (N, M).
+        place: Shape (P,), within the bounds.
+        residuals: There, shape (M,).
+        steps: Above 0, shape (P,).
+        bounds: Lower and upper, shape (2, P); a step beyond goes the other way instead.
+        is_central: Whether to go to both sides, within the bounds.
     """
     low, high = bounds
     moved = np.where(place + steps > high, -steps, steps)

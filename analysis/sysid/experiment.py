@@ -1,4 +1,4 @@
-"""A user's own simulator as an experiment: any log that shows what it simulates tunes it."""
+"""A user's own simulator as an experiment, tuned from any log of what it simulates."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SimulatorDetection:
-    """A log that shows what a simulator simulates; see `Detection`.
+    """Log that shows what a simulator simulates; see `Detection`.
 
     Attributes:
-        source: where the simulator comes from.
-        connected: it, driven as the log was.
-        offset_s: from the log's first sample to the first that is compared.
-        left_out: what each signal lacks that is compared.
+        source: Of the simulator.
+        connected: The simulator, driven as the log was.
+        offset_s: From the log's first sample to the first that is compared.
+        left_out: Samples missing from each compared signal.
     """
 
     source: SimulatorSource
@@ -46,12 +46,12 @@ class SimulatorDetection:
 
     @property
     def topic(self) -> str:
-        """The first signal that is compared."""
+        """First signal that is compared."""
         return self.connected.target.columns[0].signal
 
     @property
     def window(self) -> Mapping[str, float]:
-        """When the comparison begins and ends [s since the log's first sample]."""
+        """Times at which the comparison begins and ends [s since the log's first sample]."""
         return {
             "start": self.offset_s,
             "end": self.offset_s + self.connected.target.end_s,
@@ -59,12 +59,12 @@ class SimulatorDetection:
 
     @property
     def extent(self) -> tuple[str, str]:
-        """How long it is."""
+        """Duration of the comparison."""
         return "motion", f"{self.connected.target.end_s:.1f} s"
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Signals that are not used, and those that may be meant otherwise."""
+        """Signals that are not used, and those whose meaning is doubtful."""
         unused = (f"not used: {words}" for words in self.connected.unused)
         return (*unused, *self.connected.doubts)
 
@@ -87,11 +87,11 @@ class SimulatorExperiment:
 
     @property
     def presets(self) -> Mapping[str, Preset]:
-        """One: the simulator as it is given."""
+        """One: the simulator as given."""
         return {"default": Preset(True, self.source.parameters, "fit", starts_as_given=True)}
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
-        """What a user names is what it is."""
+        """Claim every episode: the user named the simulator."""
         del episode, topic
         return Claim.PLAINLY
 
@@ -107,7 +107,7 @@ class SimulatorExperiment:
         return SimulatorDetection(self.source, connected, offset_s, lacking)
 
     def problem(self, detection: SimulatorDetection, initial: Array) -> Problem:
-        """Least squares by rollouts; see `Experiment.problem`."""
+        """Pose least squares by rollouts; see `Experiment.problem`."""
         return SimulatorProblem(detection.connected, initial, detection.source.digest)
 
     def checks(
@@ -123,15 +123,15 @@ class SimulatorExperiment:
         return (*checks, *fit_checks(fit.detail)) if fit else checks
 
     def cross_check(self, detection: SimulatorDetection, estimate: Array) -> CrossCheck | None:
-        """None: the part that is held out is the check; see `Experiment.cross_check`."""
+        """Return None: the hold-out is the check; see `Experiment.cross_check`."""
         del detection, estimate
 
     def motion(self, detection: SimulatorDetection, trace: Trace) -> Motion | None:
-        """None: a simulator may show many signals, which are the review's."""
+        """Return None: a simulator may show many signals, which are the review's."""
         del detection, trace
 
     def rebounds(self, detection: SimulatorDetection, trace: Trace) -> tuple[Rebound, ...]:
-        """None; see `Experiment.rebounds`."""
+        """Return none; see `Experiment.rebounds`."""
         del detection, trace
         return ()
 
@@ -145,5 +145,5 @@ class SimulatorExperiment:
 
 
 def moments_of(detection: SimulatorDetection) -> Array:
-    """All stamps that are compared, since the log's first sample, shape (M,) [s]."""
+    """Return all compared stamps since the log's first sample, shape (M,) [s]."""
     return np.unique(detection.connected.target.seconds) + detection.offset_s

@@ -1,4 +1,4 @@
-"""The exact fit of a simulator to a log: least squares, from elsewhere too, and how sure it is."""
+"""Fit a simulator to a log: multi-start least squares, hold-out, and intervals."""
 
 from __future__ import annotations
 
@@ -14,38 +14,30 @@ from analysis.sysid.gauss_newton import RolloutLeastSquares, Run, Solution, rang
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 
-_GOOD = 1.5
-"""Times a column's noise: a solution that leaves less is not looked for elsewhere."""
-
-_CLOSE_SHARE = 0.01
-"""Of a column's spread, likewise, where the noise is less than that."""
-
+_GOOD = 1.5  # times a column's noise: a solution that leaves less is not looked for elsewhere
+_CLOSE_SHARE = 0.01  # of a column's spread, likewise, where the noise is less than that
 _SCREENED, _RESTARTS = 24, 2
-_HELD_OUT_FROM = 0.6
-"""Of the log: a second fit to what is before is judged by what comes after."""
-
+_HELD_OUT_FROM = 0.6  # of the log: a second fit to what is before is judged by what comes after
+# Times less sure than if all others were known: from there on it is seen with them alone.
 _TOGETHER = 40.0
-"""Times less sure than if all others were known: from there on it is seen with them alone."""
 
-_CONTRADICTS, _WALK_FACTOR, _MOST_WALKS = 4.0, 3.0, 8
-"""Of the cost, twice a log likelihood: two standard deviations; how a walk goes on until then."""
+# Of the cost, twice a log likelihood: two standard deviations; how a walk goes on until then.
+_CONTRADICTS, _WALK_FACTOR, _MAX_WALKS = 4.0, 3.0, 8
 
-_SECOND_DIFFERENCES = 6.0
-"""What the variance of a rough rollout grows by in them: 1 + 4 + 1."""
-
+_SECOND_DIFFERENCES = 6.0  # what the variance of a rough rollout grows by in them: 1 + 4 + 1
+# Of a parameter's range: where 95 % reach further than this to each side, the log cannot tell.
 _UNTOLD_SHARE = 0.25
-"""Of a parameter's range: where 95 % reach further than this to each side, the log cannot tell."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """How the simulator predicts the part of the log that it was not fitted to.
+    """Hold-out: prediction of the part of the log that was not fitted.
 
     Attributes:
-        from_s: where that part begins.
-        simulated: of a fit to what is before, shape (M,).
-        rms: of what it leaves in that part, by column, shape (C,).
-        before: of what the simulator leaves there as it was given, shape (C,).
+        from_s: Where that part begins.
+        simulated: Of a fit to what is before, shape (M,).
+        rms: Residual in that part, by column, shape (C,).
+        before: Residual there of the simulator as given, shape (C,).
     """
 
     from_s: float
@@ -56,21 +48,21 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class SimulatorFit:
-    """What a fit found, for checks and reviews.
+    """Result of a fit, for checks and reviews.
 
     Attributes:
-        target: what was compared.
-        parameters: all P that were looked for, those of the initial state, too.
-        tuned: how many of them, the first, are the user's.
-        solution: where the steps ended.
-        simulated: what it shows at the log's stamps, shape (M,).
-        first: what the simulator showed as it was given, shape (M,).
-        sd: standard deviation of each value, shape (P,), the step's part included.
-        half95: half the 95 % interval of each value, shape (P,), within no bounds.
-        step_shift: how far half the step moves each, shape (P,); None where there is no other step.
-        held_out: None where the log is too short.
-        correlation: of all values, shape (P, P).
-        inflation: how much less sure each value is than if all others were known, shape (P,).
+        target: What was compared.
+        parameters: All P that were fitted, those of the initial state, too.
+        tuned: How many of them, the first, are the user's.
+        solution: Where the steps ended.
+        simulated: What it shows at the log's stamps, shape (M,).
+        first: What the simulator showed as given, shape (M,).
+        sd: Standard deviation of each value, shape (P,), the time step's part included.
+        half95: Half the 95 % interval of each value, shape (P,), bounds ignored.
+        step_shift: Shift of each by half the time step, shape (P,); None if there is no other step.
+        held_out: None if the log is too short.
+        correlation: Of all values, shape (P, P).
+        inflation: Ratio of each sd to that with all others known, shape (P,).
     """
 
     target: ComparedColumns
@@ -88,9 +80,9 @@ class SimulatorFit:
 
     @property
     def untold(self) -> tuple[Parameter, ...]:
-        """Tuned parameters that the log cannot tell within a quarter of their range.
+        """Unidentifiable tuned parameters: known to no better than a quarter of their range.
 
-        What is seen only together with others is told within a quarter of its value, or not.
+        One that is confounded with others must be known within a quarter of its value.
         """
         own, half95 = slice(self.tuned), self.half95[: self.tuned]
         wide = half95 > _UNTOLD_SHARE * ranges_of(self.parameters)[own]
@@ -110,12 +102,12 @@ def fit_simulator(
     """Fit all parameters to a log.
 
     Args:
-        run: makes rollouts.
-        finer: makes them with half the step; None where there is no such thing.
-        target: what they are compared with.
+        run: Makes rollouts.
+        finer: Makes them with half the time step; None if there is none.
+        target: Columns to compare with.
         parameters: P of them; those with a prior belong to the initial state.
-        start: of those that are tuned, shape (T,), the first of the P.
-        unresolved: what the simulator's step leaves unsure of each, shape (P,); None for nothing.
+        start: Of those that are tuned, shape (T,), the first of the P.
+        unresolved: Uncertainty due to the time step, shape (P,); None for nothing.
 
     Returns:
         Of the T tuned ones; its detail is a `SimulatorFit`.
@@ -165,10 +157,10 @@ def fit_simulator(
 
 
 def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: int) -> Array:
-    """How much less sure each tuned parameter is than slopes say, a factor from 1 on, shape (T,).
+    """Return by which factor, 1 or more, each sd exceeds the linear one, shape (T,).
 
-    Where parameters are seen only together, what slopes are off by looks like knowledge. So each is
-    moved, the others following, until the log contradicts.
+    A profile likelihood: each parameter is moved, the others following, until the log contradicts.
+    For confounded parameters, errors of the slopes look like knowledge.
     """
     ranges = ranges_of(steps.parameters)
     factors = np.ones(tuned)
@@ -177,7 +169,7 @@ def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: i
         along = cov[:, number] / cov[number, number]
         curvature = steps.curvature(solution, along)
         reach, seen = np.sqrt(_CONTRADICTS / curvature), 0.0
-        for _ in range(_MOST_WALKS):
+        for _ in range(_MAX_WALKS):
             reach = min(reach, ranges[number])
             rises = [steps.follow(solution, number, side * reach, along) for side in (-1.0, 1.0)]
             moved = [(cost - start, far) for cost, far in rises if far > reach / 2]
@@ -192,7 +184,7 @@ def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: i
 
 
 def _is_good(solution: Solution, target: ComparedColumns) -> bool:
-    """Whether every column is met about as well as its noise lets it, of those that tell it."""
+    """Return whether every informative column is met about as well as its noise allows."""
     left = target.rms(solution.residuals, solution.chosen)
     every = all(column.is_jumpy for column in target.columns)
     return all(
@@ -203,7 +195,7 @@ def _is_good(solution: Solution, target: ComparedColumns) -> bool:
 
 
 def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) -> Solution:
-    """The best of solutions from other starts: those of many that are least off."""
+    """Restart from the best of many quasi-random (Halton) starts; keep the best solution."""
     low, high = np.array([one.training_range for one in steps.parameters[:tuned]]).T
     places = qmc.scale(qmc.Halton(tuned, rng=0).random(_SCREENED), low, high)
     rest = np.array([one.initial for one in steps.parameters[tuned:]])
@@ -226,7 +218,7 @@ def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) 
 def _moved_by(
     change: Array, solution: Solution, target: ComparedColumns, parameters: tuple[Parameter, ...]
 ) -> Array:
-    """How far a change of what is simulated moves the least squares, shape (P,)."""
+    """Return how far a change of the simulation moves the least-squares solution, shape (P,)."""
     scales = ranges_of(parameters)
     weights = solution.chosen / target.per_value(solution.noise) ** 2
     slopes = solution.slopes * scales

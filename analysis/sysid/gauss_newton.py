@@ -1,6 +1,6 @@
-"""Least squares by rollouts: Gauss-Newton steps with finite differences, damped where they fail.
+"""Nonlinear least squares by rollouts: Levenberg-Marquardt with finite differences.
 
-The columns' noise is not known beforehand: in the end, each is weighed by what is left of it.
+The columns' noise is not known beforehand: in the end, each is weighted by its residual.
 """
 
 from __future__ import annotations
@@ -17,55 +17,45 @@ from analysis.sysid.differences import Differences, differences
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 
+# Rollouts at values of shape (N, P) -> what they show at the log's stamps, shape (N, M).
 Run = Callable[[Array], Array]
-"""Rollouts at values of shape (N, P) -> what they show at the log's stamps, shape (N, M)."""
 
-_MOST_STEPS, _MOST_DAMPINGS = 25, 7
+_MAX_STEPS, _MAX_DAMPINGS = 25, 7
+# How often columns are weighed by what is left of them, and by how much that may still change.
 _WEIGHED, _SAME_NOISE = 3, 0.1
-"""How often columns are weighed by what is left of them, and by how much that may still change."""
 
 _COARSE_SHARE, _JUMPY_FACTOR = 0.03, 5.0
-_LONGEST_STEP = 0.5
-"""Of a parameter's range."""
+_MAX_STEP = 0.5  # of a parameter's range
+_FLAT = 1e-4  # precision of a parameter of which nothing is known, in its range
+# Of the finite differences, as a share of a parameter's range; the first of a prior is 0.2.
+_FIRST_DIFFERENCE, _MIN_DIFFERENCE, _MAX_DIFFERENCE = 3e-3, 1e-5, 2e-2
 
-_FLAT = 1e-4
-"""Precision of a parameter of which nothing is known, in its range."""
-
-_FIRST_STEP, _LEAST_STEP, _MOST_STEP = 3e-3, 1e-5, 2e-2
-"""Of the finite differences, as a share of a parameter's range; the first of a prior is 0.2."""
-
+# Once it is known, a step changes what is seen by this many noises, rms: contacts and dry friction
+# make rollouts rough where they are looked at more closely.
 _CHANGE = 0.5
-"""Once it is known, a step changes what is seen by this many noises, rms: contacts and dry friction
-make rollouts rough where they are looked at more closely."""
 
-_WORTH = 2.0
-"""Of the cost: what a parabola through it has to promise where no step helps."""
-
-_FOLLOWED = 4
-"""Steps of all others where one parameter is moved."""
-
+_WORTH = 2.0  # of the cost: what a parabola through it has to promise where no step helps
+_FOLLOWED = 4  # steps of all others where one parameter is moved
+# Standard deviations, and a change of the cost, below which a step is the last.
 _STILL, _NO_GAIN = 0.05, 0.05
-"""Standard deviations, and a change of the cost, below which a step is the last."""
 
-_LOST = 3.0
-"""Spreads of a column that a sample counts as off where a rollout has diverged."""
-
-_LEAST_NOISE = 1e-3
-"""Of a column, as a share of its spread: a simulator is never weighed as more exact than this."""
+_LOST = 3.0  # spreads of a column that a sample counts as off where a rollout has diverged
+# Of a column, as a share of its spread: a simulator is never weighed as more exact than this.
+_MIN_NOISE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the steps end.
+    """Least-squares solution.
 
     Attributes:
-        values: of all parameters, shape (P,).
-        residuals: simulated less observed, shape (M,).
-        slopes: of what the rollouts show by the parameters, shape (M, P).
-        noise: what is left of each column, shape (C,).
-        path: the values of each step, the start first.
-        chosen: which of the M values it was fitted to.
-        bends: second differences of what the rollouts show, by the parameters, shape (P, M).
+        values: Of all parameters, shape (P,).
+        residuals: Simulated less observed, shape (M,).
+        slopes: Jacobian of the rollouts, shape (M, P).
+        noise: RMS residual of each column, shape (C,).
+        path: The values of each step, the start first.
+        chosen: Which of the M values it was fitted to.
+        bends: Second differences of the rollouts, by the parameters, shape (P, M).
     """
 
     values: Array
@@ -78,7 +68,7 @@ class Solution:
 
 
 def ranges_of(parameters: Sequence[Parameter]) -> Array:
-    """What a parameter is expected to vary by, shape (P,)."""
+    """Return each parameter's scale: its range, or its prior's sd; shape (P,)."""
     widths = [
         one.training_range[1] - one.training_range[0] if one.prior_sd is None else one.prior_sd
         for one in parameters
@@ -91,10 +81,10 @@ class RolloutLeastSquares:
     """Least squares on one log.
 
     Attributes:
-        run: makes rollouts.
-        target: what they are compared with.
-        parameters: all that are looked for, P of them.
-        until_s: later samples are left out; None for all.
+        run: Makes rollouts.
+        target: Columns to compare with.
+        parameters: All that are fitted, P of them.
+        until_s: Later samples are left out; None for all.
     """
 
     run: Run
@@ -112,40 +102,40 @@ class RolloutLeastSquares:
         ends = self.target.end_s if self.until_s is None else self.until_s
         self.chosen = self.target.seconds <= ends
         self._spread = np.array([column.spread for column in self.target.columns])
-        self._floor = np.maximum(_LEAST_NOISE * self._spread, 1e-12)
+        self._floor = np.maximum(_MIN_NOISE * self._spread, 1e-12)
         has_prior = self._precision > 0
-        self._least = _LEAST_STEP * self._scales
-        self._most = np.where(has_prior, 1.0, _MOST_STEP) * self._scales
-        self._steps = np.where(has_prior, 0.2, _FIRST_STEP) * self._scales
+        self._least = _MIN_DIFFERENCE * self._scales
+        self._most = np.where(has_prior, 1.0, _MAX_DIFFERENCE) * self._scales
+        self._steps = np.where(has_prior, 0.2, _FIRST_DIFFERENCE) * self._scales
         self._known: Differences | None = None
 
     def residuals(self, values: Array) -> Array:
-        """Simulated less observed at values of shape (N, P), shape (N, M)."""
+        """Return simulated less observed, (N, M), at values of shape (N, P)."""
         off = self.run(values) - self.target.values
         lost = self.target.per_value(_LOST * self._spread)
         return np.where(np.isfinite(off), off, lost)
 
     def cost(self, residuals: Array, values: Array, noise: Array) -> float:
-        """Twice the negative logarithm of the likelihood, but for a constant.
+        """Return twice the negative log likelihood and prior, up to a constant.
 
         Args:
-            residuals: shape (M,).
-            values: they belong to, shape (P,).
-            noise: of each column, shape (C,).
+            residuals: Shape (M,).
+            values: They belong to, shape (P,).
+            noise: Of each column, shape (C,).
         """
         scaled = residuals / self.target.per_value(noise)
         fit = float(np.sum(scaled[self.chosen] ** 2))
         return fit + float(np.sum(self._precision * (values - self._centres) ** 2))
 
     def curvature(self, solution: Solution, along: Array) -> float:
-        """How fast the cost should rise by its slopes: per square of a step along, shape (P,)."""
+        """Return the linearised rise of the cost per squared step along (P,)."""
         weights = self.chosen / self.target.per_value(solution.noise) ** 2
         change = solution.slopes @ along
         prior = float(np.sum(self._precision * along**2))
         return max(float(np.sum(weights * change**2)) + prior, 1e-300)
 
     def inflation(self, solution: Solution) -> Array:
-        """How much less sure each value is than if all others were known, shape (P,)."""
+        """Return the ratio of each sd to that with all others known, shape (P,)."""
         normal, _ = self._equations(
             solution.values, solution.residuals, solution.slopes, solution.noise
         )
@@ -154,13 +144,13 @@ class RolloutLeastSquares:
     def follow(
         self, solution: Solution, number: int, step: float, along: Array
     ) -> tuple[float, float]:
-        """The cost where one parameter is a step off and all others make the best of it.
+        """Return the profile cost: one parameter a step off, all others refitted.
 
         Args:
-            solution: from where.
-            number: of the parameter.
-            step: how far it is off.
-            along: how the others follow, by its unit, shape (P,).
+            solution: Where to start.
+            number: Of the parameter.
+            step: How far it is off.
+            along: How the others follow, by its unit, shape (P,).
 
         Returns:
             The cost, and how far the parameter is off within its bounds.
@@ -185,13 +175,13 @@ class RolloutLeastSquares:
         return least, abs(float(values[number] - solution.values[number]))
 
     def left(self, residuals: Array) -> Array:
-        """What is left of each column, shape (C,)."""
+        """Return the RMS residual of each column, shape (C,)."""
         return np.maximum(self.target.rms(residuals, self.chosen), self._floor)
 
     def coarse(self) -> Array:
-        """What each column may be off far from the solution, shape (C,): alike in all of them.
+        """Return the residual scale of each column far from the solution, shape (C,).
 
-        Those that jump do not count where others do: whether their jumps meet says nothing of how
+        Columns that jump do not count where others do: whether their jumps meet says nothing of how
         far off a delay is.
         """
         noise = np.array([column.noise for column in self.target.columns])
@@ -200,9 +190,9 @@ class RolloutLeastSquares:
         return off if jumpy.all() else np.where(jumpy, _JUMPY_FACTOR * off, off)
 
     def solve(self, start: Array) -> Solution:
-        """Step from values of shape (P,) until steps are small beside what the noise allows.
+        """Iterate from values of shape (P,) until steps are small beside the noise.
 
-        All columns count alike at first; then each by what is left of it.
+        All columns have equal weight at first; then each by its residual.
         """
         values = np.clip(start, *self._bounds)
         path = [values]
@@ -227,17 +217,17 @@ class RolloutLeastSquares:
         *,
         is_central: bool = False,
     ) -> tuple[Array, Array]:
-        """Steps with one noise of each column; each is added to the path."""
+        """Descend with fixed noise of each column; append each step to the path."""
         cost = self.cost(residuals, values, noise)
         damping = 1e-4
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             beside = self._differences(values, residuals, is_central=is_central)
             normal, slope = self._equations(values, residuals, beside.slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
             self._steps = np.clip(_CHANGE / seen, self._least, self._most)
             tried, off, new = values, residuals, cost
-            for tries in range(_MOST_DAMPINGS):
+            for tries in range(_MAX_DAMPINGS):
                 step = self._step(values, normal, slope, damping)
                 tried = np.clip(values + step, *self._bounds)
                 if np.all(np.abs(tried - values) < _STILL * sd):
@@ -269,7 +259,7 @@ class RolloutLeastSquares:
     def _differences(
         self, values: Array, residuals: Array, *, is_central: bool = False
     ) -> Differences:
-        """To one side on the way, to both at its end; those of values nearby where there are."""
+        """Return differences, one-sided on the way, central at its end; reuse near ones."""
         known = self._known
         enough = known is not None and known.is_central >= is_central
         if known is None or not enough or not known.is_near(values, self._steps):
@@ -280,10 +270,10 @@ class RolloutLeastSquares:
         return known
 
     def one_step(self, solution: Solution) -> tuple[Array, Array]:
-        """Values and residuals of a fit to the chosen samples, by one step from another solution.
+        """Refit to the chosen samples by one Gauss-Newton step from another solution.
 
-        Its slopes are those of the other: where a solution explains what is left out, too, the
-        step is small.
+        Its slopes are those of the other: if a solution explains what is left out, too, the step is
+        small.
         """
         noise = self.left(solution.residuals)
         values = solution.values
@@ -294,7 +284,7 @@ class RolloutLeastSquares:
     def _equations(
         self, values: Array, residuals: Array, slopes: Array, noise: Array
     ) -> tuple[Array, Array]:
-        """The normal equations in the parameters' ranges: shapes (P, P) and (P,)."""
+        """Return the normal equations in units of the ranges: (P, P) and (P,)."""
         weights = self.chosen / self.target.per_value(noise) ** 2
         scaled = slopes * self._scales
         precision = self._precision * self._scales**2
@@ -304,11 +294,11 @@ class RolloutLeastSquares:
         return normal, slope + precision * (values - self._centres) / self._scales
 
     def _step(self, values: Array, normal: Array, slope: Array, damping: float) -> Array:
-        """A damped step, shape (P,); what lies on a bound and would go beyond it stays."""
+        """Return a damped step, shape (P,), with active bounds fixed."""
         low, high = self._bounds
         free = ~(((values <= low) & (slope > 0)) | ((values >= high) & (slope < 0)))
         step = np.zeros(len(values))
         part = normal[np.ix_(free, free)]
         step[free] = -np.linalg.solve(part + damping * np.diag(np.diag(part)), slope[free])
         tuned = np.abs(step[self._precision == 0]).max(initial=0.0)
-        return step * self._scales * min(1.0, _LONGEST_STEP / max(tuned, 1e-12))
+        return step * self._scales * min(1.0, _MAX_STEP / max(tuned, 1e-12))

@@ -1,4 +1,4 @@
-"""Where a log's motion begins: positions and speeds at its first stamp, and how sure they are."""
+"""Estimate the initial state of a log's motion: positions and speeds, with uncertainty."""
 
 from __future__ import annotations
 
@@ -15,20 +15,14 @@ from recorders.simulators.mujoco.model_frames import free_joint, seen_in_world
 from recorders.simulators.mujoco.model_sensors import SensedSignal
 from recorders.simulators.mujoco.model_simulator import InitialState
 
-_LEAST_SD = 1e-4
-_FAR = 50.0
-"""Standard deviations from its estimate that an initial value is looked for."""
+_MIN_SD = 1e-4
+_FAR = 50.0  # standard deviations from its estimate that an initial value is looked for
 
 
 def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> InitialState:
-    """The state of a compiled model at a stamp, by what the log shows of it right after.
+    """Estimate the state of a compiled model at a stamp, by what the log shows right after.
 
-    What the log does not show is as the model has it, at rest.
-
-    Args:
-        model: compiled.
-        sensed: what the log shows.
-        stamp_ns: where a rollout is to begin.
+    Unobserved coordinates are as the model has them, at rest.
     """
     qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
     if model.nkey:
@@ -65,7 +59,7 @@ def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> 
 
 
 def _turns(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> dict[int, InitialTurn]:
-    """How bodies with a free joint are turned, by that joint, as the first signal of each says."""
+    """Estimate the orientation of bodies with a free joint, by that joint."""
     found: dict[int, InitialTurn] = {}
     for one in sensed:
         if one.sensors[0].kind != "framexaxis":
@@ -77,9 +71,9 @@ def _turns(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> dict[in
 
 
 def _unsure_turn(body: str, turn: InitialTurn) -> list[tuple[Parameter, bool, int]]:
-    """Parameters of a body's orientation and spin: each, whether it is of the spin, which it is.
+    """List parameters of a body's orientation and spin: each, whether it is of the spin, its index.
 
-    Of a quaternion three numbers are enough: they and its length tell the largest.
+    Three numbers of a quaternion suffice: they and its length determine the largest.
     """
     largest = int(np.argmax(np.abs(turn.quaternion)))
     found: list[tuple[Parameter, bool, int]] = []
@@ -96,7 +90,7 @@ def _unsure_turn(body: str, turn: InitialTurn) -> list[tuple[Parameter, bool, in
 def _shown(
     model: Any, sensed: Sequence[SensedSignal]
 ) -> dict[tuple[str, str, int, int], tuple[Samples | None, Samples | None]]:
-    """What is shown of each coordinate: its name, unit and places -> positions and speeds."""
+    """Collect each coordinate's samples: name, unit and addresses -> positions and speeds."""
     shown: dict[tuple[str, str, int, int], tuple[Samples | None, Samples | None]] = {}
     kinds = mujoco().mjtJoint
     for one in sensed:
@@ -138,6 +132,6 @@ def _samples(sensed: SensedSignal, column: str) -> Samples:
 
 
 def _unsure(name: str, unit: str, value: float, sd: float) -> Parameter:
-    sd = max(sd, _LEAST_SD)
+    sd = max(sd, _MIN_SD)
     far = (value - _FAR * sd, value + _FAR * sd)
     return Parameter(name, unit, far, (value - sd, value + sd), value, prior_sd=sd)

@@ -1,4 +1,4 @@
-"""Where a log's rotation begins: the orientation and spin of a body that moves freely."""
+"""Estimate the initial orientation and angular velocity of a freely moving body."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from analysis.sysid.orientations import rotations
 from recorders.simulators.mujoco.model_sensors import SensedSignal
 from tunenet_logs.arrays import Array
 
-_MOST_RAD = 2.5  # turned since the first sample: a rotation vector jumps at a half turn
+_MAX_RAD = 2.5  # turned since the first sample: a rotation vector jumps at a half turn
 
 
 @dataclass(frozen=True)
 class InitialTurn:
-    """How a body is turned at a stamp, and how it turns.
+    """Orientation and angular velocity of a body at a stamp.
 
     Attributes:
         quaternion: w, x, y, z, shape (4,).
-        quaternion_sd: of any of these.
-        spin: in the body's frame, shape (3,) [rad/s].
-        spin_sd: shape (3,).
+        quaternion_sd: Of any of these.
+        spin: Angular velocity in the body's frame, shape (3,) [rad/s].
+        spin_sd: Shape (3,).
     """
 
     quaternion: Array
@@ -33,24 +33,19 @@ class InitialTurn:
     spin_sd: Array
 
     def is_still(self, quaternion: Array) -> bool:
-        """Whether the body may lie still at an orientation w, x, y, z, shape (4,)."""
+        """Return whether the body may be at rest at an orientation w, x, y, z, shape (4,)."""
         cosine = min(abs(float(self.quaternion @ quaternion)), 1.0)
         off = 2 * np.arccos(cosine)
         return off < 2 * self.quaternion_sd and bool((np.abs(self.spin) < self.spin_sd).all())
 
 
 def initial_turn(sensed: SensedSignal, stamp_ns: int) -> InitialTurn | None:
-    """Read it off the first samples of a body's x and z axes; None where they do not tell.
-
-    Args:
-        sensed: as the world sees them.
-        stamp_ns: where a rollout begins.
-    """
+    """Estimate it from the first x and z axes in the world frame; None if undetermined."""
     values = sensed.signal.values
     good = np.isfinite(values).all(axis=1)
     turns = Rotation.from_matrix(rotations(values[good]))
     since_first = (turns[0].inv() * turns).as_rotvec()
-    is_far = np.linalg.norm(since_first, axis=1) > _MOST_RAD
+    is_far = np.linalg.norm(since_first, axis=1) > _MAX_RAD
     count = int(np.argmax(is_far)) if is_far.any() else len(is_far)
     stamps = sensed.signal.stamps_ns[good][:count]
     # of a rotation, three numbers; of the two axes, six, each moved by two thirds of its variance

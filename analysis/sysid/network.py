@@ -1,4 +1,4 @@
-"""TuneNet for one simulator and one log: trained on the spot, kept for the next time."""
+"""Train TuneNet for one simulator and one log, and cache it."""
 
 from __future__ import annotations
 
@@ -23,15 +23,11 @@ from tunenet_logs.errors import TuneNetError
 from tunenet_logs.progress import told
 from tunenet_logs.terminal import Progress
 
-ROLLOUTS = 2000
-"""That a network is trained with."""
-
+ROLLOUTS = 2000  # that a network is trained with
 _PAIRS_EACH = 40
-_GRID = 100
-"""Moments at which it looks."""
-
-MOST_SPREADS = 20.0
-"""That an observation reaches from the log's mean; what is further off looks the same."""
+_GRID = 100  # moments at which it looks
+# That an observation reaches from the log's mean; what is further off looks the same.
+MAX_SPREADS = 20.0
 
 _BATCH = 50
 _RECIPE = Recipe(
@@ -46,11 +42,11 @@ _RECIPE = Recipe(
 
 
 def observation(target: ComparedColumns, values: Array) -> Observation:
-    """What a network sees: all columns on one grid, each in spreads of the log's.
+    """Observe all columns on one grid, normalised by the log's mean and spread.
 
     Args:
-        target: what is compared.
-        values: observed or simulated, shape (M,).
+        target: Columns to compare with.
+        values: Observed or simulated, shape (M,).
     """
     grid_s = np.linspace(0.0, target.end_s, _GRID)
     seen: list[Array] = []
@@ -62,7 +58,7 @@ def observation(target: ComparedColumns, values: Array) -> Observation:
             shown = np.interp(grid_s, column.seconds[good], mine[good])
         centre = float(np.mean(column.values))
         scaled = (shown - centre) / max(column.spread, 1e-12)
-        seen.append(np.clip(scaled, -MOST_SPREADS, MOST_SPREADS))
+        seen.append(np.clip(scaled, -MAX_SPREADS, MAX_SPREADS))
     names = tuple(f"{column.label} [spreads]" for column in target.columns)
     return Observation(np.column_stack(seen), grid_s, "time [s]", names)
 
@@ -75,15 +71,15 @@ def trained_network(
     digest: str,
     count: int = ROLLOUTS,
 ) -> Model:
-    """The network for one simulator and one log, trained now or kept from before.
+    """Train the network for one simulator and one log, or load it from the cache.
 
     Args:
-        rollouts: of the simulator, at values of all parameters.
-        target: what is compared.
-        parameters: all, the tuned ones first.
-        tuned: how many of them are tuned.
-        digest: of the model and what is tuned; "" of an object, whose network is not kept.
-        count: rollouts to train with.
+        rollouts: Of the simulator, at values of all parameters.
+        target: Columns to compare with.
+        parameters: All, the tuned ones first.
+        tuned: How many of them are tuned.
+        digest: Of the model and what is tuned; "" for an object, whose network is not cached.
+        count: Rollouts to train with.
     """
     shape = f"{_GRID} moments of {', '.join(column.label for column in target.columns)}"
     inputs = _GRID * len(target.columns)
@@ -104,7 +100,7 @@ def trained_network(
 def _kept(
     target: ComparedColumns, parameters: tuple[Parameter, ...], digest: str, count: int
 ) -> Path | None:
-    """Where the network is kept: by the model, what is tuned, and what the log drives it with."""
+    """Return the cache file, keyed by model, parameters, and log."""
     root = os.environ.get("XDG_CACHE_HOME")
     folder = Path(root) if root else Path.home() / ".cache"
     state = hashlib.sha256(digest.encode())
@@ -122,7 +118,7 @@ def _pairs(
     tuned: int,
     count: int,
 ) -> PairSet:
-    """Rollouts over the ranges, from the log's initial state, and pairs of them."""
+    """Roll out over the ranges from the log's initial state (Halton), and draw pairs."""
     low, high = np.array([one.training_range for one in parameters[:tuned]]).T
     values = qmc.scale(qmc.Halton(tuned, rng=0).random(count), low, high)
     rest = np.array([one.initial for one in parameters[tuned:]])

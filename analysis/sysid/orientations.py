@@ -1,4 +1,4 @@
-"""Which orientations of a log are compared: those that a model begins with, too."""
+"""Choose which orientations of a log to compare: those that the model begins with, too."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from recorders.simulators.mujoco.model_sensors import SensedSignal
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import short_name
 
+# Between a body's orientation in the log and in the model, at the start: a tracker has axes of its
+# own, which nobody may have turned as the model's.
 _NEAR_DEG = 20.0
-"""Between a body's orientation in the log and in the model, at the start: a tracker has axes of its
-own, which nobody may have turned as the model's."""
 
 
 @dataclass(frozen=True, eq=False)
 class Turned:
-    """An orientation in a log.
+    """Orientation in a log.
 
     Attributes:
-        sensed: the body's x and z axes.
-        words: as what it is used.
-        is_sure: whether a user says that its axes are the body's.
+        sensed: The body's x and z axes.
+        words: Description of its use.
+        is_sure: Whether the user states that its axes are the body's.
     """
 
     sensed: SensedSignal
@@ -34,27 +34,27 @@ class Turned:
 
     @property
     def body(self) -> str:
-        """Whose it is."""
+        """Body that it is of."""
         return self.sensed.sensors[0].name
 
     @property
     def reference(self) -> str:
-        """The body that it is seen from; "" for the world."""
+        """Body that it is relative to; "" for the world."""
         return self.sensed.sensors[0].reference
 
 
 def orients_start(model: Any, turned: Sequence[Turned]) -> list[SensedSignal]:
-    """Those that a rollout's first orientations are taken from: of bodies that move freely."""
+    """List orientations of freely moving bodies, from which a rollout starts."""
     return [one.sensed for one in turned if free_joint(model, one.body) is not None]
 
 
 def why_not(model: Any, qpos: Array, turned: Turned) -> str:
-    """Why an orientation is not compared; "" where it is.
+    """Say why an orientation is not compared; "" if it is.
 
     Args:
-        model: compiled.
-        qpos: its coordinates at the start, shape (nq,).
-        turned: the log's.
+        model: Compiled.
+        qpos: Its coordinates at the start, shape (nq,).
+        turned: The log's.
     """
     values = turned.sensed.signal.values
     first = rotations(values[np.isfinite(values).all(axis=1)][:1])[0]
@@ -71,6 +71,6 @@ def why_not(model: Any, qpos: Array, turned: Turned) -> str:
 
 
 def rotations(axes: Array) -> Array:
-    """Rotations, shape (T, 3, 3), by their x and z axes, shape (T, 6)."""
+    """Build rotation matrices, shape (T, 3, 3), from their x and z axes, shape (T, 6)."""
     x, z = axes[:, :3], axes[:, 3:]
     return np.stack([x, np.cross(z, x), z], axis=2)

@@ -1,4 +1,4 @@
-"""What is tuned, from a YAML file: a line an address, with its range."""
+"""Read tuned parameters from a YAML file: a line per address, with its range."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import one_line, short_name
 
-_MOST_BYTES, _MOST_LINES, _MOST_DEPTH = 64_000, 200, 3
+_MAX_BYTES, _MAX_LINES, _MAX_DEPTH = 64_000, 200, 3
 _SHAPE = "write lines such as joint/elbow.damping: [0, 5]"
 
 
 def listed_parameters(texts: Sequence[str]) -> tuple[str, ...]:
-    """Addresses with their ranges, those of YAML files in their place.
+    """Expand YAML files among addresses with ranges, in place.
 
     Raises:
-        UsageError: a file cannot be read, or holds something else.
+        UsageError: A file cannot be read, or holds something else.
     """
     found: list[str] = []
     for text in texts:
@@ -53,12 +53,12 @@ def _mapping(path: Path) -> dict[Any, Any]:
     from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
     try:
-        data = read_small_file(path, _MOST_BYTES)
+        data = read_small_file(path, _MAX_BYTES)
         depth = 0
         for event in YAML(typ="safe", pure=True).parse(data):
             depth += isinstance(event, CollectionStartEvent)
             depth -= isinstance(event, CollectionEndEvent)
-            if depth > _MOST_DEPTH or isinstance(event, AliasEvent):  # few may stand for millions
+            if depth > _MAX_DEPTH or isinstance(event, AliasEvent):  # few may stand for millions
                 raise UsageError(f"{path}: has nested lists or aliases (*NAME)", _SHAPE)
         found = YAML(typ="safe", pure=True).load(data)
     except (OSError, LogError, ValueError, TypeError, RecursionError) as error:
@@ -66,6 +66,6 @@ def _mapping(path: Path) -> dict[Any, Any]:
         raise UsageError(f"{path}: cannot be read ({short_name(why)})", _SHAPE) from error
     except YAMLError as error:
         raise UsageError(f"{path}: is no YAML ({one_line(error)[:80]})", _SHAPE) from error
-    if not isinstance(found, dict) or not 0 < len(found) <= _MOST_LINES:
+    if not isinstance(found, dict) or not 0 < len(found) <= _MAX_LINES:
         raise UsageError(f"{path}: holds no addresses", _SHAPE)
     return found

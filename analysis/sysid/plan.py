@@ -1,4 +1,4 @@
-"""What a log would drive a model with and compare it with, before anything is tuned."""
+"""Show how a log would drive a model and be compared with it, before tuning."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from tunenet_logs.reader import read_episode
 
 
 def print_plan(log: Path, options: Options) -> None:
-    """Print it, a line a signal and a parameter.
+    """Print the plan, a line per signal and parameter.
 
     Raises:
-        TuneNetError: the log cannot be read, or shows nothing of the model.
+        TuneNetError: The log cannot be read, or shows nothing of the model.
     """
     assert options.source is not None
     selection = options.selection

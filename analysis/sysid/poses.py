@@ -1,4 +1,4 @@
-"""Which body of a model a position or an orientation in a log is of, and in which frame."""
+"""Match positions and orientations in a log with a model's bodies and frames."""
 
 from __future__ import annotations
 
@@ -14,32 +14,33 @@ from tunenet_logs.episode import Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import short_name
 
+# Frames that are taken for the model's world without a word.
 _WORLDS = ("world", "map", "odom", "mocap")
-"""Frames that are taken for the model's world without a word."""
 
 _AXES: tuple[Kind, Kind] = ("framexaxis", "framezaxis")
 
 
 def is_orientation(signal: Signal) -> bool:
-    """Whether a signal is one of quaternions."""
+    """Return whether a signal is one of quaternions."""
     return signal.columns == ("x", "y", "z", "w") and signal.unit == "1"
 
 
 def sensed_pose(
     signal: Signal, told: str, bodies: Sequence[str]
 ) -> tuple[SensedSignal | None, str]:
-    """What a position or an orientation is in a model.
+    """Match a position or an orientation with a model.
 
     Args:
-        signal: of the log.
-        told: the body that a user says it is of; "" where none is told.
-        bodies: the model's, the world first.
+        signal: Of the log.
+        told: Body that the user names; "" if none.
+        bodies: The model's, the world first.
 
     Returns:
-        That, of an orientation the body's x and z axes; and as what it is used. Or None, and why.
+        The matched signal (of an orientation the body's x and z axes), and its use in words; or
+        None, and why.
 
     Raises:
-        UsageError: a user says that it is a body's, and it is neither.
+        UsageError: The user names a body for a signal that is neither.
     """
     is_turn = is_orientation(signal)
     if not is_turn and (signal.columns != ("x", "y", "z") or signal.unit != "m"):
@@ -64,13 +65,13 @@ def sensed_pose(
 
 
 def _taken_for_world(frame: str) -> str:
-    """What is to be said of a frame that the model does not know; "" of none."""
+    """Describe a frame that the model does not know; "" if there is none."""
     plain = frame.rpartition("/")[2].lower()
     return "" if plain in ("", *_WORLDS) else f", frame {short_name(frame)} taken for the world"
 
 
 def _axes(signal: Signal, body: str, reference: str) -> SensedSignal:
-    """Quaternions as a body's x and z axes, which have no signs to choose."""
+    """Convert quaternions to a body's x and z axes, which have no sign ambiguity."""
     columns = tuple(f"{one} axis {each}" for one in "xz" for each in "xyz")
     sensors = tuple(Sensor(kind, body, axis, reference) for kind in _AXES for axis in range(3))
     axes = _axes_of(signal.values)
@@ -78,7 +79,7 @@ def _axes(signal: Signal, body: str, reference: str) -> SensedSignal:
 
 
 def _axes_of(quaternions: Array) -> Array:
-    """The x and z axes, shape (T, 6), of quaternions x, y, z, w, shape (T, 4)."""
+    """Return the x and z axes, shape (T, 6), of quaternions x, y, z, w, shape (T, 4)."""
     x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
     return np.column_stack(
         [

@@ -1,4 +1,4 @@
-"""A simulator's parameters to be found from a log, as estimators take it."""
+"""Estimation problem of a simulator's parameters and uncertain initial state."""
 
 from __future__ import annotations
 
@@ -8,26 +8,24 @@ import numpy as np
 
 from analysis.estimators.base import Evaluation, FitResult, Problem
 from analysis.sysid.fit import SimulatorFit, fit_simulator
-from analysis.sysid.network import MOST_SPREADS, observation, trained_network
+from analysis.sysid.network import MAX_SPREADS, observation, trained_network
 from analysis.sysid.source import Connected, Rollouts
 from analysis.tunenet.network import Model
 from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 
-_PRIOR_WIDTHS = 3.0
-"""Standard deviations to each side in which a search by trial looks."""
-
-_LEAST_NOISE, _LEAST_SPREAD = 0.01, 1e-12
-"""Of a column, in its spread, in a search's cost: no simulator is right beyond all digits."""
+_PRIOR_WIDTHS = 3.0  # standard deviations to each side in which a search by trial looks
+# Of a column, in its spread, in a search's cost: no simulator is right beyond all digits.
+_MIN_NOISE, _MIN_SPREAD = 0.01, 1e-12
 
 
 class SimulatorProblem(Problem):
-    """See `Problem`; what of the initial state is unsure is found with the fit.
+    """See `Problem`; uncertain initial states are fitted, too.
 
     Args:
-        connected: the simulator, driven as the log was.
-        initial: of the tuned parameters, shape (T,).
-        digest: of the model and what is tuned.
+        connected: The simulator, driven as the log was.
+        initial: Of the tuned parameters, shape (T,).
+        digest: Of the model and what is tuned.
     """
 
     def __init__(self, connected: Connected, initial: Array, digest: str) -> None:
@@ -36,8 +34,8 @@ class SimulatorProblem(Problem):
         simulator, target = connected.simulator, connected.target
         self._all = tuple(sorted(simulator.parameters, key=lambda one: one.prior_sd is not None))
         self._rest = np.array([one.initial for one in self._all[len(initial) :]])
-        shares = [one.noise / max(one.spread, _LEAST_SPREAD) for one in target.columns]
-        self._noises = np.maximum(shares, _LEAST_NOISE)
+        shares = [one.noise / max(one.spread, _MIN_SPREAD) for one in target.columns]
+        self._noises = np.maximum(shares, _MIN_NOISE)
         super().__init__(
             observation(target, target.values),
             simulator,
@@ -49,10 +47,7 @@ class SimulatorProblem(Problem):
         self.parameters = self._all[: len(initial)]
 
     def evaluate(self, values: Array) -> Evaluation:
-        """One rollout; an initial state that is not given is the one that the fit found, if it did.
-
-        See `Problem.evaluate`.
-        """
+        """Roll out once, by default from the initial state of the fit; see `Problem.evaluate`."""
         self.rollouts += 1
         row = np.concatenate([values, self._rest[len(values) - len(self.parameters) :]])
         episode = self._connected.rollouts(row[None])[0]
@@ -60,12 +55,12 @@ class SimulatorProblem(Problem):
 
     @property
     def searched(self) -> tuple[Parameter, ...]:
-        """The parameters, then what of the initial state is unsure."""
+        """Tuned parameters, then uncertain initial states."""
         return self._all
 
     @property
     def ranges(self) -> Array:
-        """Those that the user named, and what priors leave; all with what is begun with."""
+        """The user's ranges, and those of priors; widened to contain the start."""
         low, high = np.array([_range(one) for one in self._all]).T
         return np.stack([np.minimum(low, self.start), np.maximum(high, self.start)], axis=1)
 
@@ -75,16 +70,16 @@ class SimulatorProblem(Problem):
         return np.concatenate([self.initial, self._rest])
 
     def misfit(self, evaluation: Evaluation) -> Array:
-        """See `Problem.misfit`; in noises of each column, so that those count that tell most.
+        """See `Problem.misfit`; in units of each column's noise.
 
-        A column that a rollout loses at once is as far off as can be.
+        A column that a rollout loses at once has the largest residual there is.
         """
         is_lost = np.isnan(evaluation.observation.values) & np.isfinite(self.target.values)
-        off = np.where(is_lost.ravel(), MOST_SPREADS, super().misfit(evaluation))
+        off = np.where(is_lost.ravel(), MAX_SPREADS, super().misfit(evaluation))
         return (off.reshape(is_lost.shape) / self._noises).ravel()
 
     def _counted(self, rollouts: Rollouts) -> Callable[[Array], Array]:
-        """What rollouts show at the log's stamps; each is charged."""
+        """Wrap rollouts, observed at the log's stamps; each is charged."""
         target = self._connected.target
 
         def run(values: Array) -> Array:
@@ -119,7 +114,7 @@ class SimulatorProblem(Problem):
 
 
 def _range(parameter: Parameter) -> tuple[float, float]:
-    """Where a search by trial looks for a parameter."""
+    """Return the search range of a parameter."""
     if parameter.prior_sd is None:
         return parameter.training_range
     reach = _PRIOR_WIDTHS * parameter.prior_sd

@@ -1,4 +1,4 @@
-"""Where a simulator comes from: a model's file, or an object of the user's own."""
+"""Sources of a simulator: a model's file, or an object of the user's own."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ if TYPE_CHECKING:
     from recorders.simulators.mujoco.model_parameters import ModelParameter
     from recorders.simulators.mujoco.model_process import ModelProcess
 
+# Of a delay, one standard deviation: a command that comes within a step is spread over it.
 _UNRESOLVED_STEPS = 0.2
-"""Of a delay, one standard deviation: a command that comes within a step is spread over it."""
 
-Rollouts = Callable[[Array], list[Episode]]
-"""Values of all parameters, shape (N, P) -> N episodes."""
+Rollouts = Callable[[Array], list[Episode]]  # values of all parameters, shape (N, P) -> N episodes
 
 
 @dataclass(frozen=True, eq=False)
 class Connected:
-    """A simulator that is driven as a log was.
+    """Simulator that is driven as a log was.
 
     Attributes:
-        simulator: its parameters without a prior are those that are tuned; they come first.
-        target: what of the log is compared.
-        rollouts: of it.
-        finer: likewise with half the step; None where there is no such thing.
-        unresolved: what its step leaves unsure of a parameter, one standard deviation, by name.
-        used: each signal of the log that is used, and as what, in words.
-        unused: each that is not, and why.
-        doubts: what of those used may be meant otherwise.
+        simulator: Its parameters without a prior are those that are tuned; they come first.
+        target: Columns of the log to compare with.
+        rollouts: Of it.
+        finer: Likewise with half the time step; None if there is none.
+        unresolved: Uncertainty of a parameter due to the time step, one standard deviation, by
+            name.
+        used: Each signal of the log that is used, and its use, in words.
+        unused: Each that is not, and why.
+        doubts: Which of the used ones may be meant otherwise.
     """
 
     simulator: Simulator
@@ -53,46 +53,46 @@ class Connected:
 
 
 class SimulatorSource(Protocol):
-    """What gives a simulator for a log."""
+    """Source of a simulator for a log."""
 
     @property
     def name(self) -> str:
-        """What a result calls it."""
+        """Name in results."""
         ...
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those that are tuned.
+        """Parameters to tune.
 
         Raises:
-            UsageError: there are none, or the file that names them cannot be read.
+            UsageError: There are none, or the file that names them cannot be read.
         """
         ...
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the model and of what is tuned; "" of an object."""
+        """SHA-256 of the model and of what is tuned; "" for an object."""
         ...
 
     def told_as(self) -> Mapping[str, Any]:
-        """What a result says of it, as JSON has it."""
+        """Return its description in a result, as JSON values."""
         ...
 
     def connect(self, episode: Episode) -> Connected:
-        """Drive and see it as a log was.
+        """Connect it to a log, which drives it and is compared with it.
 
         Raises:
-            NotFoundError: the log shows nothing of it.
+            NotFoundError: The log shows nothing of it.
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class GivenSimulator:
-    """An object with `parameters` and `rollout(values) -> Episode`.
+    """Object with `parameters` and `rollout(values) -> Episode`.
 
     Attributes:
-        simulator: that object.
+        simulator: That object.
     """
 
     simulator: Simulator
@@ -142,12 +142,12 @@ class GivenSimulator:
 
 @dataclass(frozen=True, eq=False)
 class ModelSource:
-    """A MuJoCo model's file.
+    """MuJoCo model file.
 
     Attributes:
         path: MJCF or URDF.
-        wanted: what is tuned, such as `joint/elbow.damping=0:5`.
-        told: what of the log is what of the model, where names differ; see `topics.matched`.
+        wanted: Parameters to tune, such as `joint/elbow.damping=0:5`.
+        told: Mapping of the log's names to the model's; see `topics.matched`.
     """
 
     path: Path
@@ -178,12 +178,12 @@ class ModelSource:
         return {**told, "mapping": dict(self.told)} if self.told else told
 
     def __getstate__(self) -> dict[str, Any]:
-        """Of what travels to other processes: the names, not what was compiled."""
+        """Pickle the names, not what was compiled."""
         return {name: getattr(self, name) for name in ("path", "wanted", "told")}
 
     @cached_property
     def spec(self) -> Any:
-        """The model, as its file has it."""
+        """The model as its file has it."""
         from recorders.simulators.mujoco.model_file import read_model
 
         return read_model(self.path, process=self._process)
@@ -196,7 +196,7 @@ class ModelSource:
 
     @cached_property
     def model(self) -> Any:
-        """The compiled model."""
+        """Compiled model."""
         return self.spec.compile()
 
     @cached_property
@@ -251,7 +251,7 @@ class ModelSource:
 
 
 def part_of(episode: Episode, start_s: float | None, end_s: float | None) -> Episode:
-    """The part of an episode between two times [s since its first sample]."""
+    """Cut an episode between two times [s since its first sample]."""
     if start_s is None and end_s is None:
         return episode
     first = min((int(one.stamps_ns[0]) for one in episode.signals.values()), default=0)
@@ -268,10 +268,10 @@ def part_of(episode: Episode, start_s: float | None, end_s: float | None) -> Epi
 
 
 def told_by(texts: Sequence[str]) -> dict[str, str]:
-    """`--map` options, SIGNAL=TARGET, as a mapping.
+    """Parse `--map` options, SIGNAL=TARGET.
 
     Raises:
-        UsageError: one of them is no pair, or two are of one signal.
+        UsageError: One of them is no pair, or two are of one signal.
     """
     told: dict[str, str] = {}
     for text in texts:

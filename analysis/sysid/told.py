@@ -1,4 +1,4 @@
-"""What a user says of a log's signals with `--map`, checked against the log and the model."""
+"""Check the user's `--map` against the log and the model."""
 
 from __future__ import annotations
 
@@ -10,27 +10,18 @@ from tunenet_logs.episode import Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import listed, short_name
 
-IGNORE = "-"
-"""As a target of `--map`: the signal is left out."""
-
-TURNED = "-"
-"""Before a site or a body: the log has the force of the child on its parent."""
-
+IGNORE = "-"  # as a target of `--map`: the signal is left out
+TURNED = "-"  # before a site or a body: the log has the force of the child on its parent
 _FEW = 6
 
 
 def check_told(
     told: Mapping[str, str], signals: Mapping[str, Signal], names: Mapping[str, Sequence[str]]
 ) -> None:
-    """Check it.
-
-    Args:
-        told: see `topics.matched`.
-        signals: of the log.
-        names: of the model's elements, by kind.
+    """Check that each key of `--map` is in the log and each target in the model.
 
     Raises:
-        UsageError: something of it is not in the log or not in the model.
+        UsageError: One is not.
     """
     topics = set(map(topic_of, signals))
     known = {*signals, *topics}

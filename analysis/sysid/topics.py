@@ -1,4 +1,4 @@
-"""Which of a log's signals are what of a model: joints, actuators and bodies, by their names."""
+"""Match a log's signals with a model's joints, actuators and bodies by name."""
 
 from __future__ import annotations
 
@@ -31,29 +31,27 @@ _BY_QUANTITY: Mapping[str, _Kind] = {
     "effort": "jointactuatorfrc",
 }
 _UNITS: Mapping[str, str] = {"rad/s": "velocity", "m/s": "velocity", "N·m": "effort", "N": "effort"}
+# Units of what a user says is a joint, where its name does not tell the quantity.
 _PLACES = ("rad", "m", "1")
-"""Units of what a user says is a joint, where its name does not tell the quantity."""
 
 _TARGETS = ("joint", "actuator", "body", "site")
 _FEW = 6
-_MANY_SIDED = (0, 1)
-"""Kinds of joints, free and ball, whose position is no number."""
-
+_MANY_SIDED = (0, 1)  # kinds of joints, free and ball, whose position is no number
 _TURN_RAD, _TURN_SLACK_RAD = 2 * np.pi, 0.05
 _FASTER = 2.0  # than it is elsewhere, that a joint may be where its angle is cut to one turn
 
 
 @dataclass(eq=False)
 class Match:
-    """What of a log is what of a model.
+    """Match of a log with a model.
 
     Attributes:
-        sensed: what is compared.
-        drives: what moves the model.
-        used: each signal that is used, and as what, in words.
-        unused: each that is not, and why.
-        turned: orientations, which are compared where the model begins as they do.
-        joined: angles of joints that were cut to one turn, in words.
+        sensed: Signals to compare.
+        drives: Signals that drive the model.
+        used: Each signal that is used, and its use, in words.
+        unused: Each that is not, and why.
+        turned: Orientations, which are compared if the model begins with them.
+        joined: Joint angles that were unwrapped, in words.
     """
 
     sensed: list[SensedSignal] = field(default_factory=list)
@@ -78,15 +76,15 @@ def matched(episode: Episode, model: Any, told: Mapping[str, str]) -> Match:
     """Match an episode's signals with a compiled model.
 
     Args:
-        episode: the log.
-        model: compiled.
-        told: signal, topic or SIGNAL.COLUMN -> `joint/NAME`, `actuator/NAME`, `body/NAME`,
-            `site/NAME`, `commands`, `states` or `-`, as a user says where names differ; `-site/`
-            and `-body/` of a wrench that has the other sign.
+        episode: The log.
+        model: Compiled.
+        told: The user's mapping where names differ: signal, topic or SIGNAL.COLUMN ->
+            `joint/NAME`, `actuator/NAME`, `body/NAME`, `site/NAME`, `commands`, `states` or `-`;
+            `-site/` and `-body/` for a wrench of the other sign.
 
     Raises:
-        NotFoundError: nothing of the log is in the model; the message names both sides.
-        UsageError: what is told is not in the log or not in the model.
+        NotFoundError: Nothing of the log is in the model; the message names both sides.
+        UsageError: An entry of `told` is not in the log or not in the model.
     """
     return _Matching(episode, model, told).match()
 
@@ -122,7 +120,7 @@ class _Matching:
         return self._found
 
     def _role(self, name: str, signal: Signal) -> str:
-        """What a signal is: "states", "commands", "pose", "wrench", "-" or ""."""
+        """Return a signal's role: "states", "commands", "pose", "wrench", "-" or ""."""
         told = self._told_signal(signal)
         if told in ("commands", "states", IGNORE):
             return told
@@ -167,7 +165,7 @@ class _Matching:
         self._sense(SensedSignal(signal, names, sensors))
 
     def _joined(self, signal: Signal, columns: list[tuple[int, str, str]]) -> Signal:
-        """Join angles of hinges without limits, where they are cut to one turn."""
+        """Unwrap angles of hinges without limits."""
         values, cut = signal.values.copy(), []
         for place, column, joint in columns:
             number = self._names["joint"].index(joint)
@@ -184,7 +182,7 @@ class _Matching:
         return replace(signal, values=values)
 
     def _why_not(self, signal: Signal, place: int, joint: str | None) -> str:
-        """Why a column of states is no joint's; "" where it is one's."""
+        """Say why a column of states is no joint's; "" if it is one's."""
         if self._told_of(signal, signal.columns[place]) == IGNORE:
             return "left out by --map"
         if joint is None:
@@ -196,7 +194,7 @@ class _Matching:
         return "fewer than two samples" if few else ""
 
     def _efforts(self, signal: Signal, columns: list[tuple[int, str, str]]) -> None:
-        """Measured efforts: what actuators give where commands drive them, else what drives."""
+        """Compare measured efforts with those of driven actuators; the others drive."""
         targets = {int(one) for drive in self._found.drives for one in drive.targets}
         driven = {self._joint_of(target) for target in targets}
         joints = [self._names["joint"].index(joint) for _, _, joint in columns]
@@ -251,7 +249,7 @@ class _Matching:
         self._found.used.append(f"{signal.name}: commands actuators {listed(names, _FEW)}")
 
     def _actuator(self, signal: Signal, column: str, quantity: str) -> int | None:
-        """The actuator of a column: of its name, of its joint's, or of its number."""
+        """Find the actuator of a column: by its name, its joint's, or its number."""
         if self._told_of(signal, column) == IGNORE:
             return None
         place = signal.columns.index(column)
@@ -271,14 +269,14 @@ class _Matching:
         return place if by_order and column.isdecimal() else None
 
     def _joint_of(self, actuator: int) -> int | None:
-        """The number of the joint that an actuator moves; None where it moves something else."""
+        """Return the index of the joint that an actuator moves, or None."""
         kinds = mujoco().mjtTrn
         moves = self._model.actuator_trntype[actuator]
         is_joint = moves in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))
         return int(self._model.actuator_trnid[actuator, 0]) if is_joint else None
 
     def _wants(self, actuator: int) -> str:
-        """What an actuator takes: "position", "velocity" or "effort"."""
+        """Return an actuator's input: "position", "velocity" or "effort"."""
         _, on_position, on_speed = self._model.actuator_biasprm[actuator, :3]
         if self._model.actuator_dyntype[actuator] == int(mujoco().mjtDyn.mjDYN_INTEGRATOR):
             return "velocity"
@@ -305,7 +303,7 @@ class _Matching:
             self._sense(sensed, words)
 
     def _told_signal(self, signal: Signal) -> str:
-        """What a user says of a signal, or of its topic; "" where nothing."""
+        """Return the user's mapping of a signal, or of its topic; "" if none."""
         return self._told.get(signal.name) or self._told.get(topic_of(signal.name), "")
 
     def _sense(self, sensed: SensedSignal, what: str = "") -> None:
@@ -314,7 +312,7 @@ class _Matching:
         self._found.used.append(f"{sensed.signal.name}: compared with {what}")
 
     def _told_of(self, signal: Signal, column: str) -> str:
-        """What a user says of a column, or of a signal that has no other; "" where nothing."""
+        """Return the user's mapping of a column, or of its one-column signal; "" if none."""
         name = signal.name
         keys = [f"{name}.{column}", f"{topic_of(name)}.{column}", column]
         if len(signal.columns) == 1:
@@ -322,7 +320,7 @@ class _Matching:
         return next((self._told[key] for key in keys if key in self._told), "")
 
     def _elements(self, kind: str, signal: Signal) -> list[str | None]:
-        """The element that each column is, by what is told or by its name; each is once."""
+        """Match each column with an element, by the mapping or by name; each once."""
         if (kind, signal.name) not in self._by_column:
             names = self._names[kind]
             told = [self._told_of(signal, column) for column in signal.columns]
@@ -359,14 +357,14 @@ class _Matching:
 
 
 def joined_turns(stamps_ns: NDArray[np.int64], angles: Array) -> Array | None:
-    """Join angles that were cut to one turn, such as at ±π; None where they were not.
+    """Unwrap angles that were wrapped to one turn, such as at ±π; None if they were not.
 
-    They were where all lie within one turn, some jump by most of one, and the joint, a turn added
-    there, is mostly as fast as elsewhere: glitches and steps are faster.
+    They were if all lie within one turn, some jump by most of one, and the joint, unwrapped there,
+    is mostly as fast as elsewhere: glitches and steps are faster.
 
     Args:
-        stamps_ns: shape (T,), increasing.
-        angles: finite, shape (T,) [rad].
+        stamps_ns: Shape (T,), increasing.
+        angles: Finite, shape (T,) [rad].
     """
     is_cut = np.abs(np.diff(angles)) > _TURN_RAD / 2
     if not is_cut.any() or is_cut.all() or np.ptp(angles) > _TURN_RAD + _TURN_SLACK_RAD:
@@ -377,6 +375,6 @@ def joined_turns(stamps_ns: NDArray[np.int64], angles: Array) -> Array | None:
 
 
 def _quantity(signal: Signal) -> str:
-    """What of joints a signal is, by its name or its unit; "" where it is nothing of them."""
+    """Return which joint quantity a signal is, by its name or its unit; "" if it is none."""
     by_unit = "position" if signal.unit in _PLACES else _UNITS.get(signal.unit, "")
     return quantity_of(signal.name) or by_unit

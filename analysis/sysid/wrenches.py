@@ -1,4 +1,4 @@
-"""Which place of a model a force or a torque in a log is of, and with which sign."""
+"""Match forces and torques in a log with a model's sites and bodies, and their sign."""
 
 from __future__ import annotations
 
@@ -20,37 +20,33 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import short_name
 
 _KINDS: dict[str, Kind] = {"N": "force", "N·m": "torque"}
+# In a sensor's name: a model has one for each of the two.
 _QUANTITY = re.compile(r"(?:(?<![_\W])[_\W]++)?(force|torque)[_\W]*")
-"""In a sensor's name: a model has one for each of the two."""
 
-_FIRST_NS = 100_000_000
-"""Of a log, by which a sign is told."""
-
-_OPPOSED = -0.9
-"""Cosine between what is seen and what is simulated."""
-
-_LEAST_SHARE = 0.2
-"""Of the simulated force, that the log's has to be for its sign to tell: no tared sensor's is."""
+_FIRST_NS = 100_000_000  # of a log, by which a sign is told
+_OPPOSED = -0.9  # cosine between what is seen and what is simulated
+# Of the simulated force, that the log's has to be for its sign to tell: no tared sensor's is.
+_MIN_SHARE = 0.2
 
 
 def is_wrench(signal: Signal) -> bool:
-    """Whether a signal is one of forces or torques in space."""
+    """Return whether a signal is a 3D force or torque."""
     return signal.columns == ("x", "y", "z") and signal.unit in _KINDS
 
 
 def sensed_wrench(signal: Signal, told: str, model: Any) -> tuple[SensedSignal | None, str]:
-    """What a force or torque is in a compiled model.
+    """Match a force or torque with a compiled model.
 
     Args:
-        signal: of the log.
-        told: `site/NAME` or `body/NAME`, a `-` before it, as a user says; "" where none is told.
-        model: compiled.
+        signal: Of the log.
+        told: The user's `site/NAME` or `body/NAME`, with a `-` for the other sign; "" if none.
+        model: Compiled.
 
     Returns:
-        That, and as what it is used; or None, and why it is not.
+        The matched signal, and its use in words; or None, and why not.
 
     Raises:
-        UsageError: a user says that it is a site's, and it is no force.
+        UsageError: The user names a site for a signal that is no force.
     """
     if not is_wrench(signal):
         raise UsageError(
@@ -80,7 +76,7 @@ def sensed_wrench(signal: Signal, told: str, model: Any) -> tuple[SensedSignal |
 
 
 def _place(signal: Signal, model: Any) -> tuple[bool, str]:
-    """Whether it is a body's, and the site or body; "" where none is called so."""
+    """Return whether it is a body's, and the site or body; "" if none has that name."""
     words = [*filter(None, [signal.frame]), *words_of(topic_of(signal.name))]
     sites = [name for name in element_names(model, "site") if name]
     bodies = [name for name in element_names(model, "body")[1:] if name]
@@ -93,7 +89,7 @@ def _place(signal: Signal, model: Any) -> tuple[bool, str]:
 
 
 def _sites_by_sensor(model: Any) -> dict[str, str]:
-    """The site of each sensor of forces, by its name, with and without `force` in it."""
+    """Map the name of each force sensor, with and without `force` in it, to its site."""
     kinds = mujoco().mjtSensor
     wanted = (int(kinds.mjSENS_FORCE), int(kinds.mjSENS_TORQUE))
     found: dict[str, str] = {}
@@ -110,7 +106,7 @@ def _sites_by_sensor(model: Any) -> dict[str, str]:
 
 
 def doubts(sensed: Sequence[SensedSignal], rollout: Episode) -> tuple[str, ...]:
-    """What is to be said of forces that point against those of a rollout at their beginning."""
+    """Describe forces that oppose those of a rollout at their beginning."""
     found: list[str] = []
     for one in sensed:
         first = one.sensors[0]
@@ -128,12 +124,12 @@ def doubts(sensed: Sequence[SensedSignal], rollout: Episode) -> tuple[str, ...]:
 def _is_opposed(observed: Signal, rolled: Signal) -> bool:
     seen, simulated = _beginning(observed), _beginning(rolled)
     sizes = float(np.linalg.norm(seen)), float(np.linalg.norm(simulated))
-    is_seen = sizes[0] > _LEAST_SHARE * sizes[1] > 0
+    is_seen = sizes[0] > _MIN_SHARE * sizes[1] > 0
     return is_seen and float(seen @ simulated) < _OPPOSED * sizes[0] * sizes[1]
 
 
 def _beginning(signal: Signal) -> Array:
-    """The mean of a signal's first samples, shape (C,); 0 where it has none."""
+    """Return the mean of a signal's first samples, shape (C,); 0 if it has none."""
     first = signal.values[signal.stamps_ns <= signal.stamps_ns[0] + _FIRST_NS]
     good = first[np.isfinite(first).all(axis=1)]
     return good.mean(axis=0) if len(good) else np.zeros(signal.values.shape[1])

@@ -1,4 +1,4 @@
-"""From pictures to where the ball is in them: found by how it moves, then by how it looks.
+"""Ball tracking in pictures: found by how it moves, then by how it looks.
 
 `track` is the whole of it. `pictures` are decoded once, and `kept_film` keeps them. Against a
 `background` there are `candidates`; some of them lie on parabolas (`triples`), and the longest free

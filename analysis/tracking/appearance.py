@@ -1,4 +1,4 @@
-"""How the ball looks, learnt from pictures in which its position is about known.
+"""Appearance of the ball, learnt from pictures in which its position is about known.
 
 Its radius, its picture and its exact positions are found in turn, to a small part of a pixel.
 """
@@ -15,58 +15,42 @@ from analysis.tracking.background import Background, FloatPicture
 from analysis.tracking.drawn_ball import NARROW, Patch, best_start, cut_patch, fit_ball, unlike
 from tunenet_logs.arrays import Array, Picture
 
-_FINE_PX = 9.0
-"""A larger ball is reduced to that radius before it is fitted."""
-
+_FINE_PX = 9.0  # a larger ball is reduced to that radius before it is fitted
+# Ball radii: a fit that moved farther is run once more from where it ended, at first wide.
 _NEAR_START = 0.25
-"""Ball radii: a fit that moved farther is run once more from where it ended, at first wide."""
 
-_NEAR = 0.3
-"""Ball radii between two fits of the same ball."""
+_NEAR = 0.3  # ball radii between two fits of the same ball
+_FAR_WORSE = 1.5  # misfit over that of another fit: one that is as much worse is not looked into
+# Ball radii, and px more, from a start to its fit: what is farther off has another start.
+_MAX_MOVED, _MAX_MOVED_PX = 1.2, 2.0
 
-_FAR_WORSE = 1.5
-"""Misfit over that of another fit: one that is as much worse is not looked into."""
-
-_MOST_MOVED, _MOST_MOVED_PX = 1.2, 2.0
-"""Ball radii, and px more, from a start to its fit: what is farther off has another start."""
-
-_SURE = 0.12
-"""Misfit up to which the start was about right."""
-
-_LEAST_SAMPLES = 3
-"""Pictures of the ball: the median of fewer is one of them, with what was behind it."""
+_SURE = 0.12  # misfit up to which the start was about right
+# Pictures of the ball: the median of fewer is one of them, with what was behind it.
+_MIN_SAMPLES = 3
 
 _ROUNDS = 4
+# Of learning how it looks and fitting that: most of them, and a relative change of the radius that
+# ends them.
 _SETTLED = 0.01
-"""Of learning how it looks and fitting that: most of them, and a relative change of the radius that
-ends them."""
 
+# Quantile of the radii of what moved: a part of the ball may look like the background.
 _FIRST_RADIUS = 0.7
-"""Quantile of the radii of what moved: a part of the ball may look like the background."""
 
-_PATCH = 1.3
-"""Radii of patches over that of the ball: it may be larger than it was thought."""
-
-_TRANSITION_PX = 1.2
-"""From the outline inward: the colour there is half the background's."""
-
+_PATCH = 1.3  # radii of patches over that of the ball: it may be larger than it was thought
+_TRANSITION_PX = 1.2  # from the outline inward: the colour there is half the background's
+# Squared difference of two colours (0 to 255, summed over RGB), 12 in each channel: with less, it
+# cannot be said how much of a pixel is ball.
 _TELLING = 400.0
-"""Squared difference of two colours (0 to 255, summed over RGB), 12 in each channel: with less, it
-cannot be said how much of a pixel is ball."""
 
-_RING_PX = 0.5
-"""Half the width of a ring, and the step from one to the next."""
-
-_LEAST_IN_RING = 4
-"""Pixels of a ring that make a median."""
-
-_LEAST_CHANGE, _MOST_CHANGE = 0.75, 1.35
-"""Least and most of the outline's radius over the last one: the patch shows no more."""
+_RING_PX = 0.5  # half the width of a ring, and the step from one to the next
+_MIN_IN_RING = 4  # pixels of a ring that make a median
+# Least and most of the outline's radius over the last one: the patch shows no more.
+_MIN_CHANGE, _MAX_CHANGE = 0.75, 1.35
 
 
 @dataclass(frozen=True)
 class Placing:
-    """A fit of the ball's appearance to one picture.
+    """Fit of the ball's appearance to one picture.
 
     Attributes:
         x, y: of its centre [px].
@@ -80,13 +64,13 @@ class Placing:
     misfit: float
 
     def is_near(self, x: float, y: float) -> bool:
-        """Whether a position [px] is about this one."""
+        """Return whether a position [px] is about this one."""
         return math.hypot(x - self.x, y - self.y) < _NEAR * self.radius_px
 
 
 @dataclass(frozen=True, eq=False)
 class FitStart:
-    """Where a fit may begin.
+    """Starting point of a fit.
 
     Attributes:
         x, y: near the ball's centre [px].
@@ -102,7 +86,7 @@ class FitStart:
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """The ball's own picture.
+    """Template of the ball.
 
     Attributes:
         layers: its colours (0 to 255) times its fraction of each pixel, and that fraction, shape
@@ -124,15 +108,9 @@ class Appearance:
         y: float,
         grown: float = 1.0,
     ) -> FitStart | None:
-        """Where a fit may begin; None out of the picture.
+        """Cut the patch at which a fit may begin, near (x, y) [px]; None out of the picture.
 
-        Args:
-            picture: RGB, shape (H, W, 3).
-            background: behind the ball.
-            gain: how much brighter the background is than the picture.
-            x: near its centre [px].
-            y: likewise.
-            grown: about its radius over `radius_px`.
+        `gain` is how much brighter the background is, `grown` about the radius over `radius_px`.
         """
         patch = cut_patch(picture, background, gain, (x, y), self.radius_px * grown, self.zoom)
         if patch is None:
@@ -141,16 +119,14 @@ class Appearance:
         return FitStart(x, y, patch, values)
 
     def unlikeness(self, begin: FitStart) -> float:
-        """Fraction of what is seen around a start that a ball there does not explain."""
+        """Return the fraction of what is seen around a start that a ball does not explain."""
         left = unlike(self.layers, self.radius_px * self.zoom, begin.patch, begin.values)
         return left / begin.patch.inside.size
 
     def place(self, begin: FitStart, known: Sequence[Placing] = ()) -> Placing | None:
-        """The ball near a start; None where there is none in view, or none that is not known.
+        """Fit the ball near a start; None where none is in view, or none that is not known.
 
-        Args:
-            begin: where the fit begins.
-            known: found from other starts; what comes to one of them, or is far worse, is dropped.
+        What comes to one of the `known` fits from other starts, or is far worse, is dropped.
         """
         patch, start = begin.patch, begin.values
         radius, growth = self.radius_px * self.zoom, float(start[2])
@@ -167,7 +143,7 @@ class Appearance:
         if np.hypot(*(values - start)[:2]) > _NEAR_START * radius:  # it was a long way
             values, misfit = fit_ball(self.layers, radius, patch, values, growth)
         px, py = patch.there(values[0], values[1])
-        most_px = _MOST_MOVED * self.radius_px * math.exp(growth) + _MOST_MOVED_PX
+        most_px = _MAX_MOVED * self.radius_px * math.exp(growth) + _MAX_MOVED_PX
         if math.hypot(px - begin.x, py - begin.y) > most_px:
             return None
         return Placing(px, py, self.radius_px * math.exp(values[2]), misfit)
@@ -188,7 +164,7 @@ def learn_appearance(
         None where it is seen too seldom.
     """
     known = np.flatnonzero(np.isfinite(places_px[:, 0]) & np.isfinite(areas_px))
-    if len(known) < _LEAST_SAMPLES:
+    if len(known) < _MIN_SAMPLES:
         return None
     radius = float(np.quantile(np.sqrt(areas_px[known] / np.pi), _FIRST_RADIUS))
     positions = {int(at): (float(places_px[at, 0]), float(places_px[at, 1]), 0.0) for at in known}
@@ -203,7 +179,7 @@ def learn_appearance(
                 patches.append(patch)
                 starts.append(np.array([*patch.here(x, y), growth, 0.0, 0.0, 0.0]))
                 used.append(at)
-        if len(patches) < _LEAST_SAMPLES:
+        if len(patches) < _MIN_SAMPLES:
             return None
         before, ball = ball, Appearance(_layers(patches, starts, radius * zoom), radius, zoom)
         if before is not None and abs(before.radius_px / radius - 1) < _SETTLED:
@@ -228,7 +204,7 @@ def learn_appearance(
 
 
 def _layers(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> FloatPicture:
-    """The median of what is seen, inside a disc with smooth edges; see `Appearance.layers`."""
+    """Take the median of what is seen, in a disc with smooth edges; see `Appearance.layers`."""
     side = 2 * int(np.ceil(radius + 2)) + 1
     seen = np.stack(
         [_straightened(patch.seen, fit, side) for patch, fit in zip(patches, fits, strict=True)]
@@ -246,7 +222,7 @@ def _layers(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> F
 
 
 def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> float:
-    """The ball's radius in its own pixels: to where as often as not it is what differs."""
+    """Measure the ball's radius in its own pixels: to where as often as not it is what differs."""
     side = 2 * int(np.ceil(1.6 * radius + 3)) + 1
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
     apart = np.hypot(x, y)
@@ -266,14 +242,14 @@ def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> 
         fractions.append(np.where(size > _TELLING, np.clip(fraction, 0, 1), np.nan))
     with np.errstate(invalid="ignore"):
         stack = np.array(fractions)
-        enough = np.isfinite(stack).sum(axis=0) >= min(_LEAST_SAMPLES, len(stack))
+        enough = np.isfinite(stack).sum(axis=0) >= min(_MIN_SAMPLES, len(stack))
         middle = np.where(enough, np.nanmedian(np.where(enough, stack, 0.0), axis=0), np.nan)
     rings = np.arange(0.5 * radius, 1.5 * radius + 1, _RING_PX)
     profile = []
     for ring in rings:
         values = middle[np.abs(apart - ring) < _RING_PX]
         values = values[np.isfinite(values)]
-        profile.append(float(np.median(values)) if len(values) >= _LEAST_IN_RING else np.nan)
+        profile.append(float(np.median(values)) if len(values) >= _MIN_IN_RING else np.nan)
     known = np.isfinite(profile)
     below = np.flatnonzero(known & (np.array(profile) < 0.5))
     if not len(below) or below[0] == 0:
@@ -282,17 +258,11 @@ def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> 
     high, low = profile[at - 1], profile[at]
     part = (high - 0.5) / (high - low) if np.isfinite(high) and high > low else 0.5
     outline = rings[at - 1] + _RING_PX * part
-    return float(np.clip(outline, _LEAST_CHANGE * radius, _MOST_CHANGE * radius))
+    return float(np.clip(outline, _MIN_CHANGE * radius, _MAX_CHANGE * radius))
 
 
 def _straightened(picture: FloatPicture, values: Array, side: int) -> FloatPicture:
-    """A patch with the ball in its middle and at its usual size.
-
-    Args:
-        picture: `seen` or `behind` of a patch, shape (3, N, N).
-        values: where the ball is, see `draw_ball`; shape (6,).
-        side: pixels of the result, shape (side, side, 3).
-    """
+    """Warp a patch (3, N, N) to (side, side, 3), the ball in its middle and at its usual size."""
     import cv2
 
     x, y, growth = values[:3]

@@ -1,4 +1,4 @@
-"""What a fixed camera shows where nothing moves."""
+"""Background of a fixed camera: what it shows where nothing moves."""
 
 from __future__ import annotations
 
@@ -12,43 +12,34 @@ from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array, Picture
 
+# Pixels that have been computed with: (height, width, 3), or (height, width).
 FloatPicture = NDArray[np.float32]
-"""Pixels that have been computed with: (height, width, 3), or (height, width)."""
 
-_LEAST_DIFFERENCE = 14
-"""Of 255: compression changes a still pixel by less, however quiet its samples are."""
+# Of 255: compression changes a still pixel by less, however quiet its samples are.
+_MIN_DIFFERENCE = 14
 
-_NOISE_FACTOR = 5.0
-"""Standard deviations: of a million pixels, one differs by so much by noise."""
-
+_NOISE_FACTOR = 5.0  # standard deviations: of a million pixels, one differs by so much by noise
+# Standard deviation of a normal distribution over its median absolute deviation.
 _SD_OF_MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
+# About so many pixels, on a grid, say how bright a picture is to a fraction of a level.
 _LIT_PX = 1500
-"""About so many pixels, on a grid, say how bright a picture is to a fraction of a level."""
 
+# Of 255: outside, a pixel is clipped or mostly noise, and does not follow the light.
 _DARK, _BRIGHT = 20, 235
-"""Of 255: outside, a pixel is clipped or mostly noise, and does not follow the light."""
 
-_LEAST_LIT = 100
-"""Pixels between the two that make a median; with fewer, the light is taken for constant."""
+# Pixels between the two that make a median; with fewer, the light is taken for constant.
+_MIN_LIT = 100
 
-_BLOCK = (3, 3)
-"""Pixels that make one of a smooth picture."""
-
-_SAME_LIGHT = 0.5
-"""Of 255: light that changes the brightest pixel by less has not changed."""
-
-_STRIP_ROWS = 32
-"""Of all samples at once: the whole stack would take much memory."""
-
-_SMOOTHER = 2.0
-"""By about as much is noise less in a smooth picture."""
+_BLOCK = (3, 3)  # pixels that make one of a smooth picture
+_SAME_LIGHT = 0.5  # of 255: light that changes the brightest pixel by less has not changed
+_STRIP_ROWS = 32  # of all samples at once: the whole stack would take much memory
+_SMOOTHER = 2.0  # by about as much is noise less in a smooth picture
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """The still picture, and how far a pixel must be from it to count as something else.
+    """Still picture, and how far a pixel must be from it to count as something else.
 
     Attributes:
         picture: uint8, shape (H, W, 3).
@@ -65,10 +56,7 @@ class Background:
     later: Picture | None = None
 
     def difference(self, picture: Picture) -> Picture:
-        """Largest difference of the three smooth colours, the light's changes undone.
-
-        Args:
-            picture: RGB, shape (H, W, 3).
+        """Compute the largest difference of the three smooth colours, the light's changes undone.
 
         Returns:
             Shape (H, W); it is the same array, overwritten, for the next picture.
@@ -90,13 +78,13 @@ class Background:
         return _Scratch.of(self.smooth)
 
     def gain(self, picture: Picture) -> float:
-        """How much brighter the still picture is, by most of its pixels."""
+        """Return how much brighter the still picture is, by the median of its pixels."""
         height, width = picture.shape[:2]
         every = max(1, math.isqrt(height * width // _LIT_PX))
         mine = self.picture[::every, ::every].astype(np.float32)
         theirs = picture[::every, ::every].astype(np.float32)
         lit = (theirs > _DARK) & (theirs < _BRIGHT) & (mine > _DARK) & (mine < _BRIGHT)
-        return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > _LEAST_LIT else 1.0
+        return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > _MIN_LIT else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +103,12 @@ class _Scratch:
 
     @classmethod
     def of(cls, picture: Picture) -> _Scratch:
-        """Arrays for pictures of this one's shape."""
+        """Allocate arrays for pictures of this one's shape."""
         planes = tuple(np.empty(picture.shape[:2], np.uint8) for _ in range(3))
         return cls(np.empty_like(picture), np.empty_like(picture), planes)
 
     def largest_difference(self, still: Picture) -> Picture:
-        """Of the three colours of the smooth picture; NumPy takes ten times as long for it."""
+        """Return the largest difference of the three colours; NumPy takes ten times as long."""
         import cv2
 
         cv2.absdiff(self.smooth, still, dst=self.apart)
@@ -133,7 +121,7 @@ class _Scratch:
 def still_background(
     samples: Sequence[Picture], maybe_px: Sequence[Array] = (), radius_px: float = 0.0
 ) -> Background:
-    """The median of pictures from all over the recording, and thresholds from their spread.
+    """Take the median of pictures from all over the recording, and thresholds from their spread.
 
     Of each pixel the spread is the median absolute deviation of its smooth colours, the largest of
     three by three pixels: the camera may shake.
@@ -164,21 +152,18 @@ def still_background(
     if any(np.isfinite(where[:, 0]).any() for where in maybe_px):
         _leave_out(median, spread, samples, maybe_px, radius_px)
     widened = np.asarray(cv2.dilate(spread, np.ones((3, 3), np.uint8)))
-    wanted = np.maximum(_NOISE_FACTOR * _SD_OF_MAD * widened, _LEAST_DIFFERENCE)
+    wanted = np.maximum(_NOISE_FACTOR * _SD_OF_MAD * widened, _MIN_DIFFERENCE)
     threshold = np.minimum(wanted, 255).astype(np.uint8)
     return Background(median, _smooth(median), threshold)
 
 
 def halved_background(samples: Sequence[Picture]) -> Background:
-    """The same, with the medians of its two halves in place of one for all.
+    """Compute the same with the medians of the recording's two halves in place of one for all.
 
     A hand that holds the ball is still for most of the first half, a ball that lies for most of the
     second. What stands out of both halves moves; out of one alone, it may be the place that a hand
     has left, or one where the ball will lie. But a ball that lingers in one place, too, is lost
     there: so this is for where one picture shows nothing that flies.
-
-    Args:
-        samples: uint8, shape (H, W, 3) each.
     """
     whole = still_background(samples)
     middle = len(samples) // 2
@@ -187,7 +172,7 @@ def halved_background(samples: Sequence[Picture]) -> Background:
 
 
 def middle_of(stack: Sequence[Picture]) -> Picture:
-    """The median, pixel by pixel, of N pictures, the lower one of an even N.
+    """Take the median, pixel by pixel, of N pictures, the lower one of an even N.
 
     Batcher's odd-even merge sort, each comparison made for all pixels at once (Knuth 1998, 5.2.2,
     algorithm M): many times as quick as sorting pixel by pixel.
@@ -251,7 +236,7 @@ def _leave_out(
 
 
 def _smooth(picture: Picture) -> Picture:
-    """Each pixel the mean of three by three."""
+    """Average each pixel over three by three."""
     import cv2
 
     return np.asarray(cv2.blur(picture, _BLOCK), np.uint8)

@@ -1,4 +1,4 @@
-"""The ball in one picture: where it is expected, else wherever it may be."""
+"""Detection of the ball in one picture: where it is expected, else anywhere."""
 
 from __future__ import annotations
 
@@ -15,36 +15,27 @@ from analysis.tracking.candidates import Blobs, ColorAndSize, coloured_blobs
 from analysis.tracking.following import COLOUR_OFF
 from tunenet_logs.arrays import Array, Picture
 
-_SURE = 0.3
-"""Misfit of a `Placing` below which nothing better is looked for."""
+_SURE = 0.3  # misfit of a `Placing` below which nothing better is looked for
+_MAX_BLOBS = 3  # of the ball's colour, that a fit may start from
+# Of what looks like the ball anywhere, that a fit starts from: each costs some milliseconds.
+_MAX_STARTS = 5
 
-_MOST_BLOBS = 3
-"""Of the ball's colour, that a fit may start from."""
-
-_MOST_STARTS = 5
-"""Of what looks like the ball anywhere, that a fit starts from: each costs some milliseconds."""
-
+# Least and most of such a start's radius over the ball's: a blob may be cut, or have grown together
+# with something else.
 _GROWN = (0.65, 1.5)
-"""Least and most of such a start's radius over the ball's: a blob may be cut, or have grown
-together with something else."""
 
-_MIDDLE = 0.6
-"""Of the radius: half the side of a square that lies within the ball."""
-
-_SURROUNDINGS = 5.0
-"""Ball radii around a position in which to look for what is like the ball."""
-
+_MIDDLE = 0.6  # of the radius: half the side of a square that lies within the ball
+_SURROUNDINGS = 5.0  # ball radii around a position in which to look for what is like the ball
+# Radius to which a larger ball is reduced to look there; also, in reduced pixels, how far apart the
+# places are that are found.
 _COARSE_PX = 4.0
-"""Radius to which a larger ball is reduced to look there; also, in reduced pixels, how far
-apart the places are that are found."""
 
-_LIKELIEST = 2
-"""Places there: a shadow or a reflection may be more like the ball than the ball."""
+_LIKELIEST = 2  # places there: a shadow or a reflection may be more like the ball than the ball
 
 
 @dataclass(frozen=True, eq=False)
 class BallDetector:
-    """Finds the ball in one picture, once it is known how it looks and about where it is.
+    """Detector of a ball whose appearance and approximate position are known.
 
     Attributes:
         background: without it.
@@ -59,7 +50,7 @@ class BallDetector:
     allowed: Picture | None
 
     def find(self, picture: Picture, expected_px: Array, still_px: Array) -> Blobs:
-        """Candidates in a picture: the ball where it is expected, else all like it.
+        """Find candidates in a picture: the ball where it is expected, else all like it.
 
         Args:
             picture: RGB, shape (H, W, 3).
@@ -75,15 +66,15 @@ class BallDetector:
         placer.fit_from([(x, y, 1.0) for x, y in around])
         if not placer.is_sure:
             like = [(*at, 1.0) for near in around for at in _alike(self.appearance, picture, *near)]
-            placer.fit_from([*like, *self._coloured(picture)], _MOST_STARTS)
+            placer.fit_from([*like, *self._coloured(picture)], _MAX_STARTS)
         return placer.blobs()
 
     def _coloured(self, picture: Picture) -> list[tuple[float, float, float]]:
-        """Where blobs of its colour are, the most alike first: x, y [px], and how much grown."""
+        """Return blobs of its colour, the most alike first: x, y [px], and how much grown."""
         found = coloured_blobs(picture, self.background, self.ball, self.allowed)
         unlike = np.linalg.norm(found.colours - self.ball.colour, axis=1) / COLOUR_OFF
         unlike += np.abs(np.log(found.areas_px / self.ball.area_px))
-        best = np.argsort(unlike)[:_MOST_BLOBS]
+        best = np.argsort(unlike)[:_MAX_BLOBS]
         grown = np.clip(np.sqrt(found.areas_px[best] / self.ball.area_px), *_GROWN)
         return np.column_stack([found.places_px[best], grown]).tolist()
 
@@ -115,12 +106,7 @@ class _Placer:
     def fit_from(
         self, places: Sequence[tuple[float, float, float]], most: int | None = None
     ) -> None:
-        """Fit the ball near places: x, y [px], and how much it has grown.
-
-        Args:
-            places: the likeliest first.
-            most: fit from so many, those that explain the picture best; None for all as they come.
-        """
+        """Fit the ball near places (x, y [px], growth), or near the `most` that are most alike."""
         begin = partial(self._appearance.start, self._picture, self._background, self._gain)
         starts = [start for place in places if (start := begin(*place)) is not None]
         if most is not None:
@@ -142,7 +128,7 @@ class _Placer:
         return 0 <= row < height and 0 <= column < width and bool(self._allowed[row, column])
 
     def blobs(self) -> Blobs:
-        """What was placed, as candidates."""
+        """Return what was placed, as candidates."""
         height, width = self._picture.shape[:2]
         positions = np.array([(fit.x, fit.y) for fit in self.placed]).reshape(-1, 2)
         radii = np.array([fit.radius_px for fit in self.placed])
@@ -161,10 +147,7 @@ class _Placer:
 
 
 def _alike(ball: Appearance, picture: Picture, x: float, y: float) -> list[tuple[float, float]]:
-    """Where near a position the picture is most like the ball, the best first: x and y [px].
-
-    By template matching of the masked ball, squared differences, in a reduced picture.
-    """
+    """Match the masked ball near a position, in a reduced picture: x and y [px], best first."""
     import cv2
 
     half = int(np.ceil(_SURROUNDINGS * ball.radius_px)) + 2

@@ -1,4 +1,4 @@
-"""A recording on a page of this machine, where a user shows the ball before tuning goes on."""
+"""Web page of this machine on which a user marks the ball before tuning goes on."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from recorders.loopback_page import Answer, LoopbackPage, as_json, place_in
 from tunenet_logs.episode import Episode
 from tunenet_logs.terminal import Progress
 
+# Where the ball is: x, y [px] as `Hints.ball_at` counts them, and seconds since the topic's first
+# picture.
 Mark = tuple[float, float, float]
-"""Where the ball is: x, y [px] as `Hints.ball_at` counts them, and seconds since the topic's first
-picture."""
 
+# Between two looks at whether the page was closed: nobody notices that it is so late.
 _POLL_SECONDS = 0.2
-"""Between two looks at whether the page was closed: nobody notices that it is so late."""
 
+# A page that was left and is not back so soon is closed; one that is loaded again is back.
 _AWAY_SECONDS = 3.0
-"""A page that was left and is not back so soon is closed; one that is loaded again is back."""
 
 
 def mark_ball(
@@ -34,17 +34,9 @@ def mark_ball(
     end_s: float | None = None,
     progress: Progress | None = None,
 ) -> Mark | None:
-    """Serve a topic's pictures on a page, and wait for what its user decides.
+    """Serve a topic's pictures on a page, and wait for its user; return None without a mark.
 
-    Args:
-        episode: with frames.
-        topic: which of its picture topics.
-        start_s: leave out what comes before, in seconds since the first picture.
-        end_s: leave out what comes after.
-        progress: where to show how far reading is.
-
-    Returns:
-        The mark; None to go on without one.
+    `start_s` and `end_s` [s since the first picture] select a part.
 
     Raises:
         UsageError: there is no picture that can be decoded.
@@ -60,7 +52,7 @@ def mark_ball(
 
 
 class Marking:
-    """The page, and what its user decided. It is served on 127.0.0.1 alone, until `close`.
+    """Page to mark the ball on, served on 127.0.0.1 alone, until `close`.
 
     Attributes:
         url: where it is.
@@ -75,7 +67,7 @@ class Marking:
         self.url = self._page.url
 
     def wait(self) -> Mark | None:
-        """The mark, or None to go on without one, once the user has decided.
+        """Wait for the user; return the mark, or None to go on without one.
 
         Raises:
             KeyboardInterrupt: the page was closed.
@@ -92,7 +84,7 @@ class Marking:
         self._page.close()
 
     def get(self, path: str) -> Answer | None:
-        """The page, what it shows, one of its pictures."""
+        """Answer a request for the page, for what it shows, or for one of its pictures."""
         self._note_leaving(None)
         if path == "/":
             page = files("analysis.tracking").joinpath("ball_picker.html").read_bytes()
@@ -107,7 +99,7 @@ class Marking:
         return None
 
     def post(self, path: str, body: Mapping[str, Any]) -> Answer | None:
-        """A button, or the page's farewell."""
+        """Answer a button, or the page's farewell."""
         if path == "/leave":
             self._note_leaving(time.monotonic())
             return Answer()
@@ -126,13 +118,13 @@ class Marking:
         }
 
     def _number(self, text: object) -> int | None:
-        """Which picture a text names; None for none."""
+        """Return which picture a text names; None for none."""
         if isinstance(text, str) and text.isascii() and text.isdecimal() and len(text) < 10:
             return int(text) if int(text) < len(self._album.thumbnails) else None
         return None
 
     def _mark(self, body: Mapping[str, Any]) -> Mark | None:
-        """What was clicked on, if it is a position in one of the pictures."""
+        """Return what was clicked on, if it is a position in one of the pictures."""
         place, number = place_in(body), self._number(str(body.get("picture")))
         width, height = self._album.size_px
         if place is None or number is None:

@@ -1,4 +1,4 @@
-"""Whether the camera stands still: without a still background no ball is told from the rest."""
+"""Check of a still camera: without a still background no ball can be found."""
 
 from __future__ import annotations
 
@@ -10,34 +10,30 @@ from analysis.tracking.background import middle_of
 from tunenet_logs.arrays import Array, Picture
 from tunenet_logs.errors import NotFoundError
 
+# To which the longer side of a picture is reduced: noise and a shaking hand average out.
 _SIDE_PX = 240
-"""To which the longer side of a picture is reduced: noise and a shaking hand average out."""
 
-_TILES = 6
-"""A picture's tiles, each way."""
-
+_TILES = 6  # a picture's tiles, each way
+# Standard deviation [of 255] of a tile that shows something: more than a wall and noise.
 _TEXTURE = 8.0
-"""Standard deviation [of 255] of a tile that shows something: more than a wall and noise."""
 
-_FEWEST = 14
-"""Tiles of 36 that show something, in most pictures: in fewer it may be what moves, an arm or a
-large ball."""
+# Tiles of 36 that show something, in most pictures: in fewer it may be what moves, an arm or a
+# large ball.
+_MIN_COUNT = 14
 
-_SAME = 0.7
-"""Correlation of a tile with the still picture's, below which it shows something else."""
-
-_MOST_ELSEWHERE = 0.5
-"""Of the tiles that show something, and of the pictures: with more the background is none."""
+_SAME = 0.7  # correlation of a tile with the still picture's, below which it shows something else
+# Of the tiles that show something, and of the pictures: with more the background is none.
+_MAX_ELSEWHERE = 0.5
 
 
 def check_still(samples: Sequence[Picture]) -> None:
-    """Look at pictures from all over the recording before the costly search for what flies.
+    """Check that the camera is still, before the costly search for what flies.
 
     Raises:
-        NotFoundError: most of them show something else than the median of all.
+        NotFoundError: most pictures show something else than the median of all.
     """
     share = share_elsewhere(samples)
-    if share > _MOST_ELSEWHERE:
+    if share > _MAX_ELSEWHERE:
         raise NotFoundError(
             f"the camera moves: {100 * share:.0f} % of the pictures looked at show another view; "
             "at the next drop: fix the camera, or tune the part in which it stands still "
@@ -46,11 +42,7 @@ def check_still(samples: Sequence[Picture]) -> None:
 
 
 def share_elsewhere(samples: Sequence[Picture]) -> float:
-    """Fraction of pictures in which most of what there is to see is not where it mostly is.
-
-    Args:
-        samples: uint8, shape (H, W, 3) each.
-    """
+    """Return the fraction of pictures most of whose textured tiles differ from the median's."""
     reduced = [_reduced(sample) for sample in samples]
     still = _tiles(middle_of(reduced))
     spread = still.std(axis=1)
@@ -61,11 +53,11 @@ def share_elsewhere(samples: Sequence[Picture]) -> float:
         shown = np.maximum(spreads, spread) > _TEXTURE
         alike = (tiles * still).mean(axis=1) / np.maximum(spreads * spread, 1e-3)
         seen[at], changed[at] = shown.sum(), (shown & (alike < _SAME)).sum()
-    return float(np.mean(changed > _MOST_ELSEWHERE * seen)) if np.median(seen) >= _FEWEST else 0.0
+    return float(np.mean(changed > _MAX_ELSEWHERE * seen)) if np.median(seen) >= _MIN_COUNT else 0.0
 
 
 def _reduced(picture: Picture) -> Picture:
-    """Its brightness, small and smooth, shape (H, W)."""
+    """Reduce a picture to its brightness, small and smooth, shape (H, W)."""
     import cv2
 
     scale = min(1.0, _SIDE_PX / max(picture.shape[:2]))
@@ -75,7 +67,7 @@ def _reduced(picture: Picture) -> Picture:
 
 
 def _tiles(picture: Picture) -> Array:
-    """Of a picture of shape (H, W), each tile less its mean, shape (tiles, pixels)."""
+    """Cut a picture of shape (H, W) into tiles, each less its mean, shape (tiles, pixels)."""
     tall, wide = picture.shape[0] // _TILES, picture.shape[1] // _TILES
     cut = picture[: tall * _TILES, : wide * _TILES].astype(np.float64)
     parts = cut.reshape(_TILES, tall, _TILES, wide).transpose(0, 2, 1, 3)

@@ -1,4 +1,4 @@
-"""What may be the ball: what stands out of the background in one picture, and in all of them."""
+"""Ball candidates: what stands out of the background in one picture, and in all of them."""
 
 from __future__ import annotations
 
@@ -11,47 +11,37 @@ from numpy.typing import NDArray
 from analysis.tracking.background import Background
 from tunenet_logs.arrays import Array, Picture
 
-_MOST = 12
-"""Candidates kept of each picture: people and shadows make many, and many more triples."""
+_MAX = 12  # candidates kept of each picture: people and shadows make many, and many more triples
+_MIN_AREA_PX = 5
+_MIN_OUTLINE_PX = 4  # pixels: what has a smaller area, or a shorter outline, is noise
+# Outlines of a picture whose pixels are looked at, by the size of their boxes: bounds the time.
+_MAX_INSPECTED = 40
 
-_LEAST_AREA_PX = 5
-_LEAST_OUTLINE_PX = 4
-"""Pixels: what has a smaller area, or a shorter outline, is noise."""
-
-_MOST_INSPECTED = 40
-"""Outlines of a picture whose pixels are looked at, by the size of their boxes: bounds the time."""
-
+# Squared sine of the angle between two differences of colour that cannot be told apart.
 _INDISTINCT = 0.06
-"""Squared sine of the angle between two differences of colour that cannot be told apart."""
 
+# Of the difference between a dark ball and what is behind it: a shadow may make as much of it.
 _SHADOW_FRACTION = 0.3
-"""Of the difference between a dark ball and what is behind it: a shadow may make as much of it."""
 
-_BIG_FRACTION = 0.05
-"""Of the picture's area: no ball that is filmed with its whole drop takes more."""
-
-_SOLID_FRACTION = 0.25
-"""Of a pixel that must be ball to count: less may be noise."""
-
+_BIG_FRACTION = 0.05  # of the picture's area: no ball that is filmed with its whole drop takes more
+_SOLID_FRACTION = 0.25  # of a pixel that must be ball to count: less may be noise
+# Squared difference of two colours (0 to 255, summed over RGB): background that is nearer to the
+# ball's colour, about 10 in each channel, cannot say how much of a pixel is ball.
 _OWN_COLOUR = 300.0
-"""Squared difference of two colours (0 to 255, summed over RGB): background that is nearer to the
-ball's colour, about 10 in each channel, cannot say how much of a pixel is ball."""
 
-_CORE = 0.6
-"""Of the largest difference: pixels above it are wholly ball, and give its colour."""
+_CORE = 0.6  # of the largest difference: pixels above it are wholly ball, and give its colour
 
 
 @dataclass(frozen=True, eq=False)
 class Blobs:
-    """The N candidates in one picture, the strongest first.
+    """Candidates in one picture, N of them, the strongest first.
 
     Attributes:
         places_px: x right, y down; the first pixel's centre is 0, 0; shape (N, 2).
         areas_px: [px²], shape (N,).
         colours: mean RGB, 0 to 255, shape (N, 3).
         whole: whether it ends inside the picture, shape (N,).
-        misfits: what speaks against each being the ball, where its appearance is known (see
-            `Placing`), else 0; shape (N,).
+        misfits: see `Placing`; 0 where the ball's appearance is not known; shape (N,).
     """
 
     places_px: Array
@@ -63,7 +53,7 @@ class Blobs:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """The blobs of T pictures as one table of M columns, NaN where a picture has fewer.
+    """Blobs of T pictures as one table of M columns, NaN where a picture has fewer.
 
     Attributes:
         seconds: since the first picture, shape (T,).
@@ -100,13 +90,13 @@ class Candidates:
         return cls(seconds, positions, areas, colours, whole, misfits)
 
     def inside(self) -> Candidates:
-        """Without those that the picture's edge cuts: arms and people, not balls."""
+        """Remove those that the picture's edge cuts: arms and people, not balls."""
         positions = np.where(self.whole[:, :, None], self.places_px, np.nan)
         areas = np.where(self.whole, self.areas_px, np.nan)
         return replace(self, places_px=positions, areas_px=areas)
 
     def some(self, frames: NDArray[np.intp]) -> Candidates:
-        """Those of the pictures with these numbers."""
+        """Return the candidates of the pictures with these numbers."""
         return Candidates(
             self.seconds[frames],
             self.places_px[frames],
@@ -119,7 +109,7 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class ColorAndSize:
-    """The ball's mean colour, and its size.
+    """Mean colour of the ball, and its size.
 
     Attributes:
         colour: RGB, 0 to 255, shape (3,).
@@ -131,17 +121,14 @@ class ColorAndSize:
 
     @property
     def radius_px(self) -> float:
-        """Of a disc of that area."""
+        """Radius of a disc of that area."""
         return float(np.sqrt(self.area_px / np.pi))
 
 
 def moving_blobs(picture: Picture, background: Background, allowed: Picture | None) -> Blobs:
-    """Candidates by their difference from the background alone.
+    """Find candidates by their difference from the background alone.
 
-    Args:
-        picture: RGB, shape (H, W, 3).
-        background: of the same size.
-        allowed: 1 where the ball may be, shape (H, W); None for everywhere.
+    `allowed` is 1 where the ball may be, shape (H, W); None for everywhere.
     """
     difference = background.difference(picture)
     mask = difference > background.threshold
@@ -153,7 +140,7 @@ def moving_blobs(picture: Picture, background: Background, allowed: Picture | No
 def coloured_blobs(
     picture: Picture, background: Background, ball: ColorAndSize, allowed: Picture | None
 ) -> Blobs:
-    """Candidates by how much of each pixel is ball; see `moving_blobs`.
+    """Find candidates by the fraction of each pixel that is ball; see `moving_blobs`.
 
     A pixel is part background B, part ball C, part shadow: I - B = a (C - B) - b B, a, b >= 0.
     """
@@ -173,14 +160,7 @@ def coloured_blobs(
 
 
 def hsv_blobs(picture: Picture, low: Array, high: Array, allowed: Picture | None) -> Blobs:
-    """Candidates by a range of hue (0 to 179, may wrap), saturation and value (0 to 255).
-
-    Args:
-        picture: RGB, shape (H, W, 3).
-        low: ends of the three ranges, shape (3,).
-        high: likewise.
-        allowed: see `moving_blobs`.
-    """
+    """Find candidates by a range of hue (0 to 179, may wrap), saturation and value (0 to 255)."""
     import cv2
 
     hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
@@ -198,7 +178,7 @@ def hsv_blobs(picture: Picture, low: Array, high: Array, allowed: Picture | None
 def _ball_fraction(
     off: NDArray[np.float32], towards: NDArray[np.float32], shade: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Non-negative least squares of two columns, pixel by pixel, clipped to [0, 1]."""
+    """Solve non-negative least squares of two columns, pixel by pixel, clipped to [0, 1]."""
     aa, bb, ab, ya, yb = (
         np.einsum("ij,ij->i", first, second)
         for first, second in (
@@ -224,7 +204,7 @@ def _ball_fraction(
 
 
 def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | Picture) -> Blobs:
-    """Connected parts of a mask, filled, each with its centre of mass by `weight`."""
+    """Find connected components of a mask, filled, each with its centre of mass by `weight`."""
     import cv2
 
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
@@ -232,17 +212,17 @@ def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | P
     boxes = [
         (cv2.boundingRect(outline), outline)
         for outline in outlines
-        if len(outline) >= _LEAST_OUTLINE_PX
+        if len(outline) >= _MIN_OUTLINE_PX
     ]
     boxes.sort(key=lambda boxed: boxed[0][2] * boxed[0][3], reverse=True)
     height, width = mask.shape
     rows: list[tuple[float, ...]] = []
-    for (left, top, wide, tall), outline in boxes[:_MOST_INSPECTED]:
+    for (left, top, wide, tall), outline in boxes[:_MAX_INSPECTED]:
         box = slice(top, top + tall), slice(left, left + wide)
         filled = np.zeros((tall, wide), np.uint8)
         cv2.drawContours(filled, [outline], 0, 1, -1, offset=(-left, -top))
         part = np.asarray(closed)[box].astype(bool) & filled.astype(bool)
-        if not _LEAST_AREA_PX <= part.sum() <= _BIG_FRACTION * mask.size:
+        if not _MIN_AREA_PX <= part.sum() <= _BIG_FRACTION * mask.size:
             continue
         mass = np.where(part, weight[box], 0).astype(np.float32)
         total = float(mass.sum())
@@ -257,21 +237,13 @@ def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | P
         soft = total / float(mass.max()) if weight.dtype == np.uint8 else total
         rows.append((total, x, y, max(soft, 1.0), *colour, float(whole)))
     rows.sort(reverse=True)
-    table = np.array(rows[:_MOST], np.float64).reshape(-1, 8)
+    table = np.array(rows[:_MAX], np.float64).reshape(-1, 8)
     none = np.zeros(len(table))
     return Blobs(table[:, 1:3], table[:, 3], table[:, 4:7], table[:, 7] > 0, none)
 
 
 def picked(values: Array, chosen: NDArray[np.intp]) -> Array:
-    """The chosen candidate's value in each picture; NaN for none.
-
-    Args:
-        values: of M candidates in T pictures, shape (T, M) or (T, M, K).
-        chosen: number of one, or -1, shape (T,).
-
-    Returns:
-        Shape (T,) or (T, K).
-    """
+    """Return the chosen candidate's value in each picture, (T,) or (T, K); NaN for choice -1."""
     found = values[np.arange(len(chosen)), np.maximum(chosen, 0)].astype(np.float64)
     found[chosen < 0] = np.nan
     return found

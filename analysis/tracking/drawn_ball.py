@@ -1,10 +1,10 @@
-"""The ball drawn into a small part of a picture, and fitted to it.
+"""Template alignment of the ball to a small part of a picture (Lucas-Kanade).
 
 A pixel is background B and ball P in the fractions that the outline gives: (1 - a) B + a P. The
-ball's picture moves, grows and takes more or less light until that is what is seen: Lucas and
-Kanade's alignment by Gauss-Newton steps. A ball that looks like a part of what is behind it, its
-shadow, its reflection and a hand that holds it hardly move its centre: they are residuals, and
-large ones count little (Geman and McClure's weights, at first wide).
+ball's template moves, grows and takes more or less light until that is what is seen, by
+Gauss-Newton steps. A ball that looks like a part of what is behind it, its shadow, its reflection
+and a hand that holds it hardly move its centre: they are residuals, and large ones count little
+(Geman-McClure weights, at first wide).
 """
 
 from __future__ import annotations
@@ -19,39 +19,31 @@ from numpy.typing import NDArray
 from analysis.tracking.background import Background, FloatPicture
 from tunenet_logs.arrays import Array, Picture
 
-_REACH = 1.6
-"""Ball radii from a patch's middle to its edge: the ball may be off by half of one."""
-
-_ENTIRELY = 0.99
-"""Of a patch's pixel that is in the picture: the rest is rounding of its reduction."""
-
+_REACH = 1.6  # ball radii from a patch's middle to its edge: the ball may be off by half of one
+_ENTIRELY = 0.99  # of a patch's pixel that is in the picture: the rest is rounding of its reduction
+# Standard deviation of a pixel (0 to 255): that of compressed films, no misfit of the ball.
 _NOISE = 4.0
-"""Standard deviation of a pixel (0 to 255): that of compressed films, no misfit of the ball."""
 
-_MARGIN_PX = 4
-"""Around the ball: its edge is soft, and grows with it."""
-
-_MOST_STEPS = 10
+_MARGIN_PX = 4  # around the ball: its edge is soft, and grows with it
+_MAX_STEPS = 10
+# Most Gauss-Newton steps, and one that ends them: OpenCV moves pictures by whole 32nds of a pixel.
 _ENOUGH_PX = 0.03
-"""Most Gauss-Newton steps, and one that ends them: OpenCV moves pictures by whole 32nds of a
-pixel."""
 
-_LONGEST_STEP, _MOST_GROWTH = 0.4, 0.1
-"""Of one step: in ball radii, and in the logarithm of its size. Farther off, the Jacobian is
-different."""
+# Of one step: in ball radii, and in the logarithm of its size. Farther off, the Jacobian is
+# different.
+_MAX_STEP, _MAX_GROWTH = 0.4, 0.1
 
-_LEAST_CURVATURE = np.array([1e-3, 1e-3, 0.0, 0.0, 0.0, 0.0])
-"""Added to the normal matrix's diagonal, so that a ball without contrast does not make it
-singular."""
+# Added to the normal matrix's diagonal, so that a ball without contrast does not make it singular.
+_MIN_CURVATURE = np.array([1e-3, 1e-3, 0.0, 0.0, 0.0, 0.0])
 
+# Residuals that count little: above 30 (of 255) or that fraction of the ball's contrast, whichever
+# is more. At first only larger ones, the bound times 0.65 a step, or the edge would have no
+# gradient.
 _LARGE, _LARGE_FRACTION, _STRICTER = 30.0, 0.35, 0.65
-"""Residuals that count little: above 30 (of 255) or that fraction of the ball's contrast, whichever
-is more. At first only larger ones, the bound times 0.65 a step, or the edge would have no
-gradient."""
 
+# Inverse variances of the values that are fitted. Standard deviations: .25 of the logarithm of the
+# size, .2 of the light, as a whole, to the right and downward; of x and y nothing is known.
 _PRIOR = np.array([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
-"""Inverse variances of the values that are fitted. Standard deviations: .25 of the logarithm of the
-size, .2 of the light, as a whole, to the right and downward; of x and y nothing is known."""
 
 _STARTS = (
     (0, 0, 0.0),
@@ -62,16 +54,16 @@ _STARTS = (
     (0, 0, 0.2),
     (0, 0, -0.2),
 )
+# Starts around a given one: steps right and down, each .45 ball radii, and growth (logarithm).
 _START_STEP = 0.45
-"""Starts around a given one: steps right and down, each .45 ball radii, and growth (logarithm)."""
 
+# Factors of that bound at first: from a start that may be far off, and from one about right.
 _WIDE, NARROW = 4.0, 1.6
-"""Factors of that bound at first: from a start that may be far off, and from one about right."""
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A part of a picture and of the background, N by N pixels, reduced where the ball is large.
+    """Part of a picture and of the background, N by N pixels, reduced where the ball is large.
 
     Attributes:
         seen, behind: colours (0 to 255), a plane for each, shape (3, N, N).
@@ -93,16 +85,16 @@ class Patch:
 
     @cached_property
     def is_cut(self) -> bool:
-        """Whether a part of it is out of the picture."""
+        """Whether a part of the patch is out of the picture."""
         return not self.inside.all()
 
     def here(self, x: float, y: float) -> tuple[float, float]:
-        """A position in the picture, in the patch's pixels."""
+        """Convert a position in the picture to the patch's pixels."""
         z = self.zoom
         return (x - self.left + 0.5) * z - 0.5, (y - self.top + 0.5) * z - 0.5
 
     def there(self, x: float, y: float) -> tuple[float, float]:
-        """A position in the patch, in the picture's pixels."""
+        """Convert a position in the patch to the picture's pixels."""
         z = self.zoom
         return (x + 0.5) / z - 0.5 + self.left, (y + 0.5) / z - 0.5 + self.top
 
@@ -115,15 +107,9 @@ def cut_patch(
     radius_px: float,
     zoom: float,
 ) -> Patch | None:
-    """What is within 1.6 ball radii of a position; None out of the picture.
+    """Cut what is within 1.6 ball radii of a position; None out of the picture.
 
-    Args:
-        picture: RGB, shape (H, W, 3).
-        background: behind it.
-        gain: how much brighter that is.
-        position_px: x and y.
-        radius_px: of the ball.
-        zoom: about the patch's pixels per pixel of the picture, at most 1.
+    `gain` is how much brighter the background is, `zoom` about patch pixels per pixel, at most 1.
     """
     import cv2
 
@@ -158,13 +144,13 @@ def cut_patch(
 
 
 def _mean_square(planes: FloatPicture) -> FloatPicture:
-    """Over the three colours, shape (N, M) of (3, N, M)."""
+    """Average the squares over the three colours, shape (N, M) of (3, N, M)."""
     return np.einsum("kij,kij->ij", planes, planes) * np.float32(1 / 3)
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnBall:
-    """The ball in a patch, in the box around it.
+    """Ball rendered in a patch, in the box around it.
 
     Attributes:
         box: rows and columns of the patch, N of them by M.
@@ -183,17 +169,17 @@ class DrawnBall:
     y: FloatPicture
 
     def squared(self, patch: Patch) -> FloatPicture:
-        """Mean squared residual of each pixel of the patch, shape of the patch."""
+        """Return the mean squared residual of each pixel of the patch, shape of the patch."""
         whole = patch.bare.copy()
         whole[self.box] = _mean_square(self.off)
         return whole
 
     def inside(self, patch: Patch) -> NDArray[np.bool_]:
-        """Pixels that are mostly ball and in the picture, shape (N, M)."""
+        """Return which pixels are mostly ball and in the picture, shape (N, M)."""
         return (self.layers[3] > 0.5) & (patch.inside[self.box] > 0)
 
     def misfit(self, patch: Patch) -> float:
-        """See `Placing`; infinite where nothing of the ball is in the picture."""
+        """Return the misfit, see `Placing`; infinite where no ball is in the picture."""
         inside = self.inside(patch)
         if not inside.any():
             return np.inf
@@ -201,16 +187,12 @@ class DrawnBall:
         return math.sqrt(beyond_noise) / self.contrast(inside)
 
     def contrast(self, inside: NDArray[np.bool_]) -> float:
-        """How far the ball stands out of the background (0 to 255), rms, at least 1."""
+        """Return how far the ball stands out of the background (0 to 255), rms, at least 1."""
         stands_out = (self.layers[:3] - self.behind * self.layers[3])[:, inside]
         return math.sqrt(float(np.square(stands_out).mean()) + 1.0) if stands_out.size else 1.0
 
     def jacobian(self, radius: float) -> FloatPicture:
-        """Derivative of what would be seen by each value of `draw_ball`, shape (6, 3, N, M).
-
-        Args:
-            radius: of the ball's outline, in pixels of the patch.
-        """
+        """Differentiate by the values of `draw_ball`, (6, 3, N, M); `radius` in patch px."""
         layers, colours = self.layers, self.layers[:3]
         slopes = np.zeros((2, *layers.shape), np.float32)  # central differences, doubled
         np.subtract(layers[:, :, 2:], layers[:, :, :-2], out=slopes[0, :, :, 1:-1])
@@ -228,7 +210,7 @@ class DrawnBall:
 
 
 def draw_ball(layers: FloatPicture, radius: float, patch: Patch, values: Array) -> DrawnBall | None:
-    """The ball as it would be seen; None out of the patch.
+    """Render the ball as it would be seen; None out of the patch.
 
     What the patch shows beyond a box around the ball does not depend on it.
 
@@ -268,21 +250,14 @@ def draw_ball(layers: FloatPicture, radius: float, patch: Patch, values: Array) 
 
 
 def unlike(layers: FloatPicture, radius: float, patch: Patch, values: Array) -> float:
-    """How much of what is seen is not explained, each residual counting 1 at most.
-
-    Args:
-        layers: see `Appearance`.
-        radius: of its outline, in pixels of the patch.
-        patch: where.
-        values: see `draw_ball`, shape (6,).
-    """
+    """Return how much of what is seen a drawn ball leaves, each residual counting 1 at most."""
     drawn = draw_ball(layers, radius, patch, values)
     off = patch.bare if drawn is None else drawn.squared(patch)
     return float((off / (off + _LARGE**2)).sum())
 
 
 def best_start(layers: FloatPicture, radius: float, patch: Patch, start: Array) -> Array:
-    """The best of a few starts around, for one that is off by a part of the ball; see `unlike`."""
+    """Return the best by `unlike` of a few starts around one that is off by a part of the ball."""
     step = _START_STEP * radius
     tried = [
         start + np.array([right * step, down * step, growth, 0.0, 0.0, 0.0])
@@ -299,17 +274,11 @@ def fit_ball(
     growth: float,
     at_first: float = _WIDE,
 ) -> tuple[Array, float]:
-    """Runs Gauss-Newton steps in x, y, the logarithm of the size, and the light on the ball.
+    """Fit position, log size and light on the ball by reweighted Gauss-Newton steps.
 
-    Each re-estimates the noise, and weighs residuals by Geman and McClure's function.
-
-    Args:
-        layers: see `Appearance`.
-        radius: of its outline, in pixels of the patch.
-        patch: where.
-        start: values as `draw_ball` takes them, shape (6,).
-        growth: mean of the prior on the logarithm of the size.
-        at_first: factor of the residuals that count little, before the first step.
+    Each step re-estimates the noise, and weighs residuals by Geman and McClure's function. The
+    arguments are those of `draw_ball`; `growth` is the prior mean of the log size, `at_first` a
+    factor on the residuals that count little, before the first step.
 
     Returns:
         The values, shape (6,), and their misfit (see `Placing`).
@@ -322,7 +291,7 @@ def fit_ball(
     if drawn is None:
         return values, np.inf
     strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast(drawn.inside(patch)))
-    for turn in range(_MOST_STEPS):
+    for turn in range(_MAX_STEPS):
         squared = drawn.squared(patch)
         large = strict * max(1.0, at_first * _STRICTER**turn)
         weight = patch.inside / np.square(1 + squared * np.float32(large**-2))
@@ -332,12 +301,12 @@ def fit_ball(
         normal = (weighted @ jacobian.reshape(6, -1).T).astype(np.float64)
         towards = (weighted @ drawn.off.reshape(-1)).astype(np.float64)
         prior = 3 * noise * _PRIOR  # a pixel's three colours err alike: as one
-        normal.flat[::7] += prior + _LEAST_CURVATURE  # its diagonal
+        normal.flat[::7] += prior + _MIN_CURVATURE  # its diagonal
         towards -= prior * (values - expected)
         step = cv2.solve(normal, towards[:, None], flags=cv2.DECOMP_CHOLESKY)[1][:, 0]
         moved = math.hypot(step[0], step[1])
-        step[:2] *= min(1.0, _LONGEST_STEP * radius / (moved + 1e-9))
-        step[2] = min(max(step[2], -_MOST_GROWTH), _MOST_GROWTH)
+        step[:2] *= min(1.0, _MAX_STEP * radius / (moved + 1e-9))
+        step[2] = min(max(step[2], -_MAX_GROWTH), _MAX_GROWTH)
         values = values + step
         drawn = draw_ball(layers, radius, patch, values)
         if drawn is None:

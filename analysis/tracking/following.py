@@ -1,4 +1,4 @@
-"""The ball's way through the candidates, from its flight to both ends of the recording."""
+"""Tracking of the ball through the candidates, from its flight to both ends of the recording."""
 
 from __future__ import annotations
 
@@ -11,42 +11,36 @@ from analysis.tracking.arcs import SLACK_PX, Arc
 from analysis.tracking.candidates import Candidates, ColorAndSize
 from tunenet_logs.arrays import Array
 
-LEAST_SEEN = 8
-"""Pictures with the ball: fewer are no drop and no bounce."""
-
+MIN_SEEN = 8  # pictures with the ball: fewer are no drop and no bounce
+# Without the ball, in seconds or in pictures, whichever is longer: the way is lost. It covers what
+# passes before the ball, and slow films.
 _LOST_S, _LOST_FRAMES = 0.4, 12
-"""Without the ball, in seconds or in pictures, whichever is longer: the way is lost. It covers what
-passes before the ball, and slow films."""
 
+# Speeds, of which the largest bounds the next: a bounce between two pictures makes the way between
+# them short, and the next one long.
 _RECENT = 4
-"""Speeds, of which the largest bounds the next: a bounce between two pictures makes the way
-between them short, and the next one long."""
 
-_REACH = 1.3
-"""Of the way at that speed: noise in it, and in the positions."""
+_REACH = 1.3  # of the way at that speed: noise in it, and in the positions
+# Squared distance from where it is expected, in ball radii, that counts at most: a bounce is not
+# what was expected.
+_MAX_OFF = 4.0
 
-_MOST_OFF = 4.0
-"""Squared distance from where it is expected, in ball radii, that counts at most: a bounce is not
-what was expected."""
-
-_MOST_AGAINST = 12.0
-"""Sum of squares, each of about 1 for the ball, above which a candidate is none."""
-
+_MAX_AGAINST = 12.0  # sum of squares, each of about 1 for the ball, above which a candidate is none
+# Differences that count 1: in RGB (0 to 255), in the logarithm of the area, and of a `Placing`.
 COLOUR_OFF, _LOG_AREA, _MISFIT = 45.0, 0.6, 0.35
-"""Differences that count 1: in RGB (0 to 255), in the logarithm of the area, and of a `Placing`."""
 
+# Pictures with the ball within half a radius of one place that are enough: more of the same
+# background teach nothing of the ball.
 _ALIKE_POSITIONS = 2
-"""Pictures with the ball within half a radius of one place that are enough: more of the same
-background teach nothing of the ball."""
 
-_MOST_SHOWN = 24
-"""Pictures that the ball's appearance is learnt from: all of them are in memory at once."""
+# Pictures that the ball's appearance is learnt from: all of them are in memory at once.
+_MAX_SHOWN = 24
 
 
 def color_and_size(
     table: Candidates, frames: NDArray[np.intp], chosen: NDArray[np.intp]
 ) -> ColorAndSize:
-    """The medians of some candidates, one in each of these pictures."""
+    """Return the medians of some candidates, one in each of these pictures."""
     colours = table.colours[frames, chosen]
     areas = table.areas_px[frames, chosen]
     return ColorAndSize(np.median(colours, axis=0), float(np.median(areas)))
@@ -63,7 +57,7 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
     """
     chosen = np.full(len(table.seconds), -1)
     cost = np.full(len(table.seconds), np.inf)
-    margin = max((len(arc.frames) - LEAST_SEEN) // 2, 0)  # an arc may miss some near its ends
+    margin = max((len(arc.frames) - MIN_SEEN) // 2, 0)  # an arc may miss some near its ends
     middle = slice(margin, len(arc.frames) - margin)
     core, core_picks = arc.frames[middle], arc.chosen[middle]
     chosen[core] = core_picks
@@ -85,12 +79,12 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
             off = np.linalg.norm(table.places_px[frame] - expected, axis=1)
             moved = np.linalg.norm(table.places_px[frame] - position, axis=1)
             reach = _REACH * speed * abs(dt) + radius + SLACK_PX
-            near = np.minimum((off / (radius + 1)) ** 2, _MOST_OFF)
+            near = np.minimum((off / (radius + 1)) ** 2, _MAX_OFF)
             against = near + _unlike(table, np.full(len(off), frame), np.arange(len(off)), ball)
             against = np.where(moved < reach, against, np.inf)
             against = np.where(np.isfinite(against), against, np.inf)
             best = int(against.argmin()) if len(against) else -1
-            if best >= 0 and against[best] < _MOST_AGAINST:
+            if best >= 0 and against[best] < _MAX_AGAINST:
                 new = table.places_px[frame, best]
                 velocity = (new - position) / dt + gravity * dt / 2
                 speeds.append(float(np.linalg.norm(velocity)))
@@ -103,7 +97,7 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
 def flight_and_rest(
     seconds: Array, arc: Arc, chosen: NDArray[np.intp], positions_px: Array, radius_px: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Pictures that show the moving ball in different places, and where it may lie in the others.
+    """Select pictures that show the moving ball, and where it may lie in the others.
 
     Before the flight it is where the flight's parabola, followed backwards, comes to rest, and on
     the way from there; after it, at the lowest position before the first picture without it.
@@ -129,7 +123,7 @@ def flight_and_rest(
         crowd = np.linalg.norm(apart, axis=1)
         if found[at] and (crowd < radius_px / 2).sum() < _ALIKE_POSITIONS:
             shown.append(at)
-    some = np.linspace(0, len(shown) - 1, min(_MOST_SHOWN, len(shown))).astype(int)
+    some = np.linspace(0, len(shown) - 1, min(_MAX_SHOWN, len(shown))).astype(int)
     clock = seconds[arc.frames] - seconds[first]
     curve = np.polyfit(clock, positions_px[arc.frames], 2)
     down = arc.gravity_px / np.linalg.norm(arc.gravity_px)
@@ -146,7 +140,7 @@ def flight_and_rest(
 def _unlike(
     table: Candidates, frames: NDArray[np.intp], picks: NDArray[np.intp], ball: ColorAndSize
 ) -> Array:
-    """Squared differences of candidates from the ball in colour, size and misfit, shape (N,)."""
+    """Return the squared differences from the ball in colour, size and misfit, shape (N,)."""
     colour = np.linalg.norm(table.colours[frames, picks] - ball.colour, axis=1) / COLOUR_OFF
     size = np.log(table.areas_px[frames, picks] / ball.area_px) / _LOG_AREA
     return colour**2 + size**2 + (table.misfits[frames, picks] / _MISFIT) ** 2

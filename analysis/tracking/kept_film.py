@@ -1,4 +1,4 @@
-"""The last film's pictures, reduced: to decode a film costs more than most that is done to it.
+"""Cache of the last film's reduced pictures: to decode a film costs more than most else.
 
 They are kept as long as the film's episode is, and until another film is looked through.
 """
@@ -13,8 +13,8 @@ from tunenet_logs.arrays import Picture
 from tunenet_logs.episode import Episode, Frame
 from tunenet_logs.pixels import mean_of_blocks
 
-_MOST_BYTES = 640 * 2**20
-"""Of one film: 12 s of 640 x 480 at 60 Hz. A longer one is decoded whenever it is looked at."""
+# Of one film: 12 s of 640 x 480 at 60 Hz. A longer one is decoded whenever it is looked at.
+_MAX_BYTES = 640 * 2**20
 
 
 class KeptFilm:
@@ -38,9 +38,9 @@ class KeptFilm:
         self._bytes = 0
 
     def keep(self, number: int, frame: Frame, picture: Picture) -> None:
-        """Keep one more; all of them are let go when there are too many."""
+        """Keep one more; drop all of them when there are too many."""
         self._bytes += picture.nbytes
-        if self._bytes > _MOST_BYTES:
+        if self._bytes > _MAX_BYTES:
             self.is_whole = False
             self.pictures.clear()
         if self.is_whole:
@@ -49,7 +49,7 @@ class KeptFilm:
             self._stamps_ns.append(frame.stamp_ns)
 
     def frames(self) -> Iterator[Frame]:
-        """They as frames of their reduced size."""
+        """Yield the pictures as frames of their reduced size."""
         for stamp_ns, picture in zip(self._stamps_ns, self.pictures.values(), strict=True):
             height, width = picture.shape[:2]
             pixels = partial(mean_of_blocks, picture)
@@ -60,13 +60,13 @@ _last: WeakKeyDictionary[Episode, KeptFilm] = WeakKeyDictionary()
 
 
 def begin_film(episode: Episode, topic: str, *, is_part: bool) -> KeptFilm:
-    """A film that is about to be looked through; the one before is let go."""
+    """Start the cache of a film that is about to be looked through; the one before is dropped."""
     _last.clear()
     film = _last[episode] = KeptFilm(topic, is_part=is_part)
     return film
 
 
 def kept_film(episode: Episode, topic: str) -> KeptFilm | None:
-    """The pictures of a film, if it was the last one looked through, and not too long."""
+    """Return the pictures of a film, if it was the last one looked through, and not too long."""
     film = _last.get(episode)
     return film if film is not None and film.topic == topic and film.is_whole else None

@@ -1,4 +1,4 @@
-"""An episode's pictures, as often as they are needed, never all in memory."""
+"""Pictures of an episode, as often as they are needed, never all in memory."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ from tunenet_logs.late_stamps import ARRIVALS, STAMPS_NOTE, correct_late_stamps
 from tunenet_logs.pixels import mean_of_blocks
 from tunenet_logs.progress import told
 
-_MOST_SAMPLES = 64
-"""Pictures for the background, in memory at once: enough that a ball, a hand or a person covers no
-pixel in most of them."""
+# Pictures for the background, in memory at once: enough that a ball, a hand or a person covers no
+# pixel in most of them.
+_MAX_SAMPLES = 64
 
-_MOST_PIXELS = 480_000
-"""Above that, pictures are reduced: a ball is still found to a small part of a pixel."""
+# Above that, pictures are reduced: a ball is still found to a small part of a pixel.
+_MAX_PIXELS = 480_000
 
-_ROUNDED_S = 0.1
-"""By as much a time that somebody read off a player may lie outside the pictures."""
+_ROUNDED_S = 0.1  # by as much a time that somebody read off a player may lie outside the pictures
 
 
 class Pictures:
-    """The decoded pictures of an episode, reduced to a size at which tracking is quick.
+    """Decoded pictures of an episode, reduced to a size at which tracking is quick.
 
     Attributes:
         stamps_ns: when the pictures were taken, shape (T,), strictly increasing.
@@ -157,11 +156,11 @@ class Pictures:
         return self._of(set(self._kept))
 
     def some(self, numbers: Collection[int]) -> list[Picture]:
-        """Those of these numbers (of `stamps_ns`), in order; the others are not decoded."""
+        """Return the pictures of these numbers (of `stamps_ns`), in order, decoding no others."""
         return list(self._of({self._kept[number] for number in numbers}))
 
     def _of(self, wanted: Set[int]) -> Iterator[Picture]:
-        """Pictures by their numbers in the topic, in order."""
+        """Yield pictures by their numbers in the topic, in order."""
         if self._film.is_whole:
             yield from (self._film.pictures[index] for index in self._kept if index in wanted)
             return
@@ -174,7 +173,7 @@ class Pictures:
                 break
 
     def allowed(self, roi: tuple[int, int, int, int] | None) -> Picture | None:
-        """Where the ball may be: 1 inside the box, 0 outside; None for everywhere.
+        """Build a mask of where the ball may be: 1 in the box, 0 outside; None for everywhere.
 
         Args:
             roi: left, top, width, height [px] of the box, before reduction.
@@ -218,7 +217,7 @@ class Pictures:
         return x / self.scale, y / self.scale, at_s - before_s
 
     def _selected(self) -> Iterator[tuple[int, Frame]]:
-        """Frames of the part selected, each with its number in the topic."""
+        """Yield the frames of the part selected, each with its number in the topic."""
         self._recorded_ns = []
         start_ns: int | None = None
         for index, frame in enumerate(readable_frames(self._episode, self._topic)):
@@ -241,11 +240,7 @@ class Pictures:
 
 
 class _EvenSamples:
-    """Some pictures of a film of unknown length, evenly over it.
-
-    Attributes:
-        pictures: at most `_MOST_SAMPLES`.
-    """
+    """At most `_MAX_SAMPLES` pictures of a film of unknown length, evenly over it."""
 
     def __init__(self) -> None:
         self.pictures: list[Picture] = []
@@ -253,21 +248,21 @@ class _EvenSamples:
 
     @property
     def numbers(self) -> NDArray[np.intp]:
-        """Of the samples among the pictures."""
+        """Numbers of the samples among the pictures."""
         return self._every * np.arange(len(self.pictures))
 
     def add(self, picture: Picture) -> None:
-        """The next picture of the film."""
+        """Add the next picture of the film."""
         if self._count % self._every == 0:
             self.pictures.append(picture)
         self._count += 1
-        if len(self.pictures) > _MOST_SAMPLES:
+        if len(self.pictures) > _MAX_SAMPLES:
             self.pictures, self._every = self.pictures[::2], 2 * self._every
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """OpenCV in one thread: on pictures of this size more of them mostly wait, and spin at it."""
+    """Run OpenCV in one thread: on pictures of this size more of them mostly wait, and spin."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -279,11 +274,11 @@ def one_thread() -> Iterator[None]:
 
 
 def _scale_of(size_px: tuple[int, int]) -> int:
-    """By which pictures of a size are reduced."""
-    return max(1, math.ceil(math.sqrt(math.prod(size_px) / _MOST_PIXELS)))
+    """Return the factor by which pictures of a size are reduced."""
+    return max(1, math.ceil(math.sqrt(math.prod(size_px) / _MAX_PIXELS)))
 
 
 def readable_frames(episode: Episode, topic: str) -> Iterator[Frame]:
-    """The frames of a topic, as far as its file is whole."""
+    """Yield the frames of a topic, as far as its file is whole."""
     with suppress(LogError):
         yield from episode.frames(topic)

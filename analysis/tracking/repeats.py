@@ -1,7 +1,7 @@
-"""Pictures that show a moving ball where it was, once more.
+"""Detection of repeated pictures, which show a moving ball where it was.
 
-Phones double pictures, and cameras freeze. What doubles them may be told by the pictures alone, so
-that a film is the same film from its file, from a log and from a bag.
+Phones double pictures, and cameras freeze. The pictures alone decide, so that a film is the same
+film from its file, from a log and from a bag.
 """
 
 from __future__ import annotations
@@ -12,26 +12,24 @@ from numpy.typing import NDArray
 from analysis.tracking.candidates import Blobs
 from tunenet_logs.arrays import Array, Picture
 
-_SAME = 10
-"""Of 255, in the mean of three by three pixels: less is no change."""
-
+_SAME = 10  # of 255, in the mean of three by three pixels: less is no change
+# Of the larger change before or after: a codec refines a picture that comes twice, by .02 to .2 of
+# what it changes where the ball has moved.
 _LITTLE = 0.3
-"""Of the larger change before or after: a codec refines a picture that comes twice, by .02 to .2 of
-what it changes where the ball has moved."""
 
+# Least way of a ball that moves, and most of one that stands: several times the noise.
 _MOVED_PX, _STOOD_PX = 1.0, 0.5
-"""Least way of a ball that moves, and most of one that stands: several times the noise."""
 
+# Cosine between the way that came and the one that went on: a bounce turns, flight goes on.
 _ONWARD = 0.8
-"""Cosine between the way that came and the one that went on: a bounce turns, flight goes on."""
 
+# Times that a ball that goes on is seen once more where it was, and their share of the steps that
+# it moves, from which on a recording is one that doubles pictures.
 _HABIT, _HABITUAL = 3, 0.02
-"""Times that a ball that goes on is seen once more where it was, and their share of the steps that
-it moves, from which on a recording is one that doubles pictures."""
 
 
 def change_around(before: Picture, picture: Picture, found: Blobs) -> tuple[float, float]:
-    """How much a picture differs from the one before around its likeliest candidate, of 255.
+    """Measure a picture's change from the one before around its likeliest candidate, of 255.
 
     Returns:
         The largest and the rms difference of smooth pixels; NaN where there is no candidate.
@@ -54,7 +52,7 @@ def change_around(before: Picture, picture: Picture, found: Blobs) -> tuple[floa
 
 
 def repeated(changes: Array) -> NDArray[np.bool_]:
-    """Whether each picture is, around the ball, the one before once more, shape (T,).
+    """Return whether each picture is, around the ball, the one before once more, shape (T,).
 
     Args:
         changes: largest and rms change of each picture, see `change_around`; NaN where that is not
@@ -66,7 +64,7 @@ def repeated(changes: Array) -> NDArray[np.bool_]:
 
 
 def new_pictures(places_px: Array, unchanged: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Numbers of the pictures but those that show a moving ball where it was, once more.
+    """Select the pictures but those that show a moving ball where it was, once more.
 
     A ball that lies moves neither before nor after; one that bounces may be seen twice in one place
     by chance, but goes back. Where a recording doubles pictures of a ball that goes on, it is no
@@ -76,6 +74,9 @@ def new_pictures(places_px: Array, unchanged: NDArray[np.bool_]) -> NDArray[np.i
     Args:
         places_px: of the ball in T pictures, NaN where it is not known, shape (T, 2).
         unchanged: whether a picture is, around the ball, the one before once more, shape (T,).
+
+    Returns:
+        Their numbers, shape (N,).
     """
     runs = _runs(unchanged)
     repeats = [run for run in runs if _goes_on(places_px, *run)]
@@ -90,14 +91,14 @@ def new_pictures(places_px: Array, unchanged: NDArray[np.bool_]) -> NDArray[np.i
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Of flags that are set one after another, the first and the one behind the last."""
+    """Return the first index of each run of set flags, and the one behind its last."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
     firsts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return list(zip(firsts.tolist(), ends.tolist(), strict=True))
 
 
 def _goes_on(places_px: Array, first: int, end: int) -> bool:
-    """Whether a ball stands in a run of pictures, and then goes on as it came."""
+    """Return whether a ball stands in a run of pictures, and then goes on as it came."""
     found = np.flatnonzero(np.isfinite(places_px[:, 0]))
     earlier, later = found[found < first], found[found >= end]
     if len(earlier) < 2 or not len(later):

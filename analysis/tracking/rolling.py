@@ -1,4 +1,4 @@
-"""What moves steadily along a straight line: a ball that rolls, which never falls."""
+"""Detection of steady motion along a straight line: a ball that rolls, and never falls."""
 
 from __future__ import annotations
 
@@ -8,46 +8,30 @@ from analysis.tracking.candidates import Candidates
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
-_STARTS = 48
-"""Pictures, evenly over the recording, from which candidates are followed."""
-
-_MOST_MISSES = 3
-"""Pictures in a row without it that end its way."""
-
-_FEWEST = 8
-"""Pictures of a way."""
-
-_NEAR_PX, _NEAR = 2.0, 0.5
-"""From where it is expected, in px and in radii, added."""
-
-_FARTHEST = 4.0
-"""Radii that it moves from one picture to the next at most."""
-
-_COLOUR_APART, _AREA_RATIO = 70.0, 2.2
-"""From one picture to the next, as of what flies."""
-
+_STARTS = 48  # pictures, evenly over the recording, from which candidates are followed
+_MAX_MISSES = 3  # pictures in a row without it that end its way
+_MIN_COUNT = 8  # pictures of a way
+_NEAR_PX, _NEAR = 2.0, 0.5  # from where it is expected, in px and in radii, added
+_FARTHEST = 4.0  # radii that it moves from one picture to the next at most
+_COLOUR_APART, _AREA_RATIO = 70.0, 2.2  # from one picture to the next, as of what flies
+# Fractions of the way: rms distance from a parabola, how far that may bend or get ahead of a steady
+# speed, and how far it may fall behind: balls that roll come to rest.
 _LOOSE, _STEADY, _SLOWER = 0.04, 0.06, 0.2
-"""Fractions of the way: rms distance from a parabola, how far that may bend or get ahead of a
-steady speed, and how far it may fall behind: balls that roll come to rest."""
 
+# Way, in the reduced picture, below which what was found may be nothing; and how many times as far
+# something has to roll.
 _SHORT_PX, _FARTHER = 40.0, 3.0
-"""Way, in the reduced picture, below which what was found may be nothing; and how many times as far
-something has to roll."""
 
-_LEAST_RADII, _LEAST_SHARE = 6.0, 0.15
-"""A way's least length, in radii, and as a fraction of what candidates are spread over."""
+# A way's least length, in radii, and as a fraction of what candidates are spread over.
+_MIN_RADII, _MIN_SHARE = 6.0, 0.15
 
 
 def refuse_roll(
     table: Candidates, scale: int, way_px: float, error: NotFoundError | None = None
 ) -> None:
-    """Say that something rolls through the pictures, where what was found hardly moves.
+    """Raise if something rolls through the pictures while what was found hardly moves.
 
-    Args:
-        table: candidates by their motion alone.
-        scale: by which the pictures are reduced.
-        way_px: how far what was found moves, in pictures of full size; 0 for nothing.
-        error: what is known without this.
+    What was found moves by `way_px` in pictures of full size; `scale` is how much they are reduced.
 
     Raises:
         NotFoundError: something goes farther, and never falls.
@@ -64,7 +48,7 @@ def refuse_roll(
 
 
 def longest_roll_px(table: Candidates) -> float:
-    """The longest straight and steady way of one candidate [px]; 0 for none."""
+    """Measure the longest straight and steady path of one candidate [px]; 0 for none."""
     if not table.areas_px.size or not np.isfinite(table.areas_px).any():
         return 0.0
     low, high = np.nanmin(table.places_px, (0, 1)), np.nanmax(table.places_px, (0, 1))
@@ -76,19 +60,19 @@ def longest_roll_px(table: Candidates) -> float:
             frames, places = _way(table, int(first), int(one))
             length = _length_px(table.seconds[frames], places)
             radius = float(np.sqrt(table.areas_px[first, one] / np.pi))
-            if length > max(_LEAST_RADII * radius, _LEAST_SHARE * spread):
+            if length > max(_MIN_RADII * radius, _MIN_SHARE * spread):
                 longest = max(longest, length)
     return longest
 
 
 def _followed(table: Candidates, first: int, one: int, step: int) -> tuple[list[int], list[Array]]:
-    """The way of a candidate from one picture on, or back: the pictures after it, and where."""
+    """Follow a candidate from one picture on, or back: the pictures after it, and where."""
     frames, places = [first], [table.places_px[first, one]]
     area, colour = float(table.areas_px[first, one]), table.colours[first, one]
     radius = float(np.sqrt(area / np.pi))
     velocity: Array | None = None
     for frame in range(first + step, len(table.seconds) if step > 0 else -1, step):
-        if abs(frame - frames[-1]) > _MOST_MISSES:
+        if abs(frame - frames[-1]) > _MAX_MISSES:
             break
         dt = float(table.seconds[frame] - table.seconds[frames[-1]])
         expected = places[-1] + (velocity * dt if velocity is not None else 0.0)
@@ -102,14 +86,14 @@ def _followed(table: Candidates, first: int, one: int, step: int) -> tuple[list[
             continue
         frames.append(frame)
         places.append(table.places_px[frame, best])
-        back = max(len(frames) - _FEWEST, 0)
+        back = max(len(frames) - _MIN_COUNT, 0)
         span = float(table.seconds[frame] - table.seconds[frames[back]])
         velocity = (places[-1] - places[back]) / span
     return frames[1:], places[1:]
 
 
 def _way(table: Candidates, middle: int, one: int) -> tuple[list[int], Array]:
-    """All of the way of a candidate of one picture: the pictures, and where, shape (N, 2)."""
+    """Return all of a candidate's path through a picture: the pictures, and where, shape (N, 2)."""
     before, came = _followed(table, middle, one, -1)
     after, went = _followed(table, middle, one, 1)
     places = [*came[::-1], table.places_px[middle, one], *went]
@@ -117,8 +101,8 @@ def _way(table: Candidates, middle: int, one: int) -> tuple[list[int], Array]:
 
 
 def _length_px(seconds: Array, places: Array) -> float:
-    """From end to end, of a way that is straight and steady; else 0."""
-    if len(seconds) < _FEWEST:
+    """Return the end-to-end length of a path that is straight and steady; else 0."""
+    if len(seconds) < _MIN_COUNT:
         return 0.0
     way = places[-1] - places[0]
     length = float(np.linalg.norm(way))

@@ -1,4 +1,4 @@
-"""The pictures of a recording, few and small enough to page through on a screen."""
+"""Thumbnails of a recording, few and small enough to page through on a screen."""
 
 from __future__ import annotations
 
@@ -12,22 +12,18 @@ from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.jpeg import from_bgr, is_whole
 from tunenet_logs.terminal import Bar, Progress
 
-MOST_BYTES = 64 * 1024 * 1024
-"""Of all pictures that are kept, as JPEGs: what a browser holds without effort."""
+# Of all pictures that are kept, as JPEGs: what a browser holds without effort.
+MAX_BYTES = 64 * 1024 * 1024
 
-MOST_REDUCED = 300
-"""Pictures that are made smaller: each takes the time to decode and encode it."""
-
-LONG_SIDE_PX = 960
-"""Of a picture that is made smaller: it fits a screen, with a page around it."""
-
+MAX_REDUCED = 300  # pictures that are made smaller: each takes the time to decode and encode it
+LONG_SIDE_PX = 960  # of a picture that is made smaller: it fits a screen, with a page around it
+# A JPEG of no more is kept as it was recorded: to make it smaller takes time and gains little.
 _SMALL_BYTES = 200_000
-"""A JPEG of no more is kept as it was recorded: to make it smaller takes time and gains little."""
 
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """One picture, as a JPEG.
+    """Picture as a JPEG.
 
     Attributes:
         seconds: since the topic's first picture.
@@ -45,7 +41,7 @@ class Album:
     """Pictures in the order of their time, evenly chosen where there are too many.
 
     Attributes:
-        size_px: (width, height) as recorded, whatever size the thumbnails have.
+        size_px: (width, height) as recorded, not of the thumbnails.
     """
 
     topic: str
@@ -60,14 +56,9 @@ def album_of(
     end_s: float | None = None,
     progress: Progress | None = None,
 ) -> Album:
-    """Read a topic's pictures once, forward; memory is bounded whatever the length.
+    """Read a topic's pictures once, forward, in bounded memory.
 
-    Args:
-        episode: with frames.
-        topic: which of its picture topics.
-        start_s: leave out what comes before, in seconds since the first picture.
-        end_s: leave out what comes after.
-        progress: where to show how far it is.
+    `start_s` and `end_s` [s since the first picture] select a part.
 
     Raises:
         UsageError: there is no picture that can be decoded.
@@ -89,7 +80,7 @@ def album_of(
 def _selected(
     episode: Episode, topic: str, start_s: float | None, end_s: float | None, bar: Bar
 ) -> Iterator[tuple[float, Frame]]:
-    """(seconds since the first, frame), where time goes on."""
+    """Yield (seconds since the first, frame), where time goes on."""
     first_ns: int | None = None
     last_ns, length_s = -1, 0.0
     for frame in episode.frames(topic):
@@ -107,7 +98,7 @@ def _selected(
 
 
 class _Thinning:
-    """Keeps every n-th picture; n doubles, and every second is let go, when there are too many.
+    """Keeper of every n-th picture; n doubles, and every second is dropped, when too many.
 
     Attributes:
         size_px: of the first picture that can be decoded; None before it.
@@ -136,7 +127,7 @@ class _Thinning:
             return
         self._put(number, _thumbnail(seconds, frame))
         while len(self.thumbnails) > 1 and (
-            self._held_bytes > MOST_BYTES or self._reduced > MOST_REDUCED
+            self._held_bytes > MAX_BYTES or self._reduced > MAX_REDUCED
         ):
             self._step *= 2
             thumbnails, self.thumbnails = self.thumbnails, {}
@@ -152,7 +143,7 @@ class _Thinning:
 
 
 def _thumbnail(seconds: float, frame: Frame) -> Thumbnail:
-    """The frame as recorded where that is a small JPEG, else made smaller."""
+    """Return the frame as recorded where that is a small JPEG, else made smaller."""
     if frame.size is None and len(frame.data) <= _SMALL_BYTES and is_whole(frame.data):
         return Thumbnail(seconds, frame.data, is_reduced=False)
     import cv2

@@ -1,4 +1,4 @@
-"""The ball's path through the pictures: found by how it flies, then by how it looks."""
+"""Ball tracking through the pictures: found by how it flies, then by how it looks."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from analysis.selection import Hints
 from analysis.tracking.appearance import learn_appearance
-from analysis.tracking.arcs import LEAST_FRAMES, Arc, longest_arc, same_arc
+from analysis.tracking.arcs import MIN_FRAMES, Arc, longest_arc, same_arc
 from analysis.tracking.background import Background, halved_background, still_background
 from analysis.tracking.ball_detector import BallDetector
 from analysis.tracking.camera_motion import check_still
 from analysis.tracking.candidates import Blobs, Candidates, hsv_blobs, moving_blobs, picked
 from analysis.tracking.following import (
-    LEAST_SEEN,
+    MIN_SEEN,
     color_and_size,
     flight_and_rest,
     follow,
@@ -27,44 +27,40 @@ from tunenet_logs.arrays import Array, Picture
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.progress import told
 
+# Pictures of a flight that is searched for once more, against two backgrounds: fewer show it.
 _FEW_FRAMES = 5
-"""Pictures of a flight that is searched for once more, against two backgrounds: fewer show it."""
 
 _MARK = "mark the ball with --roi, --hsv or --ball-at"
 
 _FILM_MORE = "at the next drop: film fall and bounces at 60 pictures a second or more"
 
+# From a mark to the edge of what it marks, in the reduced picture: it need not be exact.
 _NEAR_PX = 50
-"""From a mark to the edge of what it marks, in the reduced picture: it need not be exact."""
 
+# Difference in RGB (0 to 255), and ratio of areas, from a marked ball: it changes by less as it
+# moves through light and shade, and is blurred.
 _UNLIKE_COLOUR, _UNLIKE_AREA = 90.0, 4.0
-"""Difference in RGB (0 to 255), and ratio of areas, from a marked ball: it changes by less as it
-moves through light and shade, and is blurred."""
 
+# What speaks against a candidate where its confidence is 1/e; `follow` takes none above 12.
 _CONFIDENCE_COST = 8.0
-"""What speaks against a candidate where its confidence is 1/e; `follow` takes none above 12."""
 
-_EXPOSURE_S = 0.016
-"""Longer ones blur a ball so much that people add light."""
-
-_GOOD = 0.4
-"""Misfit of a `Placing` up to which it tells whether the ball stands still."""
-
+_EXPOSURE_S = 0.016  # longer ones blur a ball so much that people add light
+_GOOD = 0.4  # misfit of a `Placing` up to which it tells whether the ball stands still
+# Radii around the ball that the background is not learnt from: its shadow, and an error of its
+# position.
 _HIDDEN = 2.5
-"""Radii around the ball that the background is not learnt from: its shadow, and an error of its
-position."""
 
+# Ball radii below the lowest place where it was followed, in which it may have come to rest.
 _RESTS_BELOW = (0.0, 2.0, 4.0)
-"""Ball radii below the lowest place where it was followed, in which it may have come to rest."""
 
+# A learnt radius over the first one, above which the ball stood out by a part of it alone, and too
+# little was kept out of the background.
 _MISSED = 1.2
-"""A learnt radius over the first one, above which the ball stood out by a part of it alone, and too
-little was kept out of the background."""
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Where the ball is in each picture.
+    """Position of the ball in each picture.
 
     Attributes:
         stamps_ns: of the T pictures, all but those that repeat the one before, shape (T,).
@@ -103,7 +99,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     """
     hints = hints or Hints()
     stamps_ns = pictures.stamps_ns
-    if len(stamps_ns) < LEAST_SEEN:
+    if len(stamps_ns) < MIN_SEEN:
         raise NotFoundError(f"{len(stamps_ns)} pictures are too few for a drop", _FILM_MORE)
     seconds = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
     allowed = pictures.allowed(hints.roi)
@@ -141,7 +137,7 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
 
 
 def _of_arc(pictures: Pictures, first: Candidates, arc: Arc, allowed: Picture | None) -> Track:
-    """From a flight among candidates by their motion to the ball in all pictures."""
+    """Track the ball in all pictures, from a flight among candidates by their motion."""
     second = _redetect(pictures, first, arc, allowed)
     fresh = second.new_frames()
     table = second.table.some(fresh)
@@ -150,7 +146,7 @@ def _of_arc(pictures: Pictures, first: Candidates, arc: Arc, allowed: Picture | 
     return _track(pictures, table, arc, fresh)
 
 
-def _arc_of(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc:
+def _arc_of(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc:
     arc = longest_arc(table, least_frames)
     if arc is None:
         raise NotFoundError(
@@ -164,7 +160,7 @@ def _arc_of(table: Candidates, least_frames: int = LEAST_FRAMES) -> Arc:
 def _only_like(
     table: Candidates, pictures: Pictures, ball_at: tuple[float, float, float]
 ) -> Candidates:
-    """Without the candidates that look unlike the one nearest to where the user saw the ball."""
+    """Keep the candidates that look like the one nearest to where the user saw the ball."""
     x, y, at_s = pictures.scaled(ball_at)
     there = "{:.0f}, {:.0f} px at {:.2f} s".format(*ball_at)
     frame = int(np.abs(table.seconds - at_s).argmin())
@@ -192,19 +188,19 @@ def _track(
     arc: Arc,
     fresh: NDArray[np.intp] | slice = slice(None),
 ) -> Track:
-    """From an arc among candidates of the pictures `fresh` to the ball in each of them."""
+    """Track the ball in each of the pictures `fresh`, from an arc among their candidates."""
     ball = color_and_size(table, arc.frames, arc.chosen)
     chosen, _ = follow(table, arc, ball)
     # Where the light falls in its flight is chance: how it looks is how it does on all of its way.
     sure = np.flatnonzero((chosen >= 0) & (picked(table.misfits, chosen) < _GOOD))
-    if len(sure) >= LEAST_SEEN:
+    if len(sure) >= MIN_SEEN:
         ball = color_and_size(table, sure, chosen[sure])
     chosen, cost = follow(table, arc, ball)
     positions = picked(table.places_px, chosen)
     areas = picked(table.areas_px, chosen)
     cut = ~picked(table.whole.astype(float), chosen).astype(bool)  # at the edge: half a ball
     positions[cut], areas[cut] = np.nan, np.nan
-    if np.isfinite(areas).sum() < LEAST_SEEN:
+    if np.isfinite(areas).sum() < MIN_SEEN:
         raise NotFoundError("the ball is lost after a few pictures", _MARK)
     red, green, blue = np.nanmedian(picked(table.colours, chosen), axis=0).round().astype(int)
     scale = pictures.scale
@@ -235,7 +231,7 @@ class Redetection:
     unchanged: NDArray[np.bool_]
 
     def new_frames(self) -> NDArray[np.intp]:
-        """Numbers of the pictures but those that repeat one; see `new_pictures`."""
+        """Return the numbers of the pictures but those that repeat one; see `new_pictures`."""
         table = self.table
         rows = np.arange(len(self.unchanged))
         if not table.areas_px.size:
@@ -250,14 +246,7 @@ class Redetection:
 def _redetect(
     pictures: Pictures, first: Candidates, arc: Arc, allowed: Picture | None
 ) -> Redetection:
-    """Learn the ball's appearance and the background without it, and find it in all pictures.
-
-    Args:
-        pictures: all of them.
-        first: candidates by their motion alone.
-        arc: the flight among them.
-        allowed: see `Pictures.allowed`.
-    """
+    """Learn the ball's appearance and the background without it, and find it in all pictures."""
     ball = color_and_size(first, arc.frames, arc.chosen)
     chosen, _ = follow(first, arc, ball)
     seen_px = picked(first.places_px, chosen)

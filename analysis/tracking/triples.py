@@ -1,4 +1,4 @@
-"""Triples of candidates at even strides that bend as a fall does: where a flight may be."""
+"""Triples of candidates at even strides that bend as a fall does: seeds of a flight."""
 
 from __future__ import annotations
 
@@ -11,29 +11,27 @@ from tunenet_logs.arrays import Array
 Index = NDArray[np.intp]
 
 _STRIDES_S = (0.016, 0.033, 0.06)
+# Between the pictures of a triple, in seconds and in pictures: how fast a film plays need not be
+# how fast it was filmed.
 _STRIDES = (1, 2, 4, 7)
-"""Between the pictures of a triple, in seconds and in pictures: how fast a film plays need not be
-how fast it was filmed."""
 
-LEAST_BEND_PX = 0.25
-_LEAST_TRAVEL_PX = 2.0
-"""Of a triple: noise bends less, and what stands travels less."""
+MIN_BEND_PX = 0.25
+_MIN_TRAVEL_PX = 2.0  # of a triple: noise bends less, and what stands travels less
+# Of four further pictures at the same stride: those on a triple's parabola, if it is a flight.
+_MIN_WITNESSES = 2
 
-_LEAST_WITNESSES = 2
-"""Of four further pictures at the same stride: those on a triple's parabola, if it is a flight."""
-
+# Pictures in which triples are looked for at once: it bounds the memory of a long film.
 _AT_ONCE = 2048
-"""Pictures in which triples are looked for at once: it bounds the memory of a long film."""
 
+# Distance in RGB (0 to 255): blur and light change a flying ball's colour by less.
 COLOUR_APART = 70.0
-"""Distance in RGB (0 to 255): blur and light change a flying ball's colour by less."""
 
+# Of one candidate's area to the next one's: blur and a bad outline change it by less.
 AREA_RATIO = 2.2
-"""Of one candidate's area to the next one's: blur and a bad outline change it by less."""
 
 
 def accelerated_triples(table: Candidates) -> tuple[Index, Array]:
-    """Triples of alike candidates on a parabola that others lie on, too, those with most first.
+    """Find triples of alike candidates on a parabola that others lie on; those with most first.
 
     Returns:
         Rows of 3 frames and 3 candidates, shape (S, 6); and how far each bends [px], shape (S, 2).
@@ -49,13 +47,13 @@ def accelerated_triples(table: Candidates) -> tuple[Index, Array]:
         after = (c - b) / (late - middle)[:, None]
         bend = (after - before) * (late - early)[:, None] / 2  # over the triple [px]
         travel = np.linalg.norm(c - a, axis=1)
-        moving = (np.abs(bend).max(axis=1) > LEAST_BEND_PX) & (travel > _LEAST_TRAVEL_PX)
+        moving = (np.abs(bend).max(axis=1) > MIN_BEND_PX) & (travel > _MIN_TRAVEL_PX)
         triples, bend = triples[moving], bend[moving]
         seen = sum(
             (_witnessed(table, triples, step * stride) for step in (-2, -1, 3, 4)),
             np.zeros(len(triples), int),
         )
-        kept = seen >= _LEAST_WITNESSES
+        kept = seen >= _MIN_WITNESSES
         seeds.append(triples[kept])
         bends.append(bend[kept])
         witnesses.append(seen[kept])
@@ -64,7 +62,7 @@ def accelerated_triples(table: Candidates) -> tuple[Index, Array]:
 
 
 def _alike(table: Candidates, stride: int) -> Index:
-    """Every candidate with every one that looks like it a stride on, and two, shape (K, 6)."""
+    """Pair every candidate with all that look like it one stride on, and two, shape (K, 6)."""
     count = len(table.seconds)
     parts = [np.empty((0, 6), np.intp)]
     for begin in range(0, count - 2 * stride, _AT_ONCE):
@@ -80,7 +78,7 @@ def _alike(table: Candidates, stride: int) -> Index:
 
 
 def _witnessed(table: Candidates, triples: Index, step: int) -> Index:
-    """1 where one that looks alike lies on a triple's parabola `step` pictures after its first."""
+    """Flag triples whose parabola has a look-alike on it `step` pictures after its first."""
     frames = triples[:, 0] + step
     there = np.clip(frames, 0, len(table.seconds) - 1)
     times = [table.seconds[triples[:, row]] for row in range(3)]
@@ -104,5 +102,5 @@ def _witnessed(table: Candidates, triples: Index, step: int) -> Index:
 
 
 def tolerance_px(area_px: Array | float) -> Array | float:
-    """How far from a parabola a candidate of that size may be: a third of its radius, and noise."""
+    """Return how far off a parabola a candidate may be: a third of its radius, and noise."""
     return 1.0 + 0.35 * np.sqrt(np.asarray(area_px) / np.pi)

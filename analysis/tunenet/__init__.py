@@ -1,1 +1,1 @@
-"""The network that estimates a parameter residual from two observations, and its training."""
+"""TuneNet: the network that estimates a parameter residual from two observations."""

@@ -1,4 +1,4 @@
-"""Trained weights on disk: safetensors with what they are for, checked when they are read."""
+"""Save and load trained weights: safetensors with their purpose, which is checked."""
 
 from __future__ import annotations
 
@@ -26,26 +26,22 @@ FORMAT = "tunenet-weights/1"
 _HEADER = re.compile(
     rb'.{8}\{[^{]{0,40000}"__metadata__": ?\{[^}]{0,40000}"format": ?"tunenet-weights/', re.DOTALL
 )
-_HEADER_BYTES = 65536
-"""How a file of ours begins, and in how many bytes that shows."""
-
-_MOST_RATES, _MOST_HZ = 100, 1e6
-"""Sampling rates of one network, and the highest."""
-
+_HEADER_BYTES = 65536  # how a file of ours begins, and in how many bytes that shows
+_MAX_RATES, _MAX_HZ = 100, 1e6  # sampling rates of one network, and the highest
 _SCALING = ("input_offset", "input_gain", "output_offset", "output_gain")
 
 
 @dataclass(frozen=True)
 class Purpose:
-    """What a network was trained for; weights fit only the same purpose.
+    """Purpose that a network was trained for; weights fit only the same one.
 
     Attributes:
         task: "drop".
-        preset: see `Preset`.
-        observation: what a network sees, with its grid.
-        inputs: values in one observation.
-        outputs: parameters.
-        rates_hz: sampling rates that it was trained with.
+        preset: See `Preset`.
+        observation: Input of the network, with its grid.
+        inputs: Number of values in one observation.
+        outputs: Number of parameters.
+        rates_hz: Sampling rates that it was trained with.
     """
 
     task: str
@@ -57,16 +53,16 @@ class Purpose:
 
 
 def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, str]) -> str:
-    """Write atomically; returns the digest.
+    """Write weights atomically, and return the digest.
 
     Args:
-        path: the file; other weights there are replaced.
-        model: what to save; its own digest is ignored.
-        purpose: what it was trained for.
-        notes: how it was trained, in words; part of the digest.
+        path: The file; other weights there are replaced.
+        model: To save; its own digest is ignored.
+        purpose: That it was trained for.
+        notes: How it was trained, in words; part of the digest.
 
     Raises:
-        WeightsError: the file cannot be written.
+        WeightsError: The file cannot be written.
     """
     tensors = {name: np.ascontiguousarray(value) for name, value in model.weights.items()}
     tensors |= {f"scaling.{name}": getattr(model.scaling, name) for name in _SCALING}
@@ -83,7 +79,7 @@ def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, s
 
 
 def weights_place(path: Path) -> OutputPlace:
-    """Where weights go: over others, and over nothing else."""
+    """Return the output place of weights, which may replace other weights."""
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
         return () if _HEADER.match(file.read(_HEADER_BYTES)) else None
@@ -92,17 +88,17 @@ def weights_place(path: Path) -> OutputPlace:
 
 
 def shipped_model(purpose: Purpose) -> Model:
-    """The weights that come with the package."""
+    """Load the weights that come with the package."""
     name = f"{purpose.task}-{purpose.preset}.safetensors"
     with as_file(files("analysis.tunenet") / "weights" / name) as path:
         return load_model(path, purpose)
 
 
 def load_model(path: Path, purpose: Purpose) -> Model:
-    """Read weights, and refuse what is damaged or meant for something else.
+    """Load weights; refuse damaged ones and those for another purpose.
 
     Raises:
-        WeightsError: says which, and what to do.
+        WeightsError: Which of these, and the remedy.
     """
     file = read_weights_file(path)
     header = dict(file.metadata)
@@ -133,7 +129,7 @@ def load_model(path: Path, purpose: Purpose) -> Model:
 
 
 def _scaling_shapes(purpose: Purpose) -> dict[str, list[tuple[int, ...]]]:
-    """One number for all inputs or outputs, or one for each."""
+    """Return the scaling's shapes: one number for all inputs or outputs, or one for each."""
     return {
         f"scaling.{name}": [(1,), (purpose.inputs if "input" in name else purpose.outputs,)]
         for name in _SCALING
@@ -147,8 +143,8 @@ def _are_rates(text: str) -> bool:
         return False
     return (
         isinstance(rates, list)
-        and 0 < len(rates) <= _MOST_RATES
-        and all(type(rate) in (int, float) and 0 < rate <= _MOST_HZ for rate in rates)
+        and 0 < len(rates) <= _MAX_RATES
+        and all(type(rate) in (int, float) and 0 < rate <= _MAX_HZ for rate in rates)
     )
 
 

@@ -1,4 +1,4 @@
-"""The networks h(o_P, o_T): the paper's, the antisymmetric one, and that without biases.
+"""Networks h(o_P, o_T): the paper's, an antisymmetric one, and one without biases.
 
 Each forward pass is written once, with operations that NumPy arrays and torch tensors share: torch
 trains it, NumPy applies it, and tuning a log never waits for torch to load.
@@ -14,29 +14,28 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-Weights = Mapping[str, Any]
-"""Arrays or tensors by name."""
+Weights = Mapping[str, Any]  # arrays or tensors by name
 
 
 class Network(Protocol):
-    """An architecture: the shapes of its weights, and h."""
+    """Architecture: the shapes of its weights, and h."""
 
     @property
     def kind(self) -> str:
-        """What a checkpoint calls it."""
+        """Name in a checkpoint."""
         ...
 
     def shapes(self, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
-        """Shapes of the weights for observations of `inputs` values and `outputs` parameters."""
+        """Return the weights' shapes for `inputs` observed values and `outputs` parameters."""
         ...
 
     def residual(self, weights: Weights, proposed: Any, target: Any) -> Any:
-        """h(o_P, o_T), shape (B, outputs), of two batches of shape (B, inputs)."""
+        """Evaluate h(o_P, o_T), shape (B, outputs), on two batches of shape (B, inputs)."""
         ...
 
 
 class PaperNetwork:
-    """The paper's: a layer of 32 for each observation, concatenated, 32 more, tanh."""
+    """The paper's network: 32 units per observation, concatenated, 32 more, tanh."""
 
     kind = "paper"
     width = 32
@@ -61,8 +60,8 @@ class PaperNetwork:
 class AntisymmetricNetwork:
     """h(o_P, o_T) = (g(o_P, o_T) - g(o_T, o_P)) / 2: exactly 0 where the two are equal.
 
-    The paper's network has a bias at its fixed point. This one cannot have any, so its iterations
-    end at the target. g shares one first layer for both sides and has no tanh.
+    The paper's network is biased at its fixed point. This one cannot be, so its iterations end at
+    the target. g shares one first layer for both sides and has no tanh.
     """
 
     kind = "antisymmetric"
@@ -86,17 +85,17 @@ class AntisymmetricNetwork:
 
 
 class WideNetwork(AntisymmetricNetwork):
-    """The antisymmetric network for several parameters: twice as wide."""
+    """Antisymmetric network for several parameters: twice as wide."""
 
     kind = "wide"
     width = 128
 
 
 class HomogeneousNetwork:
-    """The antisymmetric network without biases: h(a o_P, a o_T) = a h(o_P, o_T) for any a > 0.
+    """Antisymmetric network without biases: h(a o_P, a o_T) = a h(o_P, o_T) for any a > 0.
 
-    For observations that are linear in what is looked for, as torques are in a mass. What it has
-    learnt of small values then holds for large ones.
+    For observations that are linear in the parameter, as torques are in a mass: what it has learnt
+    of small values holds for large ones.
     """
 
     kind = "homogeneous"
@@ -121,7 +120,7 @@ NETWORKS: dict[str, Network] = {
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """What a network sees of an observation, and what its outputs mean.
+    """Normalisation of a network's inputs and outputs.
 
     Inputs are (values - offset) * gain; residuals are outputs * gain + offset. A value that either
     observation lacks is 0 in both.
@@ -133,7 +132,7 @@ class Scaling:
     output_gain: Array
 
     def inputs(self, proposed: Array, target: Array) -> tuple[Array, Array]:
-        """Two batches of observations, shape (B, L, C), as inputs of shape (B, L * C)."""
+        """Normalise two batches of observations, shape (B, L, C), to inputs, (B, L * C)."""
         flat_p = proposed.reshape(len(proposed), -1)
         flat_t = target.reshape(len(target), -1)
         seen = np.isfinite(flat_p) & np.isfinite(flat_t)
@@ -144,7 +143,7 @@ class Scaling:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A trained network: estimates the residual of the P parameters from two observations.
+    """Trained network, which estimates the residual of the P parameters from two observations.
 
     Attributes:
         digest: SHA-256 of everything in it, hexadecimal.
@@ -156,7 +155,7 @@ class Model:
     digest: str = ""
 
     def __call__(self, proposed: Array, target: Array) -> Array:
-        """zeta_T - zeta_P, shape (B, P), of observations of shape (B, L, C)."""
+        """Estimate zeta_T - zeta_P, shape (B, P), from observations of shape (B, L, C)."""
         inputs = self.scaling.inputs(proposed, target)
         outputs = self.network.residual(self.weights, *inputs)
         return outputs * self.scaling.output_gain + self.scaling.output_offset
@@ -165,7 +164,7 @@ class Model:
 def initial_weights(
     network: Network, inputs: int, outputs: int, rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Uniform within 1 / sqrt(fan-in), as torch.nn.Linear starts."""
+    """Draw weights uniformly within 1 / sqrt(fan-in), as torch.nn.Linear does."""
     shapes = network.shapes(inputs, outputs)
     weights: dict[str, Array] = {}
     for name, shape in shapes.items():
@@ -175,27 +174,27 @@ def initial_weights(
 
 
 def layer(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of a linear layer's weights."""
+    """Return the shapes of a linear layer's weights."""
     return {f"{name}.weight": (inputs, outputs), f"{name}.bias": (outputs,)}
 
 
 def linear(weights: Weights, name: str, values: Any) -> Any:
-    """A linear layer, of a batch of shape (B, inputs)."""
+    """Apply a linear layer to a batch of shape (B, inputs)."""
     return values @ weights[f"{name}.weight"] + weights[f"{name}.bias"]
 
 
 def _joint(weights: Weights, name: str, first: Any, second: Any) -> Any:
-    """A linear layer on two inputs side by side."""
+    """Apply a linear layer to two concatenated inputs."""
     matrix = weights[f"{name}.weight"]
     half = matrix.shape[0] // 2
     return first @ matrix[:half] + second @ matrix[half:] + weights[f"{name}.bias"]
 
 
 def relu(values: Any) -> Any:
-    """max(values, 0), of an array or a tensor."""
+    """Return max(values, 0) of an array or a tensor."""
     return values.clip(min=0)
 
 
 def tanh(values: Any) -> Any:
-    """Of an array or a tensor."""
+    """Return tanh of an array or a tensor."""
     return np.tanh(values) if isinstance(values, np.ndarray) else values.tanh()

@@ -1,4 +1,4 @@
-"""Training data: simulated observations on all cores, and which of them are paired."""
+"""Training data: observations simulated in parallel, and their pairs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tunenet_logs.terminal import Progress
 
 Item = TypeVar("Item")
 
+# Who makes rollouts: a cluster, or so many processes of this machine; None for all its cores.
 Workers: TypeAlias = Cluster | int | None
-"""Who makes rollouts: a cluster, or so many processes of this machine; None for all its cores."""
 
-_MOST_AT_A_TIME, _CHUNKS = 50, 128
-"""Items that a worker is given: few enough for all to end together, enough to outweigh giving."""
+# Items that a worker is given: few enough for all to end together, enough to outweigh giving.
+_MAX_AT_A_TIME, _CHUNKS = 50, 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +29,10 @@ class PairSet:
     """Pairs of rollouts whose parameters are known.
 
     Attributes:
-        observations: shape (N, L, C).
-        values: parameters of each, shape (N, P).
-        proposed: index of o_P of each pair, shape (M,).
-        target: index of o_T of each pair, shape (M,).
+        observations: Shape (N, L, C).
+        values: Parameters of each, shape (N, P).
+        proposed: Index of o_P of each pair, shape (M,).
+        target: Index of o_T of each pair, shape (M,).
     """
 
     observations: Array
@@ -42,7 +42,7 @@ class PairSet:
 
     @property
     def residuals(self) -> Array:
-        """zeta_T - zeta_P, shape (M, P)."""
+        """Parameter residuals zeta_T - zeta_P, shape (M, P)."""
         return self.values[self.target] - self.values[self.proposed]
 
 
@@ -52,24 +52,20 @@ def observe_all(
     workers: Workers,
     progress: Progress,
 ) -> Array:
-    """`observe` over all items, chunk by chunk, wherever the workers are.
+    """Map `observe` over all items in chunks, and concatenate in order, shape (N, L, C).
 
-    The chunks do not depend on how many workers there are, and the results stand where their items
-    do, so the same items give the same bits.
+    Chunks do not depend on the number of workers, so the same items give the same bits.
 
     Args:
-        observe: observations of some items, as many of each; a function of a module.
-        items: what is observed.
-        workers: who do it.
-        progress: shows how many are done.
-
-    Returns:
-        What it returned, in the order of the items, shape (N, L, C).
+        observe: Observations of some items, as many of each; a function of a module.
+        items: To observe.
+        workers: Processes or a cluster.
+        progress: Shows how many are done.
 
     Raises:
-        TuneNetError: a worker died of the same items each time that they were tried.
+        TuneNetError: A worker died of the same items at each try.
     """
-    size = max(1, min(_MOST_AT_A_TIME, len(items) // _CHUNKS + 1))
+    size = max(1, min(_MAX_AT_A_TIME, len(items) // _CHUNKS + 1))
     chunks = [items[at : at + size] for at in range(0, len(items), size)]
     if isinstance(workers, Cluster):
         done = on_cluster(workers, observe, chunks, _gone)
@@ -96,19 +92,19 @@ def _gone(chunk: Sequence[object]) -> Array:
 
 
 def consecutive_pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """(0, 1), (2, 3), ...: each rollout in one pair, as in the paper."""
+    """Pair rollouts (0, 1), (2, 3), ...: each in one pair, as in the paper."""
     return np.arange(0, 2 * count, 2), np.arange(1, 2 * count, 2)
 
 
 def mixed_pairs(
     values: Array, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Half of them any two rollouts, half of them close together, where the last steps are made.
+    """Draw pairs: half of any two rollouts, half close together, as the last iterations are.
 
     Args:
-        values: of the N rollouts, shape (N, P); close together is by the first one.
-        count: pairs wanted.
-        rng: where they are drawn from.
+        values: Of the N rollouts, shape (N, P); close together is by the first one.
+        count: Pairs wanted.
+        rng: Random generator.
     """
     order = np.argsort(values[:, 0])
     proposed = rng.integers(len(values), size=count)

@@ -16,26 +16,26 @@ if TYPE_CHECKING:
     import torch
 
 
+# Share of an observation that a short recording may lack at its beginning: the fall.
 _LATEST_BEGIN = 0.18
-"""Share of an observation that a short recording may lack at its beginning: the fall."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is trained.
+    """Hyperparameters of a training.
 
     Attributes:
-        optimizer: "sgd" (no momentum) or "adamw" (one cycle of the learning rate).
-        learning_rate: at first ("sgd") or at most ("adamw").
-        decay: the rate is multiplied by this every `decay_epochs` ("sgd").
+        optimizer: "sgd" (no momentum) or "adamw" (one-cycle learning rate).
+        learning_rate: At first ("sgd") or at most ("adamw").
+        decay: Factor of the rate every `decay_epochs` ("sgd").
         weight_decay: L2 constant.
         loss: "squared", "norm" (unsquared, the paper's eq. 4), or "relative": squared, over
             (|residual| + 0.1)^2, so that small residuals count as they do in the last steps.
         scaling: "raw", "unit" (inputs and outputs to [0, 1]), "standard" (of inputs), or "ranges"
             (also each output by its parameter's range); "unit-inputs" and "z-score" scale each
             channel of the inputs alone.
-        noise: up to this standard deviation is added to o_T, in the observation's unit.
-        cut_share: share of pairs that begin late and end early, as a short recording does.
+        noise: Up to this standard deviation is added to o_T, in the observation's unit.
+        cut_share: Share of pairs that begin late and end early, as a short recording does.
     """
 
     optimizer: str
@@ -52,7 +52,7 @@ class Recipe:
 
 
 def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress: Progress) -> Model:
-    """Train on the CPU or wherever torch puts tensors by default.
+    """Train a network with torch, on its default device.
 
     The same seed on the same machine gives the same weights.
     """
@@ -104,7 +104,7 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
 
 
 def one_step_error(model: Model, pairs: PairSet) -> float:
-    """Mean absolute error of zeta_P + h(o_P, o_T) over the pairs (K = 1 in the paper's table)."""
+    """Return the mean absolute error of zeta_P + h(o_P, o_T) (K = 1 in the paper's table)."""
     found = model(pairs.observations[pairs.proposed], pairs.observations[pairs.target])
     return float(np.mean(np.abs(found - pairs.residuals)))
 
@@ -126,7 +126,7 @@ def _scaling(pairs: PairSet, how: str) -> Scaling:
 
 
 def _by_channel(observations: Array, to_unit: bool) -> tuple[Array, Array]:
-    """Offset and gain of each input, one pair of numbers a channel."""
+    """Return offset and gain of each input, one pair per channel."""
     if to_unit:
         offset = np.nanmin(observations, axis=(0, 1))
         spread = np.nanmax(observations, axis=(0, 1)) - offset
@@ -156,7 +156,7 @@ def _augment(
     cut_share: float,
     generator: torch.Generator,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Noise on the target, and pairs that begin late, end early: what is not seen is 0 in both."""
+    """Augment with noise on the target, and with late begins and early ends (0 in both)."""
     import torch
 
     count, length = target.shape

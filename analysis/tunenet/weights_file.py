@@ -1,4 +1,4 @@
-"""A safetensors file of ours, read strictly: its header is checked before its tensors are read.
+"""Read our safetensors files strictly: the header is checked before the tensors are read.
 
 The format: 8 bytes with the header's length, little-endian; the header, a JSON object with dtype,
 shape and place of each tensor by name, and strings under `__metadata__`; the tensors' bytes.
@@ -23,30 +23,23 @@ from tunenet_logs.terminal import one_line, short_name
 
 REMEDY = "train the network again, or copy its file again"
 
-_MOST_FILE_BYTES = 32 * 1024 * 1024
-"""Thirty times the largest network of ours."""
+_MAX_FILE_BYTES = 32 * 1024 * 1024  # Thirty times the largest network of ours
+_MAX_HEADER_BYTES = 64 * 1024  # Thirty times what a header of ours takes
+# Strings in a header, and characters in one: several times what ours have.
+_MAX_NOTES, _MAX_CHARACTERS = 64, 4000
 
-_MOST_HEADER_BYTES = 64 * 1024
-"""Thirty times what a header of ours takes."""
-
-_MOST_NOTES, _MOST_CHARACTERS = 64, 4000
-"""Strings in a header, and characters in one: several times what ours have."""
-
-_LARGEST = 1e9
-"""Of a weight: no product of a network's layers is then infinite."""
-
-_DTYPE, _NUMPY_DTYPE = "F64", np.dtype("<f8")
-"""What `tunenet-train` writes."""
+_MAX_SIZE = 1e9  # of a weight: no product of a network's layers is then infinite
+_DTYPE, _NUMPY_DTYPE = "F64", np.dtype("<f8")  # what `tunenet-train` writes
 
 
 @dataclass(frozen=True)
 class WeightsFile:
-    """A file whose header makes sense.
+    """Safetensors file with a valid header.
 
     Attributes:
-        metadata: its strings by name.
-        entries: what the header says of each tensor.
-        data: the tensors' bytes.
+        metadata: Its strings by name.
+        entries: The header's entry of each tensor.
+        data: The tensors' bytes.
     """
 
     path: Path
@@ -55,10 +48,10 @@ class WeightsFile:
     data: bytes
 
     def tensors(self, wanted: Mapping[str, Collection[tuple[int, ...]]]) -> dict[str, Array]:
-        """All tensors: exactly the `wanted` ones, each in one of its shapes, side by side.
+        """Read exactly the `wanted` tensors, each in one of its shapes, contiguous in the file.
 
         Raises:
-            WeightsError: one is missing, or not as it has to be; with its name.
+            WeightsError: One is missing, unexpected or misshapen; with its name.
         """
         found: dict[str, Array] = {}
         places: list[tuple[int, int, str]] = []
@@ -81,12 +74,12 @@ class WeightsFile:
         if ends[-1] != len(self.data):
             raise self._wrong(f"{len(self.data) - ends[-1]} bytes after its tensors")
         for name, tensor in found.items():
-            if not np.all(np.abs(tensor) <= _LARGEST):
-                raise self._wrong(f"tensor {name!r} is not finite, or beyond {_LARGEST:g}")
+            if not np.all(np.abs(tensor) <= _MAX_SIZE):
+                raise self._wrong(f"tensor {name!r} is not finite, or beyond {_MAX_SIZE:g}")
         return found
 
     def _place(self, name: str, shapes: Collection[tuple[int, ...]]) -> tuple[int, tuple[int, ...]]:
-        """First byte and shape of a tensor."""
+        """Return first byte and shape of a tensor."""
         entry = self.entries.get(name)
         if entry is None:
             raise self._wrong(f"tensor {name!r} is missing")
@@ -110,7 +103,7 @@ class WeightsFile:
 
 
 def in_one_order(content: bytes) -> bytes:
-    """The same file with its header's strings sorted: the library writes them in any order."""
+    """Sort the header's strings: the library writes them in any order."""
     (length,) = struct.unpack_from("<Q", content)
     header = json.loads(content[8 : 8 + length])
     header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
@@ -123,10 +116,10 @@ def read_weights_file(path: Path) -> WeightsFile:
     """Read a file and check its header.
 
     Raises:
-        WeightsError: it is no safetensors file, or none of ours; names file and remedy.
+        WeightsError: It is no safetensors file, or none of ours; names file and remedy.
     """
     try:
-        content = read_small_file(path, _MOST_FILE_BYTES)
+        content = read_small_file(path, _MAX_FILE_BYTES)
         data, header = _parted(content)
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file") from error
@@ -138,28 +131,28 @@ def read_weights_file(path: Path) -> WeightsFile:
         why = one_line(error)
         raise WeightsError(f"{path}: is no readable safetensors file ({why}); {REMEDY}") from error
     metadata = header.pop("__metadata__", {})
-    if not isinstance(metadata, dict) or len(metadata) > _MOST_NOTES:
+    if not isinstance(metadata, dict) or len(metadata) > _MAX_NOTES:
         raise WeightsError(f"{path}: its __metadata__ is no list of a few strings; {REMEDY}")
     for name, text in metadata.items():
-        if not isinstance(text, str) or max(len(text), len(name)) > _MOST_CHARACTERS:
+        if not isinstance(text, str) or max(len(text), len(name)) > _MAX_CHARACTERS:
             what = f"{short_name(name)!r} in its __metadata__"
             raise WeightsError(
-                f"{path}: {what} is no string of at most {_MOST_CHARACTERS} characters; {REMEDY}"
+                f"{path}: {what} is no string of at most {_MAX_CHARACTERS} characters; {REMEDY}"
             )
     return WeightsFile(path, metadata, header, data)
 
 
 def _parted(content: bytes) -> tuple[bytes, dict[str, Any]]:
-    """The tensors' bytes, and the header.
+    """Split into the tensors' bytes, and the header.
 
     Raises:
-        ValueError: there is none.
+        ValueError: There is none.
     """
     if len(content) < 8:
         raise ValueError(f"{len(content)} bytes")
     (length,) = struct.unpack_from("<Q", content)
-    if length > _MOST_HEADER_BYTES:
-        raise ValueError(f"a header of {length} bytes; {_MOST_HEADER_BYTES} at most")
+    if length > _MAX_HEADER_BYTES:
+        raise ValueError(f"a header of {length} bytes; {_MAX_HEADER_BYTES} at most")
     if 8 + length > len(content):
         raise ValueError(f"a header of {length} bytes in a file of {len(content)}")
     header = parse_json(content[8 : 8 + length])
@@ -169,7 +162,7 @@ def _parted(content: bytes) -> tuple[bytes, dict[str, Any]]:
 
 
 def _are_whole(values: Any) -> bool:
-    """Whether this is a short list of whole numbers from zero on."""
+    """Return whether this is a short list of non-negative integers."""
     return (
         isinstance(values, list)
         and len(values) <= 4

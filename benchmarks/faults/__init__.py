@@ -1,1 +1,1 @@
-"""Deliberate faults, and whether the test suite catches them."""
+"""Inject deliberate faults to see whether the test suite catches them."""

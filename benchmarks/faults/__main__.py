@@ -1,4 +1,4 @@
-"""Whether the test suite catches faults: deliberate ones (`benchmarks/faults/`).
+"""Test the test suite by mutation: does it catch deliberate faults (`benchmarks/faults/`)?
 
     python -m benchmarks.faults                  all of them
     python -m benchmarks.faults --list           their names, files and likely tests
@@ -33,8 +33,8 @@ from benchmarks.faults.second import SECOND
 from benchmarks.faults.third import THIRD
 
 ROOT = Path(__file__).resolve().parents[2]
+# Recordings of others, which tests use where they are there: beside the tree.
 SHARED = ROOT.parent / "shared"
-"""Recordings of others, which tests use where they are there: beside the tree."""
 
 _NOT_COPIED = shutil.ignore_patterns(
     *(".git", ".venv", "__pycache__", ".*_cache", ".hypothesis", "*.egg-info"),
@@ -42,20 +42,15 @@ _NOT_COPIED = shutil.ignore_patterns(
 )
 _SUITE = ("-m", "not slow")
 _ALL_CORES = ("-n", "auto", "--dist", "loadfile")
-_PASSED, _FAILED, _BROKEN_OFF, _NO_TESTS = 0, 1, 2, 5
-"""What pytest ends with."""
-
-_LIKELY_S, _SUITE_S = 1200, 5400
-"""After which a run of the likely tests, or of all, hangs."""
-
+_PASSED, _FAILED, _BROKEN_OFF, _NO_TESTS = 0, 1, 2, 5  # what pytest ends with
+_LIKELY_S, _SUITE_S = 1200, 5400  # after which a run of the likely tests, or of all, hangs
 SETS = {"first": FIRST, "second": SECOND, "third": THIRD}
-_MISSED_OF = 20
-"""Of so many faults, one may be missed."""
+_MISSED_OF = 20  # of so many faults, one may be missed
 
 
 @dataclass(frozen=True)
 class Run:
-    """What came of one run of pytest.
+    """Result of one run of pytest.
 
     Attributes:
         failed: the first test that failed, or the file that could not be imported; "" if none.
@@ -74,14 +69,14 @@ class Run:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one fault, in words."""
+    """Result for one fault, in words."""
 
     is_caught: bool
     words: str
 
 
 def misplaced(faults: Sequence[Fault]) -> list[str]:
-    """Which faults no longer fit the code or its tests, and why."""
+    """List the faults that no longer fit the code or its tests, and why."""
     wrong: list[str] = []
     for fault in faults:
         file = ROOT / fault.file
@@ -105,7 +100,7 @@ def copy_tree(folder: Path) -> Path:
 
 
 def put_in(fault: Fault, tree: Path) -> str:
-    """Put a fault into a copy; the text of the file before."""
+    """Put a fault into a copy; return the text of the file before."""
     file = tree / fault.file
     before = file.read_text()
     file.write_text(before.replace(fault.old, fault.new))
@@ -113,13 +108,13 @@ def put_in(fault: Fault, tree: Path) -> str:
 
 
 def _environment(tree: Path) -> dict[str, str]:
-    """In which every process, the installed commands too, imports the copy."""
+    """Return an environment in which every process imports the copy."""
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     return {**os.environ, **threads, "PYTHONPATH": str(tree)}
 
 
 def _check_imports(tree: Path, elsewhere: Path) -> None:
-    """Raises RuntimeError: the copy is not what is imported, so no fault in it would be tested."""
+    """Raise RuntimeError if the copy is not what is imported: no fault would be tested."""
     code = "import analysis, recorders, tunenet_logs as logs; "
     code += "print(*(one.__file__ for one in (analysis, recorders, logs)), sep='\\n')"
     words = [sys.executable, "-c", code]
@@ -132,13 +127,7 @@ def _check_imports(tree: Path, elsewhere: Path) -> None:
 
 
 def tested(tree: Path, *words: str, limit_s: float) -> Run:
-    """Run pytest in a copy, up to the first test that fails.
-
-    Args:
-        tree: the copy.
-        words: files or tests, and options.
-        limit_s: after which the run and all that it started are killed.
-    """
+    """Run pytest in a copy, up to the first failure; after `limit_s` kill it and its children."""
     pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider"]
     process = subprocess.Popen(
         [*pytest, f"--basetemp={tree.parent / 'made'}", *words],
@@ -173,14 +162,14 @@ def _read(code: int, output: str) -> Run:
 
 
 def _runs(fault: Fault, tree: Path, *, likely_only: bool) -> Iterator[Run]:
-    """The likely tests, then all others."""
+    """Yield the run of the likely tests, then of all others."""
     yield tested(tree, *_SUITE, *fault.likely, limit_s=_LIKELY_S)
     if not likely_only:
         yield tested(tree, *_SUITE, *_ALL_CORES, limit_s=_SUITE_S)
 
 
 def tried(fault: Fault, *, likely_only: bool) -> Outcome:
-    """Put one fault into a copy, and see whether any test fails that passes without it."""
+    """Put one fault into a copy, and check whether a test fails that passes without it."""
     with tempfile.TemporaryDirectory() as name:
         tree = copy_tree(Path(name))
         before = put_in(fault, tree)

@@ -1,4 +1,4 @@
-"""One deliberate fault."""
+"""Deliberate fault of the mutation tests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Fault:
-    """One small change that leaves the code running.
+    """Small change that leaves the code running.
 
     Attributes:
         name: what is wrong, in plain words.

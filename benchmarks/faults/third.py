@@ -140,7 +140,7 @@ WRITERS = (
     Fault(
         "at a thousand samples a second, one that comes 2 ms late is told as a gap",
         "recorders/ros2/pace.py",
-        "longest_ns = max(_GAP_PERIODS * self._usual_ns(), _SHORTEST_GAP_NS)",
+        "longest_ns = max(_GAP_PERIODS * self._usual_ns(), _MIN_GAP_NS)",
         "longest_ns = _GAP_PERIODS * self._usual_ns()",
         ("tests/recorders/test_ros2_pace.py",),
     ),

@@ -1,1 +1,1 @@
-"""Cameras and videos as sources of frames: devices, network streams, files."""
+"""Frame sources: camera devices, network streams and video files."""

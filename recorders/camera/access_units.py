@@ -1,4 +1,4 @@
-"""Packets of a container as whole pictures, each with its time and the moment when it came."""
+"""Access units: a container's packets as whole pictures, with timestamp and arrival time."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from av import Packet
 
-_MOST_BYTES = 64 * 1024 * 1024
-"""Of one picture; a JPEG of 36 megapixels has 30. What has more never ends."""
+# Of one picture; a JPEG of 36 megapixels has 30. What has more never ends.
+_MAX_BYTES = 64 * 1024 * 1024
 
 
 class Unit(NamedTuple):
-    """One compressed picture.
+    """One compressed picture (access unit).
 
     Attributes:
-        data: its bytes.
-        ticks: its time, in the stream's own units; None where nothing tells.
-        arrived_ns: when its first byte came, on the clock that was asked.
-        is_key: whether the container says that it stands alone.
-        is_corrupt: whether FFmpeg knows that something of it is missing.
+        ticks: presentation timestamp in the stream's time base; None where the stream has none.
+        arrived_ns: when its first byte arrived [ns].
+        is_key: whether the container marks it as a key frame.
+        is_corrupt: whether FFmpeg reports data missing from it.
     """
 
     data: bytes
@@ -33,13 +32,13 @@ class Unit(NamedTuple):
 def whole_units(
     packets: Iterable[Packet], arrived_ns: Callable[[Packet], int], *, is_cut: bool
 ) -> Iterator[Unit]:
-    """One unit for each packet that holds anything.
+    """Yield one unit per non-empty packet of a parsed stream.
 
     Args:
-        packets: as FFmpeg's own parser hands them over.
-        arrived_ns: when a packet's first byte was here.
-        is_cut: whether the parser has to find where a picture ends: it does in the next one, and
-            what is known to be missing of that it then says of the picture before.
+        packets: as FFmpeg's parser returns them.
+        arrived_ns: when a packet's first byte arrived [ns].
+        is_cut: whether the parser searches for a picture's end: it finds it in the next one, and
+            reports data missing from that one on the picture before.
     """
     is_next_corrupt = False
     for packet in packets:
@@ -51,14 +50,14 @@ def whole_units(
 
 
 def joined_units(packets: Iterable[Packet], arrived_ns: Callable[[Packet], int]) -> Iterator[Unit]:
-    """One unit for all packets in a row that have one time, which in RTP is one picture's.
+    """Yield one unit per run of packets with one timestamp, which in RTP is one picture.
 
-    FFmpeg's parser, which would join them too, forgets the time of the first picture, and hands
-    over each so late that its arrival is the next one's.
+    FFmpeg's parser, which would join them too, loses the time of the first picture, and returns
+    each so late that its arrival is the next one's.
 
     Args:
         packets: as they came, not parsed.
-        arrived_ns: when a packet's first byte was here.
+        arrived_ns: when a packet's first byte arrived [ns].
     """
     pieces: list[bytes] = []
     size = 0
@@ -69,7 +68,7 @@ def joined_units(packets: Iterable[Packet], arrived_ns: Callable[[Packet], int])
         if not packet.size:
             continue
         is_next = packet.pts is not None and packet.pts != ticks
-        if pieces and (is_next or size > _MOST_BYTES):
+        if pieces and (is_next or size > _MAX_BYTES):
             yield Unit(b"".join(pieces), ticks, came_ns, is_key, is_corrupt)
             pieces, size, is_key, is_corrupt = [], 0, False, False
         if not pieces:

@@ -1,4 +1,4 @@
-"""A network camera's address, as people write it."""
+"""Parse a network camera's address as people write it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 from tunenet_logs.addresses import Address, scheme_of
 from tunenet_logs.errors import UsageError
 
+# How an address begins that was written without http://, as browsers take it.
 _BARE = re.compile(
     r"""
     (?: [^/@\s]+ @ )?                               # user:password@
@@ -22,14 +23,13 @@ _BARE = re.compile(
     """,
     re.VERBOSE,
 )
-"""How an address begins that was written without http://, as browsers take it."""
 
+# User and password before a host, whatever the host: a file of that name would be shown.
 _LOGIN = re.compile(r"[^/@\s:]*:[^/@\s]*@[^/@\s]")
-"""User and password before a host, whatever the host: a file of that name would be shown."""
 
 
 def with_scheme(text: str) -> str:
-    """What was meant: http:// before what is an address without it, and no file that is there."""
+    """Prepend http:// to an address without a scheme, unless a file of that name exists."""
     if scheme_of(text) or not (_BARE.match(text) or _LOGIN.match(text)):
         return text
     first = text.partition("/")[0]
@@ -39,10 +39,10 @@ def with_scheme(text: str) -> str:
 
 
 def camera_address(text: str) -> Address:
-    """Take a camera's address apart.
+    """Parse a camera's address.
 
     Raises:
-        UsageError: it has no host, a port that is none, or characters that no address has.
+        UsageError: it has no host, an invalid port, or characters that no address has.
     """
     scheme = scheme_of(text)
     with suppress(UsageError):
@@ -54,10 +54,10 @@ def camera_address(text: str) -> Address:
 
 
 def host_and_port(address: Address) -> tuple[str, int]:
-    """Of an address that is nothing more, such as tcp://192.168.1.20:5000.
+    """Return host and port of a bare address such as tcp://192.168.1.20:5000.
 
     Raises:
-        UsageError: it has no port, or more than that.
+        UsageError: it has no port, or more than host and port.
     """
     parts = urlsplit(address.url)
     more = parts.path.strip("/") or parts.query or address.full_url != address.url

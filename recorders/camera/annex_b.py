@@ -1,4 +1,4 @@
-"""H.264 and H.265 as a stream of NAL units: where a picture stands alone, and what it needs for it.
+"""Parse H.264 and H.265 byte streams (Annex B) for random access points and parameter sets.
 
 Rec. ITU-T H.264 and H.265, annex B: each unit follows a start code, its type is in its first byte.
 """
@@ -9,28 +9,26 @@ from typing import NamedTuple
 
 _START = b"\0\0\1"
 
-_MOST_UNITS = 64
-"""Of a picture before its first slice: parameter sets and remarks; encoders write a handful."""
+# Of a picture before its first slice: parameter sets and remarks; encoders write a handful.
+_MAX_UNITS = 64
 
+# Types of parameter sets: sequence and picture; for H.265 video before them.
 _SETS = {"h264": (7, 8), "h265": (32, 33, 34)}
-"""Types of parameter sets: sequence and picture; for H.265 video before them."""
 
-_SLICES = {"h264": range(1, 6), "h265": range(32)}
-"""Types that hold a picture's pixels."""
-
+_SLICES = {"h264": range(1, 6), "h265": range(32)}  # types that hold a picture's pixels
+# Of those, the ones from which a decoder can begin.
 _STANDS_ALONE = {"h264": range(5, 6), "h265": range(16, 24)}
-"""Of those, the ones from which a decoder can begin."""
 
+# A unit of remarks (SEI), and the remark by which H.264 says that a decoder can begin here.
 _H264_REMARK, _RECOVERY_POINT = 6, 6
-"""A unit of remarks (SEI), and the remark by which H.264 says that a decoder can begin here."""
 
 
 class PictureHead(NamedTuple):
-    """What stands before a picture's first slice.
+    """What precedes a picture's first slice.
 
     Attributes:
-        stands_alone: whether a decoder can begin here.
-        parameter_sets: those that it carries, with their start codes.
+        stands_alone: whether it is a random access point, where a decoder can begin.
+        parameter_sets: those that it carries (VPS, SPS, PPS), with their start codes.
     """
 
     stands_alone: bool
@@ -38,16 +36,11 @@ class PictureHead(NamedTuple):
 
 
 def head_of(data: bytes, codec: str) -> PictureHead:
-    """Look at one picture's units up to its first slice.
-
-    Args:
-        data: the units.
-        codec: "h264" or "h265".
-    """
+    """Parse one picture's NAL units up to its first slice; `codec` is "h264" or "h265"."""
     recovers = False
     sets: list[bytes] = []
     at = data.find(_START)
-    for _ in range(_MOST_UNITS):
+    for _ in range(_MAX_UNITS):
         if not 0 <= at < len(data) - 4:
             break
         at += 3

@@ -1,4 +1,4 @@
-"""What every source of frames offers."""
+"""The interface of all frame sources."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from tunenet_logs.episode import Frame
 
 
 class Shot(NamedTuple):
-    """One picture as it came.
+    """One frame as it came.
 
     Attributes:
-        frame: the picture, compressed; its stamp is when its first byte arrived, on the clock of
-            `tunenet_logs.clock`; of a file, the time that the file states.
-        told_ns: when the camera says that it was taken, on the camera's own clock, which begins
-            anywhere; None where it says nothing.
-        stands_alone: whether it can be decoded without those before it, as every JPEG can.
-        connection: by which it came: with each the camera's clock may begin anew.
+        frame: the compressed picture, stamped when its first byte arrived, on the clock of
+            `tunenet_logs.clock`; in a video file, stamped with the time that the file states.
+        told_ns: capture time reported by the camera [ns], on its own clock of arbitrary origin;
+            None where it reports none.
+        stands_alone: whether it can be decoded without earlier frames, as every JPEG can.
+        connection: number of its connection; the camera's clock may restart with each.
     """
 
     frame: Frame
@@ -27,11 +27,11 @@ class Shot(NamedTuple):
 
 
 class Source(Protocol):
-    """A camera or a video, opened.
+    """An open camera or video.
 
     Attributes:
         name: what recorded it, in words, without credentials and without a folder.
-        live: whether a frame is gone once it is missed.
+        live: whether a missed frame is lost.
     """
 
     name: str
@@ -39,9 +39,9 @@ class Source(Protocol):
 
     @property
     def returns(self) -> bool:
-        """Whether a new connection may bring more where this one is silent or has ended.
+        """Whether reconnecting may bring more frames once this one is silent or has ended.
 
-        Not of files and plugged-in cameras, and not once a camera ended its stream itself.
+        False for files and plugged-in cameras, and once a camera has ended its stream itself.
         """
         ...
 
@@ -52,26 +52,26 @@ class Source(Protocol):
 
     @property
     def damaged(self) -> int:
-        """Parts that were no whole picture and were skipped."""
+        """Number of incomplete pictures that were skipped."""
         ...
 
     @property
     def dropped(self) -> int:
-        """Pictures that came, and were let go because this machine could not keep up."""
+        """Number of pictures dropped because this machine could not keep up."""
         ...
 
     def notes(self) -> dict[str, str]:
-        """What the log should say of it: settings asked and accepted, codec, ..."""
+        """Return notes for the log: settings asked and accepted, codec, ..."""
         ...
 
     def frames(self) -> Iterator[Shot]:
-        """The shots in order. To be asked for once.
+        """Yield the frames in order; call it once.
 
         Raises:
-            TuneNetError: it failed in a way that a user should hear of.
+            TuneNetError: the source failed.
         """
         ...
 
     def close(self) -> None:
-        """Let go of it. From any thread; running `frames` end by themselves soon after."""
+        """Close the source, from any thread; a running `frames` ends soon after."""
         ...

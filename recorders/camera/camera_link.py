@@ -1,4 +1,4 @@
-"""One link to a camera: opened and read in a thread of its own, for as long as it is wanted."""
+"""One connection to a camera, opened and read in its own thread for as long as it is wanted."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from typing import NamedTuple
 
 from recorders.camera.base import Shot, Source
 
-_MOST_WAITING = 4
-"""Shots of one link that wait to be taken: they are taken as they come."""
+_MAX_WAITING = 4  # shots of one link that wait to be taken: they are taken as they come
 
 
 class Brought(NamedTuple):
-    """What a link brings.
+    """What a link delivers: a frame, or None at its end.
 
     Attributes:
         shot: None where there are no more.
@@ -26,18 +25,14 @@ class Brought(NamedTuple):
 
 
 class CameraLink(threading.Thread):
-    """Opens a camera, and puts what it delivers into an inbox.
+    """A thread that opens a camera and puts its frames into an inbox.
 
     A daemon: a camera that never answers must not keep the process.
 
-    Args:
-        inbox: shared by all links.
-        open_camera: raises where it cannot be opened.
-
     Attributes:
-        source: once it is open.
-        error: why it failed, where it did.
-        is_wanted: until it is given up.
+        source: None until it is open.
+        error: why it failed; None where it did not.
+        is_wanted: False once it is given up.
     """
 
     def __init__(self, inbox: Inbox, open_camera: Callable[[], Source]) -> None:
@@ -49,7 +44,7 @@ class CameraLink(threading.Thread):
         self.is_wanted = True
 
     def run(self) -> None:
-        """Open and read, to the end or until it is given up."""
+        """Open and read the camera until it ends or is given up."""
         try:
             source = self.source = self._open_camera()
             try:
@@ -63,7 +58,7 @@ class CameraLink(threading.Thread):
             self._inbox.put(Brought(self, None))
 
     def give_up(self) -> None:
-        """Nobody wants it any more; from any thread."""
+        """Abandon the link, from any thread."""
         self.is_wanted = False
         self._inbox.forget(self)
         if self.source is not None:
@@ -77,17 +72,17 @@ class CameraLink(threading.Thread):
 
 
 class Inbox:
-    """What the running links brought, in order."""
+    """Queue of the frames that the running links deliver, in order of arrival."""
 
     def __init__(self) -> None:
         self._items: deque[Brought] = deque()
         self._changed = threading.Condition()
 
     def put(self, brought: Brought) -> bool:
-        """Add something, as soon as there is room; False if nobody wants it."""
+        """Add an item once there is room; False if its link was given up."""
         link, shot = brought
         with self._changed:
-            while shot and len(self._items) >= _MOST_WAITING and link.is_wanted:
+            while shot and len(self._items) >= _MAX_WAITING and link.is_wanted:
                 self._changed.wait()
             if link.is_wanted:
                 self._items.append(brought)
@@ -95,7 +90,7 @@ class Inbox:
             return link.is_wanted
 
     def take(self, wait_s: float) -> Brought | None:
-        """The oldest thing; None where nothing comes for so long."""
+        """Return the oldest item; None where none comes within `wait_s`."""
         with self._changed:
             if not self._items:
                 self._changed.wait(wait_s)
@@ -105,7 +100,7 @@ class Inbox:
             return self._items.popleft()
 
     def forget(self, link: CameraLink) -> None:
-        """Let go of what a link brought that is not wanted any more."""
+        """Discard the items of a link."""
         with self._changed:
             self._items = deque(one for one in self._items if one.link is not link)
             self._changed.notify_all()

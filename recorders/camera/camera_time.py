@@ -1,4 +1,4 @@
-"""When each picture was taken: the camera's own clock, placed on ours."""
+"""Stamp each frame with its capture time: the camera's own clock, mapped to ours."""
 
 from __future__ import annotations
 
@@ -10,24 +10,23 @@ from recorders.camera.base import Shot
 from recorders.topic_queue import Item
 from tunenet_logs.episode import Frame
 
+# How long the first pictures are looked at before the camera's clock is placed on ours.
 _HOLD_NS = 500_000_000
-"""How long the first pictures are looked at before the camera's clock is placed on ours."""
 
+# Of pictures that are looked at so; what comes then is late enough to be told from what waited.
 _HOLD_BYTES = 32 * 1024 * 1024
-"""Of pictures that are looked at so; what comes then is late enough to be told from what waited."""
 
+# No two pictures change places so far apart, and no estimate of a delay is so wrong.
 _LEAP_NS = 1_000_000_000
-"""No two pictures change places so far apart, and no estimate of a delay is so wrong."""
 
 
 class Timed(NamedTuple):
-    """A picture that has its time.
+    """A frame with its capture time.
 
     Attributes:
-        frame: the picture, its stamp the camera's time.
-        arrived_ns: when it came.
-        begins_anew: whether the camera's clock was placed anew before it: how long before it the
-            last picture was taken, no clock tells.
+        frame: stamped with the camera's time, on our clock.
+        begins_anew: whether the camera's clock was aligned anew before it, so that the interval
+            from the frame before is unknown.
     """
 
     frame: Frame
@@ -36,25 +35,23 @@ class Timed(NamedTuple):
 
 
 class CameraTime:
-    """Gives pictures the time at which they were taken [ns, on our clock].
+    """Maps camera timestamps to our clock [ns].
 
-    Where the camera tells its own times, they are kept to the nanosecond, all moved by one anchor:
-    the smallest delay between telling and arriving of the first half second. (What was read ahead
-    to learn what the stream holds comes late, and would place all that follows too late.) Where it
-    tells none, the time is the arrival's.
+    Where the camera reports times, they are kept to the nanosecond, all shifted by one offset: the
+    smallest delay from reported time to arrival within the first half second. (What was read ahead
+    to probe the stream comes late, and would shift all that follows.) Where it reports none, the
+    time is the arrival's.
 
-    The camera's clock has leapt where it goes back by over a second, or where one step takes it
-    over a second beyond the arrival, which no delay does. It is then placed anew, and so it is with
-    each new connection. A picture that merely comes late, however late, keeps the time that was
-    told.
+    The camera's clock has jumped where it goes back by over a second, or where one step takes it
+    over a second beyond the arrival, which no delay does. It is then aligned anew, as with each new
+    connection. A picture that merely comes late, however late, keeps its reported time.
 
     Args:
-        is_told: whether what the camera tells is used; else all times are the arrivals.
+        is_told: whether reported times are used; else all times are the arrivals.
 
     Attributes:
-        leaps: how often the camera's clock was placed anew.
-        is_placed: whether the pictures given out now are past those that were held back, which
-            are late by that.
+        leaps: number of jumps of the camera's clock.
+        is_placed: False while held-back frames are released, which are late by having been held.
     """
 
     def __init__(self, *, is_told: bool = True) -> None:
@@ -73,7 +70,7 @@ class CameraTime:
         self._is_reordered = False
 
     def timed(self, item: Item[Shot]) -> Iterator[Timed]:
-        """The pictures that have their time by now, in the order in which they came."""
+        """Yield the frames whose time is known by now, in order of arrival."""
         if not self._uses_told:
             item = item._replace(payload=item.payload._replace(told_ns=None))
         told_ns, connection = item.payload.told_ns, item.payload.connection
@@ -97,14 +94,14 @@ class CameraTime:
             yield self._placed(item)
 
     def due(self, now_ns: int) -> Iterator[Timed]:
-        """Those that were held back for long enough."""
+        """Yield the held-back frames once they have been held for long enough."""
         if self._held and (
             now_ns - self._held[0].received_ns >= _HOLD_NS or self._held_bytes > _HOLD_BYTES
         ):
             yield from self.rest()
 
     def rest(self) -> Iterator[Timed]:
-        """All that are held back still."""
+        """Yield all frames that are still held back."""
         held, self._held, self._held_bytes = self._held, [], 0
         self.is_placed = False
         told = [(one.received_ns, one.payload.told_ns) for one in held]
@@ -117,7 +114,7 @@ class CameraTime:
             yield self._placed(item)
 
     def notes(self) -> dict[str, str]:
-        """Whose times the stamps are."""
+        """Return notes on which clock the stamps come from."""
         if not self._told:
             return {"stamps": "arrival"}
         untold = f", {self._untold} by arrival" if self._untold else ""

@@ -1,4 +1,4 @@
-"""From a camera to a log: one thread reads, the other writes, and what is lost is counted."""
+"""Record a camera to a log: one thread reads, another writes, and losses are counted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from recorders.session import Summary, stop_flag
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import CameraError, LogError, MicrophoneError
 from tunenet_logs.late_stamps import STAMPS_NOTE
-from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, FASTEST_HZ, measured_hz
+from tunenet_logs.measured_rate import MAX_SPEED_CAMERA_HZ, MAX_SPEED_HZ, measured_hz
 from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.sound_notes import sound_notes_of, why_not_kept
 from tunenet_logs.terminal import Progress
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Limits:
-    """When a recording ends by itself, and what may wait in memory.
+    """When a recording ends by itself, and how much may be buffered.
 
     Attributes:
-        seconds: length by the frames' stamps; None: until the source ends, or a signal.
-        stall_s: the longest a live source may deliver nothing.
-        wait_s: the same before its first frame, where that is longer.
+        seconds: duration by the frames' stamps; None: until the source ends, or a signal.
+        stall_s: longest silence of a live source.
+        wait_s: longest wait for its first frame, where that is longer.
         queue_bytes: pictures read and not yet written.
-        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
-        stamps: whose time the pictures are stamped with.
+        min_free_bytes: space to leave free on the disk; 0 for no such bound.
+        stamps: which clock the frames are stamped by.
     """
 
     seconds: float | None = None
@@ -62,9 +62,9 @@ def record_camera(
     preview: Preview | None = None,
     microphone: LiveSound | None = None,
 ) -> Summary:
-    """Write a source's frames to a log until it ends, stalls, or is stopped.
+    """Record a source's frames to a log until it ends, stalls or is stopped.
 
-    With a preview, from the moment that "record" is pressed there. A microphone is heard beside a
+    With a preview, recording begins when "record" is pressed there. A microphone records beside a
     live source, from its first frame on.
 
     Raises:
@@ -101,7 +101,7 @@ def record_camera(
         if not reader.captured:
             writer.discard()
             raise reader.error or CameraError(_nothing_came(source, ended))
-        fastest_hz = FASTEST_CAMERA_HZ if source.live else FASTEST_HZ
+        fastest_hz = MAX_SPEED_CAMERA_HZ if source.live else MAX_SPEED_HZ
         rate_hz = measured_hz(reader.queue.tally(CAMERA_TOPIC).stamps_ns, fastest_hz)
         if rate_hz:
             writer.note("measured_hz", f"{rate_hz:.3f}")
@@ -146,7 +146,7 @@ def _listen(microphone: LiveSound | None, writer: EpisodeWriter) -> None:
 
 
 def _sound_of(source: Source, writer: EpisodeWriter) -> SoundBlocks | None:
-    """What is to be written of a film's sound; a note of the log says what it is, or why not."""
+    """Return a video file's sound to write; a note of the log says what it is, or why not."""
     sound = source.sound() if isinstance(source, VideoFile) else None
     if sound is None:
         return None
@@ -158,14 +158,14 @@ def _sound_of(source: Source, writer: EpisodeWriter) -> SoundBlocks | None:
 
 
 def _tally(reader: ReadingThread, sound: WritesSound | None) -> dict[str, int]:
-    """What came: pictures, and blocks of sound beside them."""
+    """Count the frames that came and the blocks of sound written beside them."""
     counts = reader.tally()
     counts["captured"] += sound.written if sound else 0
     return counts
 
 
 def _stamped(path: Path, notes: Mapping[str, str], limits: Limits) -> str:
-    """Stamp pictures that came without a time by the clock behind them; what is to be said."""
+    """Restamp frames that came without a time by the uniform clock behind them; say how."""
     if limits.stamps == "arrival" or notes.get(STAMPS_NOTE) != "arrival":
         return ""
     try:

@@ -1,4 +1,4 @@
-"""A connection to a camera, plain or by TLS, with a deadline for every byte and true errors."""
+"""Connect to a camera, plain or by TLS, with a deadline for every byte."""
 
 from __future__ import annotations
 
@@ -14,26 +14,20 @@ from recorders.deadline import Deadline, with_deadline
 from tunenet_logs.errors import CameraAwayError, CameraError
 from tunenet_logs.terminal import short_name
 
+# For redirections, passwords and headers together, where no longer silence is allowed.
 OPENING_S = 10.0
-"""For redirections, passwords and headers together, where no longer silence is allowed."""
 
+# Answers, of HTTP and RTSP, of a server that starts, or has too much to do.
 PASSING = (404, 408, 425, 429, 453, 500, 502, 503, 504)
-"""Answers, of HTTP and RTSP, of a server that starts, or has too much to do."""
 
 _ANY = Trust(is_insecure=True)
 
 
 def connect(host: str, port: int, deadline: Deadline, trust: Trust | None) -> socket.socket:
-    """A connection, which `deadline` can break off.
-
-    Args:
-        host: its name or number.
-        port: of the host.
-        deadline: for this, and for all that is read and written later.
-        trust: by TLS, where such a certificate is believed; None for a plain connection.
+    """Connect to a host, by TLS unless `trust` is None; `deadline` bounds all later reads, too.
 
     Raises:
-        CameraError: nothing answers there, or its certificate is not believed.
+        CameraError: nothing answers there, or its certificate is not trusted.
         TimeoutError: it does not answer in time.
     """
     try:
@@ -53,14 +47,10 @@ def connect(host: str, port: int, deadline: Deadline, trust: Trust | None) -> so
 
 @contextmanager
 def answering(shown: str, deadline: Deadline) -> Iterator[None]:
-    """Tell what goes wrong while a camera is asked.
-
-    Args:
-        shown: the camera's address, which each error begins with.
-        deadline: by which it has to answer.
+    """Re-raise failures to talk to a camera as errors that begin with its address, `shown`.
 
     Raises:
-        CameraError: whatever it is.
+        CameraError: anything failed, or `deadline` passed.
     """
     try:
         yield
@@ -81,7 +71,7 @@ def answering(shown: str, deadline: Deadline) -> Iterator[None]:
 
 
 def sent_on(url: str, schemes: tuple[str, ...]) -> CameraError:
-    """The error of a camera that sends on to where nobody asks: the user alone says where to."""
+    """Make the error of a refused redirect: only the user chooses another host."""
     try:
         parts = urlsplit(url)
         place = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"

@@ -1,4 +1,4 @@
-"""A video that comes in a container (MPEG-TS, MP4, Matroska, FLV, ...) or bare (H.264, JPEGs)."""
+"""Video in a container (MPEG-TS, MP4, Matroska, FLV, ...) or as a bare stream (H.264, JPEG)."""
 
 from __future__ import annotations
 
@@ -24,18 +24,17 @@ _OPTIONS = {
     "protocol_whitelist": "",
 }
 
+# Formats that tell no times: their pictures are stamped as they come, though a file holds them.
 _TIMELESS = frozenset({"h264", "hevc", "mjpeg"})
-"""Formats that tell no times: their pictures are stamped as they come, though a file holds them."""
 
 
 class ContainerStream(PacketStream):
-    """The video in a stream of bytes; FFmpeg takes it apart, and opens nothing itself.
+    """The video in a byte stream, demuxed by FFmpeg, which opens nothing itself.
 
     Args:
-        feed: the bytes.
-        kind: FFmpeg's name of their format.
-        shown: where they come from.
-        live: whether pictures come as they are taken; else they are stamped as the container says.
+        kind: FFmpeg's name of the format.
+        shown: where the bytes come from, for errors.
+        live: whether pictures arrive as they are taken; else the container's timestamps are used.
 
     Raises:
         CameraError: it holds no video, or nothing came in time.
@@ -55,10 +54,10 @@ class ContainerStream(PacketStream):
         self._shown = shown
 
     def frames(self) -> Iterator[Shot]:
-        """The pictures as they come, until the stream ends or falls silent.
+        """Yield the pictures as they come, until the stream ends or falls silent.
 
         Raises:
-            CameraError: what comes is no such stream.
+            CameraError: the stream is invalid.
         """
         self._feed.got_picture()
         try:
@@ -80,18 +79,18 @@ class ContainerStream(PacketStream):
             self.ended = ""
 
     def close(self) -> None:
-        """End running `frames`; the feed is closed there."""
+        """End a running `frames`, which closes the feed."""
         self._feed.deadline.break_off()
         super().close()
 
 
 class _Bytes:
-    """A feed as FFmpeg reads it: where it breaks it ends, and what came before is kept.
+    """A feed as FFmpeg's input: a broken feed ends, and what came before is kept.
 
     An exception would be lost on its way through FFmpeg, or printed.
 
     Attributes:
-        broken: why it ended; None while it has not, and at its own end.
+        broken: the error that ended it; None while it runs, and at a regular end.
     """
 
     def __init__(self, feed: TimedFeed, kind: str) -> None:
@@ -134,5 +133,5 @@ def _opened(feed: _Bytes, kind: str) -> InputContainer:
 
 
 def _refuse(*_words: object) -> NoReturn:
-    """What a container names stays shut, be it a file of this machine or another host."""
+    """Refuse to open what a container names, be it a file of this machine or another host."""
     raise CameraError("names other files or hosts; only what it holds itself is recorded")

@@ -1,4 +1,4 @@
-"""A camera that is plugged in, through Video4Linux."""
+"""Read a plugged-in camera through Video4Linux."""
 
 from __future__ import annotations
 
@@ -15,22 +15,18 @@ from tunenet_logs.episode import Frame
 from tunenet_logs.errors import CameraError
 from tunenet_logs.jpeg import from_bgr, is_whole
 
+# A driver's stamp that is further from the monotonic clock is of another clock, or 0.
 _PLAUSIBLE_NS = 5_000_000_000
-"""A driver's stamp that is further from the monotonic clock is of another clock, or 0."""
 
 
 class CameraDevice:
-    """A camera device; its JPEGs stay untouched where it makes some.
+    """A Video4Linux camera; the JPEGs it makes are kept byte for byte.
 
     A frame's stamp is the driver's, which is monotonic and taken when the frame was received;
     where that is missing, when the frame was read.
 
-    Args:
-        path: such as /dev/video0.
-        settings: what to ask of it.
-
     Raises:
-        CameraError: it is not there, is no camera, or another program has it.
+        CameraError: it is missing, is no camera, or is in use by another program.
     """
 
     live = True
@@ -65,14 +61,14 @@ class CameraDevice:
         self._has_driver_stamps: bool | None = None
 
     def notes(self) -> dict[str, str]:
-        """What was asked of the camera and what it accepted; how its frames are stamped."""
+        """Return the settings asked and accepted, and how frames are stamped."""
         notes = dict(self._notes)
         if self._has_driver_stamps is not None:
             notes["stamps"] = "driver" if self._has_driver_stamps else "arrival"
         return notes
 
     def frames(self) -> Iterator[Shot]:
-        """The frames as they come, until the camera is unplugged."""
+        """Yield the frames as they come, until the camera is unplugged."""
         import cv2
 
         self._reading = True
@@ -99,13 +95,13 @@ class CameraDevice:
             self._capture.release()
 
     def close(self) -> None:
-        """End running `frames` with the next frame; the device is released there."""
+        """End a running `frames` with the next frame; it releases the device."""
         self._closed = True
         if not self._reading:
             self._capture.release()
 
     def _jpeg(self, picture: np.ndarray) -> bytes | None:
-        """A frame as a JPEG; None where it is damaged."""
+        """Return a frame as a JPEG; None where it is damaged."""
         is_decoded = picture.ndim == 3 and picture.shape[2] == 3
         if is_decoded or not self._makes_jpegs:
             return from_bgr(picture)

@@ -1,7 +1,7 @@
-"""When pictures were taken whose camera tells no time: by the even clock behind their arrivals.
+"""Restamp frames of a camera that reports no time by the uniform clock behind their arrivals.
 
-All of them are needed for it, so the log is stamped when it has ended. While it is written, and
-where no clock is found, its stamps are the arrivals; those stay in it as the log's own times.
+The clock is fitted to all of them, so the log is restamped once it has ended. While it is written,
+and where no clock is found, its stamps are the arrivals; those stay in it as the log times.
 """
 
 from __future__ import annotations
@@ -15,35 +15,34 @@ from numpy.typing import NDArray
 
 from tunenet_logs.even_clock import EvenClock
 from tunenet_logs.gaps import noted_gaps, parts_between
-from tunenet_logs.late_stamps import BY_ARRIVALS, MOST_SAMPLES, clock_behind, clock_in_words
+from tunenet_logs.late_stamps import BY_ARRIVALS, MAX_SAMPLES, clock_behind, clock_in_words
 from tunenet_logs.messages import CAMERA_TOPIC, VIDEO_TOPIC
 from tunenet_logs.restamping import header_stamps_ns, restamp
 
-_FEWEST = 50
-"""Pictures of which a clock is worth the name."""
+_MIN_COUNT = 50  # pictures of which a clock is worth the name
 
 
 def stamp_evenly(path: Path, notes: Mapping[str, str], spare_bytes: int) -> str:
-    """Stamp the pictures of a finished log by their camera's clock.
+    """Restamp the frames of a finished log by the uniform clock fitted to their arrivals.
 
-    Each part between gaps has a clock of its own: what was connected anew may count anew.
+    Each contiguous segment has a clock of its own: a new connection may count anew.
 
     Args:
         path: the log; the header stamps of its pictures are their arrivals.
         notes: the log's, which say where its gaps are.
-        spare_bytes: what is to stay free on the disk beside a copy of the log.
+        spare_bytes: space to leave free on the disk beside a copy of the log.
 
     Returns:
-        Whose time the stamps are now, in words.
+        Which clock the stamps come from now, in words.
 
     Raises:
         LogError: the log cannot be copied; it is as it was.
     """
     topic, arrivals_ns = _pictures(path)
-    if len(arrivals_ns) < _FEWEST:
+    if len(arrivals_ns) < _MIN_COUNT:
         return "arrival"
-    if len(arrivals_ns) > MOST_SAMPLES:
-        return f"arrival: no clock is sought behind more than {MOST_SAMPLES} pictures"
+    if len(arrivals_ns) > MAX_SAMPLES:
+        return f"arrival: no clock is sought behind more than {MAX_SAMPLES} pictures"
     parts = parts_between(arrivals_ns, noted_gaps(notes))
     stamps_ns = arrivals_ns.copy()
     found: list[EvenClock] = []
@@ -55,7 +54,7 @@ def stamp_evenly(path: Path, notes: Mapping[str, str], spare_bytes: int) -> str:
         if clock is not None:
             stamps_ns[chosen] = clock.stamps_ns
             found.append(clock)
-        elif np.count_nonzero(chosen) >= _FEWEST:
+        elif np.count_nonzero(chosen) >= _MIN_COUNT:
             found.clear()
             break
     if not found or np.any(np.diff(stamps_ns) <= 0):
@@ -68,7 +67,7 @@ def stamp_evenly(path: Path, notes: Mapping[str, str], spare_bytes: int) -> str:
 
 
 def _pictures(path: Path) -> tuple[str, NDArray[np.int64]]:
-    """The topic of a log's pictures and their header stamps [ns]."""
+    """Return the topic of a log's pictures and their header stamps [ns]."""
     of = {topic: header_stamps_ns(path, topic) for topic in (CAMERA_TOPIC, VIDEO_TOPIC)}
     topic = max(of, key=lambda one: len(of[one]))
     return topic, np.array(of[topic], np.int64)

@@ -1,4 +1,4 @@
-"""What a stream of bytes is, by its first: names and announced types are wrong too often."""
+"""Detect a stream's format by its first bytes: names and announced types are often wrong."""
 
 from __future__ import annotations
 
@@ -7,36 +7,35 @@ from collections.abc import Callable
 
 from tunenet_logs.errors import CameraError
 
-MULTIPART, PLAYLIST = "multipart", "playlist"
-"""What is taken apart here; all other answers of `format_of` are FFmpeg's names of a format."""
+# What is taken apart here; all other answers of `format_of` are FFmpeg's names of a format.
+MULTIPART = "multipart"
 
-MOST_BYTES = 4096
-"""By then it is known, or never will be."""
-
+MAX_BYTES = 4096  # by then it is known, or never will be
+# A boundary and a part's headers; some senders leave the first boundary out.
 _PARTS = re.compile(
     rb"\s{0,8}(?:--[^\r\n]{1,140}\r?\n\s{0,4})?(?:[\w-]{1,40}:[^\n]{0,200}\n){0,8}?"
     rb"content-(?:type: *image/|length: *\d)",
     re.IGNORECASE,
 )
-"""A boundary and a part's headers; some senders leave the first boundary out."""
 
+# The start code of an H.264 or H.265 unit, and the two bytes behind it.
 _UNIT = re.compile(rb"\x00{2,3}\x01([\x00-\x7f])(.)", re.DOTALL)
-"""The start code of an H.264 or H.265 unit, and the two bytes behind it."""
 
+# Types of the unit that such a stream may begin with: a slice, SEI, SPS, a delimiter.
 _H264_FIRST = (1, 5, 6, 7, 9)
-"""Types of the unit that such a stream may begin with: a slice, SEI, SPS, a delimiter."""
 
-_H265_FIRST = (1, 19, 20, 21, 32, 33, 35, 39)
-"""The same of H.265."""
-
+_H265_FIRST = (1, 19, 20, 21, 32, 33, 35, 39)  # the same of H.265
+# Each packet of MPEG-TS begins with that; so many in their places are no accident.
 _TS_SYNC, _TS_BYTES, _TS_PACKETS = b"\x47", 188, 3
-"""Each packet of MPEG-TS begins with that; so many in their places are no accident."""
 
+# How a playlist begins, of HLS or of MPEG-DASH.
+_PLAYLIST = re.compile(
+    rb"(?:\xef\xbb\xbf)?(?:#EXTM3U|\s*(?:<\?xml[^>]{0,200}>\s*)?(?:<!--.{0,500}?-->\s*)?<MPD\b)",
+    re.DOTALL,
+)
+
+# What people give instead of a video, and what helps.
 _NO_VIDEO: tuple[tuple[re.Pattern[bytes], str], ...] = (
-    (
-        re.compile(rb"\s*(?:<\?xml[^>]{0,200}>\s*)?(?:<!--.{0,500}?-->\s*)?<MPD\b", re.DOTALL),
-        "is a manifest of MPEG-DASH; give the camera's HLS, RTSP or MJPEG address",
-    ),
     (
         re.compile(rb"\s*<"),
         "answers with a web page, not with a video; give the address of the camera's video stream, "
@@ -48,22 +47,22 @@ _NO_VIDEO: tuple[tuple[re.Pattern[bytes], str], ...] = (
         "gives a single picture; give the address of the camera's video stream",
     ),
 )
-"""What people give instead of a video, and what helps."""
 
 
 def format_of(start: bytes, *, is_all: bool) -> str | None:
-    """What begins so: MULTIPART, PLAYLIST, or the name of a format that FFmpeg reads.
+    """Detect the format: MULTIPART, or FFmpeg's name of one; None needs more bytes.
 
-    Args:
-        start: the first bytes.
-        is_all: whether no more can be had, or are looked at.
-
-    Returns:
-        None where more bytes are needed to tell.
+    `is_all` says that no more bytes can be had, or are looked at.
 
     Raises:
         CameraError: it is no video; without the source's name.
     """
+    if _PLAYLIST.match(start):  # before all else: lines may be as regular as packets
+        raise CameraError(
+            "is a playlist (HLS or MPEG-DASH); let ffmpeg write its video to standard input: "
+            "ffmpeg -loglevel error -re -i 'ADDRESS' -c copy -f matroska - | "
+            "tunenet-record --camera -"
+        )
     for name, is_such in _FORMATS:
         if is_such(start):
             return name
@@ -92,7 +91,7 @@ def _is_mpegts(start: bytes) -> bool:
 
 
 def _is_mp4(start: bytes) -> bool:
-    """Whether it is MP4, in an order that can be read as it comes.
+    """Detect an MP4 that can be streamed.
 
     Raises:
         CameraError: its pictures come before their index.
@@ -109,11 +108,11 @@ def _is_mp4(start: bytes) -> bool:
         if kind in (b"moov", b"moof") or size < 8:
             return True
         at += size
-    return at > MOST_BYTES
+    return at > MAX_BYTES
 
 
 def _is_unit_of(types: tuple[int, ...], shift: int, second: bytes) -> Callable[[bytes], bool]:
-    """Whether a stream begins with a unit of those types; `second` is where its header ends."""
+    """Make a test for NAL units of `types`; `second` is a header's second byte, if any."""
 
     def is_such(start: bytes) -> bool:
         found = _UNIT.match(start)
@@ -124,8 +123,8 @@ def _is_unit_of(types: tuple[int, ...], shift: int, second: bytes) -> Callable[[
     return is_such
 
 
+# In the order in which they are tried: the last are the least certain.
 _FORMATS: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
-    (PLAYLIST, lambda start: start.removeprefix(b"\xef\xbb\xbf").startswith(b"#EXTM3U")),
     ("mjpeg", lambda start: start.startswith(b"\xff\xd8\xff")),
     (MULTIPART, lambda start: _PARTS.match(start) is not None),
     ("matroska", lambda start: start.startswith(b"\x1a\x45\xdf\xa3")),
@@ -141,4 +140,3 @@ _FORMATS: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
     ("h264", _is_unit_of(_H264_FIRST, 0, b"")),
     ("mpegts", _is_mpegts),
 )
-"""In the order in which they are tried: the last are the least certain."""

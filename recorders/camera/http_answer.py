@@ -1,4 +1,4 @@
-"""What a camera answers over HTTP: its host alone, with its login and its certificate."""
+"""Request a camera over HTTP: its host alone, with its login and its certificate."""
 
 from __future__ import annotations
 
@@ -15,24 +15,18 @@ from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraAwayError, CameraError
 from tunenet_logs.terminal import short_name
 
-_MOST_MORE = 8
-"""Requests beyond the first for one answer: redirections, and the login."""
-
+_MAX_MORE = 8  # requests beyond the first for one answer: redirections, and the login
 _MOVED = (301, 302, 303, 307, 308)
 
 _HEADERS = {"Accept": "*/*", "Connection": "close", "User-Agent": "tunenet-record"}
 
 
 class HttpCamera:
-    """One host, which is asked once or often over HTTP or HTTPS.
+    """A host that is requested over HTTP or HTTPS.
 
     Redirections are followed within the host alone: elsewhere may be what only this machine can
     reach, and a camera shall not choose it. The password goes nowhere else, and never from https
     to http. There are no proxies: a camera stands in the same room.
-
-    Args:
-        address: names the host and the login.
-        trust: which certificate is believed.
     """
 
     def __init__(self, address: Address, trust: Trust) -> None:
@@ -41,24 +35,21 @@ class HttpCamera:
         self._trust = trust
         self._login = Login.of(address)
 
-    def answer(self, url: str, deadline: Deadline) -> HTTPResponse:
-        """What the host answers with 200 (or another 2xx), its body still to be read.
-
-        Its `url` is where that was, behind all redirections.
+    def answer(self, deadline: Deadline) -> HTTPResponse:
+        """Request the address; return the response (2xx), its body still to be read.
 
         Args:
-            url: absolute, of the same host: what a playlist names may be another.
             deadline: for all of it, the body too.
 
         Raises:
-            CameraError: the host cannot be reached, refuses, or sends on to another.
+            CameraError: the host cannot be reached, refuses, or redirects to another.
         """
         with answering(self._shown, deadline):
-            return self._followed(self._checked(url), deadline)
+            return self._followed(self._first, deadline)
 
     def _followed(self, parts: SplitResult, deadline: Deadline) -> HTTPResponse:
         response = self._asked(parts, deadline)
-        for _ in range(_MOST_MORE):
+        for _ in range(_MAX_MORE):
             place = response.headers.get("Location", "")
             if response.status == 401:
                 self._login.take(response.headers.get_all("WWW-Authenticate", []))
@@ -70,7 +61,6 @@ class HttpCamera:
             response.close()  # its body is not read: it may have no end
             response = self._asked(parts, deadline)
         if 200 <= response.status < 300:
-            response.url = urlunsplit(parts)
             return response
         response.close()
         remedy = "check the path" if response.status == 404 else "check the address"
@@ -91,7 +81,7 @@ class HttpCamera:
         return response
 
     def _checked(self, url: str) -> SplitResult:
-        """Take a place apart where it is of the host; elsewhere nothing is asked."""
+        """Parse a URL; raise unless it is on the camera's host, and as well encrypted."""
         parts = urlsplit(url)
         is_there = parts.scheme in ("http", "https") and parts.hostname == self._first.hostname
         is_weaker = (
@@ -103,7 +93,7 @@ class HttpCamera:
 
 
 class _Connection(HTTPConnection):
-    """To where an address says, with a deadline."""
+    """An HTTP or HTTPS connection with a deadline."""
 
     def __init__(self, parts: SplitResult, deadline: Deadline, trust: Trust) -> None:
         self.default_port = 443 if parts.scheme == "https" else 80

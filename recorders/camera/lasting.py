@@ -1,4 +1,4 @@
-"""A network camera that may start late, fall silent, or go and come back."""
+"""Reconnect to a network camera that may start late, fall silent, or go and come back."""
 
 from __future__ import annotations
 
@@ -9,38 +9,37 @@ from recorders.camera.base import Shot, Source
 from recorders.camera.camera_link import CameraLink, Inbox
 from tunenet_logs.errors import CameraAwayError
 
+# Between the beginnings of two links: a camera that is away is not hurried by more.
 _BETWEEN_S = 0.5
-"""Between the beginnings of two links: a camera that is away is not hurried by more."""
 
+# For a link to bring a picture, before another takes its place: as long as opening may take, and as
+# pictures may be apart from which a stream can be decoded.
 _TRY_S = 10.0
-"""For a link to bring a picture, before another takes its place: as long as opening may take,
-and as pictures may be apart from which a stream can be decoded."""
 
+# Of silence, or half of what is allowed, after which a new connection is tried beside the silent
+# one: of its two ends one may be gone, and the other never hears of it.
 _SILENT_S = 3.0
-"""Of silence, or half of what is allowed, after which a new connection is tried beside the silent
-one: of its two ends one may be gone, and the other never hears of it."""
 
-_MOST_HANGING = 4
-"""Attempts that were given up and still hang in a library, with which no new one is made."""
+# Attempts that were given up and still hang in a library, with which no new one is made.
+_MAX_HANGING = 4
 
-_BRIEF_S, _MOST_BRIEF = 1.0, 10
-"""A connection that the camera ends sooner after its first picture is brief, and so many of them in
-a row end it: a drop takes longer, and the camera would be asked again for ever."""
+# A connection that the camera ends sooner after its first picture is brief, and so many of them in
+# a row end it: a drop takes longer, and the camera would be asked again for ever.
+_BRIEF_S, _MAX_BRIEF = 1.0, 10
 
-_LOOK_S = 0.1
-"""How often to look at the clock while nothing comes."""
+_LOOK_S = 0.1  # how often to look at the clock while nothing comes
 
 
 def lasting_camera(
     open_camera: Callable[[], Source], *, wait_s: float, stall_s: float, say: Callable[[str], None]
 ) -> Source:
-    """Open a camera, and see to it that it is opened again where that can help.
+    """Open a camera that reconnects where that can help.
 
     Args:
         open_camera: makes one connection.
-        wait_s: how long one is tried that is not there yet.
-        stall_s: how long one may deliver nothing, in one connection or in several.
-        say: tells somebody that it is away, and that it is back.
+        wait_s: how long to retry a camera that is not there yet.
+        stall_s: longest time without a frame, in one connection or in several.
+        say: reports to the user that it is away, and that it is back.
 
     Raises:
         CameraError: it is not there, or cannot be opened at all.
@@ -67,19 +66,16 @@ def lasting_camera(
 
 
 class LastingCamera:
-    """Delivers the shots of one connection after another, as a single source.
+    """Delivers the frames of successive connections as a single source.
 
     Where the connection breaks, a new one is tried, and again until `stall_s` have passed since the
-    last shot. Where it falls silent, a new one is tried beside it; the one that delivers first is
+    last frame. Where it falls silent, a new one is tried beside it; the one that delivers first is
     kept. A camera that ends its stream itself is not asked again, nor one that hangs up again and
     again after a few pictures.
 
     Args:
-        first: a connection that was made.
-        open_camera: makes another one.
-        until: when to stop trying a camera that has never delivered anything [monotonic s].
-        stall_s: see `lasting_camera`.
-        say: see there.
+        first: an open connection.
+        until: when to stop trying a camera that has never delivered a frame [monotonic s].
     """
 
     live = True
@@ -115,23 +111,23 @@ class LastingCamera:
 
     @property
     def damaged(self) -> int:
-        """Those of all connections."""
+        """Number of damaged pictures of all connections."""
         return self._damaged + sum(link.source.damaged for link in self._links if link.source)
 
     @property
     def dropped(self) -> int:
-        """Those of all connections."""
+        """Number of dropped pictures of all connections."""
         return self._dropped + sum(link.source.dropped for link in self._links if link.source)
 
     def notes(self) -> dict[str, str]:
-        """Those of the latest connection that delivered."""
+        """Return the notes of the latest connection that delivered."""
         return self._source.notes()
 
     def frames(self) -> Iterator[Shot]:
-        """The shots as they come, each with the number of its connection.
+        """Yield the frames as they come, each with the number of its connection.
 
         Raises:
-            TuneNetError: what no new link mends.
+            TuneNetError: reconnecting does not help.
         """
         self._links[0].start()
         try:
@@ -149,13 +145,13 @@ class LastingCamera:
             self.close()
 
     def close(self) -> None:
-        """End running `frames`, and let go of every connection."""
+        """End a running `frames`, and close every connection."""
         self._closed = True
         for link in list(self._links):
             link.give_up()
 
     def _end_when_due(self) -> None:
-        """Say why nothing more is to come, if that is so."""
+        """End the source, or raise its failure, where no more frames can come."""
         if self._failure is not None and not self._links:
             raise self._failure
         now = time.monotonic()
@@ -166,7 +162,7 @@ class LastingCamera:
             self.ended = self._lost
 
     def _try_when_due(self) -> None:
-        """Begin a link where the camera is away or silent, and none is under way."""
+        """Open a link where the camera is away or silent, and none is being opened."""
         now = time.monotonic()
         if self._failure or now >= self._tries_until or now < self._tried + _BETWEEN_S:
             return
@@ -181,13 +177,13 @@ class LastingCamera:
                 self._give_up(link)
                 break
         self._hanging = [link for link in self._hanging if link.is_alive()]
-        if len(self._hanging) < _MOST_HANGING:
+        if len(self._hanging) < _MAX_HANGING:
             self._tried = now
             self._links.append(CameraLink(self._inbox, self._open_camera))
             self._links[-1].start()
 
     def _has_come(self, link: CameraLink) -> None:
-        """One of the links delivers: the others are not needed."""
+        """Take a link that delivers; abandon the others."""
         for other in [one for one in self._links if one is not link]:
             self._give_up(other)
         now = time.monotonic()
@@ -203,7 +199,7 @@ class LastingCamera:
         self._heard, self._tries_until = now, now + self._stall_s
 
     def _has_ended(self, link: CameraLink) -> None:
-        """One of the links is over, in whatever way."""
+        """Handle the end of a link, however it ended."""
         self._forget(link)
         source, error = link.source, link.error
         if error is not None and not isinstance(error, CameraAwayError):
@@ -218,14 +214,14 @@ class LastingCamera:
             return
         is_brief = self._connection > 0 and self._heard - self._began < _BRIEF_S
         self._brief = self._brief + 1 if is_brief else 0
-        if self._brief == _MOST_BRIEF and self._failure is None:
+        if self._brief == _MAX_BRIEF and self._failure is None:
             so = f"within {_BRIEF_S:g} s of its first picture"
-            self.ended = f"{why}, {_MOST_BRIEF} times in a row {so}"
+            self.ended = f"{why}, {_MAX_BRIEF} times in a row {so}"
         else:
             self._lose(why)
 
     def _lose(self, why: str) -> None:
-        """The camera is away."""
+        """Report that the camera is away."""
         if self._lost or self._failure:
             return
         self._lost = why
@@ -245,7 +241,7 @@ class LastingCamera:
             self._dropped += link.source.dropped
 
     def _short(self, error: Exception | None) -> str:
-        """What is wrong, without the camera's name, which every line has, and without a remedy."""
+        """Shorten an error: no camera name, which every line has, and no remedy."""
         return _without_remedy(error).removeprefix(f"{self.name.removeprefix('camera ')}: ")
 
 

@@ -1,4 +1,4 @@
-"""A user and a password, as HTTP and RTSP ask for them (RFC 7617, 7616 and 2617)."""
+"""Basic and digest authentication for HTTP and RTSP (RFC 7617, 7616 and 2617)."""
 
 from __future__ import annotations
 
@@ -16,44 +16,40 @@ from tunenet_logs.errors import CameraError, UsageError
 from tunenet_logs.passwords import netrc_login
 from tunenet_logs.terminal import listed, short_name
 
-_LONGEST_HEADER = 4000
-"""Characters of a challenge that are looked at."""
-
-_MOST_SCHEMES = 10
-"""That one answer offers, of which the best is taken."""
-
+_MAX_HEADER = 4000  # characters of a challenge that are looked at
+_MAX_SCHEMES = 10  # that one answer offers, of which the best is taken
+# In a challenge: a scheme, or a name with its value, which may stand in quotes.
 _WORD = re.compile(r'([^\s,="]+)(?:\s*=\s*("(?:[^"\\]|\\.)*"|[^\s,]*))?')
-"""In a challenge: a scheme, or a name with its value, which may stand in quotes."""
 
+# Of a digest, by the names of RFC 7616, from weak to strong; servers write them as they like.
 _HASHES = {"MD5": "md5", "SHA-256": "sha256", "SHA-512-256": "sha512_256"}
-"""Of a digest, by the names of RFC 7616, from weak to strong; servers write them as they like."""
 
 
 @dataclass(frozen=True)
 class _Challenge:
-    """One way to log in that a server offers."""
+    """An authentication scheme that a server offers."""
 
     scheme: str
     values: dict[str, str]
 
     @property
     def algorithm(self) -> str:
-        """Of a digest: what hashes."""
+        """Digest hash algorithm."""
         return self.values.get("algorithm", "MD5").upper().removesuffix("-SESS")
 
     @property
     def is_session(self) -> bool:
-        """Of a digest: whether the password is hashed with the nonces, once for all requests."""
+        """Whether a digest hashes the password with the nonces, once for all requests."""
         return self.values.get("algorithm", "").upper().endswith("-SESS")
 
     @property
     def qualities(self) -> list[str]:
-        """Of a digest: what may be hashed, the request (auth) or its body too (auth-int)."""
+        """Digest qop values: the request (auth) or its body too (auth-int)."""
         return re.findall(r"[^\s,]+", self.values.get("qop", "").lower())
 
     @property
     def strength(self) -> int:
-        """The higher the better; 0 is what is not known."""
+        """Rank of the scheme, higher is stronger; 0 if unsupported."""
         if self.scheme == "basic":
             return 1
         is_possible = not self.qualities or "auth" in self.qualities
@@ -63,20 +59,20 @@ class _Challenge:
 
     @property
     def in_words(self) -> str:
-        """Its name, and of a digest what is hashed how."""
+        """Scheme, and a digest's algorithm and qop."""
         words = [self.scheme, *(self.values.get(name, "") for name in ("algorithm", "qop"))]
         return short_name(" ".join(word for word in words if word))
 
 
 class Login:
-    """What proves who asks: to be taken with every request, once a server has asked for it.
+    """Credentials, sent with every request once a server has asked for them.
 
     Args:
         user, password: "" for none.
         trouble: why none is known, where there is a reason.
 
     Raises:
-        UsageError: they hold what would end the line in which they are sent.
+        UsageError: they hold characters that would end the header line.
     """
 
     def __init__(self, user: str, password: str, trouble: str = "") -> None:
@@ -91,7 +87,7 @@ class Login:
 
     @classmethod
     def of(cls, address: Address) -> Login:
-        """The login that an address names, else that of its host in `~/.netrc`."""
+        """Return the login in an address, else that of its host in `~/.netrc`."""
         if address.password is not None:
             return cls(address.user, address.password)
         known = netrc_login(urlsplit(address.url).hostname or "", address.user)
@@ -99,11 +95,11 @@ class Login:
 
     @property
     def is_known(self) -> bool:
-        """Whether there is something to log in with."""
+        """Whether there are credentials."""
         return bool(self._user or self._password)
 
     def header(self, method: str, uri: str) -> str | None:
-        """The `Authorization` of a request; None before a server has asked for one."""
+        """Return a request's `Authorization` header; None before a server asked for one."""
         if self._challenge is None:
             return None
         self._uses += 1
@@ -112,14 +108,14 @@ class Login:
         return self._digest(self._challenge, method, uri)
 
     def take(self, challenges: Iterable[str]) -> None:
-        """Take what a server asks for with a 401: the best that is known.
+        """Take the strongest supported challenge of a 401.
 
         Args:
             challenges: its `WWW-Authenticate`, in one header or several.
 
         Raises:
-            CameraError: no login was named, it asks for none that is known, or it has refused the
-                right answer to what it asked before.
+            CameraError: there are no credentials, no scheme is supported, or the server refused
+                the right answer to its last challenge.
         """
         if not self.is_known:
             why = f": {self._trouble}" if self._trouble else ""
@@ -143,7 +139,7 @@ class Login:
         self._uses = 0
 
     def _digest(self, challenge: _Challenge, method: str, uri: str) -> str:
-        """RFC 7616, 3.4; without a qop RFC 2069's, which it contains."""
+        """Compute the digest response (RFC 7616, 3.4; without a qop that of RFC 2069)."""
         values = challenge.values
         realm, nonce = values.get("realm", ""), values.get("nonce", "")
         uses = f"{self._uses:08x}"
@@ -171,9 +167,9 @@ class Login:
 
 
 def _offers(challenges: Iterable[str]) -> Iterator[_Challenge]:
-    """What is offered, one after the other: RFC 9110, 11.6.1."""
-    found = [match for text in challenges for match in _WORD.finditer(text[:_LONGEST_HEADER])]
-    starts = [at for at, match in enumerate(found) if match[2] is None][:_MOST_SCHEMES]
+    """Yield the challenges of `WWW-Authenticate` headers (RFC 9110, 11.6.1)."""
+    found = [match for text in challenges for match in _WORD.finditer(text[:_MAX_HEADER])]
+    starts = [at for at, match in enumerate(found) if match[2] is None][:_MAX_SCHEMES]
     for start, end in pairwise([*starts, len(found)]):
         values = {match[1].lower(): _unquoted(match[2]) for match in found[start + 1 : end]}
         yield _Challenge(found[start][1].lower(), values)

@@ -1,4 +1,4 @@
-"""A stream of JPEGs in parts (multipart/x-mixed-replace), as most cheap cameras send it."""
+"""Read an MJPEG stream (multipart/x-mixed-replace), as most cheap cameras send it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from tunenet_logs.jpeg import is_whole
 
 
 class MjpegStream:
-    """An MJPEG stream; its JPEGs stay untouched.
+    """An MJPEG stream; its JPEGs are kept byte for byte.
 
-    What it tells of a frame's time is what the part's headers have, where that is a clock's.
+    A frame's reported time is that of its part's headers, where those are a clock's.
 
     Args:
-        feed: the bytes.
-        shown: where they come from.
-        boundary: as it was announced, or "".
+        shown: where the bytes come from, for errors.
+        boundary: as announced, or "".
     """
 
     live = True
@@ -41,14 +40,14 @@ class MjpegStream:
         self._reading = False
 
     def notes(self) -> dict[str, str]:
-        """What is wrong with the times that it tells."""
+        """Return a note where the reported times were left out."""
         return {} if self._told.is_trusted else {"told_times": "left out: they are no clock's"}
 
     def frames(self) -> Iterator[Shot]:
-        """The whole JPEGs as they come, until the camera ends the stream or falls silent.
+        """Yield the whole JPEGs as they come, until the stream ends or falls silent.
 
         Raises:
-            CameraError: what comes is no multipart stream.
+            CameraError: it is no multipart stream.
         """
         self._reading = True
         self._feed.got_picture()
@@ -72,7 +71,7 @@ class MjpegStream:
             self._feed.close()
 
     def close(self) -> None:
-        """End running `frames`; the connection is closed there."""
+        """End a running `frames`, which closes the connection."""
         self._closed = True
         self._feed.deadline.break_off()
         if not self._reading:

@@ -1,4 +1,4 @@
-"""A multipart stream of pictures taken apart, however sloppy its sender is."""
+"""Parse a multipart stream of pictures, tolerating sloppy senders."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ from dataclasses import dataclass
 from recorders.camera.delimiters import TAIL_BYTES, Delimiters
 from tunenet_logs.errors import CameraError
 
+# Of one picture: several times a large JPEG; a stream without an end must not fill the memory.
 MAX_PART_BYTES = 32 * 1024 * 1024
-"""Of one picture: several times a large JPEG; a stream without an end must not fill the memory."""
 
-_MAX_HEADER_BYTES = 16 * 1024
-"""Of the headers of one part: a camera sends about 100."""
-
-_READ_BYTES = 256 * 1024
-"""The most that one read takes: a few pictures."""
-
+_MAX_HEADER_BYTES = 16 * 1024  # of the headers of one part: a camera sends about 100
+_READ_BYTES = 256 * 1024  # the most that one read takes: a few pictures
+# Headers in which servers tell a picture's time [s], that of its taking before that of sending.
 _TIMES = (
     b"x-ustreamer-grab-begin-time",
     b"x-ustreamer-grab-time",
@@ -25,19 +22,18 @@ _TIMES = (
     b"x-timestamp",
     b"timestamp",
 )
-"""Headers in which servers tell a picture's time [s], that of its taking before that of sending."""
 
+# A time that tells more than whole seconds, which are no help.
 _SECONDS = re.compile(rb"(\d{1,11})\.(\d{1,9})\d*")
-"""A time that tells more than whole seconds, which are no help."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """One part's body.
+    """One part of the stream.
 
     Attributes:
-        arrived_ns: monotonic time at which its first byte was here.
-        told_ns: the time that its headers tell, of whatever clock; None where they tell none.
+        arrived_ns: monotonic time at which its first byte arrived.
+        told_ns: the time in its headers, of an unknown clock; None where they have none.
     """
 
     arrived_ns: int
@@ -46,11 +42,11 @@ class Part:
 
 
 class MultipartParser:
-    """Takes parts out of a stream of bytes.
+    """Splits a byte stream into parts.
 
     A part ends after its Content-Length where it states one, else at the next delimiter. Senders
     differ in whether the boundary they announce has its two leading dashes already: both are
-    understood, and so is a stream that announces none.
+    accepted, and so is a stream that announces none.
 
     Args:
         read: up to so many bytes, as soon as there are any; b"" at the end.
@@ -58,7 +54,7 @@ class MultipartParser:
         clock_ns: monotonic time.
 
     Attributes:
-        is_closed: whether its sender said that this was the last part.
+        is_closed: whether the last delimiter ended the stream.
     """
 
     def __init__(
@@ -73,10 +69,10 @@ class MultipartParser:
         self.is_closed = False
 
     def parts(self) -> Iterator[Part]:
-        """The parts in order, until the stream ends. One that is cut short is delivered as it is.
+        """Yield the parts in order; one that is cut short is delivered as it is.
 
         Raises:
-            CameraError: what comes is no multipart stream, or has no end.
+            CameraError: it is no multipart stream, or a part has no end.
         """
         while self._skip_delimiter():
             headers = self._headers()
@@ -95,7 +91,7 @@ class MultipartParser:
         return bool(data)
 
     def _skip_delimiter(self) -> bool:
-        """Go behind the next delimiter; False at the end of the stream."""
+        """Skip past the next delimiter; False at the end of the stream."""
         skipped = looked = 0
         while True:
             found, looked = self._delimiters.line(self._buffer, looked)
@@ -113,7 +109,7 @@ class MultipartParser:
                 return False
 
     def _headers(self) -> dict[bytes, bytes]:
-        """A part's headers, by their names in lower case."""
+        """Read a part's headers, by their names in lower case."""
         headers: dict[bytes, bytes] = {}
         used = 0
         while True:

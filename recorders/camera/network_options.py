@@ -1,4 +1,4 @@
-"""How a network camera is asked, where the user says more than its address."""
+"""Options of a network camera beyond its address."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from tunenet_logs.errors import UsageError
 
 _TRUST = Trust()
 
+# What names a file with a password, and the variable of the environment that holds one.
 PASSWORD_OPTION, PASSWORD_VARIABLE = "--password-file", "TUNENET_CAMERA_PASSWORD"
-"""What names a file with a password, and the variable of the environment that holds one."""
 
 
 class Transport(Enum):
-    """How an RTSP camera's packets come: over the connection, or beside it."""
+    """Transport of an RTSP camera's packets."""
 
     TCP = "tcp"
     UDP = "udp"
@@ -24,13 +24,13 @@ class Transport(Enum):
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """What the user says of a network camera.
+    """The user's options for a network camera.
 
     Attributes:
-        trust: which certificate of an encrypted camera is believed.
-        rtsp_transport: None takes UDP where a camera refuses TCP.
-        password: of the user whom the address names; None where it, or `~/.netrc`, has it.
-        must_serve: whether a password that is for no camera is a mistake.
+        trust: which certificates are trusted.
+        rtsp_transport: None falls back to UDP where a camera refuses TCP.
+        password: of the address's user; None where the address, or `~/.netrc`, has it.
+        must_serve: whether a password that no camera uses is an error.
     """
 
     trust: Trust = _TRUST
@@ -39,10 +39,10 @@ class NetworkOptions:
     must_serve: bool = False
 
     def known(self, address: Address) -> Address:
-        """An address with the password that is known for it.
+        """Add the password to an address that lacks one.
 
         Raises:
-            UsageError: there are two passwords, or there is no user whose it is.
+            UsageError: there are two passwords, or no user for one.
         """
         if self.password is None or not (self.must_serve or address.user):
             return address
@@ -57,13 +57,10 @@ class NetworkOptions:
         return replace(address, password=self.password)
 
     def check(self, scheme: str) -> None:
-        """Check that all of it is for a camera of that kind.
-
-        Args:
-            scheme: of its address; "" for none.
+        """Check that the options apply to an address's scheme ("" for none).
 
         Raises:
-            UsageError: something is for another kind.
+            UsageError: an option is for another kind of camera.
         """
         if self.trust.option and scheme not in ("https", "rtsps"):
             raise UsageError(f"{self.trust.option} is for an https or rtsps camera; leave it out")

@@ -1,4 +1,4 @@
-"""Opens a device in a thread of its own: whatever it waits for, Ctrl-C and a deadline work."""
+"""Open a source in its own thread, so that Ctrl-C and a deadline work even if it blocks."""
 
 from __future__ import annotations
 
@@ -19,16 +19,10 @@ Opened = TypeVar("Opened", bound=_Opened)
 def opened_within(
     seconds: float, shown: str, open_source: Callable[[], Opened], *, what: str = "camera"
 ) -> Opened:
-    """What `open_source` opens.
+    """Open a source within `seconds`, raising the errors of `open_source` here.
 
-    Name servers, drivers and libraries in C hold up the thread that calls them, and no signal is
+    Name servers, drivers and libraries in C block the thread that calls them, and no signal is
     handled there until they return. What opens too late is closed.
-
-    Args:
-        seconds: the longest to wait for it.
-        shown: the camera, for an error.
-        open_source: raises what it raises here.
-        what: that is opened.
 
     Raises:
         CameraAwayError: it takes longer.
@@ -70,7 +64,7 @@ class _Opening(threading.Thread, Generic[Opened]):
         self.is_done.set()
 
     def take(self) -> Opened:
-        """What was opened, once it is done."""
+        """Return the opened source, or raise its error."""
         with self._lock:
             source, self._source = self._source, None
         if source is None:
@@ -79,7 +73,7 @@ class _Opening(threading.Thread, Generic[Opened]):
         return source
 
     def abandon(self) -> None:
-        """Close what was opened and not taken, now or later."""
+        """Close the source unless it was taken, now or once it opens."""
         with self._lock:
             self._is_wanted = False
             if self._source is not None:

@@ -1,4 +1,4 @@
-"""What `tunenet-record --camera` can be told, and what it does with it."""
+"""Command-line options of `tunenet-record --camera`, and the recording they ask for."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ if TYPE_CHECKING:
     from recorders.camera.preview import Preview
     from recorders.microphone.live_sound import LiveSound
 
-_LONGEST_NAME = 100
-"""Characters of a ball's or surface's name: it is one line of a log's notes."""
+_MAX_NAME = 100  # characters of a ball's or surface's name: it is one line of a log's notes
 
 
 def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Add the options that are a camera's alone."""
+    """Add the options of cameras to a group."""
     add = group.add_argument
     return [
         add(
@@ -141,7 +140,7 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
-    """Record the camera; what to say of it on the last line.
+    """Record the camera; return the summary for the last line.
 
     Raises:
         TuneNetError: it cannot be opened, read or written.
@@ -226,7 +225,7 @@ def _recorded(
 
 
 def _network(arguments: argparse.Namespace, progress: Progress) -> NetworkOptions:
-    """How a camera in a network is asked, with its password."""
+    """Collect the network camera's options, with its password."""
     from recorders.camera.network_options import (
         PASSWORD_OPTION,
         PASSWORD_VARIABLE,
@@ -251,7 +250,7 @@ def _network(arguments: argparse.Namespace, progress: Progress) -> NetworkOption
 
 
 def _ball(arguments: argparse.Namespace) -> Ball:
-    """What is known of the ball; what was measured goes before the table of common balls."""
+    """Return the ball's properties; measured values override the table of common balls."""
     known = BALLS.get(arguments.ball, Ball())
     diameter_m, mass_kg = arguments.ball_diameter, arguments.ball_mass
     return Ball(
@@ -279,8 +278,8 @@ def _preview(arguments: argparse.Namespace, is_live: bool) -> Iterator[Preview |
 
 
 def _name(text: str) -> str:
-    if not text.strip() or not text.isprintable() or len(text) > _LONGEST_NAME:
+    if not text.strip() or not text.isprintable() or len(text) > _MAX_NAME:
         raise argparse.ArgumentTypeError(
-            f"{text[:_LONGEST_NAME]!r} is not a name of 1 to {_LONGEST_NAME} printable characters"
+            f"{text[:_MAX_NAME]!r} is not a name of 1 to {_MAX_NAME} printable characters"
         )
     return text

@@ -1,4 +1,4 @@
-"""What comes out of a container that FFmpeg opened: pictures as the camera compressed them."""
+"""Read a container opened by FFmpeg: pictures as the camera compressed them."""
 
 from __future__ import annotations
 
@@ -18,45 +18,45 @@ if TYPE_CHECKING:
     from av import Packet, VideoCodecContext
     from av.container import InputContainer
 
+# From FFmpeg's codec to the format that a log's messages of video have.
 KEPT = {"h264": "h264", "hevc": "h265", "vp9": "vp9", "av1": "av1"}
-"""From FFmpeg's codec to the format that a log's messages of video have."""
 
+# By codec, what rewrites packets of MP4, Matroska and their like; it leaves others as they are.
 _TO_ANNEX_B = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
-"""By codec, what rewrites packets of MP4, Matroska and their like; it leaves others as they are."""
 
+# Containers whose packets are pieces of pictures, each with the time that RTP gives it.
 _PLAYS_RTP = frozenset({"rtsp", "rtp", "sdp"})
-"""Containers whose packets are pieces of pictures, each with the time that RTP gives it."""
 
+# Containers whose packets need not be pictures: FFmpeg's parser cuts them.
 _CUT_ANYHOW = frozenset({"mpegts", "mpeg"})
-"""Containers whose packets need not be pictures: FFmpeg's parser cuts them."""
 
+# With which containers of `_PLAYS_RTP` are to be opened.
 NOT_PARSED = {"fflags": "noparse+nofillin"}
-"""With which containers of `_PLAYS_RTP` are to be opened."""
 
 
 class PacketStream:
-    """The video of an opened container, as it comes; nothing is decoded.
+    """The video of an open container as it comes; nothing is decoded.
 
-    H.264 and H.265 become pictures of Annex B that carry their parameter sets wherever a decoder
-    can begin, VP9 and AV1 stay as they are, and so do JPEGs. What comes before the first picture
-    that stands alone is none. A frame of any other codec has its name for an encoding, and
-    `needs_decoding` is true: see `recorders.camera.transcoded`.
+    H.264 and H.265 become Annex B pictures that carry their parameter sets at every random access
+    point; VP9, AV1 and JPEGs stay as they are. What precedes the first picture that stands alone is
+    skipped. A frame of any other codec has the codec's name for an encoding, and `needs_decoding`
+    is true: see `recorders.camera.transcoded`.
 
-    FFmpeg hands over what is left of a picture as if it were whole, and decoders make something of
+    FFmpeg returns the rest of a damaged picture as if it were whole, and decoders make something of
     it that looks like one. So where a loss is known, the picture is left out and counted as
-    damaged, and so are those made from it.
+    damaged, and so are those predicted from it.
 
     Args:
-        container: opened, with a time-out; closed here. One that plays RTP with `NOT_PARSED`.
-        shown: the camera, as it may be shown to anybody.
+        container: opened, with a time-out; closed here. For RTP it is opened with `NOT_PARSED`.
+        shown: the camera's public name.
         timeout_s: the longest silence that it was opened with.
-        is_damaged: whether something was lost of a picture or just before it, by its time in the
-            stream's own units, of RTP from 0 for the first; asked in order.
-        arrived_ns: when a packet's first byte was here; the default is when FFmpeg gives it.
+        is_damaged: whether packets were lost in a picture or just before it, by its time in the
+            stream's time base (of RTP from 0 for the first); called in order.
+        arrived_ns: when a packet's first byte arrived; by default when FFmpeg returns it.
 
     Attributes:
-        returns: not once a film is over, which has a length; a live camera has none.
-        needs_decoding: whether no log can hold what this camera compressed.
+        returns: False once a video file is over, which has a duration; a live camera has none.
+        needs_decoding: whether the log cannot hold this codec.
 
     Raises:
         CameraError: it holds no video.
@@ -101,11 +101,11 @@ class PacketStream:
         self._reading = False
 
     def notes(self) -> dict[str, str]:
-        """The codec."""
+        """Return the codec."""
         return {"codec": self._codec}
 
     def decoder(self) -> VideoCodecContext:
-        """A decoder that knows what the container says of the stream as a whole."""
+        """Make a decoder set up with the container's stream parameters."""
         import av
 
         said = self._stream.codec_context
@@ -120,7 +120,7 @@ class PacketStream:
         return decoder
 
     def frames(self) -> Iterator[Shot]:
-        """The pictures as they come, until the camera ends the stream or falls silent."""
+        """Yield the pictures as they come, until the stream ends or falls silent."""
         self._reading = True
         try:
             for unit in self._units():
@@ -131,7 +131,7 @@ class PacketStream:
             self._container.close()
 
     def close(self) -> None:
-        """End running `frames` with the next packet; the connection is closed there."""
+        """End a running `frames` with the next packet; it closes the connection."""
         self._closed = True
         if not self._reading:
             self._container.close()
@@ -147,7 +147,7 @@ class PacketStream:
         return whole_units(packets, self._arrived_ns, is_cut=is_cut)
 
     def _packets(self) -> Iterator[Packet]:
-        """Until the stream ends, breaks, or is silent for too long."""
+        """Demux until the stream ends, breaks, or is silent for too long."""
         from av.error import ExitError, FFmpegError
 
         try:
@@ -196,7 +196,7 @@ class PacketStream:
         yield Shot(frame, self._told_ns(unit.ticks), stands_alone)
 
     def _with_sets(self, data: bytes) -> tuple[bytes, bool]:
-        """A picture with all that a decoder needs to begin with it, and whether one can."""
+        """Add parameter sets to a random access point that lacks them; return whether it is one."""
         stands_alone, sets = head_of(data, self._format)
         if sets:
             self._sets = sets

@@ -1,4 +1,4 @@
-"""Standard input, or a FIFO: whatever program can write a video is a camera."""
+"""Read video from standard input or a FIFO: any program that writes video is a camera."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from recorders.deadline import Deadline
 from tunenet_logs.errors import CameraError, UsageError
 
-STANDARD_INPUT = "-"
-"""What stands for it on the command line."""
+STANDARD_INPUT = "-"  # what stands for it on the command line
 
 
 class PipeFeed:
-    """What a program writes to a pipe.
+    """The bytes that a program writes to a pipe.
 
     Args:
         descriptor: of the pipe; closed with the feed, but for standard input.
@@ -49,7 +48,7 @@ class PipeFeed:
 
 @dataclass(frozen=True)
 class Pipe:
-    """A pipe that is open.
+    """An open pipe.
 
     Attributes:
         is_written_to: whether a program writes to it while it is read; else it is a file.
@@ -61,7 +60,7 @@ class Pipe:
 
 
 def opened_pipe(text: str) -> Pipe:
-    """Open standard input or a FIFO, without waiting for who writes to it.
+    """Open standard input or a FIFO, without waiting for its writer.
 
     Raises:
         UsageError: nothing is piped into this command.

@@ -1,4 +1,4 @@
-"""Videos that come as bare bytes: by TCP, by UDP, from a FIFO or from standard input."""
+"""Open video sent as plain bytes by TCP, UDP, a FIFO or standard input."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from recorders.deadline import Deadline
 
 
 def open_tcp(text: str, timeout_s: float) -> Source:
-    """What is sent to whoever connects to tcp://HOST:PORT.
+    """Open a camera that streams to whoever connects to tcp://HOST:PORT.
 
     Raises:
         UsageError, CameraError: see `TcpFeed` and `stream_of`.
@@ -26,7 +26,7 @@ def open_tcp(text: str, timeout_s: float) -> Source:
 
 
 def open_udp(text: str, timeout_s: float) -> Source:
-    """What is sent to a port of this machine.
+    """Open a stream sent to a UDP port of this machine.
 
     Raises:
         UsageError, CameraError: see `UdpFeed` and `stream_of`.
@@ -36,7 +36,7 @@ def open_udp(text: str, timeout_s: float) -> Source:
 
 
 def open_pipe(text: str, timeout_s: float) -> Source:
-    """What a program writes to standard input or to a FIFO; or a file that stands in its place.
+    """Open what a program writes to standard input or a FIFO, or a file redirected there.
 
     Raises:
         UsageError, CameraError: see `opened_pipe` and `stream_of`.
@@ -48,7 +48,7 @@ def open_pipe(text: str, timeout_s: float) -> Source:
 
 
 def _opening(timeout_s: float) -> Deadline:
-    """That of the first picture: the program that sends it may have to start."""
+    """Make the first picture's deadline: the program that sends it may have to start."""
     longest_s = max(OPENING_S, timeout_s)
     return Deadline(longest_s, longest_s)
 

@@ -1,4 +1,4 @@
-"""What a camera sees, on a page of this machine's own: aim, exposure, where the ball is, record."""
+"""Serve a live preview on this machine: aim, exposure, ball position, record."""
 
 from __future__ import annotations
 
@@ -18,29 +18,27 @@ from recorders.loopback_page import Answer, LoopbackPage, as_json, place_in
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.images import MAX_PIXELS, image_size
-from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, measured_hz
+from tunenet_logs.measured_rate import MAX_SPEED_CAMERA_HZ, measured_hz
 from tunenet_logs.messages import VIDEO_FORMATS
 
-_RATE_FRAMES = 60
-"""Frames over which the shown rate is measured: one or two seconds."""
-
+_RATE_FRAMES = 60  # frames over which the shown rate is measured: one or two seconds
+# Grey level, of 255, from which a pixel counts as overexposed: JPEG blurs the 255 a little.
 _BLOWN_OUT = 250
-"""Grey level, of 255, from which a pixel counts as overexposed: JPEG blurs the 255 a little."""
 
+# Between two pictures of the page: an eye needs no more, and recording comes first.
 _PAUSE_SECONDS = 0.03
-"""Between two pictures of the page: an eye needs no more, and recording comes first."""
 
 
+# After its last question, for which somebody counts as looking: the page asks every second.
 _LOOKS_S = 3.0
-"""After its last question, for which somebody counts as looking: the page asks every second."""
 
 
 @dataclass(frozen=True)
 class Click:
-    """Where someone says that the ball is.
+    """A user's click on the ball.
 
     Attributes:
-        x_px, y_px: in the picture as recorded, from its upper left corner.
+        x_px, y_px: in the recorded picture, from its upper left corner.
         stamp_ns: of the newest frame then.
     """
 
@@ -50,12 +48,11 @@ class Click:
 
 
 class Preview:
-    """The page and what it knows. It is served on 127.0.0.1 alone, until `close`.
+    """The preview page and its state, served on 127.0.0.1 alone, until `close`.
 
     Attributes:
-        url: where it is.
-        record: set once someone pressed "record".
-        stop: set once someone pressed "stop".
+        record: set once "record" is pressed.
+        stop: set once "stop" is pressed.
         click: the last one on the ball; None before that.
     """
 
@@ -76,7 +73,7 @@ class Preview:
         self.url = self._page.url
 
     def show(self, frame: Frame, dropped: int) -> None:
-        """Let the page see the newest frame; of a video, while somebody looks."""
+        """Show the newest frame; a video is decoded only while somebody watches."""
         with self._changed:
             self._count += 1
             self._dropped = dropped
@@ -99,7 +96,7 @@ class Preview:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Take the page down."""
+        """Stop serving the page."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
@@ -108,7 +105,7 @@ class Preview:
         self._page.close()
 
     def get(self, path: str) -> Answer | None:
-        """The page, its picture, its figures."""
+        """Answer a GET request: the page, its picture, its state."""
         if path == "/":
             page = files("recorders.camera").joinpath("preview.html").read_bytes()
             return Answer(200, "text/html; charset=utf-8", page)
@@ -119,7 +116,7 @@ class Preview:
         return None
 
     def post(self, path: str, body: Mapping[str, Any]) -> Answer | None:
-        """A button, or a click on the ball."""
+        """Answer a POST request: a button, or a click on the ball."""
         if path in ("/record", "/stop"):
             return Answer(then=(self.record if path == "/record" else self.stop).set)
         if path == "/ball" and (place := place_in(body)) and self.point(*place):
@@ -127,7 +124,7 @@ class Preview:
         return None
 
     def pictures(self) -> Iterator[bytes]:
-        """The newest frame, again and again; a slow viewer misses those between."""
+        """Yield the newest frame, again and again; a slow viewer misses some."""
         seen = 0
         while True:
             with self._changed:
@@ -146,11 +143,11 @@ class Preview:
             time.sleep(_PAUSE_SECONDS)
 
     def state(self) -> dict[str, Any]:
-        """What the page shows beside the picture."""
+        """Return what the page shows beside the picture."""
         with self._changed:
             self._looked_at = time.monotonic()
             frame, shown, dropped = self._frame, self._count, self._dropped
-            rate_hz = measured_hz(self._stamps_ns, FASTEST_CAMERA_HZ)
+            rate_hz = measured_hz(self._stamps_ns, MAX_SPEED_CAMERA_HZ)
         state: dict[str, Any] = {
             "is_recording": self.record.is_set(),
             "frames": shown,
@@ -161,7 +158,7 @@ class Preview:
         return state | (_light(frame.data) if frame else {})
 
     def point(self, x_px: float, y_px: float) -> bool:
-        """Take a click on the ball; False where there is no picture to click on."""
+        """Take a click on the ball; False where it is not on a picture."""
         frame = self._frame
         if frame is None:
             return False
@@ -174,7 +171,7 @@ class Preview:
 
 
 def _light(data: bytes) -> dict[str, Any]:
-    """Size, mean brightness (0 to 1) and fraction of blown-out pixels of a JPEG."""
+    """Measure a JPEG's size, mean brightness (0 to 1) and fraction of overexposed pixels."""
     with suppress(LogError):
         width, height = image_size(data)
         if 0 < width * height <= MAX_PIXELS:

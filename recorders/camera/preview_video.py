@@ -1,4 +1,4 @@
-"""A few pictures a second of a video that goes into the log undecoded, for whoever looks."""
+"""Decode a few pictures per second of a video for the preview; the log keeps it undecoded."""
 
 from __future__ import annotations
 
@@ -13,22 +13,15 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.formats.video_messages import Packet, decoded
 from tunenet_logs.jpeg import compressed
 
-_MOST_WAITING_BYTES = 8 * 1024 * 1024
-"""Of compressed pictures; where more wait, what waits is skipped up to the next key frame."""
+# Of compressed pictures; where more wait, what waits is skipped up to the next key frame.
+_MAX_WAITING_BYTES = 8 * 1024 * 1024
 
-_PERIOD_S = 0.2
-"""Between two pictures that are shown: enough to aim by."""
-
-_NICENESS = 10
-"""Of the thread that decodes: recording comes first."""
+_PERIOD_S = 0.2  # between two pictures that are shown: enough to aim by
+_NICENESS = 10  # of the thread that decodes: recording comes first
 
 
 class PreviewVideo(threading.Thread):
-    """Decodes what it is offered and gives some of it on as JPEGs, in a thread of its own.
-
-    Args:
-        show: takes a picture.
-    """
+    """A thread that decodes video and shows some of its frames as JPEGs."""
 
     def __init__(self, show: Callable[[Frame], None]) -> None:
         super().__init__(name="preview", daemon=True)
@@ -40,16 +33,16 @@ class PreviewVideo(threading.Thread):
         self._changed = threading.Condition()
 
     def offer(self, frame: Frame) -> None:
-        """Add the next of the video's pictures. Never waits."""
+        """Queue the video's next picture, without blocking."""
         with self._changed:
-            if self._bytes > _MOST_WAITING_BYTES:
+            if self._bytes > _MAX_WAITING_BYTES:
                 self._forget()
             self._waiting.append(frame)
             self._bytes += len(frame.data)
             self._changed.notify_all()
 
     def skip(self) -> None:
-        """What is offered next does not follow upon what was offered last."""
+        """Mark a discontinuity: the next picture does not follow the last."""
         with self._changed:
             self._forget()
 
@@ -60,7 +53,7 @@ class PreviewVideo(threading.Thread):
             self._changed.notify_all()
 
     def run(self) -> None:
-        """Decode what is offered until closed."""
+        """Decode queued pictures until closed."""
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         due = 0.0
         while not self._closed:
@@ -78,7 +71,7 @@ class PreviewVideo(threading.Thread):
         self._skipped = True
 
     def _in_a_row(self) -> Iterator[Packet]:
-        """What is offered, up to where something is skipped."""
+        """Yield queued pictures up to the next discontinuity."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._skipped or self._closed)

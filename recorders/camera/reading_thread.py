@@ -1,4 +1,4 @@
-"""The thread that reads a camera, and the queue that it fills."""
+"""Read a camera in a thread that fills a queue."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from recorders.topic_queue import TopicQueue
 from tunenet_logs.errors import CameraError, TuneNetError
 from tunenet_logs.messages import CAMERA_TOPIC
 
+# For a camera to notice that it is over: Ctrl-C shall be quick though one is silent.
 _NOTICE_S = 0.3
-"""For a camera to notice that it is over: Ctrl-C shall be quick though one is silent."""
 
 
 class ReadingThread(threading.Thread):
-    """Puts a source's shots into a queue; its failure waits in `error`.
+    """A thread that queues a source's frames; its failure waits in `error`.
 
     A daemon: a camera that fell silent must not keep the process.
 
     Args:
-        source: what is read.
         queue_bytes: pictures that may wait in the queue.
         counts: whether pictures count from the beginning; else from `queue.start` on.
     """
@@ -32,7 +31,7 @@ class ReadingThread(threading.Thread):
         self.error: TuneNetError | None = None
 
     def run(self) -> None:
-        """Read until the source ends, fails, or the queue is closed."""
+        """Read until the source ends or fails, or the queue is closed."""
         try:
             self._read()
         except TuneNetError as error:
@@ -65,22 +64,22 @@ class ReadingThread(threading.Thread):
 
     @property
     def captured(self) -> int:
-        """Pictures that came, those dropped too."""
+        """Number of pictures that came, including those dropped."""
         return self.queue.captured + self.source.dropped
 
     @property
     def dropped(self) -> int:
-        """Pictures that came and were let go."""
+        """Number of pictures dropped."""
         return self.queue.dropped + self.source.dropped
 
     def tally(self) -> dict[str, int]:
-        """What came; nothing more comes after that."""
+        """Close the queue; return the counts."""
         self.queue.close()
         damaged = {"damaged": self.source.damaged} if self.source.damaged else {}
         return {"captured": self.captured, **damaged}
 
     def stop(self) -> None:
-        """Take no more shots, and wait a moment for the source to notice."""
+        """Close queue and source, and wait a moment for the thread to end."""
         self.queue.close()
         self.source.close()
         self.join(_NOTICE_S)

@@ -1,4 +1,4 @@
-"""Fewer and larger RTP packets: what a network cut small is put together for a reader beside it.
+"""Join fragmented NAL units of RTP into fewer and larger packets.
 
 Each costs FFmpeg six calls of the kernel and us a Python object; a 4K picture comes in fifty.
 """
@@ -7,32 +7,26 @@ from __future__ import annotations
 
 import struct
 
+# An interleaved packet: "$", channel, length; and of RTP (RFC 3550) its first byte, marker and
+# kind, number, time and sender.
 _PACKET = struct.Struct(">BBHBBHII")
-"""An interleaved packet: "$", channel, length; and of RTP (RFC 3550) its first byte, marker and
-kind, number, time and sender."""
 
-_PLAIN = 0x80
-"""RTP's first byte, where nothing stands between its head and its payload."""
-
+_PLAIN = 0x80  # RTP's first byte, where nothing stands between its head and its payload
 _MARKER = 0x80
-_IS_FIRST, _IS_LAST = 0x80, 0x40
-"""Of a fragment, in the byte that says so."""
-
-_MOST_BYTES = 60_000
-"""Of a packet that is put together; what it has in all is stated in two bytes."""
-
+_IS_FIRST, _IS_LAST = 0x80, 0x40  # of a fragment, in the byte that says so
+_MAX_BYTES = 60_000  # of a packet that is put together; what it has in all is stated in two bytes
+# Bytes before a fragment's data: of a NAL unit (RFC 6184, 7798), and the one that says which.
 _HEADS = {"H264": 2, "H265": 3}
-"""Bytes before a fragment's data: of a NAL unit (RFC 6184, 7798), and the one that says which."""
 
+# Where the first byte of a payload says what it is, and what it says of a fragment.
 _KINDS = {"H264": (0x1F, 28), "H265": (0x7E, 49 << 1)}
-"""Where the first byte of a payload says what it is, and what it says of a fragment."""
 
 
 class FragmentJoiner:
-    """Joins fragments of one NAL unit that follow each other.
+    """Joins consecutive fragments (FU) of one NAL unit (RFC 6184, 7798).
 
-    Packets are numbered anew, so that a number is missing where a packet is, and nowhere else. What
-    is not understood is passed on as it came.
+    Packets are renumbered, so that a sequence number is missing where a packet is, and nowhere
+    else. Unknown packets are passed on as they came.
 
     Args:
         coding: "H264" or "H265"; packets of any other are passed on as they came.
@@ -49,7 +43,7 @@ class FragmentJoiner:
         self._is_whole = True
 
     def is_open(self, ticks: int | None) -> bool:
-        """Whether a picture is the last that came, and its end did not come.
+        """Return whether the picture at `ticks` (first: 0) is the last, its end missing.
 
         Args:
             ticks: its time, from 0 for the first.
@@ -59,7 +53,7 @@ class FragmentJoiner:
         return self._first_ticks + ticks & 0xFFFFFFFF == self._last_ticks
 
     def joined(self, packets: memoryview) -> bytearray | memoryview:
-        """Interleaved packets, each whole, as fewer of them."""
+        """Join interleaved packets, each whole, into fewer."""
         if not self._head_bytes:
             return packets
         out = bytearray()
@@ -86,7 +80,7 @@ class FragmentJoiner:
                 and begun_at >= 0
                 and follows == (number, ticks, sender, unit)
                 and not fragment & _IS_FIRST
-                and len(out) - begun_at + end - at < _MOST_BYTES
+                and len(out) - begun_at + end - at < _MAX_BYTES
             ):
                 out += packets[at + data_at : end]
                 out[begun_at + 5] |= kind & _MARKER

@@ -1,4 +1,4 @@
-"""Two UDP ports on which a camera's packets arrive: its pictures', and its reports'."""
+"""Receive a camera's packets on two UDP ports: RTP and RTCP."""
 
 from __future__ import annotations
 
@@ -9,36 +9,29 @@ from collections.abc import Iterator
 
 from tunenet_logs.errors import CameraError
 
+# Asked of the kernel, which gives what it allows: a large key picture comes all at once.
 _RECEIVE_BYTES = 8 * 1024 * 1024
-"""Asked of the kernel, which gives what it allows: a large key picture comes all at once."""
 
-_MOST_TRIES = 100
-"""For two free ports that follow each other."""
-
+_MAX_TRIES = 100  # for two free ports that follow each other
 _PACKET_BYTES = 65_536
-_MOST_AT_ONCE = 256
-"""Packets that are taken before anything else is looked after."""
-
-_MOST_TORN = 4096
-"""Times of pictures of which something was lost, until they are asked for."""
-
+_MAX_AT_ONCE = 256  # packets that are taken before anything else is looked after
+_MAX_TORN = 4096  # times of pictures of which something was lost, until they are asked for
 _EMPTY_PACKET = struct.pack(">BBHII", 0x80, 0, 0, 0, 0)
+# RTP without pictures, and a receiver's report of nothing (RFC 3550): they open a router's way.
 _EMPTY_REPORT = struct.pack(">BBHI", 0x80, 201, 1, 0)
-"""RTP without pictures, and a receiver's report of nothing (RFC 3550): they open a router's way."""
 
-_NUMBER_AND_TICKS = struct.Struct(">HI")
-"""Of an RTP packet, behind its first two bytes."""
+_NUMBER_AND_TICKS = struct.Struct(">HI")  # of an RTP packet, behind its first two bytes
 
 
 class RtpPorts:
-    """Takes the packets that come from one host, and sends to no other.
+    """A pair of UDP ports that receive from one host, and send to no other.
 
     Args:
         control: the connection to that host.
 
     Attributes:
         numbers: the ports; an even one, and the next.
-        lost: packets that did not come, by their numbers.
+        lost: packets missing by their sequence numbers.
         has_any: whether one has come.
 
     Raises:
@@ -51,10 +44,10 @@ class RtpPorts:
         self._host = control.getpeername()[0]
         self._next: int | None = None
         self._first_ticks = self._last_ticks = 0
-        self._torn: deque[int] = deque(maxlen=_MOST_TORN)
+        self._torn: deque[int] = deque(maxlen=_MAX_TORN)
         self._buffer = bytearray(_PACKET_BYTES)
         own = control.getsockname()[0]
-        for _ in range(_MOST_TRIES):
+        for _ in range(_MAX_TRIES):
             packets = socket.socket(control.family, socket.SOCK_DGRAM)
             reports = socket.socket(control.family, socket.SOCK_DGRAM)
             try:
@@ -76,16 +69,16 @@ class RtpPorts:
             one.setblocking(False)
 
     def open_ways(self, packets_port: int, reports_port: int) -> None:
-        """Send nothing to where packets will come from: routers between then let them through."""
+        """Punch holes through NATs and firewalls with empty packets."""
         ways = ((packets_port, _EMPTY_PACKET), (reports_port or packets_port + 1, _EMPTY_REPORT))
         for one, (port, nothing) in zip(self.sockets, ways, strict=True):
             if 0 < port < 65536:
                 one.sendto(nothing, (self._host, port))
 
     def packets(self) -> Iterator[tuple[int, memoryview]]:
-        """What has come: 0 and a packet, or 1 and a report; each to be used before the next."""
+        """Yield (0, RTP packet) or (1, RTCP report); each is valid until the next."""
         for channel, one in enumerate(self.sockets):
-            for _ in range(_MOST_AT_ONCE):
+            for _ in range(_MAX_AT_ONCE):
                 try:
                     size, sender = one.recvfrom_into(self._buffer)
                 except OSError:  # there is no more; or the host had said that a port is closed
@@ -97,15 +90,15 @@ class RtpPorts:
                     yield channel, memoryview(self._buffer)[:size]
 
     def close(self) -> None:
-        """Let go of the ports."""
+        """Close the ports."""
         for one in self.sockets:
             one.close()
 
     def is_torn(self, ticks: int | None) -> bool:
-        """Whether packets were lost, or came late, within or beside a picture.
+        """Return whether packets were lost, or came late, within or beside a picture.
 
         Args:
-            ticks: its time, from 0 for the first; asked in order.
+            ticks: its time, from 0 for the first.
         """
         if ticks is None:
             return False

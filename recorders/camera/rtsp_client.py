@@ -1,4 +1,4 @@
-"""Gets an RTSP camera to send its video (RFC 2326): one host, over TCP, TLS or UDP."""
+"""Ask an RTSP camera to play its video (RFC 2326): one host, over TCP, TLS or UDP."""
 
 from __future__ import annotations
 
@@ -22,35 +22,32 @@ from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraError
 from tunenet_logs.terminal import short_name
 
-_PORTS = {"rtsp": 554, "rtsps": 322}
-"""That are meant where an address names none."""
-
+_PORTS = {"rtsp": 554, "rtsps": 322}  # that are meant where an address names none
 _CHANNELS = re.compile(r"\binterleaved\s*=\s*(\d{1,3})")
 _SERVER_PORTS = re.compile(r"\bserver_port\s*=\s*(\d{1,5})(?:-(\d{1,5}))?")
 _SESSION = re.compile(r"([\x21-\x3a\x3c-\x7e]{1,200})(?:\s*;\s*timeout\s*=\s*(\d{1,6}))?")
 _PLACE = re.compile(r"rtsps?://[\x21-\x7e]{1,1500}")
 
+# The shortest and the longest time between two requests that keep a session alive.
 _REFRESH_S = (1.0, 30.0)
-"""The shortest and the longest time between two requests that keep a session alive."""
 
 
 class RtspClient:
     """A camera that has been asked to play.
 
-    It names its own places as it likes: they are words in requests to it, and no other host is
-    ever called. Packets are taken from its own number alone.
+    URLs that it names are only words in requests to it: no other host is ever called. Packets are
+    taken from its own address alone.
 
     Args:
-        address: where.
         deadline: until it plays; afterwards for each read.
-        trust: which certificate is believed.
+        trust: which certificates are trusted.
         transport: None tries TCP, and UDP where the camera refuses that; TLS is for TCP alone.
 
     Attributes:
-        socket: its connection.
-        wire: what comes over it.
-        ports: where packets arrive beside it; None if they come over it.
-        channel: of its packets over the connection; the next one is for reports.
+        socket: the control connection.
+        wire: its reader.
+        ports: UDP ports for the packets; None if they are interleaved.
+        channel: of interleaved RTP; the next one is for RTCP.
         description: of its video.
 
     Raises:
@@ -78,7 +75,7 @@ class RtspClient:
         deadline.renew(math.inf)
 
     def refresh(self) -> float:
-        """Tell the camera, when it is time, that somebody still looks; how long until the next."""
+        """Send a keep-alive when it is due; return the time until the next [s]."""
         if (left_s := self._next_refresh_s - time.monotonic()) > 0:
             return left_s
         self._requests.send(self._refresh, self._place)
@@ -86,14 +83,14 @@ class RtspClient:
         return self._refresh_s
 
     def replied(self, reply: Reply) -> None:
-        """Take a reply to what nobody waits for: a login has to be renewed in time."""
+        """Handle an unsolicited reply: a 401 renews the login in time."""
         if reply.status == 401:
             with suppress(CameraError):  # the camera will end it
                 self._requests.log_in(reply)
                 self._next_refresh_s = time.monotonic() + _REFRESH_S[0]
 
     def close(self) -> None:
-        """Ask the camera to stop, and let go of it; once more does nothing."""
+        """Send TEARDOWN and close the connection; safe to call twice."""
         if self._requests.session:
             with suppress(OSError):
                 self._requests.send("TEARDOWN", self._place)
@@ -120,10 +117,10 @@ class RtspClient:
         self._next_refresh_s = time.monotonic() + self._refresh_s
 
     def _is_set_up(self, video: str, transport: Transport) -> bool:
-        """Whether the camera agrees to send so.
+        """Send SETUP; return whether the camera accepts the transport.
 
         Raises:
-            CameraError: it says that it does, and means another way.
+            CameraError: it answers with another transport.
         """
         wanted = "/TCP;unicast;interleaved=0-1"
         if transport is Transport.UDP:
@@ -153,7 +150,7 @@ class RtspClient:
 
 
 def _joined(base: str, control: str) -> str:
-    """The place that a description names; cameras mean it so, though RFC 3986 would not."""
+    """Join a base URL and a control attribute as cameras mean it, against RFC 3986."""
     if _PLACE.fullmatch(control):
         return control
     if control in ("", "*"):

@@ -1,8 +1,7 @@
-"""Hands an RTSP camera's packets to FFmpeg, which itself reaches this machine alone.
+"""Relay an RTSP camera's packets to FFmpeg, which itself connects to this machine alone.
 
-FFmpeg knows how pictures are packed. But it follows a camera to any host, believes any
-certificate, and knows one digest of five; so the camera is asked by `rtsp_client`, and FFmpeg asks
-here.
+FFmpeg can depacketize pictures. But it follows a camera to any host, trusts any certificate, and
+knows one digest of five; so `rtsp_client` talks to the camera, and FFmpeg connects here.
 """
 
 from __future__ import annotations
@@ -20,27 +19,19 @@ from recorders.camera.rtp_joining import FragmentJoiner
 from recorders.camera.rtsp_client import RtspClient
 from recorders.camera.rtsp_wire import Reply
 
-_VIDEO = "video"
-"""What FFmpeg is told that the one video is called."""
-
-_READER_S = 10.0
-"""For FFmpeg to call: it is asked to at once."""
-
-_ENDING_S = 0.2
-"""For what ends by itself to say why."""
-
-_LONGEST_WAIT_S = 1.0
-"""For a packet, before anything else is looked after."""
-
+_VIDEO = "video"  # what FFmpeg is told that the one video is called
+_READER_S = 10.0  # for FFmpeg to call: it is asked to at once
+_ENDING_S = 0.2  # for what ends by itself to say why
+_MAX_WAIT_S = 1.0  # for a packet, before anything else is looked after
+# From what was passed on to what is read next, over TCP, which keeps it: the pieces of a picture
+# are passed on together then, and the first of them at once, as its time of arrival wants it.
 _GATHERING_S = 0.003
-"""From what was passed on to what is read next, over TCP, which keeps it: the pieces of a picture
-are passed on together then, and the first of them at once, as its time of arrival wants it."""
 
 _MAX_REQUEST_BYTES = 16 * 1024
 
 
 class RtspRelay:
-    """A camera's packets on the loopback, for one reader.
+    """A loopback RTSP server for one reader.
 
     Args:
         client: the camera, playing; it is closed here.
@@ -62,16 +53,16 @@ class RtspRelay:
 
     @property
     def url(self) -> str:
-        """Where the reader finds the video."""
+        """URL of the relayed video."""
         return f"rtsp://127.0.0.1:{self._listener.getsockname()[1]}/{self._path}"
 
     @property
     def lost(self) -> int:
-        """Packets that did not come; over TCP all do."""
+        """Number of lost packets; 0 over TCP."""
         return self._client.ports.lost if self._client.ports else 0
 
     def is_torn(self, ticks: int | None) -> bool:
-        """Whether something was lost of a picture, or beside it, or its end never came.
+        """Return whether packets were lost in or beside a picture, or its end never came.
 
         Args:
             ticks: its time, from 0 for the first; asked in order, when more has come or none will.
@@ -80,7 +71,7 @@ class RtspRelay:
         return self._joiner.is_open(ticks) or (ports is not None and ports.is_torn(ticks))
 
     def close(self) -> None:
-        """End it, from any thread; the camera is told."""
+        """Stop relaying, from any thread, and close the camera."""
         self._is_closed = True
         for one in (self._client.socket, self._listener, self._reader):
             if one is not None:
@@ -91,7 +82,7 @@ class RtspRelay:
                 self._reader.shutdown(socket.SHUT_RDWR)
 
     def ended_by(self) -> str:
-        """End it where it has not ended, and tell why it did; "" where this ended it."""
+        """Stop relaying; return why it had ended, "" where it was still running."""
         is_asked = self._is_closed
         self._thread.join(_ENDING_S)
         was_running = self._thread.is_alive()
@@ -115,7 +106,7 @@ class RtspRelay:
             self._client.close()
 
     def _played(self, reader: socket.socket) -> str:
-        """Play to FFmpeg; why there is no more, "" if FFmpeg has enough."""
+        """Serve FFmpeg; return why there is no more, "" if FFmpeg hung up."""
         try:
             self._greet(reader)
             return self._pass_on(reader)
@@ -129,7 +120,7 @@ class RtspRelay:
             return f"the connection to the camera broke ({why})"
 
     def _greet(self, reader: socket.socket) -> None:
-        """Be FFmpeg's camera until it says PLAY."""
+        """Answer FFmpeg's requests up to PLAY."""
         description = self._client.description.text(_VIDEO)
         channel = self._client.channel
         answers = {
@@ -155,7 +146,7 @@ class RtspRelay:
             reader.sendall((head + answers[method]).encode())
 
     def _pass_on(self, reader: socket.socket) -> str:
-        """Pass packets on until one side ends."""
+        """Relay packets until one side ends."""
         client, wire = self._client, self._client.wire
         udp = client.ports.sockets if client.ports else ()
         reader.sendall(self._joiner.joined(memoryview(wire.early)))
@@ -165,7 +156,7 @@ class RtspRelay:
                 reader.sendall(self._joiner.joined(packets))
                 passed_s = time.monotonic()
             left_s = passed_s + self._silence_s - time.monotonic()
-            wait_s = min(client.refresh(), left_s, _LONGEST_WAIT_S)
+            wait_s = min(client.refresh(), left_s, _MAX_WAIT_S)
             if wait_s <= 0:
                 raise TimeoutError
             ready, _, _ = select.select([client.socket, reader, *udp], [], [], wait_s)
@@ -179,7 +170,7 @@ class RtspRelay:
         return ""
 
     def _come(self) -> Iterator[memoryview]:
-        """The packets that have come, each of them as it comes over the connection."""
+        """Yield the received packets, interleaved."""
         while (came := self._client.wire.take(is_playing=True)) is not None:
             if isinstance(came, Reply):
                 self._client.replied(came)

@@ -1,4 +1,4 @@
-"""Requests to an RTSP camera and its replies (RFC 2326): numbered, logged in, in one session."""
+"""Send RTSP requests and await replies (RFC 2326): CSeq, authentication, session."""
 
 from __future__ import annotations
 
@@ -12,20 +12,15 @@ from tunenet_logs.terminal import short_name
 
 UNSUPPORTED_TRANSPORT = 461
 
-_MOST_TRIES = 3
-"""For one reply: without login, with it, and with a fresh nonce."""
+_MAX_TRIES = 3  # for one reply: without login, with it, and with a fresh nonce
 
 
 class RtspRequests:
-    """Asks a camera over one connection.
-
-    Args:
-        connected: the connection.
-        login: who asks.
+    """Requests over one RTSP connection.
 
     Attributes:
-        wire: what comes over the connection.
-        session: as the camera calls it; "" before there is one.
+        wire: reader of the connection.
+        session: session identifier; "" before there is one.
     """
 
     def __init__(self, connected: socket.socket, login: Login) -> None:
@@ -36,7 +31,7 @@ class RtspRequests:
         self._count = 0
 
     def send(self, method: str, place: str, headers: dict[str, str] | None = None) -> None:
-        """Ask, and wait for nothing."""
+        """Send a request without waiting for its reply."""
         self._count += 1
         lines = [f"{method} {place} RTSP/1.0", f"CSeq: {self._count}", "User-Agent: tunenet-record"]
         lines += [f"{name}: {value}" for name, value in (headers or {}).items()]
@@ -53,14 +48,14 @@ class RtspRequests:
         headers: dict[str, str] | None = None,
         refusal: int | None = None,
     ) -> Reply:
-        """Ask, and wait for the reply: 200, or a refusal that is expected.
+        """Send a request; return its reply, with status 200 or `refusal`.
 
         Raises:
-            CameraError: it is another.
+            CameraError: the reply has another status.
         """
         self.send(method, place, headers)
         reply = self.wire.reply()
-        for _ in range(_MOST_TRIES - 1):
+        for _ in range(_MAX_TRIES - 1):
             if reply.status != 401:
                 break
             self.log_in(reply)
@@ -76,9 +71,9 @@ class RtspRequests:
         raise kind(f"answers {said} to {method}; {remedy}")
 
     def log_in(self, reply: Reply) -> None:
-        """Take what a reply of 401 asks for.
+        """Take the challenge of a 401 reply.
 
         Raises:
-            CameraError: it cannot be given.
+            CameraError: it cannot be answered.
         """
         self._login.take(reply.every("www-authenticate"))

@@ -1,4 +1,4 @@
-"""A network camera that speaks RTSP, over TCP or UDP."""
+"""Read a network camera that speaks RTSP, over TCP or UDP."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from recorders.deadline import Deadline
 from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraAwayError
 
-_SPARE_S = 2.0
-"""That FFmpeg waits longer than the relay, which can say why nothing comes."""
-
+_SPARE_S = 2.0  # that FFmpeg waits longer than the relay, which can say why nothing comes
 _OPTIONS = {
     "rtsp_transport": "tcp",  # to the relay, whatever the camera is asked by
     "protocol_whitelist": "tcp",
@@ -31,10 +29,9 @@ class RtspStream(PacketStream):
     """An RTSP stream.
 
     Args:
-        address: where.
         timeout_s: the longest silence. Opening may take 10 s, or so long where that is longer.
-        trust: which certificate is believed.
-        transport: None takes UDP where the camera refuses TCP.
+        trust: which certificates are trusted.
+        transport: None falls back to UDP where the camera refuses TCP.
 
     Raises:
         CameraError: nothing answers there, or not with a video.
@@ -68,18 +65,18 @@ class RtspStream(PacketStream):
             super().__init__(container, address.shown, timeout_s, is_damaged=self._relay.is_torn)
 
     def notes(self) -> dict[str, str]:
-        """The codec, how packets came, and how many did not."""
+        """Return the codec, the transport, and the number of lost packets."""
         lost = {"lost_packets": str(self._relay.lost)} if self._relay.lost else {}
         return super().notes() | {"transport": self._transport.value} | lost
 
     def frames(self) -> Iterator[Shot]:
-        """The pictures as they come, until the camera ends the stream or falls silent."""
+        """Yield the pictures as they come, until the stream ends or falls silent."""
         try:
             yield from super().frames()
         finally:
             self.ended = self._relay.ended_by() or self.ended
 
     def close(self) -> None:
-        """End running `frames`; the camera is told to stop."""
+        """End a running `frames`; the camera is told to stop."""
         super().close()
         self._relay.close()

@@ -1,4 +1,4 @@
-"""What comes over an RTSP connection: replies, and packets between them (RFC 2326)."""
+"""Parse an RTSP connection: replies and interleaved packets (RFC 2326)."""
 
 from __future__ import annotations
 
@@ -8,18 +8,15 @@ from dataclasses import dataclass, replace
 
 from tunenet_logs.errors import CameraAwayError, CameraError
 
+# Several packets: one has 65,539 bytes at most, its length being stated in two.
 _BUFFER_BYTES = 256 * 1024
-"""Several packets: one has 65,539 bytes at most, its length being stated in two."""
 
 _MAX_HEAD_BYTES = 16 * 1024
-_MAX_BODY_BYTES = 64 * 1024
-"""Of a reply: cameras send a hundredth."""
-
+_MAX_BODY_BYTES = 64 * 1024  # of a reply: cameras send a hundredth
 _VERSION = b"RTSP/1."
 _BLANK_LINE = re.compile(rb"\r?\n\r?\n")
 
-_DOLLAR = ord("$")
-"""What a packet begins with; after it one byte of channel and two of length."""
+_DOLLAR = ord("$")  # what a packet begins with; after it one byte of channel and two of length
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,7 @@ class Reply:
     """A camera's reply.
 
     Attributes:
-        headers: (name in small letters, value), each as often as it was sent.
+        headers: (name in lower case, value), each as often as it was sent.
     """
 
     status: int
@@ -36,22 +33,22 @@ class Reply:
     body: bytes
 
     def every(self, name: str) -> list[str]:
-        """The values of a header that may be sent more than once."""
+        """Return all values of a header that may be repeated."""
         return [value for known, value in self.headers if known == name]
 
     def header(self, name: str) -> str:
-        """The value of a header; "" where it was not sent."""
+        """Return the value of a header; "" where it was not sent."""
         return next(iter(self.every(name)), "")
 
 
 class RtspWire:
-    """Reads from an RTSP connection.
+    """A reader of an RTSP connection.
 
     Args:
         connected: the connection; its reads raise when they take too long.
 
     Attributes:
-        early: packets that came before the reply that was waited for.
+        early: packets that came before an awaited reply.
     """
 
     def __init__(self, connected: socket.socket) -> None:
@@ -62,7 +59,7 @@ class RtspWire:
         self._used = self._filled = 0
 
     def reply(self) -> Reply:
-        """The next reply.
+        """Wait for the next reply.
 
         Raises:
             CameraError: what comes is none, or has no end.
@@ -80,7 +77,7 @@ class RtspWire:
                 raise CameraError("sends packets and no reply; check the address")
 
     def fill(self) -> int:
-        """Read once; how many bytes came: 0 at the end of the connection."""
+        """Read once; return the number of bytes, 0 at the end of the connection."""
         left = self._filled - self._used
         self._view[:left] = self._view[self._used : self._filled]
         self._used = 0
@@ -88,13 +85,12 @@ class RtspWire:
         return count
 
     def take(self, *, is_playing: bool) -> memoryview | Reply | None:
-        """What has come whole: packets, one after the other, or a reply.
+        """Return a run of whole packets, or a reply; None where more has to come.
+
+        Packets are valid until the next `fill`.
 
         Args:
-            is_playing: whether noise between packets is passed over; else it is an error.
-
-        Returns:
-            Packets, to be used before the next `fill`; None where more has to come.
+            is_playing: whether noise between packets is skipped; else it is an error.
 
         Raises:
             CameraError: what came is neither.
@@ -126,10 +122,10 @@ class RtspWire:
         return at
 
     def _taken_reply(self) -> Reply | None:
-        """The reply that begins here; None where more of it has to come.
+        """Parse the reply that begins here; None where it is incomplete.
 
         Raises:
-            ValueError: here begins none.
+            ValueError: it is no reply.
         """
         head = bytes(self._view[self._used : self._filled][: _MAX_HEAD_BYTES + 4])
         if not head.startswith(_VERSION[: len(head)]):

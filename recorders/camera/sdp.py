@@ -1,4 +1,4 @@
-"""A camera's description of its video (SDP, RFC 8866): what is needed of it, and nothing else."""
+"""Parse a camera's session description (SDP, RFC 8866): only what its video needs."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from tunenet_logs.errors import CameraError
 from tunenet_logs.terminal import short_name
 
 _VIDEO = re.compile(r"m=video \S+ (\S+) (\d{1,3})\b")
+# Attributes that say how pictures are coded: none of them names a place.
 _KEPT = re.compile(r"a=(rtpmap|fmtp|framerate|framesize):[\x20-\x7e]{1,4000}")
-"""Attributes that say how pictures are coded: none of them names a place."""
 
 _CODEC = re.compile(r"a=rtpmap:\d{1,3}\s+([\w-]+)/")
 
@@ -18,7 +18,7 @@ _CONTROL = re.compile(r"a=control:([\x21-\x7e]{1,1000})\s*")
 
 _PROTOCOLS = ("RTP/AVP", "RTP/AVPF", "RTP/AVP/TCP", "RTP/AVP/UDP")
 
-_MOST_LINES = 20
+_MAX_LINES = 20
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class Description:
     """A camera's first video.
 
     Attributes:
-        whole: what names all that is sent; "" if nothing does.
-        control: what names this video; "" if nothing does.
-        coding: the lines that say how its pictures are coded.
+        whole: control URL of the session; "" if there is none.
+        control: control URL of this video; "" if there is none.
+        coding: the lines that describe its coding.
     """
 
     whole: str
@@ -37,10 +37,10 @@ class Description:
 
     @classmethod
     def of(cls, text: str) -> Description:
-        """Read a description.
+        """Parse a description.
 
         Raises:
-            CameraError: it holds no video, or one that is sent in a way that is not known.
+            CameraError: it holds no video, or one sent by an unknown protocol.
         """
         session, *media = re.split(r"^(?=m=)", text, flags=re.MULTILINE)
         for section in media:
@@ -51,18 +51,18 @@ class Description:
                 known = short_name(protocol)
                 raise CameraError(f"sends its video by {known}; switch it to RTP/AVP")
             kept = [one[0] for one in map(_KEPT.fullmatch, section.splitlines()) if one]
-            coding = (f"m=video 0 RTP/AVP {kind}", *kept[:_MOST_LINES])
+            coding = (f"m=video 0 RTP/AVP {kind}", *kept[:_MAX_LINES])
             return cls(_control(session), _control(section), coding)
         raise CameraError("holds no video; give the address of its video")
 
     @property
     def codec(self) -> str:
-        """What RTP calls the codec, such as "H264"; "" where its number says it."""
+        """RTP encoding name, such as "H264"; "" where the payload type implies it."""
         found = (_CODEC.match(line) for line in self.coding)
         return next((one[1].upper() for one in found if one), "")
 
     def text(self, control: str) -> str:
-        """A description of this video alone.
+        """Format a description of this video alone, under the control name `control`.
 
         Args:
             control: what names it here.

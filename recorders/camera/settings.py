@@ -1,4 +1,4 @@
-"""What may be asked of a camera that is plugged in: asked, read back, and put down in words."""
+"""Apply settings to a plugged-in camera, read them back, and describe both."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import cv2
 
-_MANUAL_EXPOSURE = 1.0
-"""V4L2_EXPOSURE_MANUAL of V4L2."""
-
-_EXPOSURES_PER_MS = 10.0
-"""V4L2 gives an exposure in units of 100 µs."""
+_MANUAL_EXPOSURE = 1.0  # V4L2_EXPOSURE_MANUAL of V4L2
+_EXPOSURES_PER_MS = 10.0  # V4L2 gives an exposure in units of 100 µs
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is asked of a camera; None leaves it as it is.
+    """Requested camera settings; None leaves one as it is.
 
     Attributes:
         size: (width, height) [px].
@@ -32,12 +29,12 @@ class Settings:
     focus: float | None = None
 
     def asked(self) -> list[str]:
-        """The names of what is asked for."""
+        """Return the names of the requested settings."""
         return [field.name for field in fields(self) if getattr(self, field.name) is not None]
 
 
 def apply(settings: Settings, capture: cv2.VideoCapture) -> None:
-    """Ask. The order matters: format and size first, because they reset the rate."""
+    """Apply the settings, format and size first, because they reset the rate."""
     import cv2
 
     capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
@@ -58,7 +55,7 @@ def apply(settings: Settings, capture: cv2.VideoCapture) -> None:
 
 
 def in_words(settings: Settings, capture: cv2.VideoCapture) -> dict[str, str]:
-    """What was asked for and what the camera made of it, for the log."""
+    """Describe requested and accepted settings for the log."""
     import cv2
 
     get = capture.get
@@ -82,7 +79,7 @@ def in_words(settings: Settings, capture: cv2.VideoCapture) -> dict[str, str]:
 
 
 def _mode(automatic: float, value: float) -> str:
-    """OpenCV answers -1 where a camera has no such control."""
+    """Describe a control as automatic, manual or, where OpenCV answers -1, fixed."""
     if automatic < 0 and value < 0:
         return "fixed"
     return f"{'automatic' if automatic > 0 else 'manual'} {value:g}"

@@ -1,4 +1,4 @@
-"""Sound on its way into a log, in short blocks beside the pictures."""
+"""Write sound to a log in short blocks beside the pictures."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from tunenet_logs.writer import EpisodeWriter
 
 
 class WritesSound(Protocol):
-    """What writes sound while pictures are written.
+    """A writer of sound beside pictures.
 
     Attributes:
-        written: messages.
+        written: number of messages.
     """
 
     written: int
 
     def write_until(self, writer: EpisodeWriter, stamp_ns: int) -> None:
-        """A picture of that stamp is to be written next."""
+        """Write sound up to the stamp of the next picture."""
         ...
 
     def tick(self, writer: EpisodeWriter) -> None:
-        """Nothing comes from the camera at the moment."""
+        """Write what is due while no picture comes."""
         ...
 
     def finish(self, writer: EpisodeWriter, until_ns: int) -> None:
-        """No more pictures come; sound that begins before a stamp is wanted still."""
+        """Write the remaining sound that begins before a stamp."""
         ...
 
     def in_words(self) -> str:
-        """For the last line that a recorder prints."""
+        """Summarize the sound for the recorder's last line."""
         ...
 
 
@@ -40,10 +40,7 @@ class SoundBlocks:
     """Writes a sound as far as the pictures have come.
 
     Attributes:
-        written: messages.
-
-    Args:
-        sound: all of it.
+        written: number of messages.
     """
 
     def __init__(self, sound: Sound) -> None:
@@ -54,11 +51,11 @@ class SoundBlocks:
         self._next = next(self._blocks, None)
 
     def in_words(self) -> str:
-        """For the last line that a recorder prints."""
+        """Summarize the sound for the recorder's last line."""
         return f"{self._heard_s:.1f} s of sound"
 
     def write_until(self, writer: EpisodeWriter, stamp_ns: int) -> None:
-        """Write what begins before a stamp and was not yet written."""
+        """Write blocks that begin before a stamp and are not yet written."""
         while self._next is not None and self._next[0] < stamp_ns:
             block_ns, pcm = self._next
             writer.write_sound(AUDIO_TOPIC, block_ns, pcm, self._rate_hz)
@@ -67,8 +64,8 @@ class SoundBlocks:
             self._next = next(self._blocks, None)
 
     def tick(self, writer: EpisodeWriter) -> None:
-        """Nothing: it is written with the pictures."""
+        """Do nothing: the sound is written with the pictures."""
 
     def finish(self, writer: EpisodeWriter, until_ns: int) -> None:
-        """Write the rest that begins before a stamp."""
+        """Write the remaining blocks that begin before a stamp."""
         self.write_until(writer, until_ns)

@@ -1,4 +1,4 @@
-"""From what the user names to the source that it is."""
+"""Open the source that the user names."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from recorders.camera.settings import Settings
 from tunenet_logs.addresses import scheme_of
 from tunenet_logs.errors import UsageError
 
+# By a setting's name, the option that asks for it: an error names what the user wrote.
 _OPTIONS = {
     "size": "--size",
     "rate_hz": "--rate",
@@ -22,18 +23,17 @@ _OPTIONS = {
     "white_balance_k": "--white-balance",
     "focus": "--focus",
 }
-"""By a setting's name, the option that asks for it: an error names what the user wrote."""
 
+# Beyond what a camera's own reading allows: for name servers, and for its own, clearer error.
 _SPARE_S = 5.0
-"""Beyond what a camera's own reading allows: for name servers, and for its own, clearer error."""
 
+# For a plugged-in camera: drivers try some seconds long, and each setting may take its own.
 _DEVICE_S = 30.0
-"""For a plugged-in camera: drivers try some seconds long, and each setting may take its own."""
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """What is wanted of a source; see `open_source`."""
+    """Options of a source; see `open_source`."""
 
     settings: Settings
     filmed_hz: float | None
@@ -51,7 +51,7 @@ def open_source(
     network: NetworkOptions | None = None,
     transcode: bool = False,
 ) -> Source:
-    """Open a camera or a video.
+    """Open a camera or a video file.
 
     Args:
         text: a device's number or /dev/... path, an address, "-" for standard input, a FIFO, or a
@@ -59,11 +59,11 @@ def open_source(
         settings: what to ask of a device.
         filmed_hz: rate at which a file was filmed, where its tags do not say so.
         timeout_s: the longest silence of a live camera.
-        network: how a network camera is asked.
+        network: options of a network camera.
         transcode: whether pictures of a camera that sends video are to become JPEGs.
 
     Raises:
-        UsageError: an option that is not for this source, or an address that is none.
+        UsageError: an option does not apply to this source, or an address is invalid.
         CameraError: it cannot be opened.
         LogError: a file that is no video.
     """
@@ -87,22 +87,22 @@ def open_source(
 
 
 def is_asked_again(text: str) -> bool:
-    """Whether a source is a camera in a network that can be connected again, and again."""
+    """Return whether a source is a network camera that can be reconnected."""
     return _kind_of(with_scheme(text)) in _ASKED_AGAIN
 
 
 def is_file(text: str) -> bool:
-    """Whether a source is a file, and no live camera."""
+    """Return whether a source is a file rather than a live camera."""
     return _kind_of(with_scheme(text)) == "a file"
 
 
 def shows_password(text: str) -> bool:
-    """Whether a camera's address has a password in it."""
+    """Return whether a camera's address contains a password."""
     return is_asked_again(text) and bool(camera_address(with_scheme(text)).password)
 
 
 def _kind_of(text: str) -> str:
-    """The scheme of an address, else what it is."""
+    """Return the scheme of an address, else the kind of source."""
     if scheme := scheme_of(text):
         return scheme
     if _is_number(text) or text.startswith("/dev/"):
@@ -173,7 +173,7 @@ def _bytes(text: str, wishes: Wishes) -> Source:
 def _opened(
     shown: str, wishes: Wishes, opening: Callable[[], Source], more_s: float = 0.0
 ) -> Source:
-    """What a camera sends, in the form in which a log holds it."""
+    """Open a network or piped source, transcoded where the log cannot hold its codec."""
     from recorders.camera.connection import OPENING_S
     from recorders.camera.packet_stream import PacketStream
     from recorders.camera.transcoded import as_kept
@@ -188,6 +188,7 @@ def _opened(
     return opened_within(longest_s, shown, opened)
 
 
+# By an address's scheme, or by what has none.
 _OPENERS: Mapping[str, Callable[[str, Wishes], Source]] = MappingProxyType(
     {
         "a device": _device,
@@ -201,12 +202,14 @@ _OPENERS: Mapping[str, Callable[[str, Wishes], Source]] = MappingProxyType(
         "udp": _bytes,
     }
 )
-"""By an address's scheme, or by what has none."""
 
+# Of these, those that answer whoever asks.
 _ASKED_AGAIN = frozenset({"http", "https", "rtsp", "rtsps", "tcp"})
-"""Of these, those that answer whoever asks."""
 
 _FFMPEG = "ffmpeg -loglevel error -i {}://... -c copy -f matroska -"
+# By the scheme that the library here lacks, or that says too little: who reads it instead.
+#
+# Without its jitter buffer GStreamer stamps what comes by RTP when it came, not when it was taken.
 _BY_OTHERS: Mapping[str, str] = MappingProxyType(
     {
         "srt": "gst-launch-1.0 -q srtsrc uri=srt://... ! fdsink",
@@ -217,7 +220,3 @@ _BY_OTHERS: Mapping[str, str] = MappingProxyType(
         "rtmps": _FFMPEG.format("rtmps"),
     }
 )
-"""By the scheme that the library here lacks, or that says too little: who reads it instead.
-
-Without its jitter buffer GStreamer stamps what comes by RTP when it came, not when it was taken.
-"""

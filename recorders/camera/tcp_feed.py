@@ -1,4 +1,4 @@
-"""A camera that sends its video as soon as one connects to it, over bare TCP."""
+"""Read a camera that sends its video over plain TCP to whoever connects."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from tunenet_logs.addresses import Address
 
 
 class TcpFeed:
-    """The bytes of one connection.
+    """The bytes of one TCP connection.
 
     Args:
-        address: host and port.
         deadline: of connecting and of all reads.
 
     Raises:
-        UsageError: more than host and port, or less.
+        UsageError: the address is not just host and port.
         CameraError: nothing answers there.
         TimeoutError: it does not answer in time.
     """

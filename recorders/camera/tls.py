@@ -1,4 +1,4 @@
-"""Which certificate of a camera is believed."""
+"""Verify a camera's TLS certificate: by a known authority, by fingerprint, or not at all."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _FINGERPRINT = re.compile(r"[0-9A-F]{64}")
 
 @dataclass(frozen=True)
 class Trust:
-    """Which certificate is believed: one that a known authority signed, where nothing is said.
+    """Which certificates are trusted; by default those that a known authority signed.
 
     Attributes:
-        fingerprint: SHA-256 of the one certificate that is believed, in 64 capital hex digits;
-            its names, its dates and who signed it then do not matter.
-        is_insecure: whether any certificate is believed.
+        fingerprint: SHA-256 of the only trusted certificate, in 64 capital hex digits; its names,
+            dates and issuer then do not matter.
+        is_insecure: whether any certificate is trusted.
     """
 
     fingerprint: str = ""
@@ -30,14 +30,10 @@ class Trust:
 
     @classmethod
     def of(cls, fingerprint: str | None, is_insecure: bool) -> Trust:
-        """Take what a user says.
-
-        Args:
-            fingerprint: in hex digits, with or without colons between them.
-            is_insecure: whether any certificate is to be believed.
+        """Parse the user's options; colons between the fingerprint's hex digits are optional.
 
         Raises:
-            UsageError: that is no fingerprint, or both are said.
+            UsageError: it is no fingerprint, or both options are given.
         """
         if fingerprint is None:
             return cls(is_insecure=is_insecure)
@@ -52,28 +48,28 @@ class Trust:
 
     @property
     def option(self) -> str:
-        """The option that was given; "" if none was."""
+        """Name of the given option; "" if there is none."""
         return "--fingerprint" if self.fingerprint else "--insecure" if self.is_insecure else ""
 
 
 class UntrustedCertificateError(CameraError):
-    """A certificate that no known authority vouches for."""
+    """A certificate that no known authority signed."""
 
 
 def secured(plain: socket.socket, host: str, trust: Trust, deadline: Deadline) -> ssl.SSLSocket:
-    """TLS on a connection; the certificate is believed or this fails before a word is said.
+    """Start TLS on a connection and verify the certificate before anything is sent.
 
     Args:
         plain: the connection, which is closed with what is returned, and where this fails.
-        host: whose certificate it has to be.
-        trust: what is believed.
-        deadline: for all that is read later, too.
+        host: the name that the certificate must be for.
+        trust: which certificates are trusted.
+        deadline: for all later reads, too.
 
     Raises:
-        UntrustedCertificateError: no known authority vouches for it. Its fingerprint is not known
-            then: `fingerprint` asks for it.
-        CameraError: it is another than the one that is believed.
-        OSError: there is no TLS.
+        UntrustedCertificateError: no known authority signed it. Its fingerprint is unknown then;
+            see `fingerprint`.
+        CameraError: it has another fingerprint than the trusted one.
+        OSError: the TLS handshake failed.
     """
     context = ssl.create_default_context()
     if trust.option:
@@ -96,5 +92,5 @@ def secured(plain: socket.socket, host: str, trust: Trust, deadline: Deadline) -
 
 
 def fingerprint(connected: ssl.SSLSocket) -> str:
-    """SHA-256 of the other side's certificate, in capital hex digits."""
+    """Return the SHA-256 of the peer's certificate, in capital hex digits."""
     return sha256(connected.getpeercert(binary_form=True) or b"").hexdigest().upper()

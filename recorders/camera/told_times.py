@@ -1,23 +1,22 @@
-"""Whether the times that a server writes beside its pictures are those of a clock."""
+"""Check whether timestamps that a server sends with its pictures come from a clock."""
 
 from __future__ import annotations
 
-_MOST_FAULTY = 0.01
-"""Of the times: a clock that is set goes back once, what counts in another way does so often."""
+# Of the times: a clock that is set goes back once, what counts in another way does so often.
+_MAX_FAULTY = 0.01
 
 _FORGIVEN = 2
-_LEAST_NS = 1_000_000_000
-"""Over which the server's clock and ours are compared: jitter and bursts are shorter."""
+# Over which the server's clock and ours are compared: jitter and bursts are shorter.
+_MIN_NS = 1_000_000_000
 
-_MOST_RATIO = 2.0
-"""Between the two: no clock is so wrong, another unit is."""
+_MAX_RATIO = 2.0  # between the two: no clock is so wrong, another unit is
 
 
 class ToldTimes:
-    """Lets through what a server tells, until it is seen to be no clock.
+    """A filter that passes reported timestamps until they prove not to be a clock's.
 
     Attributes:
-        is_trusted: whether it may be one still.
+        is_trusted: whether they may still be a clock's.
     """
 
     def __init__(self) -> None:
@@ -27,7 +26,7 @@ class ToldTimes:
         self._count = self._faults = 0
 
     def taken_ns(self, told_ns: int | None, arrived_ns: int) -> int | None:
-        """The time of a picture; None where what is told is none.
+        """Return a picture's reported time [ns]; None where it is not to be trusted.
 
         Args:
             told_ns: by the server's clock.
@@ -45,7 +44,7 @@ class ToldTimes:
         if not goes_on:
             self._faults += 1
             self._first = told_ns, arrived_ns
-            self.is_trusted = self._faults <= _FORGIVEN + _MOST_FAULTY * self._count
+            self.is_trusted = self._faults <= _FORGIVEN + _MAX_FAULTY * self._count
             return None
         self.is_trusted = self._runs_with_ours(
             told_ns - self._first[0], arrived_ns - self._first[1]
@@ -55,4 +54,4 @@ class ToldTimes:
     @staticmethod
     def _runs_with_ours(told_ns: int, arrived_ns: int) -> bool:
         longest_ns = max(told_ns, arrived_ns)
-        return longest_ns < _LEAST_NS or longest_ns < _MOST_RATIO * min(told_ns, arrived_ns)
+        return longest_ns < _MIN_NS or longest_ns < _MAX_RATIO * min(told_ns, arrived_ns)

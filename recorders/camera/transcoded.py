@@ -1,4 +1,4 @@
-"""A camera's video as JPEGs: decoded and compressed anew, beside the thread that reads it."""
+"""Transcode a camera's video to JPEGs, beside the thread that reads it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ from recorders.topic_queue import Item
 from tunenet_logs.formats.video_messages import Packet, decoded
 from tunenet_logs.jpeg import compressed
 
+# Of compressed pictures that wait for the decoder: some seconds of a camera.
 _WAITING_BYTES = 16 * 1024 * 1024
-"""Of compressed pictures that wait for the decoder: some seconds of a camera."""
 
-_MOST_WAITING = 256
-"""Pictures that a decoder may hold back; none holds so many."""
+_MAX_WAITING = 256  # pictures that a decoder may hold back; none holds so many
 
 
 class Transcoded:
-    """A source whose pictures become JPEGs; those that are some already stay.
+    """A source whose pictures become JPEGs; those that are JPEGs stay.
 
     Where this machine cannot keep up, pictures are dropped before they are decoded, and with them
-    those that are made from them, up to the next that stands alone. All are counted.
+    those predicted from them, up to the next that stands alone. All are counted.
 
     Args:
         source: what the camera compressed; it is closed with this.
@@ -40,33 +39,33 @@ class Transcoded:
 
     @property
     def returns(self) -> bool:
-        """As the camera's."""
+        """Whether reconnecting may bring more frames."""
         return self._source.returns
 
     @property
     def ended(self) -> str:
-        """Why there are no more."""
+        """Why there are no more frames."""
         return self._source.ended
 
     @property
     def damaged(self) -> int:
-        """Those that were no whole pictures, and those that no decoder could make one of."""
+        """Number of incomplete pictures, and of those that no decoder could decode."""
         return self._source.damaged + self._undecoded
 
     @property
     def dropped(self) -> int:
-        """Those that were not decoded in time; once it is over, those too that still waited."""
+        """Number not decoded in time; in the end also those that still waited."""
         queue = self._reader.queue
         if not self._is_over:
             return queue.dropped
         return queue.captured - self._before - self._shown - self._undecoded
 
     def notes(self) -> dict[str, str]:
-        """What the source says, and that it was compressed anew."""
+        """Return the source's notes, and that it was transcoded."""
         return {**self._source.notes(), "transcoded": "jpeg"}
 
     def frames(self) -> Iterator[Shot]:
-        """The pictures in order of time, each when it was decoded.
+        """Yield the pictures in order of time, each when it was decoded.
 
         Raises:
             TuneNetError: the source failed, or there is no decoder for it.
@@ -83,12 +82,12 @@ class Transcoded:
             raise self._reader.error
 
     def close(self) -> None:
-        """End running `frames` soon."""
+        """End a running `frames` soon."""
         self._reader.queue.close()
         self._source.close()
 
     def _run(self) -> Iterator[Shot]:
-        """The pictures up to the next drop: a decoder must not build upon what is missing."""
+        """Decode up to the next drop: a decoder must not predict from missing pictures."""
         waiting: dict[int, Shot] = {}
         begun, shown = self._given, 0
         for picture in decoded(self._packets(waiting), lambda _name: self._source.decoder()):
@@ -102,11 +101,11 @@ class Transcoded:
         self._undecoded += self._given - begun - shown
 
     def _packets(self, waiting: dict[int, Shot]) -> Iterator[Packet]:
-        """What goes to one decoder; a picture's number goes for its stamp."""
+        """Yield one decoder's packets, stamped by a picture's number."""
         while self._next is not None:
             shot = self._next.payload
             waiting[self._given] = shot
-            if len(waiting) > _MOST_WAITING:
+            if len(waiting) > _MAX_WAITING:
                 del waiting[next(iter(waiting))]
             self._given += 1
             yield Packet(self._given - 1, shot.frame.encoding, shot.frame.data)
@@ -115,7 +114,7 @@ class Transcoded:
                 return
 
     def _taken(self) -> Item[Shot] | None:
-        """The next that was read, as soon as there is one; None where there are no more."""
+        """Wait for the next picture; None at the end."""
         queue = self._reader.queue
         while not queue.is_done:
             item = queue.take()
@@ -126,7 +125,7 @@ class Transcoded:
 
 
 def as_kept(stream: PacketStream, *, transcode: bool) -> Source:
-    """A stream's pictures as they go into a log: as the camera made them, where a log can hold it.
+    """Return a stream as logs can hold it, transcoded to JPEGs where needed or asked.
 
     Args:
         stream: opened.

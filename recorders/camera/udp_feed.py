@@ -1,4 +1,4 @@
-"""A camera that sends its video in datagrams (MPEG-TS over UDP), to this machine or a group."""
+"""Receive video in datagrams (MPEG-TS over UDP), unicast or multicast."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from recorders.deadline import Deadline
 from tunenet_logs.errors import CameraError, UsageError
 
 _PLACE = re.compile(r"udp://@?(\[[0-9a-f:.]+\]|[a-z0-9.-]*):(\d{1,5})/?", re.IGNORECASE)
-_LARGEST_BYTES = 65536
+_MAX_BYTES = 65536
+# Asked of the kernel for datagrams that wait: a key picture comes as hundreds of them at once.
 _KERNEL_BYTES = 4 * 1024 * 1024
-"""Asked of the kernel for datagrams that wait: a key picture comes as hundreds of them at once."""
 
 _ANY_4, _ANY_6 = "0.0.0.0", "::"  # noqa: S104 (which of its addresses a camera knows is open)
 
-_RTP = 0x80
-"""The first byte of an RTP packet; MPEG-TS has 0x47 there."""
+_RTP = 0x80  # the first byte of an RTP packet; MPEG-TS has 0x47 there
 
 
 class UdpFeed:
-    """Datagrams that come to a port of this machine, from the first that sends any.
+    """Datagrams to a port of this machine, from the first host that sends any.
 
     Args:
         text: udp://@:PORT for all that comes to this machine, udp://HOST:PORT with its own address,
@@ -33,7 +32,7 @@ class UdpFeed:
         deadline: of all reads.
 
     Raises:
-        UsageError: it is written in another way.
+        UsageError: the address is invalid.
         CameraError: the port is taken, or the host unknown.
     """
 
@@ -81,7 +80,7 @@ class UdpFeed:
                 return b""
             if not ready:
                 raise TimeoutError("no datagram came")
-            data, (sender, *_) = self._socket.recvfrom(_LARGEST_BYTES)
+            data, (sender, *_) = self._socket.recvfrom(_MAX_BYTES)
             if not data or sender != (self._sender or sender):
                 continue
             if self._sender is None and data[0] & 0xC0 == _RTP:
@@ -93,7 +92,7 @@ class UdpFeed:
             return data
 
     def _bound(self, host: str, port: int) -> socket.socket:
-        """A socket that hears what is meant by that host."""
+        """Bind a socket for a host: this one, a sender or a multicast group."""
         address = socket.getaddrinfo(host or _ANY_4, port, type=socket.SOCK_DGRAM)[0]
         family, place = address[0], address[4]
         group = ipaddress.ip_address(str(place[0]).partition("%")[0])

@@ -1,4 +1,4 @@
-"""A video file as a source of frames: every frame, at the times that the file states."""
+"""Read a video file as a frame source: every frame, at the times that the file states."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ class VideoFile:
     """A video file.
 
     Args:
-        path: the file.
         filmed_hz: rate at which it was filmed, where the user knows better than its tags.
 
     Raises:
@@ -52,14 +51,14 @@ class VideoFile:
         self.name = f"video file {path.name}"
 
     def notes(self) -> dict[str, str]:
-        """Codec, size, rates, and what was doubtful."""
+        """Return codec, size, rates and warnings."""
         notes = video_notes(self._video)
         if self._video.warnings:
             notes["warnings"] = "; ".join(self._video.warnings)
         return notes
 
     def frames(self) -> Iterator[Shot]:
-        """All frames; a camera's own JPEGs untouched, all else compressed anew.
+        """Yield all frames; the file's JPEGs as they are, all else recompressed.
 
         Raises:
             LogError: the file is damaged; the frames before that have been delivered.
@@ -70,9 +69,9 @@ class VideoFile:
             yield Shot(compressed(frame))
 
     def sound(self) -> Sound | None:
-        """Of its sound track, on the clock of its pictures; None where there is none."""
+        """Return the sound track, on the clock of the pictures; None where there is none."""
         return self._video.sound.sound() if self._video.sound else None
 
     def close(self) -> None:
-        """End running `frames`; nothing is held open otherwise."""
+        """End a running `frames`; nothing else is held open."""
         self._closed = True

@@ -1,4 +1,4 @@
-"""What the main thread does while a camera records: it writes what was read, until there is why."""
+"""Write a camera's queued frames to the log, in the main thread, until the recording ends."""
 
 from __future__ import annotations
 
@@ -18,42 +18,32 @@ from tunenet_logs.messages import CAMERA_TOPIC, VIDEO_FORMATS, VIDEO_TOPIC, type
 from tunenet_logs.terminal import Bar
 from tunenet_logs.writer import EpisodeWriter
 
+# Between two pictures of one connection, and of the step before: then it was away meanwhile.
 _SILENT_NS, _SILENT_STEPS = 1_000_000_000, 5
-"""Between two pictures of one connection, and of the step before: then it was away meanwhile."""
 
-_MOST_GAPS = 1000
-"""After which a camera that comes and goes is of no use."""
-
-_LAST_NS = 2**63 - 1
-"""A stamp behind all others."""
-
-_SPARE_S = 0.5
-"""Of silence beyond what is allowed: for a source to end by itself, and to say why."""
+_MAX_GAPS = 1000  # after which a camera that comes and goes is of no use
+_LAST_NS = 2**63 - 1  # a stamp behind all others
+_SPARE_S = 0.5  # of silence beyond what is allowed: for a source to end by itself, and to say why
 
 if TYPE_CHECKING:
     from recorders.camera.capture import Limits
     from recorders.camera.preview import Preview
 
-WORTH_A_WORD_S = 0.5
-"""Of lateness: the recording falls behind."""
+WORTH_A_WORD_S = 0.5  # of lateness: the recording falls behind
 
 
 class WritingLoop:
-    """Takes shots from the queue, gives them their times, writes and shows them.
-
-    Attributes:
-        clock: which gives pictures their times.
-        longest_lag_s: that a picture was here when the one before it was written [s].
+    """Takes frames from the queue, stamps, writes and shows them.
 
     Args:
         reader: whose queue it is; running.
-        writer: the log.
-        limits: when it ends by itself.
         bar: moved by each picture.
-        preview: what shows the pictures; they are written once "record" was pressed there.
+        preview: shows the pictures; they are written once "record" was pressed there.
         sound: written beside them.
 
     Attributes:
+        clock: maps the camera's timestamps to ours.
+        longest_lag_s: longest time that a picture waited for the one before it to be written [s].
         gaps: in what was written so far.
     """
 
@@ -84,7 +74,7 @@ class WritingLoop:
         self._step_ns = 0
 
     def run(self, stop: threading.Event) -> str:
-        """Write until there are no more; why there are none, "" at the end of the source."""
+        """Write until there are no more frames; return why, "" at the source's end."""
         queue, source, stall_s = self._reader.queue, self._reader.source, self._limits.stall_s
         ended = ""
         heard = time.monotonic()
@@ -124,8 +114,8 @@ class WritingLoop:
     def _why_stopped(self, stop: threading.Event) -> str:
         if stop.is_set():
             return "stopped by a signal"
-        if len(self.gaps) >= _MOST_GAPS:
-            return f"the camera went and came back {_MOST_GAPS} times"
+        if len(self.gaps) >= _MAX_GAPS:
+            return f"the camera went and came back {_MAX_GAPS} times"
         is_pressed = self._preview is not None and self._preview.stop.is_set()
         return "stopped on the page" if is_pressed else ""
 
@@ -150,10 +140,10 @@ class WritingLoop:
                 self._preview.show(frame, self._reader.dropped)
 
     def _in_words(self, arrived_ns: int) -> str:
-        """For the progress bar: what is lost, and how late pictures are written.
+        """Describe losses and lag for the progress bar.
 
-        Late is what was here already when the one before it was written. A picture's own wait says
-        less: that it is whole is often known by the next one alone, which may take its time.
+        Lag is how long a picture had been here when the one before it was written. A picture's own
+        wait says less: that it is whole is often known by the next one alone.
         """
         before_ns, self._written_ns = self._written_ns, now_ns()
         words = f"{self._reader.dropped} dropped"
@@ -164,14 +154,14 @@ class WritingLoop:
         return f"{words}, {lag_s:.1f} s late" if lag_s > WORTH_A_WORD_S else words
 
     def _is_enough(self, stamp_ns: int) -> bool:
-        """Whether the length that was asked for is full before this picture."""
+        """Return whether the requested duration is reached before this picture."""
         if self._first_ns is None:
             self._first_ns = stamp_ns
         seconds = self._limits.seconds
         return seconds is not None and stamp_ns - self._first_ns >= seconds * 1e9
 
     def _note_gap(self, stamp_ns: int, *, begins_anew: bool) -> None:
-        """Mark in the log, at once, that the camera was away before a picture, if it was."""
+        """Note at once in the log that the camera was away before a picture, if it was."""
         if self._newest_ns is None:
             self._newest_ns = stamp_ns
             return

@@ -1,1 +1,1 @@
-"""A microphone beside a live camera: its sound on the clock of the pictures."""
+"""Record a microphone beside a live camera, on the clock of the pictures."""

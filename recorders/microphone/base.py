@@ -1,4 +1,4 @@
-"""What every source of live sound offers."""
+"""The interface of all live sound sources."""
 
 from __future__ import annotations
 
@@ -8,20 +8,19 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-PIECE_S = 0.02
-"""Of sound, that comes in one piece where the source may choose."""
+PIECE_S = 0.02  # of sound, that comes in one piece where the source may choose
 
 
 class SoundPiece(NamedTuple):
-    """Some samples, as they came.
+    """A block of samples as it came.
 
     Attributes:
-        first: number of its first sample since the source was started; those that were lost on
-            the way from the device are not counted, since nobody knows how many they were.
-        begin_ns: when that was taken, as far as the device tells, on the clock of
-            `tunenet_logs.clock`. It jitters; `SampleClock` finds the time behind it.
+        first: number of its first sample since the start; samples lost on the way from the device
+            are not counted, since nobody knows how many they were.
+        begin_ns: capture time of that sample as reported by the device, on the clock of
+            `tunenet_logs.clock`. It jitters; `SampleClock` finds the uniform clock behind it.
         pcm: 16-bit samples of all channels together, shape (N,).
-        follows_loss: whether the device says that samples before it were lost.
+        follows_loss: whether the device reports samples lost before it.
     """
 
     first: int
@@ -30,16 +29,16 @@ class SoundPiece(NamedTuple):
     follows_loss: bool = False
 
 
+# What is called with each piece, from a thread of the source; it never waits.
 Take = Callable[[SoundPiece], object]
-"""What is called with each piece, from a thread of the source; it never waits."""
 
 
 class SoundSource(Protocol):
-    """A microphone, or what is played in its place, opened.
+    """An open microphone, or a file played in its place.
 
     Attributes:
-        name: what is heard, in words.
-        rate_hz: samples in a second, as the source says.
+        name: what is recorded, in words.
+        rate_hz: nominal sample rate.
     """
 
     name: str
@@ -51,7 +50,7 @@ class SoundSource(Protocol):
         ...
 
     def start(self, take: Take) -> None:
-        """Begin to deliver pieces. To be called once.
+        """Begin to deliver blocks; call it once.
 
         Raises:
             MicrophoneError: it does not start.
@@ -59,5 +58,5 @@ class SoundSource(Protocol):
         ...
 
     def close(self) -> None:
-        """Deliver no more, and let go of it. Safe to call twice."""
+        """Stop and close the source. Safe to call twice."""
         ...

@@ -1,4 +1,4 @@
-"""A microphone's sound on its way into a log, in short blocks beside the pictures."""
+"""Write a microphone's sound to a log in short blocks beside the pictures."""
 
 from __future__ import annotations
 
@@ -15,33 +15,29 @@ from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.sound_notes import BLOCK_S, WARNINGS_NOTE, rate_notes
 from tunenet_logs.writer import EpisodeWriter
 
-_QUEUE_BYTES = 8 * 1024 * 1024
-"""Of sound that came and is not yet timed: over a minute of it."""
-
+_QUEUE_BYTES = 8 * 1024 * 1024  # of sound that came and is not yet timed: over a minute of it
+# Of sound before the first picture: pictures come late, so the first was taken a while ago.
 _KEPT_S = 10.0
-"""Of sound before the first picture: pictures come late, so the first was taken a while ago."""
 
-_SILENT_S = 3.0
-"""After which a microphone that delivers nothing is worth a word."""
-
+_SILENT_S = 3.0  # after which a microphone that delivers nothing is worth a word
+# Samples that come faster than that, so many seconds ahead, are of no clock.
 _TOO_FAST, _SPARE_S = 1.1, 5.0
-"""Samples that come faster than that, so many seconds ahead, are of no clock."""
 
+# Between a piece's time and where the one before it ends, that one block may hold both.
 _SAME_NS = 1_000_000
-"""Between a piece's time and where the one before it ends, that one block may hold both."""
 
 
 class LiveSound:
-    """Takes pieces from a source, gives them their times, and writes them as they come.
+    """Takes blocks from a source, stamps them, and writes them as they come.
 
-    What ends the sound never ends the recording: it is said at once, and noted in the log.
+    What ends the sound never ends the recording: it is reported at once, and noted in the log.
 
     Args:
         source: opened, not started.
-        say: tells somebody that no more sound comes.
+        say: reports to the user that no more sound comes.
 
     Attributes:
-        written: messages.
+        written: number of messages.
     """
 
     def __init__(self, source: SoundSource, say: Callable[[str], None]) -> None:
@@ -62,12 +58,12 @@ class LiveSound:
         self._is_said_silent = False
 
     def notes(self) -> dict[str, str]:
-        """What a log says of it from its beginning on."""
+        """Return the log's initial notes on the sound."""
         rate_hz = self._source.rate_hz
         return rate_notes(f"{self._source.name}, {rate_hz:g} Hz, mono", rate_hz, rate_hz)
 
     def start(self) -> None:
-        """Begin to listen.
+        """Start the source.
 
         Raises:
             MicrophoneError: it does not start.
@@ -76,7 +72,7 @@ class LiveSound:
         self._source.start(self._take)
 
     def write_until(self, writer: EpisodeWriter, stamp_ns: int) -> None:
-        """Write what came by now; from the first such stamp on, which is the first picture's."""
+        """Write the sound so far; the first call's stamp, the first picture's, begins it."""
         if self._begin_ns is None:
             self._begin_ns = stamp_ns
             for piece in self._waiting:
@@ -85,7 +81,7 @@ class LiveSound:
         self.tick(writer)
 
     def tick(self, writer: EpisodeWriter) -> None:
-        """Look what came; to be called often."""
+        """Process the blocks that came; call it often."""
         while (item := self._queue.take()) is not None:
             self._heard_at = time.monotonic()
             if self._is_too_fast(item.payload, item.received_ns):
@@ -100,7 +96,7 @@ class LiveSound:
             self._warn(writer, f"nothing came from it for {_SILENT_S:g} s")
 
     def finish(self, writer: EpisodeWriter, until_ns: int) -> None:
-        """Listen no more, write what came before a stamp, and note what a reader should know."""
+        """Stop, write the sound before a stamp, and note measured rate and warnings."""
         self._source.close()
         self._queue.close()
         self.tick(writer)
@@ -115,7 +111,7 @@ class LiveSound:
             writer.note(WARNINGS_NOTE, "; ".join(warnings))
 
     def warnings(self) -> list[str]:
-        """What a user should know of it, in words."""
+        """Return warnings for the user."""
         said = [self._why_ended] if self._why_ended else []
         if self._is_said_silent:
             said.append(f"nothing came from the microphone for {_SILENT_S:g} s or more")
@@ -131,13 +127,13 @@ class LiveSound:
         return said
 
     def in_words(self) -> str:
-        """For the last line that a recorder prints."""
+        """Summarize the sound for the recorder's last line."""
         words = f"{self._heard_samples / self._source.rate_hz:.1f} s of sound"
         warnings = self.warnings()
         return words + (f" ({'; '.join(warnings)})" if warnings else "")
 
     def close(self) -> None:
-        """Let go of the microphone."""
+        """Close the microphone."""
         self._source.close()
 
     def _take(self, piece: SoundPiece) -> None:

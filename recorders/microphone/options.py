@@ -1,4 +1,4 @@
-"""What `--microphone` names, opened to be heard beside a live camera."""
+"""Open what `--microphone` names, to record it beside a live camera."""
 
 from __future__ import annotations
 
@@ -15,24 +15,22 @@ if TYPE_CHECKING:
     from recorders.microphone.base import SoundSource
     from recorders.microphone.live_sound import LiveSound
 
-_OPENING_S = 15.0
-"""For a driver, or the sound server of a desktop, to open a microphone."""
+_OPENING_S = 15.0  # for a driver, or the sound server of a desktop, to open a microphone
 
 
 @contextmanager
 def opened_microphone(
     wanted: str | None, camera: str, say: Callable[[str], None]
 ) -> Iterator[LiveSound | None]:
-    """A microphone for the time of a recording; None where none is asked for.
+    """Open a microphone for the time of a recording; None where none is asked for.
 
     Args:
-        wanted: a device's number or a part of its name, or a file of sound; "" for the default
-            device.
-        camera: what is filmed with.
-        say: tells somebody that no more sound comes.
+        wanted: a device's number or a part of its name, or a sound file; "" for the default device.
+        camera: the source it is recorded beside.
+        say: reports to the user that no more sound comes.
 
     Raises:
-        UsageError: the camera is none, or the library for microphones is not there.
+        UsageError: the camera is not live, or the microphone library is not installed.
         MicrophoneError: it is not there, or cannot be opened.
         LogError: a file that holds no sound.
     """

@@ -1,4 +1,4 @@
-"""A file of sound, played in a microphone's place, at its own pace."""
+"""Play a sound file in a microphone's place, in real time."""
 
 from __future__ import annotations
 
@@ -15,13 +15,10 @@ from tunenet_logs.sound_notes import as_pcm, why_not_kept
 
 
 class PlayedFile:
-    """Delivers a file's samples as a microphone would that hears them now.
+    """A sound file played in real time, as if recorded by a microphone.
 
-    It is heard from when it is started, so that a recording can be rehearsed, and what is made of
-    its sound be looked at, where there is no microphone.
-
-    Args:
-        path: of the file, .wav or another that holds sound.
+    It plays from when it is started, to rehearse a recording and check its sound without a
+    microphone.
 
     Raises:
         LogError: it holds no sound.

@@ -1,4 +1,4 @@
-"""A microphone that the system knows, through PortAudio."""
+"""Read a microphone through PortAudio."""
 
 from __future__ import annotations
 
@@ -18,14 +18,12 @@ from tunenet_logs.errors import MicrophoneError, UsageError
 from tunenet_logs.formats.gathered_sound import RATES_HZ
 from tunenet_logs.terminal import listed, short_name
 
+# No sample waits longer before it is delivered: a time that says so is of another clock.
 _PLAUSIBLE_S = 5.0
-"""No sample waits longer before it is delivered: a time that says so is of another clock."""
 
-_MOST_CHANNELS = 8
-"""Of a device that has neither one nor two."""
-
+_MAX_CHANNELS = 8  # of a device that has neither one nor two
+# For a driver to let go of a device: a recording's end shall be quick though it hangs.
 _CLOSING_S = 1.0
-"""For a driver to let go of a device: a recording's end shall be quick though it hangs."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +32,8 @@ class InputDevice:
 
     Attributes:
         number: PortAudio's.
-        name: the system's.
         channels: at most.
-        rate_hz: that it has by itself.
+        rate_hz: its default.
     """
 
     number: int
@@ -46,16 +43,16 @@ class InputDevice:
 
 
 class PortAudioMicrophone:
-    """One input of PortAudio, its channels mixed to one.
+    """An input of PortAudio, mixed down to one channel.
 
     A sample's time is PortAudio's `inputBufferAdcTime`, as an age on the stream's clock; where that
-    is none, the piece's arrival less its length.
+    is missing, the block's arrival less its length.
 
     Args:
         wanted: a device's number, or a part of its name; "" for the default.
 
     Raises:
-        UsageError: the library is not installed, or several devices are called so.
+        UsageError: the library is not installed, or the name is ambiguous.
         MicrophoneError: there is none, or it cannot be opened.
     """
 
@@ -71,7 +68,7 @@ class PortAudioMicrophone:
         self._stream = self._opened(device)
 
     def start(self, take: Take) -> None:
-        """Begin to deliver pieces.
+        """Begin to deliver blocks.
 
         Raises:
             MicrophoneError: it does not start.
@@ -85,7 +82,7 @@ class PortAudioMicrophone:
             ) from error
 
     def close(self) -> None:
-        """Deliver no more, and let go of the device."""
+        """Stop and close the device."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -106,7 +103,7 @@ class PortAudioMicrophone:
                 f"{self.name}: has {device.rate_hz:g} samples a second", "choose another"
             )
         why = ""
-        for channels in sorted({1, min(2, device.channels), min(_MOST_CHANNELS, device.channels)}):
+        for channels in sorted({1, min(2, device.channels), min(_MAX_CHANNELS, device.channels)}):
             try:
                 with _silent_libraries():
                     return self._library.InputStream(
@@ -126,7 +123,7 @@ class PortAudioMicrophone:
         )
 
     def _hear(self, data: np.ndarray, frames: int, times: Any, status: Any) -> None:
-        """PortAudio's callback: no more than a copy."""
+        """Copy a block: PortAudio's callback."""
         at_ns, stream_s = now_ns(), self._stream.time  # side by side: they are the same moment
         age_s = stream_s - times.inputBufferAdcTime
         if not (times.inputBufferAdcTime and 0 <= age_s < _PLAUSIBLE_S):
@@ -143,15 +140,15 @@ class PortAudioMicrophone:
 
 
 def chosen(wanted: str, devices: Sequence[InputDevice], default: int) -> InputDevice:
-    """The device that a user means.
+    """Select the device that the user names.
 
     Args:
-        wanted: its number, its name or a part of it, in whatever case; "" for the default.
-        devices: those there are.
+        wanted: its number, its name or a part of it, in any case; "" for the default.
+        devices: those available.
         default: the number of the system's.
 
     Raises:
-        UsageError: several are called so.
+        UsageError: the name is ambiguous.
         MicrophoneError: there is none.
     """
     if not devices:
@@ -225,7 +222,7 @@ def _default(library: ModuleType) -> int:
 
 
 def _mixed(data: np.ndarray) -> np.ndarray:
-    """The mean of all channels, shape (N,)."""
+    """Return the mean of all channels, shape (N,)."""
     return np.round(data.mean(axis=1)).astype(np.int16)
 
 
@@ -235,7 +232,7 @@ def _short(error: Exception) -> str:
 
 @contextmanager
 def _silent_libraries() -> Iterator[None]:
-    """ALSA and PortAudio print lines of their own to the process's standard error; not here."""
+    """Silence what ALSA and PortAudio print to the process's standard error."""
     kept = os.dup(2)
     try:
         with open(os.devnull, "wb") as nothing:

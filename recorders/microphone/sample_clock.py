@@ -1,4 +1,4 @@
-"""When samples were taken: their number and rate, placed on our clock by what the device tells."""
+"""Stamp sound samples by sample number and rate, aligned to our clock by the device's times."""
 
 from __future__ import annotations
 
@@ -12,38 +12,32 @@ from numpy.typing import NDArray
 
 from recorders.microphone.base import SoundPiece
 
+# Of sound that is looked at before samples are placed on our clock, at first and after a leap.
 _HOLD_S = 0.5
-"""Of sound that is looked at before samples are placed on our clock, at first and after a leap."""
 
+# Between a piece's told time and its place: what is further off is no jitter, if it lasts.
 _LEAP_NS = 30_000_000
-"""Between a piece's told time and its place: what is further off is no jitter, if it lasts."""
 
+# A loss that the device reports and that is shorter is not to be told from its jitter.
 _NONE_LOST_NS = 2_000_000
-"""A loss that the device reports and that is shorter is not to be told from its jitter."""
 
-_OVERLAP_NS = 5_000_000
-"""That pieces may overlap, for the clock to follow a device that runs fast."""
+_OVERLAP_NS = 5_000_000  # that pieces may overlap, for the clock to follow a device that runs fast
+_WINDOW_S = 1.0  # of sound whose median place is one measurement
+# Of a measurement, that part is followed, and so much a window at most: 200 millionths.
+_GAIN, _MAX_STEP_NS = 0.1, 200_000
 
-_WINDOW_S = 1.0
-"""Of sound whose median place is one measurement."""
+# By which the rate on our clock is measured, and how well it has to be known to be of use.
+_MIN_WINDOWS, _KNOWN_TO = 10, 10e-6
 
-_GAIN, _MOST_STEP_NS = 0.1, 200_000
-"""Of a measurement, that part is followed, and so much a window at most: 200 millionths."""
-
-_FEWEST_WINDOWS, _KNOWN_TO = 10, 10e-6
-"""By which the rate on our clock is measured, and how well it has to be known to be of use."""
-
-_MOST_OFF = 1e-3
-"""Of its rate: no sound card's crystal is further off."""
+_MAX_OFF = 1e-3  # of its rate: no sound card's crystal is further off
 
 
 class TimedPiece(NamedTuple):
-    """Samples that have their time.
+    """A block of samples with its time.
 
     Attributes:
-        stamp_ns: when the first was taken.
+        stamp_ns: capture time of the first sample.
         pcm: shape (N,).
-        arrived_ns: when they came.
     """
 
     stamp_ns: int
@@ -58,24 +52,23 @@ class _Held(NamedTuple):
 
 
 class SampleClock:
-    """Gives pieces of sound the time of their first sample [ns, on our clock].
+    """Maps sample numbers to our clock [ns].
 
-    A piece's time is its samples' number divided by the rate, all moved by one offset: the median
-    of what the first half second tells. So no jitter of the device, of its driver or of this
-    machine comes into it. The offset then follows the device's clock slowly, by at most 200
-    millionths.
+    A block's time is its first sample's number divided by the rate, plus one offset: the median
+    over the first half second of reported times. So no jitter of device, driver or machine enters.
+    The offset then tracks the device's clock slowly, by at most 200 ppm.
 
-    Where samples are lost, the offset leaps: at once where the device says so, else where pieces
-    are told 30 ms off for half a second. Sound that would lie on what was already heard is left
+    Where samples are lost, the offset jumps: at once where the device reports it, else where
+    reported times are 30 ms off for half a second. Sound that would overlap earlier sound is left
     out, so that times never run backwards.
 
     Args:
-        rate_hz: of the samples, as the device says.
+        rate_hz: nominal sample rate.
 
     Attributes:
         losses: how often samples were lost.
-        lost_s: how long those lasted together.
-        left_out_s: what came too early to be placed.
+        lost_s: total duration of the losses.
+        left_out_s: total duration of sound left out.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -93,7 +86,7 @@ class SampleClock:
         self._longest = self._drift
 
     def timed(self, piece: SoundPiece, arrived_ns: int) -> Iterator[TimedPiece]:
-        """The pieces that have their time by now, in order."""
+        """Yield the blocks whose time is known by now, in order."""
         if piece.follows_loss and self._offset_ns is not None:
             yield from self.rest()
             self._is_told_lost = True
@@ -110,19 +103,19 @@ class SampleClock:
         self._follow(piece, offset_ns)
 
     def rest(self) -> Iterator[TimedPiece]:
-        """All that are held back still; the clock is placed by them where that was the reason."""
+        """Yield all blocks still held back, aligning the clock to them where needed."""
         is_enough = self._held_samples >= _HOLD_S * self._rate_hz
         if self._held and (self._offset_ns is None or self._is_told_lost or is_enough):
             self._place(round(median(one.offset_ns for one in self._held)))
         yield from self._released()
 
     def measured_hz(self) -> float | None:
-        """The rate on our clock; None where too little was heard to know it."""
+        """Return the sample rate on our clock; None where it is not yet known."""
         line = max(self._longest, self._drift, key=lambda one: one.count)
-        if line.count < _FEWEST_WINDOWS:
+        if line.count < _MIN_WINDOWS:
             return None
         slope, known_to = line.slope()
-        if known_to > _KNOWN_TO or abs(slope) > _MOST_OFF:
+        if known_to > _KNOWN_TO or abs(slope) > _MAX_OFF:
             return None
         return self._rate_hz / (1 + slope)
 
@@ -165,12 +158,12 @@ class SampleClock:
         measured_ns = round(median(self._window))
         self._drift.add(piece.first / self._rate_hz, measured_ns)
         step_ns = round(_GAIN * (measured_ns - self._offset_ns))
-        self._offset_ns += max(-_MOST_STEP_NS, min(step_ns, _MOST_STEP_NS))
+        self._offset_ns += max(-_MAX_STEP_NS, min(step_ns, _MAX_STEP_NS))
         self._window, self._window_samples = [], 0
 
 
 class _Line:
-    """A straight line through any number of points, in memory for one."""
+    """Online least-squares line, in constant memory."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -191,7 +184,7 @@ class _Line:
         self._yy += dy * (y - self._mean_y)
 
     def slope(self) -> tuple[float, float]:
-        """Seconds a second, and the standard error of that; of three points or more."""
+        """Return the slope and its standard error [s/s]; of three points or more."""
         if self._xx <= 0 or self.count < 3:
             return 0.0, math.inf
         slope = self._xy / self._xx

@@ -1,1 +1,1 @@
-"""Joint states and torques, live from ROS 2 without a ROS installation, to a log."""
+"""Record joint states and torques live from ROS 2, without a ROS installation."""

@@ -1,4 +1,4 @@
-"""From topics of a ROS 2 graph to a log: what arrives is kept as it came, gaps are counted."""
+"""Record topics of a ROS 2 graph to a log: messages are kept as they came, gaps counted."""
 
 from __future__ import annotations
 
@@ -19,17 +19,13 @@ from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import TopicError
 from tunenet_logs.terminal import Bar, Progress, listed, one_line
 
-_WAIT_S = 0.1
-"""The longest wait for a message: a signal to stop is heard within it."""
-
-_SHOW_S = 0.5
-"""Between two updates of the line on the terminal."""
-
+_WAIT_S = 0.1  # the longest wait for a message: a signal to stop is heard within it
+_SHOW_S = 0.5  # between two updates of the line on the terminal
+# How long a topic is looked at before it is judged: it may have several publishers.
 _MEETING_S = 1.0
-"""How long a topic is looked at before it is judged: it may have several publishers."""
 
-_LONGEST_TURN_S = 0.25
-"""What a turn of the loop counts for at most: a process that was stopped has not been waiting."""
+# What a turn of the loop counts for at most: a process that was stopped has not been waiting.
+_MAX_TURN_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -38,12 +34,12 @@ class JointOrder:
 
     Attributes:
         topics: as ROS 2 writes them.
-        joint_names: those that must be there; of messages that carry none, theirs in order.
-        seconds: length from the first message on; None: until a signal.
+        joint_names: required joints; for messages without names, theirs in order.
+        seconds: duration from the first message on; None: until a signal.
         timeout_s: the longest to wait for a publisher, or that a topic may be silent.
         domain: as ROS_DOMAIN_ID, 0 to 232.
         is_loopback: whether to stay on this machine.
-        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
+        min_free_bytes: space to leave free on the disk; 0 for no such bound.
     """
 
     topics: tuple[str, ...]
@@ -56,24 +52,24 @@ class JointOrder:
 
     @property
     def source(self) -> str:
-        """Where from, in words."""
+        """The topics, in words."""
         return f"ros2 {', '.join(self.topics)}"
 
 
 @dataclass(frozen=True)
 class JointSummary:
-    """What was recorded.
+    """Summary of a recording.
 
     Attributes:
         counts: messages of all topics.
-        topics: of each topic its rate and gaps, in words.
+        topics: rate and gaps of each topic, in words.
     """
 
     counts: Summary
     topics: Mapping[str, str]
 
     def in_words(self) -> str:
-        """For the last line that a recorder prints."""
+        """Summarize the recording for the recorder's last line."""
         each = "; ".join(f"{topic} {words}" for topic, words in self.topics.items())
         return f"{each}; {self.counts.in_words('messages')}"
 
@@ -86,18 +82,13 @@ def record_joints(
     progress: Progress,
     warn: Callable[[str], None],
 ) -> JointSummary:
-    """Write what is published on topics to a log until a signal, the time is over, or silence.
+    """Record topics to a log until a signal, the end of the duration, or silence.
 
-    Args:
-        order: what to record.
-        path: the finished log.
-        overwrite: replace an existing log.
-        progress: shows rate and gaps.
-        warn: told what a user should hear of while there is time to change it.
+    `warn` is told what a user should know while it can still be changed.
 
     Raises:
-        TopicError: a topic is not published, of a type that is not recorded, not heard, or without
-            the joints that were named; no log is left.
+        TopicError: a topic is not published, of an unsupported type, silent, or lacks the named
+            joints; no log is left.
         LogError: `path` exists or cannot be written, or its disk has too little space; what was
             written before is kept.
     """
@@ -126,13 +117,13 @@ def record_joints(
 
 @dataclass
 class _Heard:
-    """What was heard on one topic so far.
+    """A topic's state while recording.
 
     Attributes:
-        meeting: what its messages say of joints.
-        meeting_s: how long they were looked at.
-        is_known: whether that is over.
-        silent_s: how long it has said nothing.
+        meeting: probe of its joints.
+        meeting_s: how long it has been probed.
+        is_known: whether the probe is over.
+        silent_s: time since the last message.
     """
 
     subscription: Subscription
@@ -147,11 +138,11 @@ class _Heard:
         return self.subscription.topic
 
     def in_words(self) -> str:
-        """Rate, gaps and losses."""
+        """Describe rate, gaps and losses."""
         return f"{self.pace.in_words()}, {self.subscription.lost} lost"
 
     def silence(self) -> str:
-        """How long nothing came, and why as far as DDS knows."""
+        """Describe how long nothing came, and why as far as DDS knows."""
         subscription = self.subscription
         words = f"no message on {subscription.topic} for {self.silent_s:.1f} s"
         if subscription.unmatched and not subscription.publishers:
@@ -163,7 +154,7 @@ class _Session:
     """One recording.
 
     Raises:
-        TopicError: a topic is not published, or of a type that is not recorded.
+        TopicError: a topic is not published, or of an unsupported type.
     """
 
     def __init__(
@@ -193,10 +184,10 @@ class _Session:
         ]
 
     def run(self) -> str:
-        """Record; why it ended, "" for its usual end.
+        """Record; return why it ended, "" for its usual end.
 
         Raises:
-            TopicError: nothing came, or not the joints that were named.
+            TopicError: nothing came, or not the named joints.
         """
         try:
             ended = self._receive()
@@ -211,7 +202,7 @@ class _Session:
         return ended
 
     def count(self) -> None:
-        """Put what was counted into the log."""
+        """Write the counts to the log."""
         for heard in self.heard:
             self._recording.count(f"received.{heard.name}", heard.pace.samples)
             self._recording.count(f"gaps.{heard.name}", heard.pace.gaps)
@@ -236,7 +227,7 @@ class _Session:
             self._node.wait(_WAIT_S)
             is_stopped = self._stop.is_set()
             now_s = time.monotonic()
-            passed_s, turn_s = min(now_s - turn_s, _LONGEST_TURN_S), now_s
+            passed_s, turn_s = min(now_s - turn_s, _MAX_TURN_S), now_s
             for heard in self.heard:
                 if not self._take(heard, passed_s):
                     return ""  # the log ended by itself; closing it says why
@@ -255,7 +246,7 @@ class _Session:
                 )
 
     def _take(self, heard: _Heard, passed_s: float) -> bool:
-        """Put what came on a topic into the log; False once that is over."""
+        """Write a topic's new messages to the log; False once that is over."""
         count = 0
         subscription = heard.subscription
         for stamp_ns, cdr in subscription.take():
@@ -274,10 +265,10 @@ class _Session:
         return True
 
     def _judge(self, heard: _Heard) -> None:
-        """Judge a topic by what its messages said so far, once.
+        """Check a topic's joints by its messages so far, once.
 
         Raises:
-            TopicError: it has not the joints that were named.
+            TopicError: it lacks the named joints.
         """
         if heard.is_known:
             return

@@ -1,4 +1,4 @@
-"""What one message says of joints, as far as a recording has to know."""
+"""Inspect the joints in a ROS 2 message as far as a recording needs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tunenet_logs.terminal import listed, one_line
 
 @dataclass(frozen=True)
 class JointMessage:
-    """What a message holds.
+    """The joints in a message.
 
     Attributes:
-        names: of its joints; empty where it carries none.
-        joints: how many there are.
-        has_positions: whether it says where they are.
-        has_efforts: whether it says their torques.
+        names: empty where the message carries none.
+        joints: number of joints.
+        has_positions: whether it has positions.
+        has_efforts: whether it has efforts.
     """
 
     names: tuple[str, ...]
@@ -32,10 +32,10 @@ class JointMessage:
 
 
 def read_message(topic: str, type_name: str, cdr: bytes) -> JointMessage:
-    """Look into a message.
+    """Read the joints of a message.
 
     Raises:
-        TopicError: it is not what its type says.
+        TopicError: it does not match its type.
     """
     try:
         message: Any = messages.typestore().deserialize_cdr(cdr, type_name)
@@ -54,20 +54,18 @@ def read_message(topic: str, type_name: str, cdr: bytes) -> JointMessage:
 
 
 class TopicProbe:
-    """What the publishers of a topic say of joints, until that is known.
+    """What a topic's publishers report of joints, gathered until it is complete.
 
-    There may be several, such as an arm's and a gripper's: whichever comes first says nothing of
-    the others.
-
-    Attributes:
-        is_met: its messages so far have the joints that the user named, or any if none were named.
-        has_positions: from then on, one says where they are.
-        has_efforts: likewise, their torques.
+    There may be several, such as an arm's and a gripper's: the first to come says nothing of the
+    others.
 
     Args:
-        topic: as ROS 2 writes it.
-        type_name: likewise.
         expected: joints that the user named.
+
+    Attributes:
+        is_met: whether its messages so far have the named joints, or any if none were named.
+        has_positions: whether one of them since then has positions.
+        has_efforts: likewise, efforts.
     """
 
     def __init__(self, topic: str, type_name: str, expected: Sequence[str]) -> None:
@@ -82,11 +80,11 @@ class TopicProbe:
 
     @property
     def is_complete(self) -> bool:
-        """Whether further messages cannot tell more."""
+        """Whether further messages cannot add anything."""
         return self.is_met and self.has_positions and self.has_efforts
 
     def hear(self, cdr: bytes) -> None:
-        """Look at a message."""
+        """Inspect a message."""
         try:
             message = read_message(self._topic, self._type_name, cdr)
             if message.names:
@@ -101,17 +99,17 @@ class TopicProbe:
         self.has_efforts |= message.has_efforts
 
     def check(self) -> None:
-        """Check that what was heard, if anything was, has the joints.
+        """Check that the messages so far, if any, have the named joints.
 
         Raises:
-            TopicError: it has not; see `read_message` and `check_names`.
+            TopicError: they lack one; see `read_message` and `check_names`.
         """
         if self._doubt is not None and not self.is_met:
             raise self._doubt
 
 
 def check_names(topic: str, message: JointMessage, expected: Sequence[str]) -> None:
-    """Check that the joints are those that the user named, if any were named.
+    """Check that a message has the joints that the user named, if any.
 
     Raises:
         TopicError: a name is missing, or a message without names has another number of joints.
@@ -134,7 +132,7 @@ def check_names(topic: str, message: JointMessage, expected: Sequence[str]) -> N
 
 
 def stamp_of(type_name: str, cdr: bytes) -> int:
-    """The header's stamp [ns]; 0 where it is not set or there is none."""
+    """Return the header stamp [ns]; 0 where it is not set or there is none."""
     if type_name != messages.JOINT_STATE or len(cdr) < 12:
         return 0
     order = "little" if cdr[1] & 1 else "big"

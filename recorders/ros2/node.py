@@ -1,4 +1,4 @@
-"""Who publishes what in a ROS 2 graph, as DDS tells it."""
+"""Discover publishers in a ROS 2 graph through DDS, and subscribe to them."""
 
 from __future__ import annotations
 
@@ -15,26 +15,23 @@ from cyclonedds.util import duration
 from recorders.ros2.names import ros_topic, ros_type
 from recorders.ros2.subscription import Subscription, dds_failure
 
+# Finds nodes by multicast on that interface, and those that were told to do without.
 _LOOPBACK = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1"/>\
 </Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
-"""Finds nodes by multicast on that interface, and those that were told to do without."""
 
-_MOST_PUBLISHERS = 100_000
-"""Read from discovery at once: more than any network of robots has."""
-
-_LOOK_AGAIN_S = 0.02
-"""Between two looks for publishers: discovery takes some tens of milliseconds."""
+_MAX_PUBLISHERS = 100_000  # read from discovery at once: more than any network of robots has
+_LOOK_AGAIN_S = 0.02  # between two looks for publishers: discovery takes some tens of milliseconds
 
 
 @dataclass(frozen=True)
 class Publisher:
-    """A topic that is published, by one or several.
+    """A published topic, of one publisher or several.
 
     Attributes:
         topic: as ROS 2 writes it.
-        types: what it is published as, in ROS 2's names.
-        is_reliable: whether every publisher sends again what got lost.
+        types: the published types, as ROS 2 writes them.
+        is_reliable: whether every publisher's reliability is RELIABLE.
     """
 
     topic: str
@@ -43,7 +40,7 @@ class Publisher:
 
 
 class Node:
-    """Takes part in a DDS domain, as a ROS 2 node does; what CYCLONEDDS_URI says holds here, too.
+    """A participant of a DDS domain, as a ROS 2 node is; CYCLONEDDS_URI applies here, too.
 
     Args:
         domain: as ROS_DOMAIN_ID, 0 to 232.
@@ -65,9 +62,9 @@ class Node:
             self._published = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
 
     def publishers(self) -> dict[str, Publisher]:
-        """Those that are known now, by topic."""
+        """Return the publishers known now, by topic."""
         found: dict[str, list[tuple[str, bool]]] = {}
-        for publication in self._published.read(_MOST_PUBLISHERS):
+        for publication in self._published.read(_MAX_PUBLISHERS):
             topic = ros_topic(publication.topic_name)
             if topic is not None and publication.sample_info.instance_state == InstanceState.Alive:
                 # Where it is unknown it is neither, and best effort matches.
@@ -86,7 +83,7 @@ class Node:
     def wait_for(
         self, topics: Collection[str], timeout_s: float, is_stopped: Callable[[], bool]
     ) -> dict[str, Publisher]:
-        """Wait until all topics are published, or so long; what is published then."""
+        """Wait until all topics are published, or the time-out; return the publishers."""
         end = time.monotonic() + timeout_s
         while True:
             found = self.publishers()
@@ -95,7 +92,7 @@ class Node:
             time.sleep(_LOOK_AGAIN_S)
 
     def subscribe(self, publisher: Publisher, type_name: str) -> Subscription:
-        """Receive a topic from now on.
+        """Subscribe to a topic.
 
         Raises:
             TopicError: DDS refuses.
@@ -108,7 +105,7 @@ class Node:
         return made
 
     def wait(self, seconds: float) -> None:
-        """Wait for a sample of any subscription, at most so long.
+        """Wait for a sample of any subscription, at most `seconds`.
 
         Raises:
             TopicError: DDS failed.

@@ -1,4 +1,4 @@
-"""What `tunenet-record --joint-states` can be told, and what it does with it."""
+"""Command-line options of `tunenet-record --joint-states`, and the recording they ask for."""
 
 from __future__ import annotations
 
@@ -13,15 +13,13 @@ from tunenet_logs.commandline import number, whole
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress, one_line, short_name
 
-_LAST_DOMAIN = 232
-"""Of DDS: the ports of a higher domain's discovery would be over 65535."""
-
-_MOST_TOPICS, _MOST_JOINTS = 16, 100
-"""More than any robot has: what is longer is a mistake in the command."""
+_LAST_DOMAIN = 232  # of DDS: the ports of a higher domain's discovery would be over 65535
+# More than any robot has: what is longer is a mistake in the command.
+_MAX_TOPICS, _MAX_JOINTS = 16, 100
 
 
 def ros2_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Add the options that are those of joint states alone."""
+    """Add the options of joint states."""
     add = group.add_argument
     return [
         add(
@@ -52,7 +50,7 @@ def ros2_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
 
 
 def record_joints_as_asked(arguments: argparse.Namespace, path: Path) -> str:
-    """Record the topics; what to say of it on the last line.
+    """Record the topics; return the summary for the last line.
 
     Raises:
         TuneNetError: they cannot be received or written, or cyclonedds is not installed.
@@ -94,11 +92,11 @@ def _warn(text: str) -> None:
 
 
 def _topics(words: list[str]) -> tuple[str, ...]:
-    """Those that were named, once or several times, with commas or without."""
+    """Parse the topics, given once or several times, with commas or without."""
     named = [part for word in words for part in word.split(",") if part.strip()]
     topics = tuple(dict.fromkeys(checked_topic(part) for part in named))
-    if not 0 < len(topics) <= _MOST_TOPICS:
-        raise UsageError(f"--joint-states: {len(topics)} topics; name 1 to {_MOST_TOPICS}")
+    if not 0 < len(topics) <= _MAX_TOPICS:
+        raise UsageError(f"--joint-states: {len(topics)} topics; name 1 to {_MAX_TOPICS}")
     return topics
 
 
@@ -112,7 +110,7 @@ def _domain_of_environment() -> int:
 
 def _joint_names(text: str) -> tuple[str, ...]:
     names = tuple(part.strip() for part in text.split(","))
-    if not all(name and name.isprintable() for name in names) or len(names) > _MOST_JOINTS:
+    if not all(name and name.isprintable() for name in names) or len(names) > _MAX_JOINTS:
         raise argparse.ArgumentTypeError(
             f"{short_name(text)!r} is not a list of joints, such as joint_1,joint_2"
         )

@@ -1,4 +1,4 @@
-"""How regularly the samples of a topic were taken: rate and gaps, by their own stamps."""
+"""Measure a topic's sample rate and gaps by its own stamps."""
 
 from __future__ import annotations
 
@@ -6,30 +6,27 @@ from collections import deque
 
 import numpy as np
 
+# Intervals that are judged in one go: a median for each message would cost more than the rest.
 _SETTLED_AT = 100
-"""Intervals that are judged in one go: a median for each message would cost more than the rest."""
 
+# Intervals whose median is the usual one: 0.2 s at 1 kHz, so a rate that changes is followed.
 _REMEMBERED = 200
-"""Intervals whose median is the usual one: 0.2 s at 1 kHz, so a rate that changes is followed."""
 
-_FEWEST = 5
-"""Intervals without which there is no usual one."""
-
+_MIN_COUNT = 5  # intervals without which there is no usual one
+# Usual intervals: at least one sample is missing in a longer one, whatever its jitter.
 _GAP_PERIODS = 2.5
-"""Usual intervals: at least one sample is missing in a longer one, whatever its jitter."""
 
-_SHORTEST_GAP_NS = 10_000_000
-"""An arm does not get far in less, and computers without a real-time kernel are late by that."""
+# An arm does not get far in less, and computers without a real-time kernel are late by that.
+_MIN_GAP_NS = 10_000_000
 
-_SHORTEST_NS = 10_000
-"""Between samples: those that are closer came in one piece, and tell no rate."""
+_MIN_NS = 10_000  # between samples: those that are closer came in one piece, and tell no rate
 
 
 class Pace:
-    """Rate and gaps of samples, in little memory however many there are.
+    """Sample rate and gaps, in constant memory.
 
-    DDS counts what it knows to be lost; what a full buffer of its own pushed out it does not count.
-    So the stamps are looked at: a gap is an interval of more than 2.5 usual ones, and of 10 ms.
+    DDS counts the samples it knows to be lost, but not those that overflowed its own buffer. So the
+    stamps are checked: a gap is an interval of more than 2.5 median ones, and of 10 ms.
     """
 
     def __init__(self) -> None:
@@ -41,7 +38,7 @@ class Pace:
         self._fresh: list[int] = []
 
     def add(self, stamp_ns: int) -> None:
-        """The next sample, taken at `stamp_ns`."""
+        """Add the next sample, taken at `stamp_ns`."""
         self.samples += 1
         if self._last_ns is not None and stamp_ns > self._last_ns:
             self._fresh.append(stamp_ns - self._last_ns)
@@ -51,26 +48,26 @@ class Pace:
 
     @property
     def rate_hz(self) -> float:
-        """Of the last 200 samples, by their median interval [Hz]; 0 where they tell none."""
+        """Rate of the last 200 samples, by their median interval [Hz]; 0 if unknown."""
         self._settle()
-        if len(self._recent) < _FEWEST or self._usual_ns() < _SHORTEST_NS:
+        if len(self._recent) < _MIN_COUNT or self._usual_ns() < _MIN_NS:
             return 0.0
         return 1e9 / self._usual_ns()
 
     @property
     def gaps(self) -> int:
-        """How many there were so far."""
+        """Number of gaps so far."""
         self._settle()
         return self._gaps
 
     @property
     def longest_gap_s(self) -> float:
-        """From the sample before it to the one behind [s]; 0 without a gap."""
+        """Longest interval with a gap, from sample to sample [s]; 0 without a gap."""
         self._settle()
         return self._longest_gap_ns * 1e-9
 
     def in_words(self) -> str:
-        """Such as "999.8 Hz, 2 gaps (0.50 s at most)"."""
+        """Describe rate and gaps, such as "999.8 Hz, 2 gaps (0.50 s at most)"."""
         if not self.gaps:
             return f"{self.rate_hz:.1f} Hz, no gap"
         plural = "" if self.gaps == 1 else "s"
@@ -79,12 +76,12 @@ class Pace:
         )
 
     def _settle(self) -> None:
-        """Judge the intervals that came since the last time."""
-        if len(self._recent) + len(self._fresh) < _FEWEST:
+        """Judge the intervals since the last time."""
+        if len(self._recent) + len(self._fresh) < _MIN_COUNT:
             return
         fresh, self._fresh = self._fresh, []
         self._recent.extend(fresh)
-        longest_ns = max(_GAP_PERIODS * self._usual_ns(), _SHORTEST_GAP_NS)
+        longest_ns = max(_GAP_PERIODS * self._usual_ns(), _MIN_GAP_NS)
         gaps = [interval_ns for interval_ns in fresh if interval_ns > longest_ns]
         self._gaps += len(gaps)
         self._longest_gap_ns = max(self._longest_gap_ns, *gaps, 0)

@@ -1,4 +1,4 @@
-"""The message types that are received, as DDS describes them.
+"""DDS definitions of the received message types.
 
 Names and order of the fields are those of sensor_msgs, std_msgs and builtin_interfaces (ROS 2) and
 of kinova_msgs. Only cyclonedds reads them: what arrives goes into the log as it came. It
@@ -58,5 +58,5 @@ class JointAngles(IdlStruct, typename="kinova_msgs::msg::dds_::JointAngles_"):
     joint7: float32
 
 
+# By what ROS 2 calls them.
 WIRE_TYPES: dict[str, type[IdlStruct]] = {JOINT_STATE: JointState, JOINT_ANGLES: JointAngles}
-"""By what ROS 2 calls them."""

@@ -1,1 +1,1 @@
-"""Episode sources that can be asked again with other parameters."""
+"""Simulators: episode sources that can be rolled out again with other parameters."""

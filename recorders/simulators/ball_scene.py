@@ -1,7 +1,7 @@
-"""Pictures of a ball over a floor, drawn by rays: exact in place and shape, without an engine.
+"""Ray-trace pictures of a ball over a floor: exact in position and shape, without an engine.
 
 A ray through each part of a pixel meets the floor's plane or the ball's sphere, so a ball far from
-the picture's middle is the ellipse that a lens without distortion makes of it. The floor is drawn
+the picture's centre is the ellipse that a lens without distortion makes of it. The floor is drawn
 once, and the ball only where it is.
 """
 
@@ -17,35 +17,24 @@ from numpy.typing import NDArray
 from recorders.simulators.pinhole import PinholeCamera
 from tunenet_logs.arrays import Array
 
-_OVERSAMPLING = 4
-"""Rays per pixel along each side: 16 grey levels of an edge."""
+_OVERSAMPLING = 4  # rays per pixel along each side: 16 grey levels of an edge
+# Rays that are followed at once: what a picture of any size needs of memory beside itself.
+_MAX_RAYS = 2**17
 
-_MOST_RAYS = 2**17
-"""Rays that are followed at once: what a picture of any size needs of memory beside itself."""
-
+# Half a side of the square floor, as a multiple of the camera's distance from its target.
 _FLOOR = 4.0
-"""Half a side of the square floor, as a multiple of the camera's distance from its target."""
 
-_TEXTURE_PX = 512
-"""Side of the floor's texture."""
-
-_LAID_PX = 128
-"""Side of the part of the texture that covers the floor."""
-
-_BACKGROUND = 255.0
-"""Grey of what is neither floor nor ball: an overexposed wall or sky."""
-
+_TEXTURE_PX = 512  # side of the floor's texture
+_LAID_PX = 128  # side of the part of the texture that covers the floor
+_BACKGROUND = 255.0  # grey of what is neither floor nor ball: an overexposed wall or sky
+# Direction to the light, of any length: from above and a little aside, as lamps are.
 _LIGHT = np.array([0.35, -0.5, 2.5])
-"""Direction to the light, of any length: from above and a little aside, as lamps are."""
 
+# Parts of the light: from everywhere, by Lambert's law, and mirrored upwards as a soft gloss.
 _AMBIENT, _DIFFUSE, _SPECULAR = 0.6, 0.35, 0.05
-"""Parts of the light: from everywhere, by Lambert's law, and mirrored upwards as a soft gloss."""
 
-_SHADOW = 0.55
-"""Fraction of the light that remains in the middle of the ball's shadow."""
-
-Box = tuple[int, int, int, int]
-"""Left, top, right, bottom [px]; the last two are outside."""
+_SHADOW = 0.55  # fraction of the light that remains in the middle of the ball's shadow
+Box = tuple[int, int, int, int]  # left, top, right, bottom [px]; the last two are outside
 
 
 @dataclass(frozen=True)
@@ -67,8 +56,6 @@ class BallScene:
     """A ball of one colour over a textured floor, as one camera sees it.
 
     Args:
-        camera: where from.
-        radius_m: of the ball.
         rng: draws colours and texture.
     """
 
@@ -80,7 +67,7 @@ class BallScene:
         self._ball_colour = 255 * _ball_colour(rng)
 
     def picture(self, centers_m: Array) -> Array:
-        """What the camera shows of a ball at these positions while the shutter was open.
+        """Render the ball at several positions in one exposure (motion blur).
 
         Args:
             centers_m: of the ball, equally long at each, shape (S, 3).
@@ -103,7 +90,7 @@ class BallScene:
 
 
 def draw_ball(camera: PinholeCamera, center_m: Array, radius_m: float) -> BallPicture:
-    """A sphere as the camera sees it; an empty box where it does not see it, or is inside of it.
+    """Render a sphere at `center_m`, (3,); the box is empty if unseen or around the camera.
 
     Args:
         camera: where from.
@@ -137,7 +124,7 @@ def draw_ball(camera: PinholeCamera, center_m: Array, radius_m: float) -> BallPi
 
 
 def _ground(camera: PinholeCamera, colour: Array, texture: NDArray[np.float32]) -> Array:
-    """The picture without a ball, shape (H, W, 3); the floor is seen from above only."""
+    """Render the floor alone, shape (H, W, 3); it is seen from above only."""
     import cv2
 
     turn = camera.camera_from_world
@@ -172,7 +159,7 @@ def _ground(camera: PinholeCamera, colour: Array, texture: NDArray[np.float32]) 
 
 
 def _shadow(camera: PinholeCamera, center_m: Array, radius_m: float) -> tuple[Box, Array]:
-    """Where the ball takes light from the floor, and which fraction, shape (H, W) of the box."""
+    """Render the ball's shadow: its box, and the fraction of light lost, shape (H, W)."""
     import cv2
 
     ground = center_m - _LIGHT / _LIGHT[2] * center_m[2]
@@ -194,7 +181,7 @@ def _shadow(camera: PinholeCamera, center_m: Array, radius_m: float) -> tuple[Bo
 
 
 def _ball_box(camera: PinholeCamera, center: Array, radius_m: float) -> Box:
-    """Where a sphere at a point in camera axes is seen, if at all.
+    """Return the bounding box of a sphere at a point in camera axes.
 
     Planes through the camera that touch the sphere bound it, two in each direction.
     """
@@ -213,7 +200,7 @@ def _ball_box(camera: PinholeCamera, center: Array, radius_m: float) -> Box:
 
 
 def _box(camera: PinholeCamera, columns: tuple[float, float], rows: tuple[float, float]) -> Box:
-    """Pixels that a span of columns and one of rows touch, with one more on each side."""
+    """Return the pixels that column and row spans touch, plus a margin of one."""
     (left, right), (top, bottom) = (
         np.clip((math.floor(low - 0.5), math.ceil(high + 0.5) + 1), 0, size).tolist()
         for (low, high), size in zip((columns, rows), camera.size_px, strict=True)
@@ -222,18 +209,18 @@ def _box(camera: PinholeCamera, columns: tuple[float, float], rows: tuple[float,
 
 
 def _strips(box: Box) -> Iterator[Box]:
-    """The box in pieces one below the other, each of at most `_MOST_RAYS` rays."""
+    """Split the box into horizontal strips of at most `_MAX_RAYS` rays."""
     left, top, right, bottom = box
-    rows = max(1, _MOST_RAYS // (_OVERSAMPLING**2 * max(1, right - left)))
+    rows = max(1, _MAX_RAYS // (_OVERSAMPLING**2 * max(1, right - left)))
     for first in range(top, bottom, rows):
         yield left, first, right, min(first + rows, bottom)
 
 
 def _rays(camera: PinholeCamera, box: Box) -> tuple[Array, Array]:
-    """Rays through each part of each pixel: x right and y down, in camera axes at depth 1.
+    """Return P rays per pixel: x right and y down, in camera axes at depth 1.
 
     Returns:
-        Shapes (P, 1, W) and (P, H, 1): P rays through each of H x W pixels.
+        Shapes (P, 1, W) and (P, H, 1), for H x W pixels.
     """
     left, top, right, bottom = box
     parts = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
@@ -245,7 +232,7 @@ def _rays(camera: PinholeCamera, box: Box) -> tuple[Array, Array]:
 
 
 def _intensity(to_light: Array | float, up: Array | float) -> Array:
-    """Light from a surface, 0 to 1, by its normal's parts towards the light and upwards."""
+    """Shade a surface, 0 to 1, by its normal's components towards the light and up."""
     lit = np.maximum(to_light, 0)
     gloss = np.maximum(2 * lit * up - _LIGHT[2] / np.linalg.norm(_LIGHT), 0) ** 2
     direct = _DIFFUSE * lit + _SPECULAR * gloss
@@ -253,13 +240,13 @@ def _intensity(to_light: Array | float, up: Array | float) -> Array:
 
 
 def _inside(box: Box) -> tuple[slice, slice]:
-    """Rows and columns of a box in a picture."""
+    """Return the rows and columns of a box as slices."""
     left, top, right, bottom = box
     return slice(top, bottom), slice(left, right)
 
 
 def _floor_texture(rng: np.random.Generator) -> NDArray[np.float32]:
-    """Grey, 0 to 255, of the part that covers the floor."""
+    """Draw the floor's texture, grey, 0 to 255."""
     import cv2
 
     side = (_TEXTURE_PX, _TEXTURE_PX)
@@ -270,7 +257,7 @@ def _floor_texture(rng: np.random.Generator) -> NDArray[np.float32]:
 
 
 def _ball_colour(rng: np.random.Generator) -> Array:
-    """Saturated, as balls are that are sold for playing; shape (3,), 0 to 1."""
+    """Draw a saturated colour, as sold balls have; shape (3,), 0 to 1."""
     import colorsys
 
     colour = colorsys.hsv_to_rgb(rng.random(), rng.uniform(0.6, 1.0), rng.uniform(0.5, 1.0))

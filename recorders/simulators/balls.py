@@ -1,4 +1,4 @@
-"""Balls that people drop, and the air's drag on them."""
+"""Common balls, and the air drag on them."""
 
 from __future__ import annotations
 
@@ -12,27 +12,23 @@ from tunenet_logs.errors import UsageError
 if TYPE_CHECKING:
     from tunenet_logs.episode import EpisodeInfo
 
-AIR_KG_M3 = 1.2
-"""Density of air at 20 degrees Celsius and sea level."""
-
-_DENSEST_KG_M3 = 22_590.0
-"""Density of osmium, the densest metal: a ball over it was given in grams."""
-
+AIR_KG_M3 = 1.2  # density of air at 20 degrees Celsius and sea level
+_DENSEST_KG_M3 = 22_590.0  # density of osmium, the densest metal: a ball over it was given in grams
+# Ratio of two values of one quantity: balls of a kind differ by a few percent, kinds by more.
 _CONTRADICTION = 1.2
-"""Ratio of two values of one quantity: balls of a kind differ by a few percent, kinds by more."""
 
 
 @dataclass(frozen=True)
 class Ball:
-    """What is known of a ball.
+    """Known properties of a ball.
 
     Attributes:
-        diameter_m: None where it is not known.
-        mass_kg: None likewise.
+        diameter_m: None if unknown.
+        mass_kg: None if unknown.
         drag_coefficient: Cd at the speeds of a drop from a table's height.
 
     Raises:
-        UsageError: a size or mass that no ball has, or one that would float away.
+        UsageError: a size or mass that no ball has, or one lighter than air.
     """
 
     diameter_m: float | None = None
@@ -55,34 +51,33 @@ class Ball:
 
     @property
     def words(self) -> str:
-        """Size and mass, as far as they are known."""
+        """Known size and mass, in words."""
         size = "" if self.diameter_m is None else f"{1000 * self.diameter_m:.3g} mm"
         mass = "" if self.mass_kg is None else f"{1000 * self.mass_kg:.3g} g"
         return ", ".join(known for known in (size, mass) if known) or "unknown"
 
     @property
     def density_kg_m3(self) -> float | None:
-        """Mass over the volume that it takes up [kg/m³]; None where mass or size is unknown."""
+        """Mean density [kg/m³]; None where mass or size is unknown."""
         if self.diameter_m is None or self.mass_kg is None:
             return None
         return self.mass_kg / (pi / 6 * self.diameter_m**3)
 
     @property
     def is_denser_than_metal(self) -> bool:
-        """Whether no such ball can be: its mass is likely to be given in grams."""
+        """Whether no ball is so dense: its mass is likely given in grams."""
         return (self.density_kg_m3 or 0.0) > _DENSEST_KG_M3
 
     @property
     def drag_1_m(self) -> float | None:
-        """Deceleration by the air over speed squared [1/m]; None where mass or size is unknown."""
+        """Quadratic drag, deceleration over speed squared [1/m]; None where unknown."""
         if self.diameter_m is None or self.mass_kg is None:
             return None
         area_m2 = pi / 4 * self.diameter_m**2
         return AIR_KG_M3 * self.drag_coefficient * area_m2 / (2 * self.mass_kg)
 
 
-UNKNOWN_BALL = Ball()
-"""Any ball: nothing is known of it."""
+UNKNOWN_BALL = Ball()  # any ball: nothing is known of it
 
 # Size and mass: the middle of what the sport's rules allow. Cd: of a smooth sphere at the Reynolds
 # numbers of a drop, 1e4 to 1e5 (Achenbach 1972), where nothing else is named.
@@ -106,7 +101,7 @@ BALLS: Mapping[str, Ball] = {
 
 
 def ball_named(name: str) -> Ball:
-    """A ball of the table.
+    """Look up a ball of the table.
 
     Raises:
         UsageError: there is none of this name; the message lists those that there are.
@@ -118,7 +113,7 @@ def ball_named(name: str) -> Ball:
 
 
 def recorded_ball(info: EpisodeInfo) -> Ball:
-    """The ball as a log specifies it; impossible values (0, not measured) count as unknown."""
+    """Return the ball as a log specifies it; impossible values count as unknown."""
     known = BALLS.get(info.notes.get("ball", ""), Ball())
     specified = {
         field: value
@@ -132,7 +127,7 @@ def recorded_ball(info: EpisodeInfo) -> Ball:
 
 
 def contradict(given: Ball, recorded: Ball) -> bool:
-    """Whether the user's and the log's diameter or mass are more than a fifth apart."""
+    """Return whether the user's and the log's diameter or mass differ by over a fifth."""
     pairs = ((given.diameter_m, recorded.diameter_m), (given.mass_kg, recorded.mass_kg))
     return any(
         user and log and max(user, log) > _CONTRADICTION * min(user, log) for user, log in pairs
@@ -140,7 +135,7 @@ def contradict(given: Ball, recorded: Ball) -> bool:
 
 
 def completed(given: Ball, recorded: Ball) -> Ball:
-    """The user's ball with what only the log specifies: the user may know better."""
+    """Complete the user's ball by what only the log specifies: the user may know better."""
     if given == Ball():
         return recorded
     diameter_m, mass_kg = given.diameter_m, given.mass_kg

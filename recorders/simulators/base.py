@@ -1,4 +1,4 @@
-"""What every simulator is to those who tune it, and what an engine is to simulators."""
+"""The interfaces of simulators and physics engines."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from recorders.simulators.contact import ContactSettings
     from tunenet_logs.arrays import Array
 
+# Standard gravity (ISO 80000-3); at sea level it is 9.780 (equator) to 9.832 (poles).
 GRAVITY_M_S2 = 9.80665
-"""Standard gravity (ISO 80000-3); at sea level it is 9.780 (equator) to 9.832 (poles)."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Parameter:
         bounds: smallest and largest value that physics allows.
         training_range: from where training pairs are drawn.
         initial: the guess that tuning starts from.
-        prior_sd: how far off that guess may be, one standard deviation, where it is measured and
-            not chosen, as a log's initial state is; None for what is tuned.
+        prior_sd: prior standard deviation of that guess, where it is measured and not chosen, as a
+            log's initial state is; None for what is tuned.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Parameter:
     prior_sd: float | None = None
 
     def checked(self, value: float) -> float:
-        """`value`, if the engine may see it.
+        """Return `value` if it is within bounds.
 
         Raises:
             UsageError: not finite, or out of bounds.
@@ -55,28 +55,28 @@ class Parameter:
 
 
 class Simulator(Protocol):
-    """An episode source that can be asked again with other parameters."""
+    """An episode source that can be rolled out again with other parameters."""
 
     @property
     def engine(self) -> str:
-        """What simulates, with its version, as `EpisodeInfo.source` begins: "pybullet 3.2.7"."""
+        """Engine with its version, as `EpisodeInfo.source` begins: "pybullet 3.2.7"."""
         ...
 
     @property
     def step_hz(self) -> float:
-        """Steps of the simulator a second [Hz]."""
+        """Rate of simulation steps [Hz]."""
         ...
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What can be tuned."""
+        """The tunable parameters."""
         ...
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
-        """Simulate one episode. The same values give the same bits.
+        """Roll out one episode; the same values give the same bits.
 
         Raises:
-            UsageError: a value that is missing, not finite or out of bounds.
+            UsageError: a value is missing, not finite or out of bounds.
         """
         ...
 
@@ -88,7 +88,6 @@ class BallWorld(Protocol):
 
     Attributes:
         engine: name and version.
-        radius_m: of the ball.
         contact: how contacts are solved.
     """
 
@@ -104,19 +103,19 @@ class BallWorld(Protocol):
         ...
 
     def set_restitution(self, restitution: float) -> None:
-        """Give the impacts from now on this restitution."""
+        """Set the coefficient of restitution of the next impacts."""
         ...
 
     def set_speed(self, speed_m_s: float) -> None:
-        """Give the ball this speed upward."""
+        """Set the ball's upward speed."""
         ...
 
     def step(self, period_s: float) -> tuple[float, float]:
-        """Step once; the centre's height [m] and the ball's speed upward [m/s]."""
+        """Step once; return the centre's height [m] and the upward speed [m/s]."""
         ...
 
     def steps(self, period_s: float, count: int) -> list[float]:
-        """Step `count` times; the centre's height after each [m]."""
+        """Step `count` times; return the centre's height after each [m]."""
         ...
 
     def impact(
@@ -127,7 +126,7 @@ class BallWorld(Protocol):
         friction: float,
         inertia_share: float,
     ) -> tuple[Array, Array]:
-        """Velocity and spin after an impact on the plane, each of shape (3,).
+        """Solve an impact on the plane: velocity and spin after it, each of shape (3,).
 
         Args:
             velocity_m_s: before it, z towards the plane negative, shape (3,).
@@ -149,7 +148,7 @@ class Engine(Protocol):
     name: str
 
     def ball_world(self, radius_m: float, contact: ContactSettings) -> BallWorld:
-        """A ball over a plane."""
+        """Make a ball over a plane."""
         ...
 
     def inverse_dynamics(
@@ -159,17 +158,17 @@ class Engine(Protocol):
         payload: Payload | None,
         gravity_m_s2: tuple[float, float, float],
     ) -> Array:
-        """Torques that move the arm along the path: rigid links, no friction.
+        """Compute the torques along a path: rigid links, no friction.
 
         Returns:
-            Shape (T, J) [N·m], or N of a joint that slides.
+            Shape (T, J) [N·m], or [N] for a prismatic joint.
         """
         ...
 
     def position_control(
         self, arm: Arm, path: JointPath, payload: Payload | None, settings: RolloutSettings
     ) -> Array:
-        """The arm's states after each step, while its motors follow the path.
+        """Simulate motors that follow the path; return the states after each step.
 
         Args:
             arm: starts at the path's first sample.

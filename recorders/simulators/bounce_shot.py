@@ -1,4 +1,4 @@
-"""The bounce shot of the paper's third experiment: off an inclined plane, through a hoop."""
+"""Simulate the bounce shot of the paper's third experiment: off an incline, through a hoop."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KIND = "bounce-shot"
 
 
 def shoot(rig: ShotRig, law: SpeedLaw, heights_m: Array) -> Flights:
-    """Shots from these heights, shape (N,), with their paths and the rim in their way."""
+    """Simulate shots from these heights, shape (N,), with their paths and the rim in their way."""
     return fly(
         rig, law, released(rig, heights_m), np.zeros(len(heights_m)), has_rim=True, keep=True
     )
@@ -37,10 +37,10 @@ def passes(
     shifts: Array,
     drags_1_m: Array | None = None,
 ) -> Flights:
-    """The same as if the rim let everything through: where they would pass it, and how near.
+    """Simulate shots as if the rim were not there: where they pass it, and how near.
 
     Args:
-        rig: where.
+        rig: plane, hoop and ball.
         law: of the ball.
         heights_m: shape (N,).
         shifts: added to the restitution of each shot, shape (N,).
@@ -51,10 +51,10 @@ def passes(
 
 
 def shoot_in_engine(rig: ShotRig, law: SpeedLaw, height_m: float, step_s: float) -> Flights:
-    """One shot with its path and the rim in its way, each impact solved by the chosen engine.
+    """Simulate one shot with the rim, each impact solved by the chosen engine.
 
     Args:
-        rig: where.
+        rig: plane, hoop and ball.
         law: of the ball.
         height_m: how far the ball falls.
         step_s: between the positions of its path.
@@ -72,7 +72,7 @@ def shoot_in_engine(rig: ShotRig, law: SpeedLaw, height_m: float, step_s: float)
 
 
 def released(rig: ShotRig, heights_m: Array) -> BallStates:
-    """Balls at rest straight above where they will touch."""
+    """Place balls at rest straight above the touch point."""
     up = np.column_stack([np.zeros((len(heights_m), 2)), heights_m])
     return BallStates(rig.touch_m + up, np.zeros_like(up), np.zeros_like(up))
 
@@ -82,14 +82,12 @@ class BounceShot:
     """One shot; see `Simulator`.
 
     Attributes:
-        rig: where.
         height_m: how far the ball falls.
-        slope: how its restitution falls with speed; see `SpeedLaw`.
+        slope: exponent of the restitution over speed; see `SpeedLaw`.
         at_m_s: the impact's speed at which it has the restitution that is set.
-        rate_hz: samples a second.
 
     Raises:
-        UsageError: a value that is not finite or out of range.
+        UsageError: a value is not finite or out of range.
     """
 
     rig: ShotRig
@@ -108,16 +106,16 @@ class BounceShot:
 
     @property
     def engine(self) -> str:
-        """What solves the impacts; the flights between them are in closed form."""
+        """Engine that solves the impacts; the flights between are not the engine's."""
         return engine().name
 
     @property
     def step_hz(self) -> float:
-        """The smallest multiple of `rate_hz` whose steps are `STEP_S` or shorter [Hz]."""
+        """Smallest multiple of `rate_hz` whose steps are `STEP_S` or shorter [Hz]."""
         return self.rate_hz * int(np.ceil(1 / (self.rate_hz * STEP_S)))
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
-        """The shot until the ball is below the hoop, with `values["restitution"]`."""
+        """Simulate until the ball is below the hoop, with `values["restitution"]`."""
         if set(values) != {RESTITUTION.name}:
             raise UsageError(f"a shot takes the value restitution, not {sorted(values)}")
         law = SpeedLaw(RESTITUTION.checked(values[RESTITUTION.name]), self.slope, self.at_m_s)

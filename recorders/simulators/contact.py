@@ -1,4 +1,4 @@
-"""How an engine solves contacts: the calibrated settings, and the paper's.
+"""Contact settings of an engine: calibrated, and the paper's.
 
 An engine can lose or add energy at an impact in four ways. A contact that is made ahead of the
 surfaces' meeting eats the rebound. Error reduction pushes out what has sunk in, which adds energy.
@@ -14,16 +14,16 @@ from dataclasses import dataclass
 
 from recorders.simulators.base import GRAVITY_M_S2
 
+# Length of a step that solves an impact: gravity changes the speed in it by 1e-5 m/s.
 IMPACT_S = 1e-6
-"""Length of a step that solves an impact: gravity changes the speed in it by 1e-5 m/s."""
 
+# How far a ball is let into a plane for an impact: engines act only on what touches.
 OVERLAP_M = 1e-9
-"""How far a ball is let into a plane for an impact: engines act only on what touches."""
 
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """How the engine is set up; None is the engine's default.
+    """How the engine solves contacts; None is the engine's default.
 
     Attributes:
         name: the preset these belong to.
@@ -53,6 +53,7 @@ class ContactSettings:
     angular_damping: float | None = None
 
 
+# Restitution set = restitution got.
 CALIBRATED = ContactSettings(
     name="default",
     gravity_m_s2=GRAVITY_M_S2,
@@ -66,9 +67,8 @@ CALIBRATED = ContactSettings(
     linear_damping=0.0,
     angular_damping=0.0,
 )
-"""Restitution set = restitution got."""
 
+# The engine's defaults, stepped once a sample: the paper's simulator (PyBullet at 60 Hz).
 PAPER = ContactSettings(name="paper", gravity_m_s2=9.8, meet_impacts=False)
-"""The engine's defaults, stepped once a sample: the paper's simulator (PyBullet at 60 Hz)."""
 
 PRESETS = {settings.name: settings for settings in (CALIBRATED, PAPER)}

@@ -1,4 +1,4 @@
-"""A ball dropped on a plane in a physics engine: its restitution, by speed, and the air."""
+"""Simulate a drop on a plane in a physics engine: speed-dependent restitution and air drag."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 
 TOPIC = "/ball/pose"
+# At the speed of the first impact, e.
 RESTITUTION = Parameter(
     name="restitution", unit="1", bounds=(0.0, 1.0), training_range=(0.0, 1.0), initial=0.0
 )
-"""At the speed of the first impact, e."""
 
+# p of e (v / v_first)^-p: how the restitution falls with the impact's speed; see `SpeedLaw`.
 SLOPE = Parameter(
     name="restitution_slope", unit="1", bounds=(-0.5, 0.5), training_range=(0.0, 0.15), initial=0.0
 )
-"""p of e (v / v_first)^-p: how the restitution falls with the impact's speed; see `SpeedLaw`."""
 
+# k of dv/dt = -g - k v |v|: rho Cd A / (2 m) of the air, the ball's area and its mass.
 DRAG = Parameter(name="drag", unit="1/m", bounds=(0.0, 2.0), training_range=(0.0, 0.3), initial=0.0)
-"""k of dv/dt = -g - k v |v|: rho Cd A / (2 m) of the air, the ball's area and its mass."""
 
-REAL_BALL = (RESTITUTION, SLOPE, DRAG)
-"""What moves a real ball, in the order of a vector of them."""
+REAL_BALL = (RESTITUTION, SLOPE, DRAG)  # what moves a real ball, in the order of a vector of them
 
 # From what a camera can see and an engine can simulate, to far more than anybody drops.
 _LIMITS = {
@@ -44,28 +43,26 @@ _LIMITS = {
     "speed_m_s": (-1000.0, 1000.0, "m/s"),
 }
 
-_LONGEST_S = 3600.0
-"""Of a rollout at given times: a ball that keeps its height bounces as long as it is asked to."""
+# Of a rollout at given times: a ball that keeps its height bounces as long as it is asked to.
+_MAX_S = 3600.0
 
 
 @dataclass(frozen=True)
 class DropRig:
-    """What is set up before the ball is let go.
+    """Set-up of a drop.
 
     Attributes:
         gap_m: height of the ball's underside over the plane when it is let go.
         speed_m_s: upward speed then: 0 for a ball that is dropped. Only with calibrated contacts.
-        radius_m: of the ball.
         rate_hz: samples a second; with calibrated contacts the engine steps from impact to impact,
             else once a sample.
-        samples: how many.
         hold_s: how long the ball is held before it is let go.
         start_ns: where the rig's clock is 0, and its first sample unless `times_s` says otherwise.
-        times_s: when the samples are taken instead [s], increasing; empty for an even rate. Only
-            with calibrated contacts.
+        times_s: sample times instead [s], increasing; empty for a uniform rate. Only with
+            calibrated contacts.
 
     Raises:
-        UsageError: a value that is not finite or out of range.
+        UsageError: a value is not finite or out of range.
     """
 
     gap_m: float = 1.0
@@ -88,26 +85,26 @@ class DropRig:
                     raise UsageError(
                         f"{item.name} {value:g} is not from {low:g} to {high:g} {unit}".rstrip()
                     )
-        if self.times_s and not self.times_s[-1] <= _LONGEST_S:
+        if self.times_s and not self.times_s[-1] <= _MAX_S:
             raise UsageError(
                 f"its last sample is after {self.times_s[-1]:.4g} s, not within an hour"
             )
 
     def sample_s(self) -> Array:
-        """When samples are taken [s after the start], shape (T,)."""
+        """Return the sample times [s after the start], shape (T,)."""
         if self.times_s:
             return np.array(self.times_s)
         return np.arange(self.samples) / self.rate_hz
 
 
 class Flight:
-    """A falling and bouncing ball: the engine solves its impacts, the flights between are exact.
+    """A bouncing ball: the engine solves its impacts, the flights between are in closed form.
 
     The engine's step is v += -g dt, then z += v dt. It is given the speed with which that ends
     where the ball is after dt by the closed form of a flight in air; so a step may be long, and
     only has to end where the ball meets the plane. There one very short step lets the engine solve
-    the contact, with the restitution that the ball has at the impact's speed. Where the ball is
-    between two steps is the closed form's, too.
+    the contact, with the restitution at the impact's speed. Between two steps, positions are in
+    closed form, too.
     """
 
     def __init__(
@@ -122,7 +119,7 @@ class Flight:
         self._speed_m_s = speed_m_s
 
     def heights_m(self, seconds: Array) -> Array:
-        """The centre's heights at increasing times since the ball was let go, shape (T,)."""
+        """Compute the centre's heights at increasing times since release, shape (T,)."""
         world, gravity, drag_1_m = self._world, self._gravity, self._drag_1_m
         heights_m = np.empty(len(seconds))
         now_s, first = 0.0, 0
@@ -165,7 +162,6 @@ class DropSimulator:
     its authors do, and there is one restitution and the engine's damping.
 
     Args:
-        rig: what is dropped from where, and how it is sampled.
         contact: how impacts are solved.
         world: with that ball and these contacts; one of the default engine if None.
     """
@@ -181,7 +177,7 @@ class DropSimulator:
         self.step_hz = rig.rate_hz
 
     def with_rig(self, rig: DropRig) -> DropSimulator:
-        """The same ball on another rig, without building the world again.
+        """Put the same ball on another rig, without building the world again.
 
         Raises:
             UsageError: the ball's radius differs.
@@ -191,7 +187,7 @@ class DropSimulator:
         return DropSimulator(rig, self.contact, self._world)
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
-        """Drop the ball; see `Simulator.rollout`.
+        """Drop the ball; `values` left out are 0. See `Simulator.rollout`.
 
         Args:
             values: by name: the restitution, and as far as they are not 0 the others.
@@ -222,7 +218,7 @@ class DropSimulator:
         return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, positions, ("x", "y", "z"), "m")})
 
     def _flown(self, values: Mapping[str, float], seconds: Array) -> Array:
-        """Heights of the centre at these times [m], shape (T,), each impact met."""
+        """Compute the centre's heights [m], shape (T,), each impact met."""
         rig, drag_1_m = self.rig, values[DRAG.name]
         lands_s = lands_after_s(rig.gap_m, rig.speed_m_s, self.contact.gravity_m_s2, drag_1_m)
         first = flown(rig.gap_m, rig.speed_m_s, lands_s, self.contact.gravity_m_s2, drag_1_m)
@@ -234,7 +230,7 @@ class DropSimulator:
         return heights_m
 
     def _stepped(self, restitution: float) -> Array:
-        """Heights of the centre after each plain step [m], shape (T,)."""
+        """Simulate the centre's heights after each plain step [m], shape (T,)."""
         rig = self.rig
         heights_m = np.full(rig.samples, rig.radius_m + rig.gap_m)
         self._world.place(rig.gap_m, restitution)

@@ -1,4 +1,4 @@
-"""The physics engines by name, and which one simulates."""
+"""Select a physics engine by name."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from recorders.simulators.base import BallWorld, Engine
     from recorders.simulators.contact import ContactSettings
 
+# Modules by the engine's name, which is its library's too; each has what `Engine` names, and is
+# imported when needed. The first that is installed is the default.
 ENGINES = {
     "pybullet": "recorders.simulators.pybullet.engine",
     "mujoco": "recorders.simulators.mujoco.engine",
 }
-"""Modules by the engine's name, which is its library's too; each has what `Engine` names, and is
-imported when needed. The first that is installed is the default."""
 
+# Of the environment: the engine that `simulated_by` chose, for this process and its children.
 ENGINE_VARIABLE = "TUNENET_ENGINE"
-"""Of the environment: the engine that `simulated_by` chose, for this process and its children."""
 
 
 def engine(name: str | None = None) -> Engine:
-    """One of `ENGINES`, imported when first needed.
+    """Import an engine when first needed.
 
     Args:
         name: None for the one that `simulated_by` chose, else the first that is installed.
@@ -51,7 +51,7 @@ def engine(name: str | None = None) -> Engine:
 
 
 def ball_world(radius_m: float, contact: ContactSettings) -> BallWorld:
-    """A ball over a plane in the engine that simulates: the last few are kept for the next rollout.
+    """Return a ball over a plane in the chosen engine; the last few worlds are cached.
 
     A world costs more than many rollouts, and nothing of one remains in the next.
     """
@@ -65,10 +65,10 @@ def _ball_world(simulates: Engine, radius_m: float, contact: ContactSettings) ->
 
 @contextmanager
 def simulated_by(name: str | None) -> Iterator[None]:
-    """Simulate with this engine in a block, in the processes that start in it too.
+    """Choose the engine within a block, also for processes started in it.
 
     Args:
-        name: None for what is chosen already.
+        name: None keeps the current choice.
 
     Raises:
         UsageError: no such engine, or it is not installed.

@@ -1,4 +1,4 @@
-"""Which version of an engine is installed, without importing it."""
+"""Look up an engine's installed version without importing it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from importlib.util import find_spec
 
 
 def named_version(module: str, *packages: str) -> str:
-    """The module's name with its version, as a log and a tuning state it: "mujoco 4.0.0".
+    """Return a module's name with its version, as a log states it: "mujoco 4.0.0".
 
     Args:
         module: as it is imported.
-        packages: of other names that bring it.
+        packages: other distributions that provide it.
 
     Raises:
         ModuleNotFoundError: it is not installed.

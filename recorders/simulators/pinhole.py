@@ -1,4 +1,4 @@
-"""A pinhole camera: where the world's points are in its picture."""
+"""Project world points with a pinhole camera."""
 
 from __future__ import annotations
 
@@ -12,26 +12,22 @@ from tunenet_logs.errors import UsageError
 
 Point = tuple[float, float, float]
 
-_FARTHEST_M = 1e4
-"""Of a camera or its target from the origin: beyond it, a coordinate is a mistake."""
-
+_FARTHEST_M = 1e4  # of a camera or its target from the origin: beyond it, a coordinate is a mistake
+# Smallest and largest side of a picture: a scene holds three in memory, of 24 bytes a pixel.
 _SIZES_PX = (16, 8192)
-"""Smallest and largest side of a picture: a scene holds three in memory, of 24 bytes a pixel."""
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A camera without distortion, its picture upright (world z up).
+    """A pinhole camera without distortion, upright (world z up).
 
     Attributes:
-        position_m: where it stands.
-        target_m: the point in the middle of its picture.
+        target_m: the point in the centre of its picture.
         size_px: (width, height).
-        fov_deg: field of view from the upper to the lower edge.
+        fov_deg: vertical field of view.
 
     Raises:
-        UsageError: a value that is not finite or out of range, or a camera that looks straight up
-            or down.
+        UsageError: a value is not finite or out of range, or the camera looks straight up or down.
     """
 
     position_m: Point
@@ -82,12 +78,12 @@ class PinholeCamera:
         return middle + self.focal_px * seen[:, :2] / depth[:, None]
 
     def radius_px(self, points_m: Array, radius_m: float) -> Array:
-        """Apparent radius of balls at points of shape (N, 3), shape (N,) [px]; exact on axis."""
+        """Compute balls' apparent radii [px], shape (N,), at (N, 3); exact on axis."""
         depth = (points_m - np.array(self.position_m)) @ self.camera_from_world[2]
         return self.focal_px * radius_m / depth
 
     def sees(self, points_m: Array, margin_px: float) -> bool:
-        """Whether all points, shape (N, 3), lie `margin_px` or more inside the picture's edges."""
+        """Return whether all points, shape (N, 3), lie inside a margin of the picture."""
         pixels = self.image_from_world(points_m)
         far = np.array(self.size_px) - 1 - margin_px
         return bool(np.all((pixels >= margin_px) & (pixels <= far)))  # NaN is not
@@ -100,17 +96,10 @@ def random_camera(
     size_px: tuple[int, int] = (320, 240),
     fov_deg: float = 60.0,
 ) -> PinholeCamera:
-    """The paper's random camera, in drop heights, so that it fits a drop of any height.
+    """Draw the paper's random camera, in drop heights, so that it fits any drop.
 
     The paper draws r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m and aims at (0, 0, 2) m for
     drops from about 4.5 m. A camera that does not see the whole drop is drawn again.
-
-    Args:
-        rng: where it is drawn from.
-        gap_m: drop height.
-        radius_m: of the ball.
-        size_px: (width, height).
-        fov_deg: field of view from the upper to the lower edge.
 
     Raises:
         UsageError: no camera of this view has the whole drop in its picture.

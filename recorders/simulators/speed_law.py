@@ -1,4 +1,4 @@
-"""How a ball's restitution falls with the speed of an impact."""
+"""Coefficient of restitution as a function of impact speed."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
-SLOWEST_M_S = 0.05
-"""The law is constant below this speed: no ball is measured there, and a power law has no bound."""
+# The law is constant below this speed: no ball is measured there, and a power law has no bound.
+MIN_SPEED_M_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,6 @@ class SpeedLaw:
             raise UsageError(f"impact speed {self.at_m_s:g} m/s is not over 0")
 
     def at(self, speeds_m_s: Array) -> Array:
-        """Restitution at impacts of these speeds [m/s], from 0 to 1, of their shape."""
-        ratio = np.maximum(speeds_m_s, SLOWEST_M_S) / self.at_m_s
+        """Compute the restitution, 0 to 1, at impacts of these speeds [m/s], of their shape."""
+        ratio = np.maximum(speeds_m_s, MIN_SPEED_M_S) / self.at_m_s
         return np.clip(self.restitution * ratio**-self.slope, 0.0, 1.0)

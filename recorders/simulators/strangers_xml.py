@@ -1,4 +1,4 @@
-"""XML that others wrote: with bounds, and without a document type, where its dangers lie."""
+"""Parse untrusted XML within bounds, and without a document type, where its dangers lie."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from pathlib import Path
 
 from tunenet_logs.errors import UsageError
 
-MOST_XML_BYTES, _MOST_TAGS, _DEEPEST = 4_000_000, 100_000, 200
-"""Of a file: more than any robot's; what has more is refused before it costs."""
+# Of a file: more than any robot's; what has more is refused before it costs.
+MAX_XML_BYTES, _MAX_TAGS, _MAX_DEPTH = 4_000_000, 100_000, 200
 
 
 def parse_xml(data: bytes, path: Path, kind: str, wanted: str) -> ET.Element:
-    """The outermost element of a file.
+    """Parse a file's XML; return the root element.
 
     Args:
-        data: its bytes, at most `MOST_XML_BYTES`.
-        path: it in errors.
+        data: its bytes, at most `MAX_XML_BYTES`.
+        path: its name in errors.
         kind: what it should be, such as "URDF".
         wanted: a remedy, such as "--urdf takes a robot's URDF".
 
     Raises:
-        UsageError: it is none, or has more elements, or more in each other, than any robot.
+        UsageError: it is not XML, or has more or deeper elements than any robot.
     """
     try:
         text = data.decode("utf-8-sig").lstrip()
@@ -29,8 +29,8 @@ def parse_xml(data: bytes, path: Path, kind: str, wanted: str) -> ET.Element:
         raise UsageError(
             f"{path}: is no text in UTF-8, so no {kind} that can be read", wanted
         ) from error
-    if text.count("<") > _MOST_TAGS:
-        raise UsageError(f"{path}: over {_MOST_TAGS} tags, so no {kind} of a robot", wanted)
+    if text.count("<") > _MAX_TAGS:
+        raise UsageError(f"{path}: over {_MAX_TAGS} tags, so no {kind} of a robot", wanted)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise UsageError(
             f"{path}: has a document type, which no {kind} needs; remove <!DOCTYPE ...>"
@@ -44,7 +44,7 @@ def parse_xml(data: bytes, path: Path, kind: str, wanted: str) -> ET.Element:
 
 
 def check_depth(root: ET.Element, path: Path) -> None:
-    """Refuse elements in elements in elements.
+    """Refuse deeply nested elements.
 
     Raises:
         UsageError: they are over 200 deep.
@@ -52,17 +52,17 @@ def check_depth(root: ET.Element, path: Path) -> None:
     level, depth = [root], 1
     while level := [child for element in level for child in element]:
         depth += 1
-        if depth > _DEEPEST:
+        if depth > _MAX_DEPTH:
             raise UsageError(
-                f"{path}: has elements in elements, over {_DEEPEST} deep", "make them fewer"
+                f"{path}: has elements in elements, over {_MAX_DEPTH} deep", "make them fewer"
             )
 
 
 def refuse_xacro(root: ET.Element, path: Path) -> None:
-    """Refuse a URDF that is still to be made.
+    """Refuse an unexpanded xacro file.
 
     Raises:
-        UsageError: it has words of xacro in it.
+        UsageError: it contains xacro.
     """
     is_xacro = any(
         "xacro" in element.tag or any("${" in value for value in element.attrib.values())

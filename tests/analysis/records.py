@@ -7,8 +7,7 @@ from typing import Any
 
 from analysis.record import Estimate, Provenance, Rebound, Record
 
-HALF = 1.959964
-"""Standard deviations in half of a 95 % interval."""
+HALF = 1.959964  # standard deviations in half of a 95 % interval
 
 
 def drop_record(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.comparison import MOST_LOGS, Comparison, compare, told_apart
+from analysis.comparison import MAX_LOGS, Comparison, compare, told_apart
 from analysis.pair_test import LEVEL, PairTest
 from analysis.record import Estimate, Record
 from analysis.record import record_of as tuned_record
@@ -18,8 +18,7 @@ from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.analysis.records import HALF, drop_record, payload_record, rejected_record
 from tunenet_logs.errors import UsageError
 
-PAIRS = 4000
-"""Simulated pairs: a rate of 5 % then has a standard deviation of .34 %."""
+PAIRS = 4000  # simulated pairs: a rate of 5 % then has a standard deviation of .34 %
 
 
 def pairs_of(comparison: Comparison, name: str = "restitution") -> tuple[PairTest, ...]:
@@ -236,6 +235,6 @@ def test_equal_names_are_numbered_and_never_clash():
     assert compare(records).labels == ("a (1)", "a (3)", "a (2)")
     with pytest.raises(UsageError, match="2 names"):
         compare(records, ["a", "b"])
-    with pytest.raises(UsageError, match=f"at most {MOST_LOGS}"):
-        compare([drop_record()] * (MOST_LOGS + 1))
+    with pytest.raises(UsageError, match=f"at most {MAX_LOGS}"):
+        compare([drop_record()] * (MAX_LOGS + 1))
     assert compare([]).to_frame().empty

@@ -21,8 +21,8 @@ from tests.conftest import real
 from tests.remedies import has_remedy
 from tunenet_logs.errors import NotFoundError
 
-_LONGEST = 350
-"""Characters of a reason: two wide lines of a terminal, with names of topics in them."""
+# Characters of a reason: two wide lines of a terminal, with names of topics in them.
+_MAX_LENGTH = 350
 
 ROOT = Path(__file__).parents[2]
 
@@ -179,4 +179,4 @@ def _check(log: Path, options: Options | None = None, *, must_be_rejected: bool 
         assert tuning.reason is not None
         assert has_remedy(tuning.reason), f"{log.name}: {tuning.reason}"
         assert "\n" not in tuning.reason
-        assert len(tuning.reason) <= _LONGEST, f"{log.name}: {tuning.reason}"
+        assert len(tuning.reason) <= _MAX_LENGTH, f"{log.name}: {tuning.reason}"

@@ -16,6 +16,7 @@ from tunenet_logs.reader import read_episode
 
 ARMS = Path(__file__).parents[2] / "recorders" / "simulators" / "arm" / "known"
 
+# One value of each option, which no log below says itself.
 SAID: Mapping[str, Mapping[str, Any]] = {
     "--ball": {"ball": "golf"},
     "--ball-diameter": {"ball_diameter_m": 0.2},
@@ -39,7 +40,6 @@ SAID: Mapping[str, Mapping[str, Any]] = {
     "--iterations": {"iterations": 2},
     "--initial": {"initial": 0.3},
 }
-"""One value of each option, which no log below says itself."""
 
 
 def _track_csv(path: Path, header: str) -> Path:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
+# By what the whole command looks like.
 NOT_RUN: Mapping[str, str] = {
     r"python -m (benchmarks|analysis).*": "takes minutes to hours; its arguments are parsed",
     r"tunenet-record .*--preview.*": "waits for a person at a page",
@@ -35,8 +36,8 @@ NOT_RUN: Mapping[str, str] = {
     r"(ray|rosbag|ros2|ffmpeg|gst-launch-1\.0|jq) .*": "other programs",
     r"du -sm .*|printf .*|mkdir \w+|(\.venv/bin/)?python -c .*": "the system's own",
 }
-"""By what the whole command looks like."""
 
+# Likewise, of those that only `make docs-check` runs.
 SLOW: Mapping[str, str] = {
     r"tunenet-tune .*(\.mp4|filmed|sample_logs/\*).*": "tunes a film",
     r"tunenet-tune .*--ray .*": "starts Ray",
@@ -44,10 +45,10 @@ SLOW: Mapping[str, str] = {
     r"tunenet-record .*--render.*": "draws a film",
     r"tunenet-review .*campaign.*": "reviews a film",
 }
-"""Likewise, of those that only `make docs-check` runs."""
 
 VIEWER: Mapping[str, str] = {r"(\S*/)?rerun( .*)?": "opens a viewer: its file has to be there"}
 
+# Options in the documents that are none of ours, and whose they are.
 OTHER_OPTIONS: Mapping[str, str] = {
     **dict.fromkeys(
         ("--codec", "--host", "--inline", "--libav-format", "--listen", "--port", "--sout"),
@@ -61,7 +62,6 @@ OTHER_OPTIONS: Mapping[str, str] = {
     **dict.fromkeys(("--address", "--head"), "Ray"),
     "--python": "uv",
 }  # fmt: skip
-"""Options in the documents that are none of ours, and whose they are."""
 
 
 def reason(table: Mapping[str, str], text: str) -> str | None:

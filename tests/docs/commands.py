@@ -18,15 +18,15 @@ DOCUMENTS = (
 )
 _FENCE = re.compile(r"^( *)```(\w*)[^\n]*\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 _INLINE = re.compile(r"(?<!`)`([^`]+)`(?!`)")
+# How a command begins; between backticks it is one only where it does.
 _PROGRAM = re.compile(
     r"(\.venv/bin/)?(tunenet-\w+|rerun|sphinx-build)\b|"
     r"(python[\d.]*|pip|uv|make|docker|ray|ffmpeg|gst-launch-1\.0|rosbag|ros2|mkdir|git) |"
     r"\w*env/bin/(pip|python)\b"
 )
-"""How a command begins; between backticks it is one only where it does."""
 _OPTION = re.compile(r"(?:^|(?<=[ \[(|]))--?[a-zA-Z][\w-]*")
+# What stands for something else: three dots, or a word in capitals.
 _PLACEHOLDERS = re.compile(r"\.\.\.|(?:^|[ /:=])[A-Z][A-Z_]+(?:\.\w+)?(?= |,|:|/|$)")
-"""What stands for something else: three dots, or a word in capitals."""
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from subprocess import CompletedProcess
 
 from tests.wheel import ROOT
 
-USAGE = 2
-"""The exit code of a command that refuses its arguments."""
+USAGE = 2  # the exit code of a command that refuses its arguments
 
 
 class ParsedError(BaseException):

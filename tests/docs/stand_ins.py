@@ -20,8 +20,8 @@ from tests.wheel import ROOT
 
 SAMPLES = ROOT / "sample_logs"
 WEIGHTS = ROOT / "analysis" / "tunenet" / "weights"
+# Options whose value is a file that the command itself writes.
 _OUTPUTS = {"-o", "--json", "--rrd", "--csv", "--save-rig", "--save-arm-card", "--save-path", "-O"}
-"""Options whose value is a file that the command itself writes."""
 _DROP = Stranger(0.8, hold_s=0.5, seconds=3.0)
 
 
@@ -171,6 +171,7 @@ def _weights(path: Path) -> None:
     shutil.copy(WEIGHTS / path.name, path)
 
 
+# By a pattern of the name; the first that fits makes it.
 STAND_INS: Mapping[str, Callable[[Path], object]] = {
     "held.mcap": _sample("payload.mcap"),
     "run.mcap": _sample("payload.mcap"),
@@ -202,4 +203,3 @@ STAND_INS: Mapping[str, Callable[[Path], object]] = {
     "*.m4a": _bounce,
     "*.safetensors": _weights,
 }
-"""By a pattern of the name; the first that fits makes it."""

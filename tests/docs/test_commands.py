@@ -40,12 +40,10 @@ from tests.wheel import ROOT
 BLOCKS = [block for document in DOCUMENTS for block in blocks(document)]
 COMMANDS = [command for block in BLOCKS for command in block.commands]
 _BIN = Path(sys.executable).parent
+# What a parser says of a command that stands between words and leaves out what follows.
 _INCOMPLETE = ("required", "expected one argument")
-"""What a parser says of a command that stands between words and leaves out what follows."""
 
-_VERBS = {"info", "check", "recover", "import"}
-"""Of `tunenet-logs`, named between words."""
-
+_VERBS = {"info", "check", "recover", "import"}  # of `tunenet-logs`, named between words
 Run = Callable[[Sequence[str], Path], subprocess.CompletedProcess[str]]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -17,16 +17,13 @@ class Answer:
     """What is sent at a path.
 
     Attributes:
-        body: bytes, or what makes them anew each time.
         kind: its Content-Type; "" for none.
         has_length: whether its length is stated.
-        moved_to: another path to look at instead.
     """
 
-    body: bytes | Callable[[], bytes] = b""
+    body: bytes = b""
     kind: str = ""
     has_length: bool = False
-    moved_to: str = ""
 
 
 @contextmanager
@@ -42,20 +39,14 @@ def serving(answers: Mapping[str, Answer]) -> Iterator[str]:
             if answer is None:
                 self.send_error(404)
                 return
-            if answer.moved_to:
-                self.send_response(302)
-                self.send_header("Location", answer.moved_to)
-                self.end_headers()
-                return
-            body = answer.body if isinstance(answer.body, bytes) else answer.body()
             self.send_response(200)
             if answer.kind:
                 self.send_header("Content-Type", answer.kind)
             if answer.has_length:
-                self.send_header("Content-Length", str(len(body)))
+                self.send_header("Content-Length", str(len(answer.body)))
             self.end_headers()
             with suppress(OSError):
-                self.wfile.write(body)
+                self.wfile.write(answer.body)
 
     class Server(ThreadingHTTPServer):
         daemon_threads = True

@@ -30,8 +30,8 @@ ROOT = Path(__file__).resolve().parents[2]
 MESSAGES = 20
 
 
+# The beginning of a log of ours, by which it is known.
 OF_OURS = MAGIC + bytes_of(Header("ros2", "tunenet-logs 0.1.0"))
-"""The beginning of a log of ours, by which it is known."""
 
 
 def main() -> None:

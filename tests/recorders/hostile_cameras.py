@@ -7,9 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-_DRIP_S = 0.05
-"""Between two pieces: far less than any silence that would end the waiting."""
-
+_DRIP_S = 0.05  # between two pieces: far less than any silence that would end the waiting
 OK = b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n"
 CONTINUE = b"HTTP/1.1 100 Continue\r\n\r\n"
 MOVED = b"HTTP/1.1 302 Found\r\nLocation: /again\r\n\r\n"

@@ -14,8 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-LAST_RESORT_S = 120.0
-"""A test that waited so long fails: what it waits for will not come."""
+LAST_RESORT_S = 120.0  # a test that waited so long fails: what it waits for will not come
 
 
 def wait_until(is_so: Callable[[], object], what: str) -> None:

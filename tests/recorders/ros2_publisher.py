@@ -32,13 +32,12 @@ from cyclonedds.util import duration
 from tests.recorders.live_wait import ending
 
 ROOT = Path(__file__).resolve().parents[2]
+# Messages that are sent again to who missed them; with the usual 10 a busy machine misses some.
 _KEPT = 1000
-"""Messages that are sent again to who missed them; with the usual 10 a busy machine misses some."""
 NAMES = tuple(f"j2s7s300_joint_{number}" for number in range(1, 8))
 TORQUES = "/arm/out/joint_torques"
 STATES = "/joint_states"
-_LONGEST_S = 240
-"""A publisher that nobody hears ends then, so that its test fails and does not hang."""
+_MAX_S = 240  # a publisher that nobody hears ends then, so that its test fails and does not hang
 _LOOPBACK = """<CycloneDDS><Domain><General>{multicast}<Interfaces>
 <NetworkInterface address="127.0.0.1"/></Interfaces></General><Discovery>
 <ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>
@@ -138,7 +137,7 @@ def writer_of(participant: DomainParticipant, topic: str, kind: str, plan: dict)
 
 def main() -> None:
     domain, plan = int(sys.argv[1]), json.loads(sys.argv[2])
-    signal.alarm(round(plan.get("longest_s", _LONGEST_S)))
+    signal.alarm(round(plan.get("longest_s", _MAX_S)))
     multicast = "" if plan.get("multicast", True) else "<AllowMulticast>false</AllowMulticast>"
     kept = [Domain(domain, _LOOPBACK.format(multicast=multicast))]
     participant = DomainParticipant(domain)

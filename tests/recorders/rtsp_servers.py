@@ -22,11 +22,11 @@ Gst.init(None)
 assert Gst.ElementFactory.find("x264enc")
 """
 
+# A live source of H.264 without an end, 30 Hz.
 TEST_PICTURES = (
     "( videotestsrc is-live=true ! video/x-raw,width=320,height=240,framerate=30/1 "
     "! x264enc tune=zerolatency key-int-max=10 ! rtph264pay name=pay0 pt=96 )"
 )
-"""A live source of H.264 without an end, 30 Hz."""
 
 
 def file_pictures(path: Path, codec: str = "h264") -> str:

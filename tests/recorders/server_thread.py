@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import HTTPServer
 
+# Whether it is to end; the default is half a second, which each test would wait.
 _LOOKS_EACH_S = 0.01
-"""Whether it is to end; the default is half a second, which each test would wait."""
 
 
 @contextmanager

@@ -12,8 +12,7 @@ from recorders.simulators.pinhole import PinholeCamera, random_camera
 from tunenet_logs.arrays import Array
 
 LEVEL = PinholeCamera((0.0, -2.0, 1.0), (0.0, 0.0, 1.0), (320, 240))
-NOWHERE = np.array([[0.0, -50.0, 1.0]])
-"""Behind the camera `LEVEL`."""
+NOWHERE = np.array([[0.0, -50.0, 1.0]])  # behind the camera `LEVEL`
 
 
 def silhouette(camera: PinholeCamera, center_m: Array, radius_m: float) -> tuple[Array, float]:

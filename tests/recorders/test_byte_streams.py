@@ -86,6 +86,8 @@ def test_jpegs_without_anything_between_them():
         (Answer(b"<html>", "text/html"), "answers with a web page"),
         (Answer(film("mp4"), "video/mp4", has_length=True), "index stands at its end"),
         (Answer(b"", "video/mp4"), "ends before it sends anything"),
+        (Answer(b"#EXTM3U\na.ts\n"), r"is a playlist .* \| tunenet-record --camera -$"),
+        (Answer(b"<MPD>"), r"is a playlist .* ffmpeg .*-i 'ADDRESS' "),
     ],
 )
 def test_what_is_no_stream_is_told_in_one_line(answer: Answer, says: str):

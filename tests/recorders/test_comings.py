@@ -32,8 +32,7 @@ from tunenet_logs.writer import EpisodeWriter
 
 pytestmark = pytest.mark.live
 
-ENOUGH_BYTES = 400_000
-"""Of a log: some twenty pictures."""
+ENOUGH_BYTES = 400_000  # of a log: some twenty pictures
 
 
 @pytest.fixture

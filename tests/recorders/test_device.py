@@ -21,15 +21,14 @@ from tests.recorders.mjpeg_camera import number_in, picture
 from tunenet_logs.clock import wall_ns
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.images import image_size
-from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, measured_hz
+from tunenet_logs.measured_rate import MAX_SPEED_CAMERA_HZ, measured_hz
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 
 pytestmark = pytest.mark.live
 
 FRAMES = 20
-EARLIER_NS = 20_000_000
-"""Before a frame is read, its driver stamped it."""
+EARLIER_NS = 20_000_000  # before a frame is read, its driver stamped it
 
 
 class StandIn:
@@ -138,7 +137,7 @@ def test_without_stamps_of_the_driver_arrival_counts(
     stamps_ns = [frame.stamp_ns for frame in episode.frames()]
     for number, stamp_ns in enumerate(stamps_ns):
         assert wall_ns(read_ns[number]) <= stamp_ns < wall_ns(read_ns[number + 1])
-    rate_hz = measured_hz(stamps_ns, FASTEST_CAMERA_HZ)
+    rate_hz = measured_hz(stamps_ns, MAX_SPEED_CAMERA_HZ)
     assert float(episode.info.notes["measured_hz"]) == pytest.approx(rate_hz, abs=0.001)
 
 

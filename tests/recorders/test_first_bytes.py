@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from recorders.camera.first_bytes import MOST_BYTES, MULTIPART, PLAYLIST, format_of
+from recorders.camera.first_bytes import MAX_BYTES, MULTIPART, format_of
 from tests.recorders.films import film
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs.errors import CameraError
@@ -17,7 +17,6 @@ from tunenet_logs.errors import CameraError
         (b"--frame\r\nContent-Type: image/jpeg\r\n\r\n", MULTIPART),
         (b"\r\n--x\r\nX-Timestamp: 1.5\r\nContent-Length: 12\r\n\r\n", MULTIPART),
         (b"Content-type: image/jpeg\n\n", MULTIPART),
-        (b"\xef\xbb\xbf#EXTM3U\n", PLAYLIST),
         (film("mpegts"), "mpegts"),
         (film("mpegts")[100:], "mpegts"),
         (film("matroska"), "matroska"),
@@ -34,12 +33,12 @@ from tunenet_logs.errors import CameraError
     ],
 )
 def test_what_begins_so(start: bytes, kind: str):
-    assert format_of(start[:MOST_BYTES], is_all=True) == kind
+    assert format_of(start[:MAX_BYTES], is_all=True) == kind
 
 
 def test_a_few_bytes_wait_for_more_and_never_mislead():
     for kind in ("mpegts", "matroska", "flv", "h264", "avi"):
-        whole = film(kind)[:MOST_BYTES]
+        whole = film(kind)[:MAX_BYTES]
         seen = [format_of(whole[:count], is_all=False) for count in range(1, 600)]
         assert set(seen) <= {None, kind}
         assert seen[-1] == kind
@@ -51,7 +50,9 @@ def test_a_few_bytes_wait_for_more_and_never_mislead():
         (b"", "ends before it sends anything"),
         (b"\r\n \r\n", "ends before it sends anything"),
         (b"<!DOCTYPE html><html>", "web page"),
-        (b"<?xml version='1.0'?>\n<MPD xmlns='x'>", "MPEG-DASH"),
+        (b"<?xml version='1.0'?>\n<MPD xmlns='x'>", r"playlist \(HLS or MPEG-DASH\)"),
+        (b"\xef\xbb\xbf#EXTM3U\n", r"playlist \(HLS or MPEG-DASH\)"),
+        ((b"#EXTM3U".ljust(93, b"G") + b"\n") * 6, "playlist"),  # as regular as MPEG-TS
         (b"v=0\r\no=- 0 0 IN IP4 1.2.3.4\r\n", "SDP"),
         (b"\x89PNG\r\n\x1a\n", "single picture"),
         (b"ID3\4\0\0\0\0", "is no video that is known here"),
@@ -60,4 +61,4 @@ def test_a_few_bytes_wait_for_more_and_never_mislead():
 )
 def test_what_is_no_video_is_named(start: bytes, says: str):
     with pytest.raises(CameraError, match=says):
-        format_of(start[:MOST_BYTES], is_all=True)
+        format_of(start[:MAX_BYTES], is_all=True)

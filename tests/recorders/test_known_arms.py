@@ -15,8 +15,8 @@ from tests.conftest import Command, real
 from tests.recorders.test_arm_description import by_pinocchio
 from tunenet_logs.errors import UsageError
 
+# Of the gripper by its maker's manual, and by the paper's first author.
 _ROBOTIQ_KG, _PAPERS_ROBOTIQ_KG = 0.905, 0.827563
-"""Of the gripper by its maker's manual, and by the paper's first author."""
 
 PUBLISHED_KG = {
     # kinova_inertial.xacro of kinova-ros: arm, half arms, forearm, wrists, hand, 6 finger parts

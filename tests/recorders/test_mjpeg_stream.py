@@ -31,7 +31,7 @@ from tests.recorders.server_thread import beside
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import CameraError
 from tunenet_logs.jpeg import is_whole
-from tunenet_logs.measured_rate import FASTEST_CAMERA_HZ, measured_hz
+from tunenet_logs.measured_rate import MAX_SPEED_CAMERA_HZ, measured_hz
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Bar, Progress
 
@@ -81,7 +81,7 @@ def test_the_log_says_where_it_came_from_and_how_fast(tmp_path: Path):
     assert info.kind == "drop"
     assert info.source == f"camera http://{address}"
     assert info.notes["size_px"] == "320x240"
-    rate_hz = measured_hz([frame.stamp_ns for frame in episode.frames()], FASTEST_CAMERA_HZ)
+    rate_hz = measured_hz([frame.stamp_ns for frame in episode.frames()], MAX_SPEED_CAMERA_HZ)
     assert float(info.notes["measured_hz"]) == pytest.approx(rate_hz, abs=0.001)
     assert summary.rate_hz == pytest.approx(rate_hz, abs=0.001)
     assert "closed" in info.notes["ended"]

@@ -17,6 +17,7 @@ from tunenet_logs.errors import UsageError
 mujoco = library()
 
 TURNS = ("hinge", "slide", "ball")
+# By kind, the elements whose fields are tuned, in the order of `FIELDS`.
 ADDRESSES = {
     "joint": [TURNS, TURNS, TURNS, TURNS, ("hinge", "slide")],
     "body": [("arm", "slider", "bob", "block"), ("arm", "slider"), ("arm", "slider")],
@@ -25,10 +26,9 @@ ADDRESSES = {
     "tendon": [("belt",)] * 3,
     "option": [(None,)] * 3,
 }
-"""By kind, the elements whose fields are tuned, in the order of `FIELDS`."""
 
+# What changes nothing here, by what an axis or the model leaves out.
 IDLE = re.compile(r"gear\[[1-5]\]|slider\.inertia|arm\.inertia\[[02]\]|arm\.ipos\[1\]|density")
-"""What changes nothing here, by what an axis or the model leaves out."""
 
 
 def every_address() -> list[str]:

@@ -30,8 +30,8 @@ MODEL = """<mujoco><option timestep="0.002" integrator="{integrator}"/>
   </worldbody>
 </mujoco>"""
 
+# All bodies begin with their centres of mass where MuJoCo takes short cuts.
 GIVEN = {"free": "0 0 0", "cart": "0 0 0", "pole": "0 0 0", "inertia": "0.01"}
-"""All bodies begin with their centres of mass where MuJoCo takes short cuts."""
 
 
 def spec_of(**said: str) -> Any:

@@ -178,9 +178,9 @@ def _at_a_terminal(folder: Path, words: list[str]) -> tuple[subprocess.Popen[byt
     return process, terminal
 
 
+# Makes the terminal that of the command, so that its end is the command's.
 _LEADER = """
 import fcntl, os, sys, termios
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 os.execv(sys.argv[1], sys.argv[1:])
 """
-"""Makes the terminal that of the command, so that its end is the command's."""

@@ -40,8 +40,7 @@ from tunenet_logs.reader import read_episode
 pytestmark = pytest.mark.live
 slow = pytest.mark.slow
 
-_CLOCK_NS = 10_000_000
-"""What a wall clock may be set by while a test runs."""
+_CLOCK_NS = 10_000_000  # what a wall clock may be set by while a test runs
 
 
 @pytest.fixture

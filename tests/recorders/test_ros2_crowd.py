@@ -23,6 +23,7 @@ from tunenet_logs.reader import read_episode
 pytestmark = pytest.mark.live
 
 ANGLES = "/arm/out/joint_angles"
+# What is published, kinds by topic.
 CROWD = {
     "/other": "states",
     "/nameless": "nameless",
@@ -30,7 +31,6 @@ CROWD = {
     "/text": "text",
     ANGLES: "angles",
 }
-"""What is published, kinds by topic."""
 _RATE_HZ = 100
 
 

@@ -11,8 +11,7 @@ import pytest
 from recorders.camera.rtp_joining import FragmentJoiner
 
 FIRST, LAST = 0x80, 0x40
-HEADS = {"H264": b"\x7c", "H265": b"\x62\x01"}
-"""Of a NAL unit that comes in fragments."""
+HEADS = {"H264": b"\x7c", "H265": b"\x62\x01"}  # of a NAL unit that comes in fragments
 
 
 class Packet(NamedTuple):

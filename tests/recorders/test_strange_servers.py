@@ -19,7 +19,7 @@ from recorders.camera.sources import open_source
 from tests.conftest import BIN
 from tests.recorders.films import film
 from tests.recorders.free_port import free_port
-from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
+from tests.recorders.live_wait import LAST_RESORT_S, ending
 from tests.recorders.mjpeg_camera import times_in
 from tests.recorders.nginx_server import nginx_server
 from tunenet_logs.errors import CameraError
@@ -27,11 +27,9 @@ from tunenet_logs.errors import CameraError
 pytestmark = pytest.mark.live
 
 COUNT = 45
-SOME = 20
-"""Of the pictures of a server that has no end and waits for nobody."""
-
+SOME = 20  # of the pictures of a server that has no end and waits for nobody
+# Before a program that refuses to be root's.
 AS_NOBODY = ["runuser", "-u", "nobody", "--"] if os.geteuid() == 0 else []
-"""Before a program that refuses to be root's."""
 
 GST = ["gst-launch-1.0", "-q", "videotestsrc", "is-live=true", f"num-buffers={COUNT}", "!"]
 GST += ["video/x-raw,width=160,height=120,framerate=30/1", "!"]
@@ -159,23 +157,6 @@ def test_ffmpeg_as_a_server(words: list[str], encoding: str):
     with running([*FFMPEG, *place]):
         scheme = "tcp" if place[-1].startswith("tcp") else "http"
         assert frames_of(f"{scheme}://127.0.0.1:{port}") == (COUNT, encoding)
-
-
-@needs("ffmpeg")
-@pytest.mark.parametrize("kind", ["mpegts", pytest.param("fmp4", marks=SLOW)])
-def test_live_pieces_from_nginx(tmp_path: Path, kind: str):
-    folder = tmp_path / "served"
-    folder.mkdir()
-    words = ["-f", "hls", "-hls_time", "0.3", "-hls_segment_type", kind, "-b:v", "300k"]
-    words += ["-hls_list_size", "3", "-master_pl_name", "all.m3u8", str(folder / "a.m3u8")]
-    with (
-        nginx_server(tmp_path, f"root {folder};") as place,
-        running([*FFMPEG, *FFMPEG_264, *words]),
-    ):
-        wait_until((folder / "all.m3u8").exists, "a playlist")
-        count, encoding = frames_of(f"http://{place}/all.m3u8")
-    assert encoding == "h264"
-    assert count >= 5
 
 
 @pytest.mark.parametrize("kind", ["mpegts", "matroska", "flv"])

@@ -14,8 +14,7 @@ from tests.recorders.mjpeg_camera import ROOT
 
 pytestmark = pytest.mark.live
 
-_MOST_BYTES = 1_500_000_000
-"""Of address space; FFmpeg with its threads needs a third."""
+_MAX_BYTES = 1_500_000_000  # of address space; FFmpeg with its threads needs a third
 
 
 MATROSKA = bytes.fromhex("1a45dfa39f4286810142f7810142f2810442f381084282886d6174726f736b61")
@@ -47,7 +46,7 @@ MATROSKA += bytes.fromhex("42878104428581021853806701ffffffffffffff1654ae6b080ff
 )
 def test_nothing_is_kept_without_a_bound(start: bytes, again: bytes, says: str):
     words = (
-        f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({_MOST_BYTES},) * 2)\n"
+        f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({_MAX_BYTES},) * 2)\n"
         "from recorders.camera.sources import open_source; print(list(open_source('-').frames()))"
     )
     ours, theirs = os.pipe()

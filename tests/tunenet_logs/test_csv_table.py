@@ -257,7 +257,7 @@ def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     names = ",".join(f"column{n}" for n in range(200_000))
     with pytest.raises(LogError, match=r"line 2 is longer than 1 MiB.* 5000 columns"):
         read(tmp_path, f"\nt,z,{names}\n0,1\n")
-    monkeypatch.setattr(lines, "_MOST_BYTES", 10)
+    monkeypatch.setattr(lines, "_MAX_BYTES", 10)
     with pytest.raises(LogError, match="512 MiB"):
         read(tmp_path, "t,z\n0,1\n1,2\n")
 

@@ -22,7 +22,8 @@ from tests.sound_bombs import Block, tones, write_blocks
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
 
-MOST_BYTES = 512 * 2**20
+MAX_BYTES = 512 * 2**20
+# By each bomb: how `tunenet-logs check` ends, and what it says.
 SAID = {
     "hours_claimed": (0, "whole"),
     "hours_of_holes": (0, "only the first 600.0 s of the sound are used: 10 minutes are enough"),
@@ -39,8 +40,8 @@ SAID = {
     ),
     "many_moments": (0, "1 hole in the sound, 3600.00 s in all"),
 }
-"""By each bomb: how `tunenet-logs check` ends, and what it says."""
 
+# All in one process, whose peak of memory only grows.
 CHECKER = """
 import io, json, resource, sys
 from contextlib import redirect_stderr, redirect_stdout
@@ -52,7 +53,6 @@ for path in sys.argv[1:]:
     peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(json.dumps({"code": code, "peak": peak, "said": printed.getvalue()}), flush=True)
 """
-"""All in one process, whose peak of memory only grows."""
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_a_bomb_of_sound_is_said_and_costs_little(met: dict[str, dict[str, Any]]
     assert "Traceback" not in told["said"]
     assert told["code"] == code, told["said"]
     assert says in told["said"]
-    assert told["peak"] < MOST_BYTES
+    assert told["peak"] < MAX_BYTES
 
 
 def test_an_import_holds_few_sounds(tmp_path: Path):

@@ -15,8 +15,8 @@ from tests.conftest import ROOT, Command, real
 from tests.strangers import write_poses
 from tunenet_logs.json_lines import json_line
 
+# A topic that ends lines, clears terminals, turns text around and closes JSON's quotes.
 HOSTILE = '/a"b\\\n\x1b[2J\u202e\u2028{}'
-"""A topic that ends lines, clears terminals, turns text around and closes JSON's quotes."""
 
 
 def strict(text: str) -> list[dict[str, Any]]:

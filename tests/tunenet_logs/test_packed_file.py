@@ -102,7 +102,7 @@ def test_what_lies_inside_shares_the_budget_of_the_file(log: Path, monkeypatch: 
     packed = log.with_name("a.mcap.zst")
     packed.write_bytes(zstandard.compress(data))
     monkeypatch.setattr(budget, "_FREE_BYTES", len(data) + 10_000)
-    monkeypatch.setattr(budget, "_MOST_RATIO", 0)
+    monkeypatch.setattr(budget, "_MAX_RATIO", 0)
     assert read_episode(packed).losses  # the file itself fits, its chunks do not
 
 

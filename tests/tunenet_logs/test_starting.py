@@ -31,8 +31,8 @@ try:
 except KeyboardInterrupt:
     raise ImportError("as C code takes it")
 """
+# Runs `main` of command.py as the command "it".
 AS_IT = "import sys; from tunenet_logs.starting import start; sys.exit(start('it', 'command'))"
-"""Runs `main` of command.py as the command "it"."""
 
 WORDS: dict[int, str] = {
     signal.SIGINT: "interrupted",

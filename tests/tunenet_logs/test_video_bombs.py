@@ -14,8 +14,7 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.formats.mp4_claims import Mp4Claims
 
 COUNT = 80_000_000
-MOST_KIB = 500_000
-"""Each took 1 to 3 GB."""
+MAX_KIB = 500_000  # each took 1 to 3 GB
 
 
 @pytest.mark.parametrize("bomb", [mp4_of_many(COUNT), fragment_of_many(COUNT)])
@@ -29,7 +28,7 @@ def test_an_mp4_that_claims_far_too_much_is_refused(
     program, *rest = words
     told = spent([str(BIN / program), *rest], tmp_path)
     assert told.code == 1
-    assert told.peak_kib < MOST_KIB
+    assert told.peak_kib < MAX_KIB
     assert f"claims {COUNT} samples in {len(bomb)} bytes; cut the drop out of it" in told.said
     assert told.said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir() if path.suffix == ".mcap"] == []

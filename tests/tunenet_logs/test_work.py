@@ -37,9 +37,7 @@ from tunenet_logs.messages import POSE, encode, pose
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 
-MOST_CPU_S, MOST_KIB = 30.0, 500_000
-"""Of one command; three times the CPU that the slowest takes."""
-
+MAX_CPU_S, MAX_KIB = 30.0, 500_000  # of one command; three times the CPU that the slowest takes
 SAMPLES = Stranger(0.7).samples()
 DATA = encode(pose(0, "map", np.zeros(3)), POSE)
 COMMANDS = {
@@ -48,12 +46,12 @@ COMMANDS = {
     "recover": ("tunenet-logs", "recover", "{}", "-o", "saved.mcap"),
     "tune": ("tunenet-tune", "{}", "-o", "tuned"),
 }
+# Those that are made and met in a moment, and took the longest.
 QUICK = (
     "zeros_in_chunks", "tiny_records_in_chunks", "zeros_behind_the_magic", "damaged_records",
     "many_types", "false_chunks", "many_scans", "packed_words_png", "unclosed_texts",
     "protobuf_channels",
 )  # fmt: skip
-"""Those that are made and met in a moment, and took the longest."""
 
 
 BOMBS = (*work_bombs.BOMBS, *definition_bombs.BOMBS)
@@ -66,8 +64,8 @@ def met(bomb: Callable[[Path], None], folder: Path, command: str) -> None:
     told = spent([str(BIN / program), *(word.format(path) for word in words)], folder)
     assert "Traceback" not in told.said
     assert told.code in (0, 1), told.said
-    assert told.cpu_s < MOST_CPU_S
-    assert told.peak_kib < MOST_KIB
+    assert told.cpu_s < MAX_CPU_S
+    assert told.peak_kib < MAX_KIB
     assert told.said.count("\n") < 250
 
 
@@ -181,7 +179,7 @@ def write_connections(path: Path, count: int) -> None:
 def test_channels_beyond_any_log_are_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, container: Callable, write: Callable
 ):
-    monkeypatch.setattr(budget, "MOST_CHANNELS", 20)
+    monkeypatch.setattr(budget, "MAX_CHANNELS", 20)
     write(tmp_path / "a", 20)
     records, losses = read(container, tmp_path / "a")
     assert sum(isinstance(one, RawChannel) for one in records) == 20
@@ -239,7 +237,7 @@ def test_files_of_a_folder_share_one_budget(tmp_path: Path, monkeypatch: pytest.
     some, losses = read(read_folder, folder)
     assert messages(every) / 2 < messages(some) < messages(every)
     assert [one.file for one in losses if "stopped" in one.what] == ["bag_1.db3"]
-    monkeypatch.setattr(ros2_folder, "_MOST_PARTS", 1)
+    monkeypatch.setattr(ros2_folder, "_MAX_PARTS", 1)
     with pytest.raises(LogError, match="over 1 files"):
         read(read_folder, folder)
 
@@ -325,7 +323,7 @@ def test_a_definition_of_many_channels_is_read_once(
 
 
 def test_definitions_beyond_any_log_are_not_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(budget, "_MOST_DEFINITION_BYTES", 10_000)
+    monkeypatch.setattr(budget, "_MAX_DEFINITION_BYTES", 10_000)
     schemas = [b"float64 x\n" * 100] * 20
     definition_bombs.channels_of(tmp_path / "a", 20, b"a/msg/T", b"cdr", schemas)
     _, losses = read(read_mcap, tmp_path / "a")
@@ -335,7 +333,7 @@ def test_definitions_beyond_any_log_are_not_held(tmp_path: Path, monkeypatch: py
 def test_empty_lines_are_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.csv"
     path.write_text("t,z\n" + "\n" * 2000 + "1,2\n")
-    monkeypatch.setattr(lines, "_MOST_LINES", 1000)
+    monkeypatch.setattr(lines, "_MAX_LINES", 1000)
     with pytest.raises(LogError, match="over 1000 lines"):
         read_episode(path)
 

@@ -1,1 +1,1 @@
-"""One file per container or message encoding that logs come in."""
+"""Readers of log formats: one file per container or message encoding."""

@@ -1,4 +1,4 @@
-"""Messages of any type whose definition is in the log, or that say themselves what they hold."""
+"""Decode messages of any type, by the definition in the log or by their own content (JSON)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from tunenet_logs.formats.base import described as described_error
 from tunenet_logs.formats.compression import MAX_PART_BYTES
 from tunenet_logs.formats.json_messages import any_json
 from tunenet_logs.formats.protobuf import (
-    MOST_REPEATED_BYTES,
-    MOST_SCHEMA_BYTES,
+    MAX_REPEATED_BYTES,
+    MAX_SCHEMA_BYTES,
     descriptor_of,
     has_lists,
 )
@@ -26,38 +26,34 @@ from tunenet_logs.formats.structure import Listed, Node, Plain, Structure
 if TYPE_CHECKING:
     from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
-_MOST_DEPTH = 8
-"""Of parts within parts that are looked at, in types that may hold themselves."""
-
-_MOST_NODES = 5000
-"""Parts of a type that are looked at."""
-
+_MAX_DEPTH = 8  # of parts within parts that are looked at, in types that may hold themselves
+_MAX_NODES = 5000  # parts of a type that are looked at
+# How much longer a byte of IDL takes to read than one of another definition, and of protobuf.
 _IDL_WEIGHT, _PROTOBUF_WEIGHT = 8.0, 1 / 16
-"""How much longer a byte of IDL takes to read than one of another definition, and of protobuf."""
 
 _WEIGHTS = {"ros2idl": _IDL_WEIGHT, "omgidl": _IDL_WEIGHT, "protobuf": _PROTOBUF_WEIGHT}
 
+# Where a part of a message is: names of fields, and numbers in lists from 0.
 Steps = tuple[str | int, ...]
-"""Where a part of a message is: names of fields, and numbers in lists from 0."""
 
 
 @dataclass
 class SchemaBudget:
-    """How many bytes of strangers' definitions may be read in one log.
+    """Bytes of untrusted definitions that may be read in one log.
 
     Attributes:
-        left_bytes: of them.
-        left_guesses: bytes of messages that may be looked at to find out what they are.
+        left_bytes: of definitions.
+        left_guesses: bytes of messages that may be decoded to infer their structure.
     """
 
     left_bytes: int = 2 * 1024 * 1024
     left_guesses: int = 4 * 1024 * 1024
 
     def spend(self, channel: RawChannel) -> None:
-        """Count the definition of a channel's type.
+        """Charge the definition of a channel's type to the budget.
 
         Raises:
-            UnusableError: it is one too many.
+            UnusableError: the budget is exhausted.
         """
         weight = _WEIGHTS.get(channel.schema_encoding, 1.0)
         count = int(weight * len(channel.schema))
@@ -68,12 +64,12 @@ class SchemaBudget:
 
 @dataclass(frozen=True)
 class AnyType:
-    """How messages of a type are read.
+    """Structure and decoder of the messages of one type.
 
     Attributes:
-        structure: what they are made of; None where only a message tells (JSON).
-        decode: of a message.
-        checks_presence: whether a part that is absent reads as zeros, as in protobuf.
+        structure: fields of the type; None where only a message shows them (JSON).
+        decode: decoder of one message.
+        checks_presence: whether an absent field reads as zero, as in protobuf.
     """
 
     structure: Structure | None
@@ -81,7 +77,7 @@ class AnyType:
     checks_presence: bool = False
 
     def getter(self, steps: Steps) -> Callable[[Any], Any]:
-        """What gets a part of a message.
+        """Return a function that gets the field at ``steps`` of a message.
 
         The function raises LookupError or AttributeError where it is absent.
         """
@@ -111,10 +107,10 @@ def _present(message: Any, steps: Steps) -> Any:
 
 
 def any_type(channel: RawChannel, budget: SchemaBudget) -> AnyType:
-    """How the messages of a channel are read, whatever they are.
+    """Return structure and decoder of a channel's messages of any type.
 
     Raises:
-        UnusableError: they cannot be.
+        UnusableError: their encoding or definition is not supported.
     """
     budget.spend(channel)
     if channel.encoding in SCHEMA_ENCODINGS:
@@ -146,7 +142,7 @@ def _ros(channel: RawChannel) -> AnyType:
 
 
 def _protobuf(channel: RawChannel) -> AnyType:
-    if len(channel.schema) > MOST_SCHEMA_BYTES:
+    if len(channel.schema) > MAX_SCHEMA_BYTES:
         raise UnusableError("its schema is too large")
     from google.protobuf.message import Error
     from google.protobuf.message_factory import GetMessageClass
@@ -155,7 +151,7 @@ def _protobuf(channel: RawChannel) -> AnyType:
         descriptor = descriptor_of(channel.schema, channel.type_name)
         structure = _Proto().structure(descriptor, 0)
         parse = GetMessageClass(descriptor).FromString
-        most = MOST_REPEATED_BYTES if has_lists(descriptor) else MAX_PART_BYTES
+        most = MAX_REPEATED_BYTES if has_lists(descriptor) else MAX_PART_BYTES
     except (Error, *DAMAGED) as error:
         raise UnusableError(f"its schema is damaged: {described_error(error)}") from error
 
@@ -171,7 +167,7 @@ def _protobuf(channel: RawChannel) -> AnyType:
 
 
 class _Proto:
-    """What a type of protobuf is made of, as far as it is looked at."""
+    """Structure of a protobuf type, bounded in depth and in number of fields."""
 
     def __init__(self) -> None:
         self._nodes = 0
@@ -188,7 +184,7 @@ class _Proto:
     def _one(self, field: FieldDescriptor, depth: int) -> Node:
         if field.message_type is not None:
             is_map = field.message_type.GetOptions().map_entry
-            if is_map or depth > _MOST_DEPTH or self._nodes > _MOST_NODES:
+            if is_map or depth > _MAX_DEPTH or self._nodes > _MAX_NODES:
                 return Plain.OTHER
             return self.structure(field.message_type, depth + 1)
         if field.type in (field.TYPE_DOUBLE, field.TYPE_FLOAT):
@@ -201,14 +197,14 @@ class _Proto:
 
 
 def structure_of(message: Any) -> Structure:
-    """What a decoded message of JSON is made of, by what it holds."""
+    """Infer the structure of a decoded JSON message from its values."""
     node = _node(message, [0], 0)
     return node if isinstance(node, Structure) else Structure("", {})
 
 
 def _node(value: Any, seen: list[int], depth: int) -> Node:
     seen[0] += 1
-    if depth > _MOST_DEPTH or seen[0] > _MOST_NODES:
+    if depth > _MAX_DEPTH or seen[0] > _MAX_NODES:
         return Plain.OTHER
     if isinstance(value, SimpleNamespace):
         fields = {name: _node(one, seen, depth + 1) for name, one in vars(value).items()}

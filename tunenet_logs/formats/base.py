@@ -1,4 +1,4 @@
-"""What every container and every encoding of messages shares: records, losses, errors."""
+"""Records, losses and errors that all containers and message encodings share."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+# What parsers raise on bytes that are not what they say they are, found by fuzzing them.
 DAMAGED = (
     struct.error,
     ValueError,  # UnicodeDecodeError and binascii.Error too
@@ -22,35 +23,34 @@ DAMAGED = (
     RecursionError,
     EOFError,
 )
-"""What parsers raise on bytes that are not what they say they are, found by fuzzing them."""
 
 
 class BeyondLimitError(ValueError):
-    """A message that may be whole, but is larger than any that is read."""
+    """A message that may be intact, but is larger than the limit."""
 
 
 class UnusableError(Exception):
-    """Why no message of a channel can be used; shown by `tunenet-logs info`."""
+    """The messages of a channel cannot be used, and why; shown by `tunenet-logs info`."""
 
 
 class MessageError(Exception):
-    """Why one message cannot be used; the messages are counted."""
+    """One message cannot be used; such messages are counted."""
 
 
+# From a message's bytes to an object with its fields. Raises MessageError.
 Decode = Callable[[bytes | memoryview], Any]
-"""From a message's bytes to an object with its fields. Raises MessageError."""
 
 
 @dataclass(frozen=True, eq=False)
 class RawChannel:
-    """A channel as its container describes it; told apart by identity.
+    """A channel as its container describes it; compared by identity.
 
     Attributes:
-        type_name: as it is written there ("sensor_msgs/JointState" in ROS 1).
+        type_name: as written in the container ("sensor_msgs/JointState" in ROS 1).
         encoding: of the messages: "cdr", "ros1", "protobuf", "json", ...
         schema_encoding: of `schema`: "ros2msg", "ros2idl", "ros1msg", "protobuf", ... "" where the
             container holds none.
-        metadata: what else it says, for a copy.
+        metadata: other key-value pairs of the channel, kept for a copy.
     """
 
     topic: str
@@ -63,7 +63,7 @@ class RawChannel:
 
 @dataclass(slots=True)
 class RawMessage:
-    """One message as it lies in its container; times in ns, of any size until they are checked."""
+    """One undecoded message; times in ns, of any size until they are checked."""
 
     channel: RawChannel
     log_ns: int
@@ -74,14 +74,14 @@ class RawMessage:
 
 @dataclass(eq=False)
 class RawMessages:
-    """Messages that lie in one piece of a container, in their order.
+    """Undecoded messages in one contiguous buffer, in file order.
 
     Attributes:
-        plain: the piece.
+        plain: the buffer.
         channels: by number.
-        heads: number, sequence, log_ns and publish_ns of each, shape (N,).
-        begins: where the bytes of each begin in `plain`, shape (N,).
-        ends: where they end, shape (N,).
+        heads: channel number, sequence, log_ns and publish_ns of each message, shape (N,).
+        begins: first byte of each message in `plain`, shape (N,).
+        ends: end byte of each message, shape (N,).
     """
 
     plain: memoryview
@@ -91,21 +91,21 @@ class RawMessages:
     ends: NDArray[np.int64]
 
     def __iter__(self) -> Iterator[RawMessage]:
-        """Take them apart."""
+        """Yield the messages one by one."""
         places = zip(self.heads.tolist(), self.begins.tolist(), self.ends.tolist(), strict=True)
         for (number, sequence, log_ns, publish_ns), begin, end in places:
             data = self.plain[begin:end]
             yield RawMessage(self.channels[number], log_ns, data, publish_ns, sequence)
 
     def rows(self, places: NDArray[np.intp], size: int) -> NDArray[np.uint8]:
-        """The bytes of those at `places`, each of `size`, shape (R, size)."""
+        """Gather the bytes of the messages at `places`, all of `size` bytes, shape (R, size)."""
         starts = np.ndarray(
             len(self.plain) - size + 1, np.dtype((np.void, size)), self.plain, strides=(1,)
         )
         return starts[self.begins[places]].view(np.uint8).reshape(len(places), size)
 
     def by_channel(self) -> Iterator[tuple[RawChannel, RawMessages]]:
-        """Those of each channel by themselves, in their order."""
+        """Yield each channel with its own messages, in file order."""
         numbers = np.unique(self.heads["number"]).tolist()
         for number in numbers:
             own = self
@@ -118,7 +118,7 @@ class RawMessages:
 
 @dataclass(frozen=True)
 class RawMetadata:
-    """Names and texts that belong to the whole log."""
+    """A named set of key-value pairs of the whole log."""
 
     name: str
     values: Mapping[str, str]
@@ -126,7 +126,7 @@ class RawMetadata:
 
 @dataclass(frozen=True, eq=False)
 class RawAttachment:
-    """A file inside the log. Its name is a word, never a path."""
+    """A file embedded in the log. Its name is a plain name, never a path."""
 
     name: str
     media_type: str
@@ -135,12 +135,12 @@ class RawAttachment:
     create_ns: int
 
 
+# What a container is taken apart into.
 Record = RawChannel | RawMessage | RawMessages | RawMetadata | RawAttachment
-"""What a container is taken apart into."""
 
 
 def one_by_one(records: Iterable[Record]) -> Iterator[Record]:
-    """Take apart messages that came together."""
+    """Yield the records with batches of messages split into single ones."""
     for record in records:
         if isinstance(record, RawMessages):
             yield from record
@@ -150,14 +150,14 @@ def one_by_one(records: Iterable[Record]) -> Iterator[Record]:
 
 @dataclass(frozen=True)
 class Loss:
-    """Something that a log should hold and that cannot be read, or that cannot be vouched for.
+    """Data of a log that is missing, unreadable, or of unverified integrity.
 
     Attributes:
-        what: in words, without the place.
+        what: description, without the place.
         file: name of the file, where the log has several; else "".
         at_byte: where it begins; None for the whole file.
         size: bytes concerned.
-        messages: how many are lost by it; None where only its size tells.
+        messages: number of messages lost; None where only the size is known.
         harmless: whether all messages were read nevertheless.
         taints: whether messages that were read may have been changed.
     """
@@ -171,7 +171,7 @@ class Loss:
     taints: bool = False
 
     def __str__(self) -> str:
-        """With the place."""
+        """Format the loss with its place."""
         text = f"{self.file}: {self.what}" if self.file else self.what
         if self.at_byte is None:
             return text
@@ -181,7 +181,7 @@ class Loss:
 
 
 def lost_share(losses: Iterable[Loss], read: int, size: int) -> float:
-    """How much of a log is lost, of 1: by its messages where they are counted, else by its bytes.
+    """Return the lost fraction of a log, by messages where they are counted, else by bytes.
 
     Args:
         losses: all of them.
@@ -196,20 +196,20 @@ def lost_share(losses: Iterable[Loss], read: int, size: int) -> float:
 
 
 class Container(Protocol):
-    """Reads one kind of file."""
+    """Reader of one kind of file."""
 
     def __call__(
         self, path: Path, losses: list[Loss], topics: Sequence[str] | None = None
     ) -> Iterator[Record]:
-        """The records in file order; a channel before its messages.
+        """Yield the records in file order, each channel before its messages.
 
-        Every size is checked before it is believed. What is damaged is left out and put into
-        `losses`; nothing but the errors below comes out.
+        Every size is checked before it is trusted. Damaged records are left out and added to
+        `losses`.
 
         Args:
             path: the file, or the folder of a log in several files.
-            losses: filled on the way.
-            topics: give only messages of these; None for all.
+            losses: filled while reading.
+            topics: yield only messages of these; None for all.
 
         Raises:
             LogError: nothing of it can be read.
@@ -219,5 +219,5 @@ class Container(Protocol):
 
 
 def described(error: BaseException) -> str:
-    """An error of a library as a part of a sentence."""
+    """Format a library's error as a clause of at most 120 characters."""
     return " ".join(str(error).split())[:120] or type(error).__name__

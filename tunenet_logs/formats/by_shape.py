@@ -1,4 +1,4 @@
-"""Positions in messages of types that are not known, by what their fields are called."""
+"""Extract positions from messages of unknown types, by the names of their fields."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from tunenet_logs.formats.position_types import PositionSample
 from tunenet_logs.formats.stamps import time_ns
 from tunenet_logs.formats.structure import NUMBERS, Listed, Node, Plain, Structure
 
+# Fields that lead to where something is.
 _WORDS = frozenset(
     [
         "pose",
@@ -31,8 +32,8 @@ _WORDS = frozenset(
         "coordinates",
     ]
 )
-"""Fields that lead to where something is."""
 
+# What lists of bare points are called, without an s.
 _LISTS = _WORDS | frozenset(
     [
         "marker",
@@ -47,8 +48,8 @@ _LISTS = _WORDS | frozenset(
         "obstacle",
     ]
 )
-"""What lists of bare points are called, without an s."""
 
+# Packages whose types are said to be in metres.
 _IN_METRES = frozenset(
     [
         "geometry_msgs",
@@ -60,8 +61,8 @@ _IN_METRES = frozenset(
         "foxglove",
     ]
 )
-"""Packages whose types are said to be in metres."""
 
+# How types begin whose positions are planned, maps, clouds, or directions.
 _NOT_MEASURED = [
     "nav_msgs/msg/Path",
     "sensor_msgs/",
@@ -84,7 +85,6 @@ _NOT_MEASURED = [
     "foxglove.Log",
     "foxglove.CameraCalibration",
 ]
-"""How types begin whose positions are planned, maps, clouds, or directions."""
 
 _UNSEEN = {"occluded": True, "is_occluded": True}
 _UNSEEN |= dict.fromkeys(
@@ -93,21 +93,15 @@ _UNSEEN |= dict.fromkeys(
 _UNSEEN |= dict.fromkeys(("visible", "is_visible"), False)
 """Flags of things, and what they are where it is not seen."""
 
-_DELETED = (2, 3)
-"""`action` of a marker that is taken away."""
-
-_MOST_DEPTH = 6
-"""Of fields within fields."""
-
-_MOST_THINGS = 100
-"""Of one topic: more are no bodies, but a drawing."""
-
+_DELETED = (2, 3)  # `action` of a marker that is taken away
+_MAX_DEPTH = 6  # of fields within fields
+_MAX_THINGS = 100  # of one topic: more are no bodies, but a drawing
 Get = Callable[[Any], Any]
 
 
 @dataclass(frozen=True)
 class _Thing:
-    """Where in a part of a message something is, and what says what it is."""
+    """Getters of one object's position, identity and visibility in part of a message."""
 
     place: Get
     is_list: bool
@@ -120,22 +114,22 @@ class _Thing:
 
 
 def may_hold_positions(type_name: str) -> bool:
-    """Whether a type is none of those whose positions nobody measured."""
+    """Return whether positions of a type may be measured, not planned, mapped or directions."""
     return not type_key(type_name).startswith(tuple(_NOT_MEASURED))
 
 
 def unit_of(type_name: str) -> str:
-    """What positions of a type are in: "m", or "" where nobody says."""
+    """Return the unit of a type's positions: "m", or "" where it is unstated."""
     name = type_key(type_name)
     return "m" if name.replace(".", "/").partition("/")[0] in _IN_METRES else ""
 
 
 class ShapeReader:
-    """Reads the positions of messages of one type.
+    """Reader of the positions in messages of one type.
 
     Attributes:
-        doubled: entries that were left out, as another of the same message has their name.
-        refused: why nothing of them is to be used; "" where it is.
+        doubled: entries left out because another of the same message has their name.
+        refused: why the type is not used; "" where it is.
     """
 
     def __init__(self, things: Sequence[tuple[str, Get | None, Get | None, _Thing]]) -> None:
@@ -146,7 +140,7 @@ class ShapeReader:
         self.refused = ""
 
     def __call__(self, message: Any, stamp_ns: int) -> Iterable[PositionSample]:
-        """The positions of a message whose own stamp is given [ns], 0 where it has none."""
+        """Return the positions in a message; `stamp_ns` is its own stamp, 0 where it has none."""
         if self.refused:
             return ()
         found: list[PositionSample] = []
@@ -164,12 +158,12 @@ class ShapeReader:
                 if name:
                     found += _samples(thing, entry, label + name, stamp_ns)
         self._seen.update(sample[1] for sample in found)
-        if len(self._seen) > _MOST_THINGS:
-            self.refused = f"it holds over {_MOST_THINGS} things"
+        if len(self._seen) > _MAX_THINGS:
+            self.refused = f"it holds over {_MAX_THINGS} things"
         return () if self.refused else found
 
     def _told_apart(self, names: list[str], label: str) -> list[str]:
-        """Each name once; numbers where there are none, "" for those that are left out."""
+        """Return unique names: indices where unnamed, "" for duplicates, which are left out."""
         if not any(names):
             if names and self._counts.setdefault(label, len(names)) != len(names):
                 self.refused = "its entries have no names, and their number changes"
@@ -211,13 +205,13 @@ def _identity(thing: _Thing, entry: Any) -> str:
 
 
 def shape_reader(kind: AnyType, top: Structure) -> ShapeReader | str:
-    """What reads the positions in messages; or why there is none, "" where nothing speaks for it.
+    """Build the reader of positions of a type, or say why there is none ("" without any evidence).
 
     Args:
-        kind: how its messages are read.
-        top: what they are made of.
+        kind: structure and decoder of the messages.
+        top: their structure.
     """
-    if places := _places(top, _MOST_DEPTH):
+    if places := _places(top, _MAX_DEPTH):
         if len(places) > 1:
             shown = ", ".join(".".join(map(str, place)) for place in places[:3])
             return f"it names several positions ({shown})"
@@ -231,7 +225,7 @@ def shape_reader(kind: AnyType, top: Structure) -> ShapeReader | str:
             continue
         if node.of.is_place and name.lower().removesuffix("s") not in _LISTS:
             continue
-        places = _places(node.of, _MOST_DEPTH - 1)
+        places = _places(node.of, _MAX_DEPTH - 1)
         if len(places) == 1:
             names = _beside(kind, top, name)
             lists.append((name, kind.getter((name,)), names, _thing(kind, node.of, places[0])))
@@ -243,7 +237,7 @@ def shape_reader(kind: AnyType, top: Structure) -> ShapeReader | str:
 
 
 def _places(node: Node, depth: int) -> list[Steps]:
-    """Where positions are."""
+    """Return the paths to positions within a node."""
     if isinstance(node, Listed):
         return [()] if node.count == 3 and node.of in NUMBERS else []
     if not isinstance(node, Structure) or not depth:
@@ -298,7 +292,7 @@ def _is_number(name: str, node: Node) -> bool:
 
 
 def _beside(kind: AnyType, top: Structure, entries: str) -> Get | None:
-    """The names of a list's entries, where they stand in a list beside it."""
+    """Return the getter of the entries' names, where these stand in a list beside the entries."""
     for name in ("name", "names", f"{entries}_names"):
         node = top.fields.get(name)
         if isinstance(node, Listed) and node.of is Plain.TEXT:
@@ -307,7 +301,7 @@ def _beside(kind: AnyType, top: Structure, entries: str) -> Get | None:
 
 
 def stamp_steps(node: Structure) -> Steps:
-    """Where a message's own time is; empty where it has none."""
+    """Return the path to a message's own stamp; empty where it has none."""
     for steps in (("header", "stamp"), ("stamp",), ("timestamp",), ("time",)):
         at: Node | None = node
         for step in steps:

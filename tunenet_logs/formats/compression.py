@@ -1,4 +1,4 @@
-"""Unpacking that never gives more than was stated."""
+"""Bounded decompression: never more bytes than the file states."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import zstandard
 
 from tunenet_logs.formats.budget import Budget
 
+# The most that one part of a log (a chunk, a message) may unpack to.
 MAX_PART_BYTES = 128 * 1024 * 1024
-"""The most that one part of a log (a chunk, a message) may unpack to."""
 
+# Unpacked at a time of data that is cut, so that what precedes the damage is kept.
 _PIECE_BYTES = 64 * 1024
-"""Unpacked at a time of data that is cut, so that what precedes the damage is kept."""
 
+# The first bytes of a file, or of a message that a recorder packed by itself, as ROS 2 can. No
+# message of ROS begins like this otherwise: its encoding begins with a zero.
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""The first bytes of a file, or of a message that a recorder packed by itself, as ROS 2 can. No
-message of ROS begins like this otherwise: its encoding begins with a zero."""
 
 
 def unpack_message(message: bytes | memoryview, budget: Budget) -> bytes | memoryview:
-    """A message that begins with `ZSTD_MAGIC`, as it was published.
+    """Decompress a message that begins with `ZSTD_MAGIC`.
 
     Raises:
         ValueError: it is damaged or too large.
-        OverBudgetError: the log unpacks to more than it may.
+        OverBudgetError: the log decompresses to more than the limit.
     """
     try:
         stated = zstandard.get_frame_parameters(message).content_size
@@ -38,12 +38,12 @@ def unpack_message(message: bytes | memoryview, budget: Budget) -> bytes | memor
 
 
 def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | memoryview:
-    """The unpacked bytes, as many as stated.
+    """Decompress a part of exactly the stated size.
 
     Args:
-        data: packed.
+        data: compressed bytes.
         compression: "zstd", "lz4", "bz2", or "" or "none".
-        stated: the size that the file claims; not believed.
+        stated: the size that the file claims; it is verified.
 
     Raises:
         ValueError: damaged, of another size than stated, too large, or of an unknown compression.
@@ -70,12 +70,12 @@ def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | m
 
 
 def unpack_start(data: bytes | memoryview, compression: str, most: int) -> bytes:
-    """As much as can be unpacked of data that is cut; nothing of an unknown compression.
+    """Decompress as much as possible of truncated data; nothing of an unknown compression.
 
     Args:
-        data: packed, with or without its end.
+        data: compressed bytes, with or without their end.
         compression: "zstd", "lz4", "bz2", or "" or "none".
-        most: bytes to unpack at most.
+        most: bytes to decompress at most.
     """
     if compression in ("", "none"):
         return bytes(data[:most])

@@ -1,4 +1,4 @@
-"""Tables of tracks or torques (.csv, .tsv, .txt), as spreadsheets and tools of ROS write them."""
+"""Read tables of tracks or torques (.csv, .tsv, .txt), as spreadsheets and ROS tools write them."""
 
 from __future__ import annotations
 
@@ -45,22 +45,18 @@ from tunenet_logs.formats.tables.times import (
 )
 from tunenet_logs.left_out import UNREADABLE, added, in_proportion
 
+# Read ahead, to see how numbers are written and in which unit times are that name none.
 _LOOK_ROWS = 100
-"""Read ahead, to see how numbers are written and in which unit times are that name none."""
 
-_FEW_ROWS = 5
-"""In which numbers that are all others may still be of things."""
-
-_MOST_ROWS = 2_000_000
-"""Of a table: its cells are read one by one, in Python; 2 hours at 240 Hz."""
+_FEW_ROWS = 5  # in which numbers that are all others may still be of things
+_MAX_ROWS = 2_000_000  # of a table: its cells are read one by one, in Python; 2 hours at 240 Hz
 
 
 def read_csv(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
-    """A table as an episode: a signal for each thing that moves, and for each joints' quantity.
+    """Read a table as an episode: one signal per tracked object and per joint quantity.
 
     Raises:
-        LogError: it has no header that is understood, no row that can be read, or many
-            that cannot.
+        LogError: no header that is understood, no readable row, or too many unreadable ones.
     """
     try:
         return read_lines(path, lines_of(path), options)
@@ -69,12 +65,12 @@ def read_csv(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
 
 
 def read_lines(path: Path, lines: Iterable[str | None], options: ReadOptions) -> Episode:
-    """Lines of text as a table, wherever they come from: a sheet's cells with tabs between them.
+    """Read lines of text as a table, be they of a file or of a sheet's tab-separated cells.
 
     Args:
         path: of the file, for messages.
-        lines: without their ends; None for one that is too long.
-        options: what its user says of it.
+        lines: without line ends; None for one that is too long.
+        options: the user's.
 
     Raises:
         LogError: see `read_csv`.
@@ -114,10 +110,10 @@ class _TableReading:
         self._thousands = Thousands(())
 
     def read(self, path: Path) -> None:
-        """All rows; those that cannot be read are counted.
+        """Read all rows, counting those that cannot be read.
 
         Raises:
-            LogError: they are too many.
+            LogError: the table has too many rows.
         """
         rows = self._cells()
         first = list(islice(rows, _LOOK_ROWS))
@@ -133,11 +129,11 @@ class _TableReading:
                     continue
                 self._failures.add(line, error)
             self._count += 1
-            if self._count > _MOST_ROWS:
-                raise LogError(f"{path}: is a table of over {_MOST_ROWS} rows, the limit; split it")
+            if self._count > _MAX_ROWS:
+                raise LogError(f"{path}: is a table of over {_MAX_ROWS} rows, the limit; split it")
 
     def _cells(self) -> Iterator[tuple[int, list[str] | None]]:
-        """The number of each row's line and its cells; None where it is too long."""
+        """Yield each row's line number and cells; None where the line is too long."""
         separator, width = self._layout.separator, self._layout.width
         for number, line in self._table.rows:
             if line is None:
@@ -151,7 +147,7 @@ class _TableReading:
             yield number, cells
 
     def _look(self, whole: Sequence[Sequence[str]]) -> None:
-        """How numbers are written, units of times that have none, names of joints."""
+        """Determine number format, time units and joint names from the first rows."""
         stamps = {group.stamp for group in self._layout.groups if group.stamp is not None}
         clocks = {*self._clocks, *stamps}
         used = {column.index for group in self._layout.groups for column in group.used}
@@ -167,7 +163,7 @@ class _TableReading:
             samples.columns = _named(samples.group, self._layout, whole)
 
     def _tell_apart(self, rows: Sequence[Sequence[str]], used: set[int]) -> None:
-        """Finds the column of the things of which several rows have one stamp, by its cells."""
+        """Find the column that identifies objects, where several rows share a stamp."""
         runs = tuple(
             one
             for one in self._layout.runs
@@ -192,10 +188,10 @@ class _TableReading:
         self._is_plain &= not runs
 
     def _find_unit(self, clock: Clock, rows: Sequence[Sequence[str]]) -> None:
-        """The unit of a clock, by the cells of the first rows.
+        """Determine the unit of a clock from the cells of the first rows.
 
         Raises:
-            ValueError: it has none that a log has.
+            ValueError: no unit of a log fits.
         """
         numbers: list[str] = []
         at = clock.indices[-1 if clock.has_date else 0]
@@ -216,7 +212,7 @@ class _TableReading:
         self._units[clock] = unit_of_times(clock.name, numbers, power, is_sampled=is_sampled)
 
     def _add(self, cells: Sequence[str] | None) -> None:
-        """Raises UnreadableError: it is no row of the table, as a whole."""
+        """Add a row; raise UnreadableError where the row as a whole is malformed."""
         if cells is None:
             raise UnreadableError("it is longer than any table's", DAMAGED_REMEDY)
         if (count := len(cells)) < (width := self._layout.width):
@@ -261,10 +257,10 @@ class _TableReading:
         return self._turns[clock](time_ns) if clock in self._turns else time_ns
 
     def episode(self, path: Path) -> Episode:
-        """What was read.
+        """Return the rows read as an episode.
 
         Raises:
-            LogError: that is nothing, or too little of it.
+            LogError: no row, or too few of them, can be read.
         """
         filled = [samples for samples in self._samples if samples.arrivals]
         if not filled:
@@ -317,7 +313,7 @@ class _TableReading:
 
 
 def _named(group: Group, layout: TableLayout, rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """The columns of a signal, those by number under the names that the first row gives."""
+    """Return a signal's columns, numbered ones renamed by the names in the first row."""
     if not rows:
         return group.columns
     names = {
@@ -330,7 +326,7 @@ def _named(group: Group, layout: TableLayout, rows: Sequence[Sequence[str]]) -> 
 
 
 def _is_heading(cells: Sequence[str], header: Sequence[str]) -> bool:
-    """Whether a row between runs is the header again, or says which run follows."""
+    """Return whether a row between runs repeats the header or announces the next run."""
     stripped = [cell.strip() for cell in cells]
     if len(cells) == len(header) and stripped == [name.strip() for name in header]:
         return True
@@ -339,7 +335,7 @@ def _is_heading(cells: Sequence[str], header: Sequence[str]) -> bool:
 
 
 def _contradiction(layout: TableLayout, options: ReadOptions) -> str:
-    """What the user says of lengths that the table says otherwise; "" where that is nothing."""
+    """Return how the user's length unit contradicts the table's; "" where it does not."""
     for group in layout.groups if options.length_unit else ():
         for column in group.used if group.unit == "m" else ():
             if options.length_m is None or not isclose(column.scale, options.length_m):

@@ -1,4 +1,4 @@
-"""Strangers' SQLite files: opened without a trace, plain tables only, read past damage."""
+"""Untrusted SQLite files: opened read-only, plain tables only, read past damage."""
 
 from __future__ import annotations
 
@@ -16,38 +16,30 @@ from tunenet_logs.formats.base import Loss, described
 from tunenet_logs.formats.compression import MAX_PART_BYTES
 from tunenet_logs.regular_file import open_regular
 
-MAGIC = b"SQLite format 3\0"
-"""How an SQLite file begins."""
-
+MAGIC = b"SQLite format 3\0"  # how an SQLite file begins
 _HEADER = struct.Struct(">16xH10xI")  # size of a page (1: 65536), ..., number of pages
+# Numbers of rows: no recorder writes negative ones, and SQLite has none larger.
 _FIRST, _LAST = 0, 2**63 - 1
-"""Numbers of rows: no recorder writes negative ones, and SQLite has none larger."""
 
-_MOST_DAMAGED_PLACES = 1000
-"""Damaged places that are passed in a table; each costs some queries, and there may be
-millions."""
+# Damaged places that are passed in a table; each costs some queries, and there may be millions.
+_MAX_DAMAGED_PLACES = 1000
 
-_SCHEMA = "sqlite_master"
-"""The table of the tables."""
-
-_NUMBER = "_rowid_"
-"""What SQLite calls a row's own number."""
-
-Row = tuple[int, tuple[Any, ...]]
-"""A row's own number, and its values, of any type."""
+_SCHEMA = "sqlite_master"  # the table of the tables
+_NUMBER = "_rowid_"  # what SQLite calls a row's own number
+Row = tuple[int, tuple[Any, ...]]  # a row's own number, and its values, of any type
 
 
+# What comes of a damaged file; the second where the error itself quotes what is damaged.
 DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
-"""What comes of a damaged file; the second where the error itself quotes what is damaged."""
 
 
 class NoTableError(Exception):
-    """Why a file has no such table."""
+    """A file lacks a table, or the table is not a plain one."""
 
 
 @contextmanager
 def opened(path: Path, losses: list[Loss]) -> Iterator[sqlite3.Connection]:
-    """A database for reading; what a killed program left beside it is used where that is safe.
+    """Open a database read-only, applying a killed recorder's write-ahead log where that is safe.
 
     Args:
         path: the file; neither it nor its folder is changed.
@@ -83,10 +75,10 @@ def _connected(uri: str) -> sqlite3.Connection:
 
 
 def _protect(database: sqlite3.Connection, *, is_cut: bool = False) -> None:
-    """Let a stranger's schema do nothing, and no value be larger than a message may be.
+    """Harden a connection against a hostile schema and oversized values.
 
     Args:
-        database: not yet asked for anything.
+        database: before its first query.
         is_cut: whether pages are missing at the end, which SQLite refuses to read past otherwise.
     """
     database.text_factory = lambda raw: raw.decode("utf-8", "replace")
@@ -100,7 +92,7 @@ def _protect(database: sqlite3.Connection, *, is_cut: bool = False) -> None:
 
 
 def _allowed(action: int, first: str | None, *_rest: str | None) -> int:
-    """Columns of tables and nothing else: no functions, no recursion, no other pragma."""
+    """Authorize reading columns of tables only: no functions, no recursion, no other pragma."""
     plain = action in (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ)
     if plain or (action == sqlite3.SQLITE_PRAGMA and first == "table_xinfo"):
         return sqlite3.SQLITE_OK
@@ -116,7 +108,7 @@ def _size(path: Path) -> int:
 
 
 def _is_cut(path: Path, losses: list[Loss]) -> bool:
-    """Whether pages that the file counts lie behind its end."""
+    """Return whether the file is shorter than its page count states."""
     with open_regular(path) as file:
         head = file.read(_HEADER.size)
     if len(head) < _HEADER.size:
@@ -131,16 +123,16 @@ def _is_cut(path: Path, losses: list[Loss]) -> bool:
 def table_of(
     database: sqlite3.Connection, name: str, needed: Sequence[str], more: Sequence[str] = ()
 ) -> DatabaseTable:
-    """A plain table.
+    """Find a plain table with the needed columns.
 
     Args:
-        database: where it is.
+        database: an open connection.
         name: the table's.
-        needed: columns that it must have.
-        more: columns that it may have.
+        needed: required columns.
+        more: optional columns.
 
     Raises:
-        NoTableError: there is none, it is no plain one, or it lacks a column.
+        NoTableError: it is missing, no plain table, or lacks a column.
         DATABASE_ERRORS: the file is damaged.
     """
     every = DatabaseTable(_SCHEMA, ("type", "name", "rootpage")).rows(database, [])
@@ -166,21 +158,16 @@ def table_of(
 
 @dataclass(frozen=True)
 class DatabaseTable:
-    """A plain table of some columns. Only names that were written here go into its questions."""
+    """A plain table. Only names written in this code enter its queries."""
 
     name: str
     columns: tuple[str, ...]
 
     def rows(self, database: sqlite3.Connection, losses: list[Loss]) -> Iterator[Row]:
-        """All rows in the order of their numbers, and so of their recording; negative ones aside.
-
-        Args:
-            database: where it is.
-            losses: the rows that cannot be read.
-        """
+        """Yield all rows by row number, so in recording order; unreadable ones are losses."""
         columns = ", ".join(self.columns)
         start, damaged_places = _FIRST, 0
-        while start <= _LAST and damaged_places < _MOST_DAMAGED_PLACES:
+        while start <= _LAST and damaged_places < _MAX_DAMAGED_PLACES:
             try:
                 for row in self._asked(database, columns, start):
                     start = row[0] + 1
@@ -202,17 +189,13 @@ class DatabaseTable:
             if found is None:
                 return
             start = found
-        if damaged_places == _MOST_DAMAGED_PLACES:
+        if damaged_places == _MAX_DAMAGED_PLACES:
             losses.append(Loss(f"table {self.name}: what follows row {start} was not tried"))
 
     def _asked(
         self, database: sqlite3.Connection, columns: str, start: int, limit: str = ""
     ) -> Iterator[Row]:
-        """Rows from a number on.
-
-        Raises:
-            DATABASE_ERRORS: they are damaged, from the next on.
-        """
+        """Query rows from a number on; raise DATABASE_ERRORS at the first damaged one."""
         # An index is not used: it may be damaged, or say something else than the table.
         question = (
             f"SELECT {_NUMBER}, {columns} FROM {self.name} NOT INDEXED "  # noqa: S608 (see the class)
@@ -225,16 +208,16 @@ class DatabaseTable:
             yield number, tuple(values)
 
     def _one(self, database: sqlite3.Connection, columns: str, start: int) -> Row | None:
-        """The first row from a number on; None where that cannot be read, or is none."""
+        """Return the first row from a number on; None where it is unreadable or absent."""
         try:
             return next(self._asked(database, columns, start, "LIMIT 1"), None)
         except DATABASE_ERRORS:
             return None
 
     def _behind(self, database: sqlite3.Connection, start: int) -> int | None:
-        """The first number from which on rows can be read again; None if there is none.
+        """Return the first row number that can be read again behind damage; None if there is none.
 
-        Asked for in steps that double, then halved: so a damaged page costs some questions only.
+        Exponential search, then bisection, so a damaged page costs few queries.
         """
         found = self._next(database, start)
         if found is not None:  # what is damaged are that row's values

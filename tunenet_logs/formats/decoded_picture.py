@@ -1,4 +1,4 @@
-"""A picture that a video's decoder gave, as a frame: made RGB when it is asked for, at its size."""
+"""Decoded video pictures as frames: converted to RGB on demand, at the size asked for."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _TURNS = {90: "ROTATE_90_COUNTERCLOCKWISE", 180: "ROTATE_180", 270: "ROTATE_90_C
 def decoded_frame(
     stamp_ns: int, picture: VideoFrame, rotation_deg: int = 0, *, dithered: bool = False
 ) -> Frame:
-    """The frame of a decoded picture, which is kept as its decoder gave it: half of RGB's size.
+    """Wrap a decoded picture as a frame, kept as its decoder gave it: half of RGB's size.
 
     Args:
-        stamp_ns: when it was taken.
+        stamp_ns: acquisition stamp.
         picture: not changed by its decoder any more.
         rotation_deg: counterclockwise turn that brings it upright; a multiple of 90.
         dithered: whether it has few colours that alternate, which stand for their mean.
@@ -36,10 +36,10 @@ def decoded_frame(
 
 
 def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> NDArray[np.uint8]:
-    """It in RGB, reduced by the whole number `scale`, shape (H, W, 3).
+    """Convert to RGB, reduced by the integer factor `scale`, shape (H, W, 3).
 
     Raises:
-        LogError: it cannot be made RGB.
+        LogError: it cannot be converted.
     """
     import cv2
     from av.error import FFmpegError

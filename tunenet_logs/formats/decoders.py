@@ -1,4 +1,4 @@
-"""How the messages of a log's types are decoded: made once for each definition that it holds."""
+"""Cache of message decoders: one per type definition in the log."""
 
 from __future__ import annotations
 
@@ -8,18 +8,14 @@ from tunenet_logs.formats.registry import decoder_for
 
 
 class Decoders:
-    """Makes decoders, of as many bytes of definitions as are read.
-
-    Args:
-        budget: for these.
-    """
+    """Factory of message decoders, within a budget of definition bytes."""
 
     def __init__(self, budget: SchemaBudget) -> None:
         self._budget = budget
         self._made: dict[tuple[str, str, str, bytes], Decode | str] = {}
 
     def of(self, channel: RawChannel) -> Decode:
-        """The decoder of a channel; that of another, where their definitions are the same.
+        """Return the decoder of a channel, shared by channels of the same definition.
 
         Raises:
             UnusableError: its messages cannot be decoded.

@@ -1,4 +1,4 @@
-"""The sound of a film on the clock of its pictures, slowed down with them or not."""
+"""Align a video's sound with its frames, whether or not it was slowed down with them."""
 
 from __future__ import annotations
 
@@ -15,29 +15,23 @@ from tunenet_logs.formats.video_clock import VideoClock
 from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.sound import Sound
 
-_SAME_RATE = 1.05
-"""A film that is slowed down less is not called slow motion."""
-
-_SHORT_S = 0.2
-"""Of a film or a sound that is too short to compare the two."""
-
-_ROUNDING = 1e-6
-"""Of stamps in whole ns, over a film."""
-
+_SAME_RATE = 1.05  # a film that is slowed down less is not called slow motion
+_SHORT_S = 0.2  # of a film or a sound that is too short to compare the two
+_ROUNDING = 1e-6  # of stamps in whole ns, over a film
+# Between a picture's stamp and where the sound beside it lies, from which on it is told.
 _UNEVEN_S = 0.005
-"""Between a picture's stamp and where the sound beside it lies, from which on it is told."""
 
 
 @dataclass(frozen=True, eq=False)
 class FilmSound:
-    """The sound of a film.
+    """Sound of a video on the clock of its frames.
 
     Attributes:
         track: in its file.
-        start_ns: stamp of the first picture that is shown.
-        origin_s: time of that picture in the file [s].
+        start_ns: stamp of the first frame shown.
+        origin_s: time of that frame in the file [s].
         slow: seconds of the log's clock in one of the file's: below 1 for sound that was slowed
-            down with its film, 1 for sound that was not.
+            down with its video, 1 for sound that was not.
         warnings: what is doubtful, in words.
     """
 
@@ -48,7 +42,7 @@ class FilmSound:
     warnings: tuple[str, ...]
 
     def channel(self) -> Channel:
-        """As a channel of the film, each packet a message."""
+        """Return the sound as a channel of the video, each packet a message."""
         after_s = (self.track.packets_s - self.origin_s) * self.slow
         return Channel(
             topic=AUDIO_TOPIC,
@@ -59,23 +53,22 @@ class FilmSound:
         )
 
     def sound(self, _topic: str = AUDIO_TOPIC) -> Sound:
-        """Its samples, decoded afresh."""
+        """Decode the samples."""
         return self.track.sound(self.start_ns, self.origin_s, self.slow, self.warnings)
 
 
 def film_sound(
     track: SoundTrack, ticks: Sequence[int] | None, base_s: Fraction, clock: VideoClock
 ) -> FilmSound:
-    """Lay a sound beside the pictures of its film.
+    """Align a sound with its video's frames.
 
-    Sound that lasts as long as the film was slowed down with it; one that lasts as long as the
-    filming took was not.
+    Sound as long as the video was slowed down with it; sound as long as the filming was not.
 
     Args:
         track: the sound.
-        ticks: of the pictures that are shown, increasing; None where they have no times.
+        ticks: of the frames shown, increasing; None where they have no times.
         base_s: one tick [s].
-        clock: of the pictures.
+        clock: of the frames.
     """
     log_s = (clock.stamps_ns - clock.stamps_ns[0]) * 1e-9
     if ticks is None:
@@ -104,7 +97,7 @@ def film_sound(
 
 
 def _is_true(sound_s: float, film_s: float, slow: float) -> bool:
-    """Whether a sound lasts as the filming did, and not as its film does."""
+    """Return whether a sound lasts as long as the filming, rather than as the video."""
     if min(sound_s, film_s, film_s * slow) < _SHORT_S:
         return False
     return abs(math.log(sound_s / (film_s * slow))) < abs(math.log(sound_s / film_s))

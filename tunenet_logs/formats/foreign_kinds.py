@@ -1,13 +1,11 @@
-"""Files that are nothing that is read here, called what they are."""
+"""Identify files of unsupported formats by their first bytes, and name a remedy."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-UNPACK = "unpack it and name the log inside"
-"""The remedy for an archive of anything."""
-
+UNPACK = "unpack it and name the log inside"  # the remedy for an archive of anything
 _COPY = "copy it again, or record it again"
 
 _AS_NUMBERS = (
@@ -50,11 +48,12 @@ _FROM_DATAFLASH = (
 )
 _PAGE = ("a web page, perhaps of a download that asked for a login", "download it again")
 _NAME_LOG = "name the log that it was made of"
+# Remedies; `{file}` stands for the file's path. What the first lines do is tried by the tests.
 _PICKLE = "a Python pickle, which can run programs"
-"""Remedies; `{file}` stands for the file's path. What the first lines do is tried by the tests."""
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
+# First bytes, what the file is, and what to do about it.
 _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (b"PAR1", "a Parquet file", _COPY),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a file of Microsoft Office (OLE2)", "save it as .xlsx"),
@@ -94,8 +93,8 @@ _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (b"{\\rtf", "a text document (RTF)", "save it as plain text (.csv)"),
     (b"version https://git-lfs", "a pointer of Git LFS, not the file", "run `git lfs pull`"),
 )
-"""First bytes, what the file is, and what to do about it."""
 
+# What names in a ZIP archive make it.
 _ZIPS: tuple[tuple[bytes, str, str], ...] = (
     (b"data.pkl", "saved by PyTorch, with a Python pickle, which can run programs", _AS_NUMBERS),
     (b"xl/", "a spreadsheet (.xlsx)", _COPY),
@@ -103,15 +102,12 @@ _ZIPS: tuple[tuple[bytes, str, str], ...] = (
     (b"mimetypeapplication/vnd.oasis", "an OpenDocument file", "save its sheet as CSV"),
     (b".npy", "an archive of NumPy arrays (.npz)", _COPY),
 )
-"""What names in a ZIP archive make it."""
 
-_ZIP_STARTS = (b"PK\x03\x04", b"PK\x05\x06")
-"""How a ZIP archive begins, and an empty one."""
-
-_TAR_AT = 257
-"""Where a tar archive says what it is."""
+_ZIP_STARTS = (b"PK\x03\x04", b"PK\x05\x06")  # how a ZIP archive begins, and an empty one
+_TAR_AT = 257  # where a tar archive says what it is
 
 
+# How texts begin that are no tables.
 _TEXTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
     (re.compile(rb"\s*<(?:!doctype|html)", re.I), *_PAGE),
     (re.compile(rb"\s*<(?:mujoco|robot|sdf)\b"), "a model of a simulator", "give it as --model"),
@@ -124,21 +120,19 @@ _TEXTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
     ),
     (re.compile(rb"\(dp?\d?\n|\(lp?\d?\n|c[\w.]+\n\w+\n"), _PICKLE, _AS_NUMBERS),
 )
-"""How texts begin that are no tables."""
 
+# Where HDF5 may begin behind a block of a user: MATLAB's of version 7.3 does.
 _HDF5_AT = (512, 1024, 2048)
-"""Where HDF5 may begin behind a block of a user: MATLAB's of version 7.3 does."""
 
-_PLAIN_NAME = re.compile(r"[\w./+@ -]+")
-"""A path that can stand in the lines above as it is."""
+_PLAIN_NAME = re.compile(r"[\w./+@ -]+")  # a path that can stand in the lines above as it is
 
 
 def foreign_kind(start: bytes, path: Path) -> tuple[str, str] | None:
-    """What a file is, by its first bytes, and what to do; None where these tell nothing.
+    """Identify an unsupported file by its first bytes; return its kind and a remedy, else None.
 
     Args:
         start: some KiB.
-        path: of the file; its name tells a YAML file or plain text.
+        path: of the file; its name identifies a YAML file or plain text.
     """
     marks = _ZIPS if start.startswith(_ZIP_STARTS) else ()
     found = [kind[1:] for kind in _KINDS if start.startswith(kind[0])]

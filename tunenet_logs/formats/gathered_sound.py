@@ -1,4 +1,4 @@
-"""Sound put together from pieces: one channel, without holes, of bounded length and rate."""
+"""Assemble audio from packets: mono, gapless, of bounded length and rate."""
 
 from __future__ import annotations
 
@@ -9,41 +9,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_S = 600.0
-"""Of sound that is used [s]."""
-
-_MOST_VALUES = 240_000_000
-"""Of all channels that are gone through: ten minutes of eight at 48 kHz."""
-
+MAX_S = 600.0  # of sound that is used [s]
+_MAX_VALUES = 240_000_000  # of all channels that are gone through: ten minutes of eight at 48 kHz
+# A sound of more samples a second is reduced by a whole number, to no more than that.
 _KEPT_HZ = 48_000
-"""A sound of more samples a second is reduced by a whole number, to no more than that."""
 
+# Least and greatest rate of samples; speech by telephone has 8,000, bats' 500,000.
 RATES_HZ = (1_000.0, 2_000_000.0)
-"""Least and greatest rate of samples; speech by telephone has 8,000, bats' 500,000."""
 
+# Between where a piece should begin and where it says: files round it to ms, or to a piece.
 _SAME_S = 0.03
-"""Between where a piece should begin and where it says: files round it to ms, or to a piece."""
 
-_LARGEST = 8.0
-"""Of a sample; decoders give a little more than 1 where a sound was clipped."""
-
-_SILENT = 2e-5
-"""A sound is silent that is nowhere louder: less than the last of 16 bits."""
-
-_MOST_PIECES = 1_000_000
-"""That are put together."""
-
+_MAX_SIZE = 8.0  # of a sample; decoders give a little more than 1 where a sound was clipped
+_SILENT = 2e-5  # a sound is silent that is nowhere louder: less than the last of 16 bits
+_MAX_PIECES = 1_000_000  # that are put together
+# Of whole numbers, by their type.
 _FULL_SCALE = {"u1": 2.0**7, "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
-"""Of whole numbers, by their type."""
 
 
 @dataclass(frozen=True, eq=False)
 class GatheredSound:
-    """What pieces gave.
+    """Assembled audio.
 
     Attributes:
-        samples: of all channels together, full scale 1, shape (N,).
-        start_s: when the first was taken, on the clock of the pieces [s].
+        samples: mean of all channels, full scale 1, shape (N,).
+        start_s: time of the first sample, on the clock of the packets [s].
         rate_hz: samples in a second of that clock.
         warnings: what was repaired, left out or is doubtful, in words.
     """
@@ -55,13 +45,13 @@ class GatheredSound:
 
 
 class SoundGatherer:
-    """Puts pieces of sound together.
+    """Assembler of audio packets.
 
-    A hole between two becomes silence of its length, so that what follows keeps its time.
+    A gap between two is filled with silence of its length, so that what follows keeps its time.
 
     Args:
-        rate_hz: of the pieces' samples.
-        heard_hz: the same as a microphone heard it, where the clock is that of a slow film.
+        rate_hz: of the packets' samples.
+        heard_hz: the same as a microphone heard it, where the clock is that of a slow-motion video.
 
     Raises:
         ValueError: no sound has such a rate.
@@ -74,7 +64,7 @@ class SoundGatherer:
         self._file_hz = float(rate_hz)
         heard_hz = heard_hz if low <= heard_hz <= high else self._file_hz
         self._every = max(1, ceil(heard_hz / _KEPT_HZ))
-        self._most = int(MOST_S * heard_hz)  # samples, before they are reduced
+        self._most = int(MAX_S * heard_hz)  # samples, before they are reduced
         self._pieces: list[NDArray[np.float32]] = []
         self._rest = np.empty(0, np.float32)  # what is not yet a sample that is kept
         self._offsets_s: list[float] = []  # of the pieces before the first hole
@@ -86,33 +76,33 @@ class SoundGatherer:
 
     @property
     def is_full(self) -> bool:
-        """Whether no more is taken."""
+        """Whether further packets are ignored."""
         return bool(self._why_full)
 
     def add(self, piece: NDArray[Any], at_s: float | None) -> None:
-        """The next piece.
+        """Append a packet.
 
         Args:
             piece: whole numbers or floats as a file has them, shape (N, channels).
-            at_s: when its first sample was taken [s]; None where it follows upon the last.
+            at_s: time of its first sample [s]; None where it follows upon the last.
         """
         self._calls += 1
         self._values += piece.size
-        if self._values > _MOST_VALUES or self._calls > _MOST_PIECES:
+        if self._values > _MAX_VALUES or self._calls > _MAX_PIECES:
             self._why_full = self._why_full or "the rest is too much"
         if self.is_full or not piece.size:
             return
         if at_s is not None:
             self._place(at_s)
         mono = _mono(piece)
-        is_bad = ~np.isfinite(mono) | (np.abs(mono) > _LARGEST)
+        is_bad = ~np.isfinite(mono) | (np.abs(mono) > _MAX_SIZE)
         if is_bad.any():
             self._bad += int(is_bad.sum())
             mono[is_bad] = 0.0
         self._append(mono)
 
     def result(self) -> GatheredSound:
-        """All that was added."""
+        """Return the audio assembled so far."""
         samples = np.concatenate(self._pieces) if self._pieces else np.empty(0, np.float32)
         samples.flags.writeable = False
         start_s = float(np.median(self._offsets_s)) if self._offsets_s else 0.0
@@ -142,7 +132,7 @@ class SoundGatherer:
         return said
 
     def _place(self, at_s: float) -> None:
-        """Fill a hole before a piece, if there is one."""
+        """Fill a gap before a packet with silence, or count a step backwards."""
         if not np.isfinite(at_s):
             return
         if not self._offsets_s:
@@ -170,7 +160,7 @@ class SoundGatherer:
         most = self._most - self._count
         if len(mono) > most:
             mono = mono[:most]
-            self._why_full = f"{MOST_S / 60:g} minutes are enough"
+            self._why_full = f"{MAX_S / 60:g} minutes are enough"
         self._count += len(mono)
         if self._every == 1:
             self._pieces.append(mono)
@@ -182,12 +172,12 @@ class SoundGatherer:
 
 
 def reduced_hz(rate_hz: float) -> float:
-    """The rate that is kept of a sound of so many samples a second."""
+    """Return the sample rate kept of a sound, after decimation by an integer."""
     return rate_hz / max(1, ceil(rate_hz / _KEPT_HZ))
 
 
 def _mono(piece: NDArray[Any]) -> NDArray[np.float32]:
-    """The mean of the channels, full scale 1, shape (N,)."""
+    """Return the mean of the channels, full scale 1, shape (N,)."""
     kind = piece.dtype.str[1:]
     if kind not in _FULL_SCALE:
         with np.errstate(all="ignore"):  # what is no number is dealt with by the caller

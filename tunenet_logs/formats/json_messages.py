@@ -1,4 +1,4 @@
-"""JSON messages of ROS and Foxglove types: bounded, and every field of the type that it must be."""
+"""Decode JSON messages of ROS and Foxglove types: bounded, with every field checked by its type."""
 
 from __future__ import annotations
 
@@ -23,21 +23,19 @@ from tunenet_logs.formats.base import (
 from tunenet_logs.formats.shapes import Fields, Leaf, Many, Maybe, Shape, shape_of
 from tunenet_logs.formats.stamps import STAMP_FIELDS
 
-_SCHEMAS = ("jsonschema", "")
-"""Schema encodings of JSON; a log may give none."""
+_SCHEMAS = ("jsonschema", "")  # schema encodings of JSON; a log may give none
+# Of a message that is no picture: far more than one of many joints or transforms takes.
+_MAX_BYTES = 256 * 1024
 
-_MOST_BYTES = 256 * 1024
-"""Of a message that is no picture: far more than one of many joints or transforms takes."""
+# Of a message with a picture, as base64 or as a list of numbers.
+_MAX_PICTURE_BYTES = 32 * 1024 * 1024
 
-_MOST_PICTURE_BYTES = 32 * 1024 * 1024
-"""Of a message with a picture, as base64 or as a list of numbers."""
+# Of one message: three bytes of it may become an object of ninety, so one as large as a picture may
+# have few objects and lists.
+_MAX_PICTURE_PARTS = 100
 
-_MOST_PICTURE_PARTS = 100
-"""Of one message: three bytes of it may become an object of ninety, so one as large as a picture
-may have few objects and lists."""
-
-_MOST_DEPTH = 64
-"""Brackets within brackets; the types that are read have a handful, and the parser recurses."""
+# Brackets within brackets; the types that are read have a handful, and the parser recurses.
+_MAX_DEPTH = 64
 
 # How much deeper each byte of a message leads: by one, or back by one.
 _STEPS = np.zeros(256, np.int8)
@@ -46,7 +44,7 @@ _STEPS[list(b"]}")] = -1
 
 
 def json_decoder(channel: RawChannel) -> Decode:
-    """Decodes JSON. The schema is not needed: each message is checked by itself."""
+    """Return a JSON decoder. The schema is not needed: each message is checked by itself."""
     if channel.schema_encoding not in _SCHEMAS:
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only jsonschema)"
@@ -56,7 +54,7 @@ def json_decoder(channel: RawChannel) -> Decode:
 
 
 def _decode(shape: Fields, is_picture: bool, data: bytes | memoryview) -> Any:
-    most = _MOST_PICTURE_BYTES if is_picture else _MOST_BYTES
+    most = _MAX_PICTURE_BYTES if is_picture else _MAX_BYTES
     try:
         return _built(_loaded(data, most, is_picture=is_picture), shape)
     except DAMAGED as error:
@@ -64,13 +62,13 @@ def _decode(shape: Fields, is_picture: bool, data: bytes | memoryview) -> Any:
 
 
 def any_json(data: bytes | memoryview) -> Any:
-    """A message of any type: its objects have their fields as attributes.
+    """Decode a message of any type: its objects have their fields as attributes.
 
     Raises:
-        MessageError: it is damaged, or larger or deeper than any that is read.
+        MessageError: it is damaged, or over the limits of size or nesting.
     """
     try:
-        return _loaded(data, _MOST_BYTES, hook=lambda fields: SimpleNamespace(**fields))
+        return _loaded(data, _MAX_BYTES, hook=lambda fields: SimpleNamespace(**fields))
     except DAMAGED as error:
         raise MessageError(f"a message is damaged: {described(error)}") from error
 
@@ -82,18 +80,14 @@ def _loaded(
     is_picture: bool = False,
     hook: Callable[[dict[str, Any]], Any] | None = None,
 ) -> Any:
-    """What a message says, once it is known to be none that is made to hurt.
-
-    Raises:
-        MessageError, DAMAGED: it is, or is no JSON.
-    """
+    """Parse JSON within bounds of size and nesting; raise MessageError or one of DAMAGED."""
     if len(data) > most:
         raise MessageError(f"a message of {len(data)} bytes is over the limit of {most}")
     raw = bytes(data)
-    if is_picture and _parts(raw) > _MOST_PICTURE_PARTS:
-        raise MessageError(f"a picture has over {_MOST_PICTURE_PARTS} objects and lists")
+    if is_picture and _parts(raw) > _MAX_PICTURE_PARTS:
+        raise MessageError(f"a picture has over {_MAX_PICTURE_PARTS} objects and lists")
     if _is_deep(raw):
-        raise MessageError(f"a message is nested more than {_MOST_DEPTH} deep")
+        raise MessageError(f"a message is nested more than {_MAX_DEPTH} deep")
     return json.loads(raw.decode(), parse_constant=_refuse, object_hook=hook)
 
 
@@ -102,25 +96,21 @@ def _refuse(name: str) -> NoReturn:
 
 
 def _parts(raw: bytes) -> int:
-    """Objects and lists of a message, at most."""
+    """Bound the number of objects and lists in a message."""
     return raw.count(b"[") + raw.count(b"{")
 
 
 def _is_deep(raw: bytes) -> bool:
-    """Whether brackets outside texts are nested deeper than any message; the parser recurses."""
-    if _parts(raw) <= _MOST_DEPTH:
+    """Return whether brackets outside strings nest too deep for the recursive parser."""
+    if _parts(raw) <= _MAX_DEPTH:
         return False
     bare = b"".join(raw.replace(b"\\\\", b"").replace(b'\\"', b"").split(b'"')[::2])
     depths = np.cumsum(_STEPS[np.frombuffer(bare, np.uint8)], dtype=np.int32)
-    return bool(depths.size and depths.max() > _MOST_DEPTH)
+    return bool(depths.size and depths.max() > _MAX_DEPTH)
 
 
 def _built(value: Any, shape: Shape) -> Any:
-    """An object with the fields of a shape.
-
-    Raises:
-        ValueError: one is missing, or is something else.
-    """
+    """Build an object with the fields of a shape; raise ValueError for a missing or wrong one."""
     if isinstance(shape, Fields):
         if not isinstance(value, dict):
             raise ValueError("no object where one must be")
@@ -180,7 +170,7 @@ def _text(value: Any) -> str | None:
 
 
 def _data(value: Any) -> bytes | None:
-    """Bytes as Foxglove and rosbridge write them: base64, or a list of numbers."""
+    """Decode bytes as Foxglove and rosbridge write them: base64, or a list of numbers."""
     if isinstance(value, str):
         return base64.b64decode(value, validate=True)
     return bytes(value) if isinstance(value, list) else None
@@ -198,6 +188,7 @@ def _time(value: Any) -> SimpleNamespace | None:
     return None
 
 
+# What reads each kind of field; None where the value is of another kind.
 _LEAVES = {
     Leaf.NUMBER: _number,
     Leaf.OPTIONAL: _optional,
@@ -207,4 +198,3 @@ _LEAVES = {
     Leaf.DATA: _data,
     Leaf.TIME: _time,
 }
-"""What reads each kind of field; None where the value is of another kind."""

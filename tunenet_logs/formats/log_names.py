@@ -1,4 +1,4 @@
-"""Which files and folders among many are logs: by name, else by how they begin."""
+"""Recognize logs among many files and folders: by name, else by their first bytes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from tunenet_logs.regular_file import open_regular
 _MESSAGES = (".mcap", ".bag", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.zst", ".bag.gz", ".mcap.gz")
 _FILMS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts", ".m2ts", ".wmv", ".mjpeg")
 _EXPORTS = (".c3d", ".trc", ".csv", ".tsv", ".trk", ".sto", ".mot")
-_LOGS = (*_MESSAGES, *_FILMS, *_EXPORTS)
-"""Endings of what is a log, be it damaged."""
-
+_LOGS = (*_MESSAGES, *_FILMS, *_EXPORTS)  # endings of what is a log, be it damaged
 _PERHAPS = (
     ".txt",
     ".dat",
@@ -33,17 +31,16 @@ _PERHAPS = (
 _PERHAPS += (".zst", ".bz2", ".xml", "")
 """Endings of what may be one."""
 
-_OWN = ("ledger.parquet", "ledger.csv")
-"""Files that tuning many logs writes."""
+_OWN = ("ledger.parquet", "ledger.csv")  # files that tuning many logs writes
 
 
 def is_log_name(name: str) -> bool:
-    """Whether a file is a log by its name alone."""
+    """Return whether a file is a log by its name alone."""
     return name.lower().endswith(_LOGS) and name.lower() not in _OWN
 
 
 def may_be_log(path: Path) -> bool:
-    """Whether a file in a folder of many is meant as a log."""
+    """Return whether a file in a folder of many is meant as a log."""
     if is_log_name(path.name):
         return path.is_file()
     if path.suffix.lower() not in _PERHAPS or path.name in _OWN or not path.is_file():
@@ -57,7 +54,7 @@ def may_be_log(path: Path) -> bool:
 
 
 def is_log_folder(path: Path) -> bool:
-    """Whether a folder is one log: a bag's, or one of numbered pictures."""
+    """Return whether a folder is one log: a bag, or an image sequence."""
     try:
         return is_bag_folder(path) or is_picture_folder(path)
     except OSError:

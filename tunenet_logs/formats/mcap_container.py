@@ -1,4 +1,4 @@
-"""MCAP: records bounded and checked, read as far as the file is whole, and past what is not."""
+"""Read MCAP: bounded, CRC-checked, as far as the file is intact, and past damage."""
 
 from __future__ import annotations
 
@@ -53,19 +53,15 @@ from tunenet_logs.formats.mcap_search import (
 from tunenet_logs.progress import silent, teller
 from tunenet_logs.regular_file import open_regular
 
+# Of a message: channel, sequence number, receipt and acquisition [ns].
 _MESSAGE = np.dtype(
     [("number", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
 )
-"""Of a message: channel, sequence number, receipt and acquisition [ns]."""
 
-_HEAD = struct.Struct("<HIQQ")
-"""The same, of one message."""
-
-_FEWEST_ALIKE = 8
-"""Messages of one size in a row, from which on their places are looked for together."""
-
+_HEAD = struct.Struct("<HIQQ")  # the same, of one message
+_MIN_ALIKE = 8  # messages of one size in a row, from which on their places are looked for together
+# Read at a time of a record that is skipped, for its share in the checksum of all data.
 _BLOCK_BYTES = 1024 * 1024
-"""Read at a time of a record that is skipped, for its share in the checksum of all data."""
 
 # Which kinds of records say something that is read, by where they stand.
 _USED_IN_CHUNK = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
@@ -74,11 +70,11 @@ _USED = frozenset(
     (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
 ).union(_USED_IN_CHUNK)  # outside of chunks, before the summary
 
+# A cut chunk that ends in so many zeros was never written: a file system leaves them.
 _ZEROS_BYTES = 64
-"""A cut chunk that ends in so many zeros was never written: a file system leaves them."""
 
+# What a killed recorder leaves.
 _NO_END = "the end of the file is missing (a recording that did not end?)"
-"""What a killed recorder leaves."""
 
 
 def read_mcap(
@@ -87,16 +83,16 @@ def read_mcap(
     topics: Sequence[str] | None = None,
     budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """The records of an MCAP file; see `MessageFile`. Every CRC that it carries is checked."""
+    """Yield the records of an MCAP file, checking every CRC that it carries; see `MessageFile`."""
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         yield from _McapReading(file, size, losses, topics, budget or Budget(size)).records()
 
 
 class _Inside:
-    """What an unpacked chunk holds: channels that were not known, and the places of its messages.
+    """Content of a decompressed chunk: new channels, and the places of its messages.
 
-    These are made one at a time: a chunk may hold millions.
+    Messages are made one at a time: a chunk may hold millions.
     """
 
     def __init__(self, plain: memoryview) -> None:
@@ -106,12 +102,12 @@ class _Inside:
         self._length = self._alike = 0  # of the last message, and how many had that in a row
 
     def add(self, at: int, length: int) -> int:
-        """A message; returns how many that follow it, of the same length, were added with it."""
+        """Add a message; return how many equally long ones that follow were added with it."""
         self._begins.append(at)
         self._ends.append(at + length)
         self._alike = self._alike + 1 if length == self._length else 1
         self._length = length
-        if self._alike < _FEWEST_ALIKE:
+        if self._alike < _MIN_ALIKE:
             return 0
         self._alike = 0
         size = HEAD.size + length
@@ -123,7 +119,7 @@ class _Inside:
 
     @property
     def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Where each message begins and ends, shape (N,)."""
+        """First and end byte of each message, shape (N,)."""
         begins, ends = (np.array(at, np.int64) for at in (self._begins, self._ends))
         return begins, ends
 
@@ -172,11 +168,7 @@ class _McapReading:
                 self.losses.append(Loss(what, messages=missing))
 
     def _until_the_end(self) -> Iterator[Record]:
-        """The records, one after the other.
-
-        Raises:
-            OverBudgetError: there are too many.
-        """
+        """Yield the records in file order; raise OverBudgetError if there are too many."""
         self.at = len(self._read(len(MAGIC)))
         tell = teller("reading") if self.topics is None else silent
         while not self.ended:
@@ -206,7 +198,7 @@ class _McapReading:
                 self.file.seek(found)
 
     def _cut_record(self, opcode: int, at: int) -> Sequence[Record]:
-        """What can be had of a record that the file ends in: the first messages of a chunk."""
+        """Salvage what a truncated last record holds: the first messages of a chunk."""
         body = memoryview(self.file.read(min(self.size - at, MAX_PART_BYTES)))
         found: list[Record] = []
         if opcode == Opcode.CHUNK and any(body[-_ZEROS_BYTES:]):  # a file system may leave zeros
@@ -259,11 +251,11 @@ class _McapReading:
         return data
 
     def _chunk(self, body: memoryview) -> Iterable[Record]:
-        """All records of a chunk; none of one that is damaged.
+        """Return all records of a chunk, or raise without keeping any.
 
         Raises:
             ValueError: it is damaged.
-            OverBudgetError: it is too much.
+            OverBudgetError: it exceeds the budget.
         """
         plain, is_checked = unpacked_chunk(body, self.budget)
         self.unprotected |= not is_checked
@@ -281,10 +273,10 @@ class _McapReading:
         yield from self._messages(inside.plain, *inside.places)
 
     def _look_through(self, inside: _Inside) -> None:
-        """Find the channels of an unpacked chunk, and the places of its messages.
+        """Index a decompressed chunk: its channels, and the places of its messages.
 
         Raises:
-            ValueError, struct.error: what follows those is damaged.
+            ValueError, struct.error: it is damaged behind what was indexed.
             OverBudgetError: there are too many.
         """
         plain, at, count = inside.plain, 0, 0
@@ -319,11 +311,11 @@ class _McapReading:
         self.budget.spend_records(count)
 
     def _parse(self, opcode: int, body: memoryview) -> Iterable[Record]:
-        """What a record outside of chunks says.
+        """Parse a record outside of chunks.
 
         Raises:
-            MCAP_DAMAGED: it makes no sense.
-            OverBudgetError: it is too much.
+            MCAP_DAMAGED: it is malformed.
+            OverBudgetError: it exceeds the budget.
         """
         if opcode == Opcode.CHUNK:
             return self._chunk(body)
@@ -344,7 +336,7 @@ class _McapReading:
         return (RawAttachment(file.name, file.media_type, file.data, log_ns, create_ns),)
 
     def _message(self, body: memoryview) -> Iterator[Record]:
-        """One that lies outside of chunks: see `_messages`, which is slow for one."""
+        """Yield a message outside of chunks; `_messages` is slow for a single one."""
         number, sequence, log_ns, publish_ns = _HEAD.unpack_from(body)
         channel = self.channels.get(number)
         if channel is None:
@@ -361,7 +353,7 @@ class _McapReading:
     def _messages(
         self, plain: memoryview, begins: NDArray[np.int64], ends: NDArray[np.int64]
     ) -> Iterator[Record]:
-        """The messages between places; a channel comes before them if nothing described it yet."""
+        """Yield the messages between places, after channels that nothing described before."""
         if not len(begins):
             return
         heads = np.ndarray(len(plain) - _MESSAGE.itemsize + 1, _MESSAGE, plain, strides=(1,))
@@ -422,10 +414,10 @@ class _McapReading:
 
 
 def _alike(plain: memoryview, at: int, length: int) -> int:
-    """How many messages of `length` bytes follow each other from `at` on."""
+    """Count the messages of `length` bytes that follow each other from `at` on."""
     size = HEAD.size + length
     most = (len(plain) - at) // size
-    count, block = 0, _FEWEST_ALIKE
+    count, block = 0, _MIN_ALIKE
     while count < most:
         block = min(4 * block, most - count)
         start = at + count * size
@@ -439,7 +431,7 @@ def _alike(plain: memoryview, at: int, length: int) -> int:
 
 
 def _are_packed(messages: RawMessages) -> bool:
-    """Whether a recorder packed one of them by itself."""
+    """Return whether a recorder compressed one of the messages by itself."""
     begins = messages.begins[messages.ends - messages.begins >= len(ZSTD_MAGIC)]
     if not len(begins):
         return False

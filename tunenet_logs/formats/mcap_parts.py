@@ -1,4 +1,4 @@
-"""Records of an MCAP file taken apart: bounded by their own bytes, and in how many parts they have.
+"""Parse records of an MCAP file, bounded by their own bytes and in their number of parts.
 
 The channels, as the file describes them and as its summary repeats them.
 """
@@ -22,45 +22,44 @@ from tunenet_logs.formats.budget import CHUNK_RECORDS, PART_RECORDS, Budget
 from tunenet_logs.formats.compression import MAX_PART_BYTES, unpack
 from tunenet_logs.formats.mcap_search import CHUNK, summary_records
 
+# What parsing raises on damaged bytes, the mcap library's own errors too.
 MCAP_DAMAGED = (*DAMAGED, McapError)
-"""What parsing raises on damaged bytes, the mcap library's own errors too."""
 
-_MOST_PARTS = 20_000
-"""Numbers and texts that one record is made of, twice as many as the words of its metadata."""
+# Numbers and texts that one record is made of, twice as many as the words of its metadata.
+_MAX_PARTS = 20_000
 
 
-_MOST_REDEFINED = 10
-"""Numbers given away twice that are named; each costs trust in all samples."""
+_MAX_REDEFINED = 10  # numbers given away twice that are named; each costs trust in all samples
 
 
 class _Exact(BytesIO):
-    """Bytes that refuse to be read beyond their end; the library would take what there is."""
+    """Byte stream that refuses reads beyond its end; the library would take what there is."""
 
     parts = 0
 
     def read(self, size: int | None = -1) -> bytes:
-        """Reads `size` bytes; raises ValueError if there are fewer, or it was asked too often."""
+        """Read `size` bytes; raise ValueError if there are fewer, or after too many reads."""
         data = super().read(size)
         self.parts += 1
         if size is not None and len(data) < size:
             raise ValueError(f"a part of it claims {size} bytes")
-        if self.parts > _MOST_PARTS:
-            raise ValueError(f"it has over {_MOST_PARTS} parts")
+        if self.parts > _MAX_PARTS:
+            raise ValueError(f"it has over {_MAX_PARTS} parts")
         return data
 
 
 def part_stream(body: memoryview, budget: Budget) -> ReadDataStream:
-    """What the mcap library reads a record from.
+    """Open a record's body for the mcap library, charging the budget.
 
     Raises:
-        OverBudgetError: it is one record too many.
+        OverBudgetError: it exceeds the budget.
     """
     budget.spend_records(PART_RECORDS)
     return ReadDataStream(_Exact(body))
 
 
 def channels_of_summary(file: BinaryIO, size: int, budget: Budget) -> dict[int, RawChannel]:
-    """The channels as a whole summary at the end of the file repeats them, by number.
+    """Read the channels of an intact summary at the end of the file, by number.
 
     Empty where the summary is missing or damaged.
 
@@ -84,11 +83,11 @@ def channels_of_summary(file: BinaryIO, size: int, budget: Budget) -> dict[int, 
 
 
 def unpacked_chunk(body: memoryview, budget: Budget) -> tuple[memoryview, bool]:
-    """The records of a chunk, and whether it carries their checksum.
+    """Decompress a chunk; return its records, and whether it carries their checksum.
 
     Raises:
         ValueError, struct.error: it is damaged.
-        OverBudgetError: it is too much.
+        OverBudgetError: it exceeds the budget.
     """
     budget.spend_records(CHUNK_RECORDS)
     _, _, stated, crc, length = CHUNK.unpack_from(body)
@@ -106,11 +105,10 @@ def unpacked_chunk(body: memoryview, budget: Budget) -> tuple[memoryview, bool]:
 
 
 class KnownChannels:
-    """The channels of a file, by number: as it describes them on its way, else in its summary.
+    """Channels of a file by number, as described in its data, else in its summary.
 
     Attributes:
-        redefined: numbers that were given away twice, in words: nobody knows which of their
-            messages are whose.
+        redefined: numbers used for two channels, in words: messages of these are ambiguous.
 
     Args:
         file: open for reading; its position is left as it was.
@@ -128,11 +126,11 @@ class KnownChannels:
         self.get = self._channels.get
 
     def told(self, opcode: int, body: memoryview) -> tuple[int, RawChannel] | None:
-        """Take in a schema or channel; gives number and channel where that was not known.
+        """Register a schema or channel; return number and channel where that is new.
 
         Raises:
-            MCAP_DAMAGED: it makes no sense.
-            OverBudgetError: it is one too many.
+            MCAP_DAMAGED: it is malformed.
+            OverBudgetError: it exceeds the budget.
         """
         stream = part_stream(body, self._budget)
         if opcode == Opcode.SCHEMA:
@@ -155,17 +153,17 @@ class KnownChannels:
         return channel.id, found
 
     def _say_redefined(self, what: str, name: str) -> None:
-        if len(self.redefined) < _MOST_REDEFINED:
+        if len(self.redefined) < _MAX_REDEFINED:
             said = f"{what} is defined again as {name}: which messages are whose is not known"
             self.redefined.append(said)
 
     def forget(self, number: int) -> None:
-        """Take a channel for unknown: what described it is damaged."""
+        """Drop a channel whose description is damaged."""
         del self._channels[number]
         self._told.pop(number, None)
 
     def of_summary(self, number: int) -> RawChannel | None:
-        """A channel that nothing described yet; None where the summary does not know it either.
+        """Look up an undescribed channel in the summary; None where it is absent there too.
 
         Raises:
             OverBudgetError: the summary has more records than a log of that size.

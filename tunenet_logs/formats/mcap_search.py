@@ -1,4 +1,4 @@
-"""Searching an MCAP file that is damaged: the next chunk, the summary at the end."""
+"""Search a damaged MCAP file for the next chunk, and for the summary at the end."""
 
 from __future__ import annotations
 
@@ -12,37 +12,30 @@ from mcap.opcode import Opcode
 
 from tunenet_logs.formats.compression import MAX_PART_BYTES
 
-MAGIC = b"\x89MCAP0\r\n"
-"""An MCAP file begins and ends with it."""
+MAGIC = b"\x89MCAP0\r\n"  # an MCAP file begins and ends with it
 
 # The structures of the MCAP specification, all little-endian.
-HEAD = struct.Struct("<BQ")
-"""Kind and length [bytes] of a record."""
-
+HEAD = struct.Struct("<BQ")  # kind and length [bytes] of a record
+# Of a chunk: first and last stamp [ns], size unpacked [bytes], checksum, length [bytes] of the
+# compression's name.
 CHUNK = struct.Struct("<QQQII")
-"""Of a chunk: first and last stamp [ns], size unpacked [bytes], checksum, length [bytes] of the
-compression's name."""
 
+# Of the footer: where summary and its offsets begin [bytes], checksum.
 FOOTER = struct.Struct("<QQI")
-"""Of the footer: where summary and its offsets begin [bytes], checksum."""
 
-_FIRST_BLOCK_BYTES = 4 * 1024
-"""Looked through at first; what is looked for is near, mostly."""
-
-_BLOCK_BYTES = 1024 * 1024
-"""Looked through at a time later, after blocks that double."""
-
+_FIRST_BLOCK_BYTES = 4 * 1024  # looked through at first; what is looked for is near, mostly
+_BLOCK_BYTES = 1024 * 1024  # looked through at a time later, after blocks that double
+# A chunk's compression as it is stored: what to look for behind a damaged place.
 _MARKS = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
-"""A chunk's compression as it is stored: what to look for behind a damaged place."""
 
+# From a chunk's begin to its mark, whose first 4 bytes are the last field of `CHUNK`.
 _LEAD_BYTES = HEAD.size + CHUNK.size - 4
-"""From a chunk's begin to its mark, whose first 4 bytes are the last field of `CHUNK`."""
 
 
 def summary_records(file: BinaryIO, size: int) -> Iterator[tuple[int, memoryview]]:
-    """Kind and body of each record of the summary at the end of a file of `size` bytes.
+    """Yield kind and body of each record of the summary at the end of a file of `size` bytes.
 
-    None where the footer is missing, the summary is too large, or its checksum is wrong.
+    Nothing where the footer is missing, the summary is too large, or its checksum is wrong.
 
     Raises:
         ValueError, struct.error, OSError: there is no footer at the end.
@@ -67,7 +60,7 @@ def summary_records(file: BinaryIO, size: int) -> Iterator[tuple[int, memoryview
 
 
 def next_chunk(file: BinaryIO, start: int, size: int) -> int | None:
-    """Where, from `start` on, the next packed chunk begins that fits the file of `size` bytes.
+    """Find the next compressed chunk from `start` on that fits the file of `size` bytes.
 
     Leaves the file's position as it was.
     """
@@ -88,7 +81,7 @@ def next_chunk(file: BinaryIO, start: int, size: int) -> int | None:
 
 
 def zeros_end(file: BinaryIO, at: int, crc: int) -> tuple[int, int]:
-    """Where zeros end that begin at a place, and the checksum of all data up to there.
+    """Find the end of a run of zeros, and extend the checksum of all data up to there.
 
     Leaves the file there.
 
@@ -111,7 +104,7 @@ def zeros_end(file: BinaryIO, at: int, crc: int) -> tuple[int, int]:
 
 
 def zeros_end_in(data: bytes | memoryview, at: int) -> int:
-    """The same in memory."""
+    """Find the end of a run of zeros in memory."""
     length = _FIRST_BLOCK_BYTES
     while at < len(data):
         used = np.frombuffer(data[at : at + length], np.uint8) != 0
@@ -124,7 +117,7 @@ def zeros_end_in(data: bytes | memoryview, at: int) -> int:
 
 
 def _begins(block: bytes) -> Iterator[int]:
-    """Where in a block chunks may begin, by their marks."""
+    """Yield where chunks may begin in a block, by their marks."""
     for mark in _MARKS:
         found = block.find(mark, _LEAD_BYTES)
         while found >= 0:

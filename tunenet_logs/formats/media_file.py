@@ -1,4 +1,4 @@
-"""Opens files of pictures or sound with FFmpeg, of formats that name no other file."""
+"""Open image and sound files with FFmpeg, of formats that cannot refer to other files."""
 
 from __future__ import annotations
 
@@ -19,24 +19,21 @@ FILMS = "mov,matroska,avi,mpeg,mpegts,flv,ogg,asf,mjpeg,h264,hevc,m4v,gif,apng,i
 FILMS += "yuv4mpegpipe,obu,av1"
 """Only what holds pictures itself: a playlist could name any other file or host."""
 
-SOUNDS = "wav,w64,aiff,caf,au,mp3,flac,ogg,aac,amr,mov,matroska,asf"
-"""Only what holds sound itself."""
-
-_JPEG_START = b"\xff\xd8\xff"
-"""Of a stream of JPEGs, which FFmpeg takes for a single picture."""
+SOUNDS = "wav,w64,aiff,caf,au,mp3,flac,ogg,aac,amr,mov,matroska,asf"  # only what holds sound itself
+_JPEG_START = b"\xff\xd8\xff"  # of a stream of JPEGs, which FFmpeg takes for a single picture
 
 
 @contextmanager
 def opened_media(path: Path, formats: str, what: str) -> Iterator[InputContainer]:
-    """A file as FFmpeg reads it.
+    """Open a file with FFmpeg.
 
     Args:
         path: the file.
-        formats: those that it may have, by FFmpeg's names.
-        what: it should be, in words.
+        formats: allowed ones, by FFmpeg's names.
+        what: expected kind, in words.
 
     Raises:
-        LogError: it is not that, is damaged, or claims more than it can hold.
+        LogError: it is of another kind, is damaged, or claims more than it can hold.
     """
     import av
     from av import logging

@@ -1,4 +1,4 @@
-"""Files of messages by how they begin, and the same compressed as a whole."""
+"""Detect message files by their first bytes, also when compressed as a whole."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from tunenet_logs.formats.ros1_bag import read_bag
 from tunenet_logs.formats.ros2_db3 import read_db3
 from tunenet_logs.regular_file import open_regular
 
-_START_BYTES = 16
-"""Of a file, by which it is known."""
+_START_BYTES = 16  # of a file, by which it is known
 
 
 class MessageFile(Protocol):
-    """Reads one kind of file: a `Container`."""
+    """Reader of one kind of message file: a `Container`."""
 
     def __call__(
         self,
@@ -32,28 +31,28 @@ class MessageFile(Protocol):
         topics: Sequence[str] | None = None,
         budget: Budget | None = None,
     ) -> Iterator[Record]:
-        """As `Container` says.
+        """Yield the records as `Container` does.
 
         Args:
             path: the file.
-            losses: filled on the way.
-            topics: give only messages of these; None for all.
-            budget: what reading it may cost yet, where it was itself unpacked from a file, or is
+            losses: filled while reading.
+            topics: yield only messages of these; None for all.
+            budget: remaining budget, where the file was itself unpacked from another, or is
                 one of several.
         """
         ...
 
 
+# By the first bytes.
 _READERS: dict[bytes, MessageFile] = {
     MCAP_MAGIC: read_mcap,
     BAG_MAGIC: read_bag,
     DB3_MAGIC: read_db3,
 }
-"""By the first bytes."""
 
 
 def message_file(start: bytes) -> MessageFile | None:
-    """What reads a file of messages that begins like this; None where it is none."""
+    """Return the reader of message files that begin like this; None where there is none."""
     return next((read for magic, read in _READERS.items() if start.startswith(magic)), None)
 
 
@@ -63,7 +62,7 @@ def read_packed(
     topics: Sequence[str] | None = None,
     budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """The records of a file of messages that was compressed as a whole; see `MessageFile`."""
+    """Yield the records of a message file that was compressed as a whole; see `MessageFile`."""
     with open_regular(path) as file:
         compression = compression_of(file.read(_START_BYTES))
     if not compression:

@@ -1,4 +1,4 @@
-"""What the message types of others hold, and where: positions, joints, pictures, commands.
+"""Map the message types of others to what they hold: positions, joints, images, commands.
 
 ROS and Foxglove types have the same fields in every encoding, so one line serves them all.
 """
@@ -29,7 +29,7 @@ from tunenet_logs.formats.stamps import ros_stamp_ns, time_ns
 
 
 class JointSample(NamedTuple):
-    """What one message says of joints: rad, rad/s, N·m; empty where it does not say."""
+    """Joint states of one message: rad, rad/s, N·m; empty where it gives none."""
 
     stamp_ns: int
     names: tuple[str, ...]
@@ -40,17 +40,17 @@ class JointSample(NamedTuple):
 
 @dataclass(frozen=True)
 class JointType:
-    """A type with the state of joints."""
+    """A type with joint states."""
 
     read: Callable[[Any], JointSample]
 
 
 @dataclass(frozen=True, eq=False)
 class PictureSample:
-    """One message's image; `size` and `step` are those of bare pixels.
+    """One message's image; `size` and `step` are those of uncompressed pixels.
 
     Attributes:
-        step: bytes from one row to the next; 0 where there is no row between.
+        step: bytes from one row to the next; 0 where rows are contiguous.
     """
 
     stamp_ns: int
@@ -66,7 +66,7 @@ class PictureType:
     """A type with an image.
 
     Attributes:
-        is_video: whether a picture can be decoded only after those before it.
+        is_video: whether decoding an image needs those before it.
     """
 
     read: Callable[[Any], PictureSample]
@@ -80,8 +80,8 @@ class SoundSample(NamedTuple):
         stamp_ns: of the first sample.
         format: of `data`, as Foxglove names it.
         data: the bytes.
-        rate_hz: samples a second.
-        channels: that are interleaved.
+        rate_hz: samples per second.
+        channels: number of interleaved channels.
     """
 
     stamp_ns: int
@@ -98,17 +98,17 @@ class SoundType:
     read: Callable[[Any], SoundSample]
 
 
+# Time after the start [ns]; positions, velocities, efforts, each empty where it does not say.
 PlanPoint = tuple[
     int,
     "Sequence[float] | np.ndarray",
     "Sequence[float] | np.ndarray",
     "Sequence[float] | np.ndarray",
 ]
-"""Time after the start [ns]; positions, velocities, efforts, each empty where it does not say."""
 
 
 class PlanSample(NamedTuple):
-    """What one message plans for joints: rad, rad/s, N·m; stamp 0 for "from now on"."""
+    """Planned joint trajectory of one message: rad, rad/s, N·m; stamp 0 for "from now on"."""
 
     stamp_ns: int
     names: tuple[str, ...]
@@ -117,13 +117,12 @@ class PlanSample(NamedTuple):
 
 @dataclass(frozen=True)
 class PlanType:
-    """A type with a trajectory for joints, which nobody measured."""
+    """A type with a planned joint trajectory, which nobody measured."""
 
     read: Callable[[Any], PlanSample]
 
 
-NumbersSample = Sequence[float] | np.ndarray
-"""Numbers of which nobody says what they are."""
+NumbersSample = Sequence[float] | np.ndarray  # numbers of which nobody says what they are
 
 
 @dataclass(frozen=True)
@@ -133,8 +132,8 @@ class NumbersType:
     read: Callable[[Any], NumbersSample]
 
 
+# Stamp [ns] (0: not set); in which frame ("": any); force x, y, z [N]; torque x, y, z [N·m].
 WrenchSample = tuple[int, str, float, float, float, float, float, float]
-"""Stamp [ns] (0: not set); in which frame ("": any); force x, y, z [N]; torque x, y, z [N·m]."""
 
 
 @dataclass(frozen=True)
@@ -144,15 +143,13 @@ class WrenchType:
     read: Callable[[Any], WrenchSample]
 
 
-DriveType = PlanType | NumbersType | WrenchType
-"""A type of what drives a robot."""
-
+DriveType = PlanType | NumbersType | WrenchType  # a type of what drives a robot
+# What a type of messages holds.
 MessageType = PositionType | JointType | PictureType | SoundType | DriveType
-"""What a type of messages holds."""
 
 
 def message_type_of(channel: RawChannel) -> MessageType | None:
-    """What a channel's type holds; None if nothing that is used."""
+    """Return what a channel's type holds; None if nothing that is used."""
     name = type_key(channel.type_name)
     if name in _KINOVA:
         return _kinova(channel.topic if name.endswith("Angles") else name)
@@ -160,7 +157,7 @@ def message_type_of(channel: RawChannel) -> MessageType | None:
 
 
 def type_key(type_name: str) -> str:
-    """A type by the one name that it goes by here, however ROS 1, ROS 2 or Foxglove write it."""
+    """Return the canonical name of a type, be it written by ROS 1, ROS 2 or Foxglove."""
     name = ros_name(type_name)
     package, _, plain = name.rpartition("/msg/")
     return f"foxglove.{plain}" if package in ("foxglove_msgs", "foxglove") else name
@@ -174,7 +171,7 @@ def _joint_state(message: Any) -> JointSample:
 
 
 def _dynamic_joints(message: Any) -> JointSample:
-    """Values of ros2_control by joint and interface; `JointRows` knows these names."""
+    """Return ros2_control's values by joint and interface; `JointRows` knows these names."""
     parts = list(zip(message.joint_names, message.interface_values, strict=True))
     names = tuple(f"{joint}/{name}" for joint, part in parts for name in part.interface_names)
     values = [np.asarray(part.values, np.float64) for _, part in parts]
@@ -199,17 +196,17 @@ def _optional(joint: Any, field: str) -> float:
     return float("nan") if value is None else float(value)
 
 
+# Seven numbers in the same fields, in degrees where they are angles; without a header.
 _KINOVA = frozenset(
     ("kinova_msgs/msg/JointAngles", "kinova_msgs/msg/JointTorque", "kinova_msgs/msg/JointVelocity")
 )
-"""Seven numbers in the same fields, in degrees where they are angles; without a header."""
 
+# The fields of these, and what the joints are called.
 _KINOVA_NAMES = tuple(f"joint{number}" for number in range(1, 8))
-"""The fields of these, and what the joints are called."""
 
 
 def _kinova(name: str) -> JointType:
-    """Kinova's messages: no header, degrees; the topic tells torques that are typed as angles."""
+    """Return the reader of Kinova's headerless messages in degrees; the topic marks torques."""
     last = name.rpartition("/")[2].lower()
 
     def read(message: Any) -> JointSample:
@@ -266,6 +263,7 @@ def _raw_audio(message: Any) -> SoundSample:
     return SoundSample(stamp_ns, message.format, message.data, rate_hz, channels)
 
 
+# By the name that `type_key` gives; a new type is one line here, and one in `shapes.py`.
 _MESSAGE_TYPES: dict[str, MessageType] = {
     "geometry_msgs/msg/PoseStamped": ros_pose("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": ros_pose("pose.pose"),
@@ -296,4 +294,3 @@ _MESSAGE_TYPES: dict[str, MessageType] = {
     "foxglove.CompressedVideo": PictureType(_foxglove_image, is_video=True),
     "foxglove.RawAudio": SoundType(_raw_audio),
 }
-"""By the name that `type_key` gives; a new type is one line here, and one in `shapes.py`."""

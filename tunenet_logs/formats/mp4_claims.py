@@ -1,4 +1,4 @@
-"""Refuses an MP4 that claims pictures without end, before room is made for each of them."""
+"""Refuse an MP4 that claims an absurd number of samples, before memory is allocated for them."""
 
 from __future__ import annotations
 
@@ -9,29 +9,22 @@ from io import BufferedReader
 from tunenet_logs.errors import LogError
 from tunenet_logs.stopping import called_by_c, is_stopping
 
-_TABLES = (b"stsz", b"stz2", b"trun")
-"""By which samples are claimed."""
-
+_TABLES = (b"stsz", b"stz2", b"trun")  # by which samples are claimed
+# Where an MP4 says how many samples follow: a few bytes, for which FFmpeg makes a list.
 _COUNTS = re.compile(
     rb"stsz\x00{4}.{4}(.{4})"  # of a film
     rb"|stz2\x00{7}.(.{4})"
     rb"|trun[\x00\x01]\x00[\x00-\x0f][\x00\x01\x04\x05](.{4})",  # of a fragment
     re.DOTALL,
 )
-"""Where an MP4 says how many samples follow: a few bytes, for which FFmpeg makes a list."""
 
-_LONGEST_BYTES = 16
-"""Of a match: what is kept of the bytes before, as one may be cut in two."""
-
-_FREE = 5_000_000
-"""Samples that may be claimed at once: 100 s of bare sound, days of pictures."""
-
-_SAMPLES_A_BYTE = 1 / 16
-"""Further ones, for each byte that came."""
+_MAX_BYTES = 16  # of a match: what is kept of the bytes before, as one may be cut in two
+_FREE = 5_000_000  # samples that may be claimed at once: 100 s of bare sound, days of pictures
+_SAMPLES_A_BYTE = 1 / 16  # further ones, for each byte that came
 
 
 class Mp4Claims:
-    """Adds up what an MP4 claims while it is read.
+    """Running count of the samples that an MP4 claims while it is read.
 
     Args:
         file_bytes: its size, where that is known; else each byte counts as it comes.
@@ -44,7 +37,7 @@ class Mp4Claims:
         self._bytes = file_bytes
 
     def check(self, data: bytes) -> None:
-        """Look at the next bytes.
+        """Count the samples claimed in the next bytes.
 
         Raises:
             LogError: it claims more samples than bytes can hold.
@@ -56,24 +49,24 @@ class Mp4Claims:
                 end = found.end()
                 count = next(group for group in found.groups() if group is not None)
                 self._claimed += int.from_bytes(count, "big")
-        self._tail = seen[max(end, len(seen) - _LONGEST_BYTES + 1) :]
+        self._tail = seen[max(end, len(seen) - _MAX_BYTES + 1) :]
         if self._counts_on:
             self._bytes += len(data)
         if self._claimed > _FREE + _SAMPLES_A_BYTE * self._bytes:
             raise LogError(f"claims {self._claimed} samples in {self._bytes} bytes")
 
     def skip(self) -> None:
-        """The next bytes do not follow upon the last."""
+        """Note that the next bytes do not follow upon the last."""
         self._tail = b""
 
 
 class CheckedFile:
-    """A file as FFmpeg reads it, which ends where it claims too much.
+    """File object for FFmpeg that ends where the file claims too much.
 
     An exception would be lost on its way through FFmpeg, or printed.
 
     Args:
-        file: open; what it is called may tell FFmpeg its format.
+        file: open; its name may tell FFmpeg its format.
 
     Attributes:
         refused: why it ended; None while it has not.
@@ -87,7 +80,7 @@ class CheckedFile:
 
     @called_by_c
     def read(self, most: int) -> bytes:
-        """The next bytes; none once it is refused."""
+        """Read the next bytes; none once the file is refused."""
         if self.refused is None and not is_stopping():
             data = self._file.read(most)
             try:
@@ -100,11 +93,11 @@ class CheckedFile:
 
     @called_by_c
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go elsewhere."""
+        """Move to another position."""
         self._claims.skip()
         return self._file.seek(offset, whence)
 
     @called_by_c
     def tell(self) -> int:
-        """Where the next byte is."""
+        """Return the position of the next byte."""
         return self._file.tell()

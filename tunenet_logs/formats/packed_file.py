@@ -1,4 +1,4 @@
-"""Files that were compressed as a whole: unpacked, bounded, to a file that is gone afterwards."""
+"""Decompress files that were compressed as a whole, bounded, to a temporary file."""
 
 from __future__ import annotations
 
@@ -20,32 +20,25 @@ from tunenet_logs.formats.budget import Budget, OverBudgetError
 from tunenet_logs.formats.compression import ZSTD_MAGIC
 from tunenet_logs.regular_file import open_regular
 
+# Fed at a time: of zstd without a bound on what comes of it, which is 64 MiB at most then.
 _READ_BYTES = 2048
-"""Fed at a time: of zstd without a bound on what comes of it, which is 64 MiB at most then."""
 
-_PIECE_BYTES = 1024 * 1024
-"""Unpacked at a time, where that can be bounded."""
-
-_MOST_WINDOW_BYTES = 128 * 1024 * 1024
-"""What zstd may look back; its own default."""
-
-MOST_FOREIGN_BYTES = 1024**3
-"""Unpacked of a file of no messages; none is read that is larger."""
-
-_FREE_SHARE = 0.9
-"""Of the room of the system's folder for such files."""
-
+_PIECE_BYTES = 1024 * 1024  # unpacked at a time, where that can be bounded
+_MAX_WINDOW_BYTES = 128 * 1024 * 1024  # what zstd may look back; its own default
+MAX_FOREIGN_BYTES = 1024**3  # unpacked of a file of no messages; none is read that is larger
+_FREE_SHARE = 0.9  # of the room of the system's folder for such files
+# Kinds of compression, by the first bytes of a file.
 _UNPACKERS = {
     ZSTD_MAGIC: "zstd",
     b"\x1f\x8b\x08": "gzip",
     b"BZh": "bzip2",
     b"\x04\x22\x4d\x18": "lz4",
 }
-"""Kinds of compression, by the first bytes of a file."""
 
+# Of such files, behind what they are when unpacked.
 SUFFIXES = (".zstd", ".zst", ".gz", ".bz2", ".lz4")
-"""Of such files, behind what they are when unpacked."""
 
+# What the libraries raise on damaged data.
 _ERRORS = (
     zstandard.ZstdError,
     zlib.error,
@@ -55,25 +48,24 @@ _ERRORS = (
     EOFError,
     MemoryError,
 )
-"""What the libraries raise on damaged data."""
 
 
 class _CutError(Exception):
-    """Why unpacking ended before the end."""
+    """Decompression ended before the end."""
 
 
 def compression_of(start: bytes) -> str:
-    """How a file that begins like this is compressed as a whole: "zstd", "gzip", ..., or ""."""
+    """Detect a whole-file compression by the first bytes: "zstd", "gzip", ..., or ""."""
     return next((kind for magic, kind in _UNPACKERS.items() if start.startswith(magic)), "")
 
 
 def unpacked_name(path: Path) -> str:
-    """The name of what is inside: "drop.mcap.zst" holds drop.mcap."""
+    """Return the name of the file inside: "drop.mcap.zst" holds drop.mcap."""
     return path.stem if path.suffix.lower() in SUFFIXES and path.stem else path.name
 
 
 def unpacked_start(path: Path, compression: str, most: int) -> bytes:
-    """How what is inside begins; as much as can be unpacked, `most` bytes at most.
+    """Decompress the beginning of the file inside, `most` bytes at most.
 
     Raises:
         OSError: the file cannot be read.
@@ -97,17 +89,17 @@ def unpacked(
     budget: Budget,
     most_bytes: int | None = None,
 ) -> Iterator[Path]:
-    """The file inside, as far as it can be unpacked.
+    """Decompress the file inside, as far as possible, and yield its temporary path.
 
     Args:
-        path: the packed file; neither it nor its folder is changed.
-        compression: as `compression_of` says.
-        losses: what is noted of damage.
-        budget: what may be unpacked of it yet.
-        most_bytes: unpacked, whatever the size of the packed file.
+        path: the compressed file; neither it nor its folder is changed.
+        compression: as `compression_of` returns it.
+        losses: damage found.
+        budget: remaining decompression budget.
+        most_bytes: limit of the decompressed size, regardless of the compressed one.
 
     Raises:
-        LogError: nothing can be unpacked, it is more than a log may hold, or there is no room.
+        LogError: nothing can be decompressed, it is more than a log may hold, or there is no room.
         OSError: the disk fails.
     """
     with tempfile.TemporaryDirectory(prefix="tunenet-logs-") as folder:
@@ -128,11 +120,7 @@ def _unpack(
     losses: list[Loss],
     most_bytes: int | None,
 ) -> int:
-    """Bytes written.
-
-    Raises:
-        LogError, OSError: see `unpacked`.
-    """
+    """Decompress to `plain` and return the bytes written; raises as `unpacked` does."""
     room = int(_FREE_SHARE * shutil.disk_usage(plain.parent).free)
     written = 0
     try:
@@ -161,10 +149,10 @@ def _unpack(
 
 
 def _pieces(path: Path, compression: str) -> Iterator[bytes]:
-    """What is inside, piece by piece.
+    """Yield the decompressed data piece by piece.
 
     Raises:
-        _CutError: the data is damaged or ends too early; all that precedes it came.
+        _CutError: the data is damaged or ends too early; all that precedes it was yielded.
         OSError: the disk fails.
     """
     begin, feed = _KINDS[compression]
@@ -207,13 +195,13 @@ def _feed_others(stream: Any, data: bytes) -> Iterator[bytes]:
 
 
 def _zstd() -> Any:
-    return zstandard.ZstdDecompressor(max_window_size=_MOST_WINDOW_BYTES).decompressobj()
+    return zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES).decompressobj()
 
 
+# What begins a stream of each kind, and what feeds it.
 _KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any, bytes], Iterator[bytes]]]] = {
     "zstd": (_zstd, _feed_zstd),
     "gzip": (lambda: zlib.decompressobj(31), _feed_gzip),
     "bzip2": (bz2.BZ2Decompressor, _feed_others),
     "lz4": (lz4.frame.LZ4FrameDecompressor, _feed_others),
 }
-"""What begins a stream of each kind, and what feeds it."""

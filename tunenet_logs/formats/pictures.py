@@ -1,4 +1,4 @@
-"""The pictures of one topic, one at a time, as frames; what they claim is checked first."""
+"""Read the images of one topic as frames, one at a time; their claimed sizes are checked first."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tunenet_logs.pixels import PixelFormat, pixel_format_of
 
 
 def in_order(frames: Iterable[Frame], ahead: int) -> Iterator[Frame]:
-    """Frames by their stamps, that lie at most `ahead` places from their own."""
+    """Sort frames by stamp with a bounded heap; each lies at most `ahead` places from its own."""
     waiting: list[tuple[int, int, Frame]] = []
     for number, frame in enumerate(frames):
         heappush(waiting, (frame.stamp_ns, number, frame))
@@ -42,13 +42,12 @@ def in_order(frames: Iterable[Frame], ahead: int) -> Iterator[Frame]:
 
 
 def frames_of(records: Iterable[Record], topic: str, *, trusts_header: bool) -> Iterator[Frame]:
-    """The frames among the records of a log, in its order; those that cannot be used are left out.
+    """Yield the frames of a topic in log order, leaving out unusable ones.
 
     Args:
         records: of the log, perhaps of that topic alone.
-        topic: where the pictures are.
-        trusts_header: whether their header stamps tell the time, where they are set; else the
-            log's do.
+        topic: of the images.
+        trusts_header: whether to use header stamps, where they are set; else the log's.
     """
     found = _found_in(records, topic, trusts_header=trusts_header)
     for is_video, group in groupby(found, key=lambda each: each[0]):
@@ -62,11 +61,11 @@ def frames_of(records: Iterable[Record], topic: str, *, trusts_header: bool) -> 
 
 
 def checked_pictures(pictures: PictureType) -> Callable[[Any], PictureSample]:
-    """How messages of a type are read as pictures, those only that a frame can be made of.
+    """Return a reader of a type's images that validates each of them.
 
-    What is returned raises:
-        UnusableError: pictures of that encoding are not read.
-        MessageError, or one of DAMAGED: the message is.
+    The reader raises:
+        UnusableError: images of that encoding are not supported.
+        MessageError, or one of DAMAGED: the message is damaged.
     """
 
     def read_checked(message: Any) -> PictureSample:
@@ -89,7 +88,7 @@ def checked_pictures(pictures: PictureType) -> Callable[[Any], PictureSample]:
 def _found_in(
     records: Iterable[Record], topic: str, *, trusts_header: bool
 ) -> Iterator[tuple[bool, int, PictureSample]]:
-    """Whether it is a video's, its stamp [ns], and the picture."""
+    """Yield each image with its stamp [ns], and whether it is a video's."""
     readers: dict[RawChannel, tuple[Decode, Callable[[Any], PictureSample], bool]] = {}
     decoders = Decoders(SchemaBudget())
     for record in one_by_one(records):
@@ -110,7 +109,7 @@ def _found_in(
 
 
 def _check_pixels(picture: PictureSample, size: tuple[int, int]) -> None:
-    """Whether there are as many bytes as size and step claim."""
+    """Check that there are as many bytes as size and step claim."""
     try:
         form = pixel_format_of(picture.encoding)
     except LogError as error:
@@ -133,7 +132,7 @@ def _step(picture: PictureSample, width: int, form: PixelFormat) -> int:
 
 
 def _frame(stamp_ns: int, picture: PictureSample) -> Frame:
-    """A picture that was checked."""
+    """Return a checked image as a frame."""
     if picture.size is None:
         data = bytes(picture.data)
         # Senders write "jpeg", "jpg", "rgb8; jpeg compressed bgr8", or what it is not.

@@ -1,4 +1,4 @@
-"""Where messages of ROS and Foxglove types hold positions and orientations, and in which frame."""
+"""Extract positions, orientations and their frames from messages of ROS and Foxglove types."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ from typing import Any
 
 from tunenet_logs.formats.stamps import ros_stamp_ns, time_ns
 
+# Stamp [ns] (0: not set), of what ("": the topic's own), in which frame ("": any); x, y, z [m]; of
+# a type with orientations also a unit quaternion x, y, z, w, NaN where the message gives none.
 PositionSample = (
     tuple[int, str, str, float, float, float]
     | tuple[int, str, str, float, float, float, float, float, float, float]
 )
-"""Stamp [ns] (0: not set), of what ("": the topic's own), in which frame ("": any); x, y, z [m];
-of a type with orientations also a unit quaternion x, y, z, w, NaN where the message gives none."""
 
 _NO_ORIENTATION = (math.nan, math.nan, math.nan, math.nan)
 
-_NORM_ERROR = 0.1
-"""Of a quaternion, beyond which it is none, such as one of zeros."""
-
-_LONGEST_FRAME = 200
-"""Characters of a frame's name."""
+_NORM_ERROR = 0.1  # of a quaternion, beyond which it is none, such as one of zeros
+_MAX_FRAME = 200  # characters of a frame's name
 
 
 @dataclass(frozen=True)
@@ -39,13 +36,13 @@ class PositionType:
 
 
 def frame_of(message: Any, name: str = "frame_id") -> str:
-    """The name of a frame that a message or a header has; "" where it has none."""
+    """Return the frame name of a message or a header; "" where it has none."""
     frame = getattr(message, name, None)
-    return frame[:_LONGEST_FRAME] if isinstance(frame, str) else ""
+    return frame[:_MAX_FRAME] if isinstance(frame, str) else ""
 
 
 def ros_point(path: str) -> PositionType:
-    """A type with a header, and a point at `path`."""
+    """Return the reader of a type with a header, and a point at `path`."""
     point_of = attrgetter(path)
 
     def read(message: Any) -> Iterable[PositionSample]:
@@ -63,7 +60,7 @@ def ros_point(path: str) -> PositionType:
 
 
 def ros_pose(path: str) -> PositionType:
-    """A type with a header, and a pose at `path`."""
+    """Return the reader of a type with a header, and a pose at `path`."""
     pose_of = attrgetter(path)
 
     def read(message: Any) -> Iterable[PositionSample]:
@@ -76,31 +73,31 @@ def ros_pose(path: str) -> PositionType:
 
 
 def ros_transform(message: Any) -> Iterable[PositionSample]:
-    """The position of a transform."""
+    """Yield the pose of a ROS transform."""
     yield _ros_transform(message, frame_of(message, "child_frame_id"))
 
 
 def ros_transforms(message: Any) -> Iterable[PositionSample]:
-    """Positions of several, each by its child's name."""
+    """Return the poses of several ROS transforms, by child frame."""
     return [_ros_transform(one, one.child_frame_id) for one in message.transforms]
 
 
 def foxglove_point(message: Any) -> Iterable[PositionSample]:
-    """A point in a frame."""
+    """Yield the position of a Foxglove point."""
     point = message.point
     where = (float(point.x), float(point.y), float(point.z))
     yield time_ns(message.timestamp), "", frame_of(message), *where
 
 
 def foxglove_pose(message: Any) -> Iterable[PositionSample]:
-    """A pose in a frame."""
+    """Yield the pose of a Foxglove message."""
     pose = message.pose
     turn = _quaternion(getattr(pose, "orientation", None))
     yield _placed(time_ns(message.timestamp), "", frame_of(message), pose.position, turn)
 
 
 def foxglove_transform(transform: Any) -> PositionSample:
-    """The position of a transform, by its child's name."""
+    """Return the pose of a Foxglove transform, by child frame."""
     parent = frame_of(transform, "parent_frame_id")
     turn = _quaternion(getattr(transform, "rotation", None))
     stamp_ns = time_ns(transform.timestamp)
@@ -121,7 +118,7 @@ def _placed(
 
 
 def _quaternion(part: Any) -> tuple[float, float, float, float]:
-    """x, y, z, w; NaN where a message has none, or numbers that are no rotation."""
+    """Return x, y, z, w; NaN where a message has no unit quaternion."""
     try:
         x, y, z, w = float(part.x), float(part.y), float(part.z), float(part.w)
     except (AttributeError, TypeError, ValueError):

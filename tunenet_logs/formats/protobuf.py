@@ -1,4 +1,4 @@
-"""Protobuf messages, by the descriptors that the log carries: bounded, checked, in a pool apart."""
+"""Decode protobuf by the descriptors in the log: bounded, checked, in a descriptor pool apart."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ from tunenet_logs.formats.stamps import STAMP_FIELDS
 if TYPE_CHECKING:
     from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
-MOST_SCHEMA_BYTES = 4 * 1024 * 1024
-"""The descriptors of a type with all that it is made of have some kilobytes."""
+# The descriptors of a type with all that it is made of have some kilobytes.
+MAX_SCHEMA_BYTES = 4 * 1024 * 1024
 
-MOST_REPEATED_BYTES = 4 * 1024 * 1024
-"""Of a message whose type has lists: two bytes of it may become an object of ninety."""
+# Of a message whose type has lists: two bytes of it may become an object of ninety.
+MAX_REPEATED_BYTES = 4 * 1024 * 1024
 
+# Files of Google's that writers leave out of their descriptors.
 _WELL_KNOWN = (
     "any",
     "descriptor",
@@ -38,11 +39,10 @@ _WELL_KNOWN = (
     "timestamp",
     "wrappers",
 )
-"""Files of Google's that writers leave out of their descriptors."""
 
 
 def protobuf_decoder(channel: RawChannel) -> Decode:
-    """Decodes protobuf by the channel's own schema.
+    """Return a protobuf decoder for the channel's own schema.
 
     Raises:
         UnusableError: the schema is damaged, too large, or not the usual one of its type.
@@ -51,8 +51,8 @@ def protobuf_decoder(channel: RawChannel) -> Decode:
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only protobuf)"
         )
-    if len(channel.schema) > MOST_SCHEMA_BYTES:
-        raise UnusableError(f"its schema is larger than {MOST_SCHEMA_BYTES} bytes")
+    if len(channel.schema) > MAX_SCHEMA_BYTES:
+        raise UnusableError(f"its schema is larger than {MAX_SCHEMA_BYTES} bytes")
     shape = shape_of(channel)
     from google.protobuf.message import Error
     from google.protobuf.message_factory import GetMessageClass
@@ -61,7 +61,7 @@ def protobuf_decoder(channel: RawChannel) -> Decode:
         descriptor = descriptor_of(channel.schema, channel.type_name)
         _check(descriptor, shape, channel.type_name)
         parse = GetMessageClass(descriptor).FromString
-        most = MOST_REPEATED_BYTES if has_lists(descriptor) else MAX_PART_BYTES
+        most = MAX_REPEATED_BYTES if has_lists(descriptor) else MAX_PART_BYTES
     except (Error, *DAMAGED) as error:
         raise UnusableError(f"its schema is damaged: {described(error)}") from error
 
@@ -79,7 +79,7 @@ def protobuf_decoder(channel: RawChannel) -> Decode:
 
 
 def descriptor_of(schema: bytes, type_name: str) -> Descriptor:
-    """The message type, from a set of files in any order.
+    """Build the message type's descriptor from a set of files in any order.
 
     Raises:
         UnusableError: a file that it needs is missing.
@@ -110,11 +110,7 @@ def _well_known(name: str) -> bytes:
 
 
 def _check(descriptor: Descriptor, shape: Fields, path: str) -> None:
-    """Whether a message type has the fields that are read.
-
-    Raises:
-        UnusableError: one is missing, or is something else.
-    """
+    """Check that a message type has the fields that are read, else raise UnusableError."""
     for name, inner in shape.fields.items():
         if isinstance(inner, Maybe):
             continue
@@ -169,7 +165,7 @@ def _types(leaf: Leaf) -> frozenset[int]:
 
 
 def has_lists(top: Descriptor) -> bool:
-    """Whether anything that its messages can hold is a list (or a map)."""
+    """Return whether messages of a type can hold a list or a map, at any depth."""
     seen: set[str] = set()
     waiting = [top]
     while waiting:
@@ -186,11 +182,7 @@ def has_lists(top: Descriptor) -> bool:
 
 
 def _check_present(message: Any, shape: Fields) -> None:
-    """Absent fields read as zeros, which no one measured: a pose must have a position.
-
-    Raises:
-        ValueError: a part is absent.
-    """
+    """Raise ValueError where a submessage is absent: it would read as unmeasured zeros."""
     for name, inner in shape.fields.items():
         if isinstance(inner, Fields):
             if not message.HasField(name):

@@ -1,4 +1,4 @@
-"""What a user says of a file that does not say it itself, or not in words that are known."""
+"""Reading options: what a user states of a file that is silent or ambiguous about it."""
 
 from __future__ import annotations
 
@@ -11,29 +11,27 @@ from typing import TypedDict
 from tunenet_logs.errors import UsageError
 from tunenet_logs.formats.tables.meaning import LENGTHS
 
+# What a column can be said to be.
 _TARGETS = r"(?:t|frame|times|object|x|y|z|(?:position|velocity|effort|current)_[1-9]\d{0,2})"
-"""What a column can be said to be."""
 
+# Where the next one of `--columns` begins: a column's own name may hold commas.
 _ASSIGNMENT = re.compile(rf"(?:^|,)\s*({_TARGETS})\s*=")
-"""Where the next one of `--columns` begins: a column's own name may hold commas."""
 
+# What `--columns` takes, for messages.
 COLUMNS_EXAMPLE = "t=Zeit,z='Height (cm)', or by number from 1: t=1,z=2; of a log: z=/ball.z"
-"""What `--columns` takes, for messages."""
 
 
-RATES_HZ = (1e-3, 1e7)
-"""Least and greatest rate of frames that may be said."""
-
-_LARGEST_CONSTANT = 1e6
+RATES_HZ = (1e-3, 1e7)  # least and greatest rate of frames that may be said
+_MAX_CONSTANT = 1e6
 
 
 class ReadingOptions(TypedDict, total=False):
-    """What may be said of a file that does not say it itself.
+    """Reading options for a file that is silent or ambiguous about its columns, rate or units.
 
     Attributes:
         columns: which column is which, as `{"t": "Zeit", "z": "Hoehe (cm)"}` or
             `"t=Zeit,z=Hoehe (cm)"`.
-        fps: frames a second, of a file that counts frames and says no times.
+        fps: frame rate [Hz] of a file that counts frames and has no times.
         length_unit: of positions: "m", "cm", "mm", "in", "ft" or "px".
         torque_constants: torque at the joint for each A of its motor's current [N·m/A], joint by
             joint, or one number for all.
@@ -47,13 +45,13 @@ class ReadingOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a user says of a file.
+    """Validated reading options of a file.
 
     Attributes:
         columns: which column or field (TOPIC.FIELD.FIELD of a log) is which: "t", "frame", "times"
-            (impact times), "object" (of which thing a row of a table is), "x", "y", "z",
+            (impact times), "object" (identifies a table row's object), "x", "y", "z",
             "position_1", "velocity_1", "effort_1", "current_1", ...
-        rate_hz: frames a second, of files that count frames.
+        rate_hz: frame rate of files that count frames.
         length_unit: of positions, one of `LENGTHS` or "px"; "" to go by the file.
         torque_constants: N·m for each A of a motor's current, joint by joint.
     """
@@ -65,35 +63,33 @@ class ReadOptions:
 
     @property
     def length_m(self) -> float | None:
-        """Metres in the unit that was said; None where none was, or pixels."""
+        """Size of the stated length unit [m]; None where there is none, or pixels."""
         return LENGTHS.get(self.length_unit)
 
     @property
     def given(self) -> tuple[str, ...]:
-        """The options given, as a user names them."""
+        """Options given, as a user names them."""
         plain = AS_IT_SAYS
         return tuple(
             name for name, field in FIELDS.items() if getattr(self, field) != getattr(plain, field)
         )
 
 
-AS_IT_SAYS = ReadOptions()
-"""Nothing said."""
-
+AS_IT_SAYS = ReadOptions()  # nothing said
+# Of `ReadOptions`, by the options that users know.
 FIELDS = {
     "--columns": "columns",
     "--fps": "rate_hz",
     "--length-unit": "length_unit",
     "--torque-constants": "torque_constants",
 }
-"""Of `ReadOptions`, by the options that users know."""
 
 
 def columns_of(text: str) -> dict[str, str]:
-    """`--columns` taken apart.
+    """Parse the value of `--columns`.
 
     Raises:
-        UsageError: it is not like `COLUMNS_EXAMPLE`, or says one thing twice.
+        UsageError: it is not like `COLUMNS_EXAMPLE`, or has a target twice.
     """
     marks = list(_ASSIGNMENT.finditer(text))
     if not marks or text[: marks[0].start()].strip():
@@ -111,10 +107,10 @@ def columns_of(text: str) -> dict[str, str]:
 
 
 def reading_of(given: ReadingOptions) -> ReadOptions:
-    """What is said of a file, checked; what is missing or None is not said.
+    """Validate reading options; those missing or None are unset.
 
     Raises:
-        UsageError: a value that makes no sense.
+        UsageError: a value is out of range or of an unknown unit.
     """
     columns, unit, rate_hz = (given.get(name) for name in ("columns", "length_unit", "fps"))
     if unit and unit not in (*LENGTHS, "px"):
@@ -126,7 +122,7 @@ def reading_of(given: ReadingOptions) -> ReadOptions:
 
 
 def _constants(given: str | float | Sequence[float] | None) -> tuple[float, ...]:
-    """Torque for each A of a current [N·m/A], joint by joint."""
+    """Parse torque constants [N·m/A], joint by joint."""
     if given is None:
         return ()
     parts = given.split(",") if isinstance(given, str) else given
@@ -134,7 +130,7 @@ def _constants(given: str | float | Sequence[float] | None) -> tuple[float, ...]
         values = tuple(map(float, parts if isinstance(parts, Sequence) else (parts,)))
     except ValueError:
         values = (math.nan,)
-    if not all(0 < abs(value) < _LARGEST_CONSTANT for value in values):
+    if not all(0 < abs(value) < _MAX_CONSTANT for value in values):
         shown = str(given)[:40]
         raise UsageError(
             f"--torque-constants {shown!r} are no numbers; write them as 10.5,10.5,8.1"

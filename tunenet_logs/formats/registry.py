@@ -1,6 +1,6 @@
-"""The containers and encodings that are read; a new one is one file, and one line here.
+"""Registry of the containers and encodings that are read; a new one is one file, and one line here.
 
-Which container a file is, its first bytes tell; names tell little.
+A container is detected by its first bytes; names are unreliable.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from tunenet_logs.formats.foreign_kinds import foreign_kind
 from tunenet_logs.formats.json_messages import json_decoder
 from tunenet_logs.formats.message_files import message_file, read_packed
 from tunenet_logs.formats.packed_file import (
-    MOST_FOREIGN_BYTES,
+    MAX_FOREIGN_BYTES,
     compression_of,
     unpacked,
     unpacked_start,
@@ -56,6 +56,8 @@ from tunenet_logs.formats.tables.lines import SUFFIXES, has_rows
 from tunenet_logs.formats.video import read_video
 from tunenet_logs.regular_file import open_regular
 
+# What programs and instruments export, by how its files begin; the first that knows a file reads
+# it.
 _EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Episode]], ...] = (
     (is_motive, read_motive),
     (is_nexus, read_nexus),
@@ -74,36 +76,32 @@ _EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Epi
     (is_json_lines, read_json_lines),
     (is_picture_archive, read_picture_archive),
 )
-"""What programs and instruments export, by how its files begin; the first that knows a file reads
-it."""
 
+# What is read, in short.
 _KNOWN = "an MCAP log, a bag (.bag, .db3), a table of text, a video or sound"
-"""What is read, in short."""
 
-_START_BYTES = 16
-"""Of a file, by which one of messages is known."""
-
+_START_BYTES = 16  # of a file, by which one of messages is known
+# What unpacks a file, by its compression.
 _UNPACK = {"zstd": "`zstd -d`", "gzip": "`gunzip`", "bzip2": "`bunzip2`", "lz4": "`lz4 -d`"}
-"""What unpacks a file, by its compression."""
 
+# Encodings of messages; a function makes the decoder for a channel, or raises UnusableError.
 DECODERS: dict[str, Callable[[RawChannel], Decode]] = {
     "cdr": ros_decoder,
     "ros1": ros_decoder,
     "protobuf": protobuf_decoder,
     "json": json_decoder,
 }
-"""Encodings of messages; a function makes the decoder for a channel, or raises UnusableError."""
 
 
 def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episode:
-    """How the messages of a log are read; or the episode, where a file is no such container.
+    """Open a log: return the reader of its messages, or the episode of a file without messages.
 
     Args:
         path: of the log.
-        options: what its user says of a file of no messages.
+        options: the user's, for a file without messages.
 
     Raises:
-        LogError: there is no such file, or it is nothing that is read here.
+        LogError: there is no such file, or its format is not supported.
     """
     try:
         if path.is_dir():
@@ -125,7 +123,7 @@ def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episo
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a log is a folder of files; not where that cannot even be asked."""
+    """Return whether a log is a folder of files; False where that cannot be determined."""
     try:
         return path.is_dir()
     except OSError:
@@ -133,16 +131,16 @@ def is_folder(path: Path) -> bool:
 
 
 def file_bytes(path: Path) -> int:
-    """Size of a log [bytes], of all files of a folder's."""
+    """Return the size of a log [bytes], that of all its files for a folder."""
     files = path.iterdir() if path.is_dir() else (path,)
     return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def decoder_for(channel: RawChannel) -> Decode:
-    """How the channel's messages are decoded.
+    """Return the decoder of the channel's messages.
 
     Raises:
-        UnusableError: they cannot be.
+        UnusableError: its encoding or type is not supported.
     """
     if channel.encoding not in DECODERS:
         known = ", ".join(DECODERS)
@@ -153,7 +151,7 @@ def decoder_for(channel: RawChannel) -> Decode:
 
 
 def is_known(path: Path) -> bool:
-    """Whether a file begins as one of messages, an export or a table does; a video is not told.
+    """Return whether a file begins as messages, an export or a table do; videos are not detected.
 
     Raises:
         LogError, OSError: it cannot be read.
@@ -169,7 +167,7 @@ def is_known(path: Path) -> bool:
 
 
 def _read_foreign(path: Path, options: ReadOptions) -> Episode:
-    """A file of no messages: an export, a table, a video, or nothing that is read here."""
+    """Read a file without messages: an export, a table or a video; raise LogError for others."""
     try:
         start = start_of(path)
         for is_this, read in _EXPORTS:
@@ -195,11 +193,7 @@ def _read_foreign(path: Path, options: ReadOptions) -> Episode:
 
 
 def _read_text(start: Start, options: ReadOptions) -> Episode:
-    """A table, under any name.
-
-    Raises:
-        LogError: it is some other text, or see `read_csv`.
-    """
+    """Read a table of any name; raise LogError for other text."""
     path = start.path
     if kind := foreign_kind(start.data, path):
         what, remedy = kind
@@ -213,17 +207,13 @@ def _read_text(start: Start, options: ReadOptions) -> Episode:
 
 
 def _open_packed(path: Path, compression: str, options: ReadOptions) -> Container | Episode:
-    """A file that was compressed as a whole: messages are read piece by piece, others at once.
-
-    Raises:
-        LogError: what is inside is not read, or only when it is unpacked.
-    """
+    """Open a file that was compressed as a whole: messages are streamed, others read at once."""
     losses: list[Loss] = []
     try:
         if message_file(unpacked_start(path, compression, _START_BYTES)):
             return read_packed
         budget = Budget(path.stat().st_size)
-        with unpacked(path, compression, losses, budget, MOST_FOREIGN_BYTES) as inside:
+        with unpacked(path, compression, losses, budget, MAX_FOREIGN_BYTES) as inside:
             episode = _read_inside(inside, path, options)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
@@ -235,7 +225,7 @@ def _open_packed(path: Path, compression: str, options: ReadOptions) -> Containe
 
 
 def _read_inside(inside: Path, path: Path, options: ReadOptions) -> Episode:
-    """What was unpacked, called by the name of what it was unpacked from."""
+    """Read a decompressed file; errors name the compressed one."""
     try:
         return _read_foreign(inside, options)
     except LogError as error:

@@ -1,7 +1,6 @@
-"""ROS messages, ROS 2 CDR and ROS 1: which can be decoded, and how.
+"""Decode messages of known ROS types, in ROS 2 CDR and in ROS 1 serialization.
 
-A log's own definitions are compared with ours and never compiled: that would run what a stranger
-wrote.
+A log's own definitions are compared with ours and never compiled: that would run untrusted code.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from rosbags.typesys.store import Typestore
 from tunenet_logs import messages
 from tunenet_logs.formats.base import DAMAGED, Decode, MessageError, RawChannel, UnusableError
 from tunenet_logs.formats.ros_any import any_ros_type
-from tunenet_logs.formats.ros_definitions import MOST_SCHEMA_BYTES, RosTypes, idl_types, types_of
+from tunenet_logs.formats.ros_definitions import MAX_SCHEMA_BYTES, RosTypes, idl_types, types_of
 
 # Foxglove's types as ROS messages; they begin alike.
 _FRAME = "builtin_interfaces/Time timestamp\nstring frame_id\n"
@@ -32,17 +31,18 @@ _TRANSFORM = (
     "geometry_msgs/Vector3 translation\n"
 )
 
+# Definitions that are read, by the encoding of the messages.
 SCHEMA_ENCODINGS = {"cdr": ("ros2msg", "ros2idl", "omgidl"), "ros1": ("ros1msg",)}
-"""Definitions that are read, by the encoding of the messages."""
 
+# Parsers of definitions, by schema encoding; they build field lists and run nothing.
 _PARSERS = {
     "ros2msg": get_types_from_msg,
     "ros1msg": get_types_from_msg,
     "ros2idl": lambda text, _name: idl_types(text),
     "omgidl": lambda text, _name: idl_types(text),
 }
-"""Parsers of definitions, by schema encoding; they build field lists and run nothing."""
 
+# Types that no distribution of ROS defines: of Kinova's driver, ros2_control, ours, Foxglove's.
 _FOREIGN = {
     "kinova_msgs": dict.fromkeys(
         ("JointAngles", "JointTorque", "JointVelocity"), messages.SEVEN_JOINTS
@@ -65,16 +65,15 @@ _FOREIGN = {
         "uint8[] data",
     },
 }
-"""Types that no distribution of ROS defines: of Kinova's driver, ros2_control, ours, Foxglove's."""
 
+# Old names of types: ROS 1 moved this one to another package.
 _SAME_TYPE = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
-"""Old names of types: ROS 1 moved this one to another package."""
 
 
 def ros_name(type_name: str) -> str:
-    """A type as ROS 2 writes it: "sensor_msgs/JointState" is "sensor_msgs/msg/JointState".
+    """Return a type name as ROS 2 writes it: "sensor_msgs/msg/JointState".
 
-    So is "sensor_msgs::msg::JointState", as the IDL of the OMG writes it.
+    So becomes "sensor_msgs/JointState", and "sensor_msgs::msg::JointState" of the OMG's IDL.
     """
     package, _, name = type_name.replace("::", "/").partition("/")
     if name and "/" not in name:
@@ -84,16 +83,16 @@ def ros_name(type_name: str) -> str:
 
 
 def plain_type(type_name: str) -> str:
-    """A type without its package: "JointState"."""
+    """Return a type name without its package: "JointState"."""
     return re.split(r"[/.:]", type_name)[-1]
 
 
 def ros_decoder(channel: RawChannel) -> Decode:
-    """Decodes ROS 2 CDR, or the serialization of ROS 1, as the channel's encoding says.
+    """Return a decoder of ROS 2 CDR, or of ROS 1 serialization, by the channel's encoding.
 
     Raises:
-        UnusableError: the channel's own definition of its type is damaged, or lays the type out in
-            another way than ours.
+        UnusableError: the channel's own definition of its type is damaged, or its layout differs
+            from ours.
     """
     name = ros_name(channel.type_name)
     is_ros1 = channel.encoding == "ros1"
@@ -109,7 +108,7 @@ def ros_decoder(channel: RawChannel) -> Decode:
                 f"schema encoding {channel.schema_encoding[:20]!r} is not read "
                 f"(only {', '.join(encodings)})"
             )
-        if len(channel.schema) > MOST_SCHEMA_BYTES:
+        if len(channel.schema) > MAX_SCHEMA_BYTES:
             raise UnusableError("its schema is too large")
         is_same = _is_same(channel.schema, channel.schema_encoding, name, stores)
         if is_same is None:
@@ -131,13 +130,13 @@ def ros_decoder(channel: RawChannel) -> Decode:
 
 @cache
 def _other_cdr(name: str) -> Decode:
-    """Decodes a known type in CDR of another version than that of ROS 2."""
+    """Return a decoder of a known type in CDR of another version than that of ROS 2."""
     return any_ros_type(known_types(is_ros1=False), name, is_ros1=False)[1]
 
 
 @lru_cache(maxsize=64)
 def _is_same(schema: bytes, encoding: str, name: str, stores: Stores) -> bool | None:
-    """Whether a definition is ours; None for a damaged one. Parsed once for all of its channels."""
+    """Return whether a definition is ours; None for a damaged one. Cached over channels."""
     try:
         theirs = _PARSERS[encoding](schema.decode(), name)
     except (TypesysError, *DAMAGED):
@@ -151,7 +150,7 @@ def _is_same(schema: bytes, encoding: str, name: str, stores: Stores) -> bool | 
 
 @cache
 def known_types(*, is_ros1: bool) -> RosTypes:
-    """What the types that are known here are made of."""
+    """Return the fields of all known types."""
     stores = Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE
     found: RosTypes = {}
     for name, fields in _typestore(stores).fielddefs.items():
@@ -162,7 +161,7 @@ def known_types(*, is_ros1: bool) -> RosTypes:
 
 @cache
 def _typestore(stores: Stores) -> Typestore:
-    """The types that are read: those of a ROS distribution, and `_FOREIGN`."""
+    """Return the known types: those of a ROS distribution, and `_FOREIGN`."""
     store = get_typestore(stores)
     if stores is Stores.ROS1_NOETIC:
         transforms = "geometry_msgs/TransformStamped[] transforms"

@@ -1,4 +1,4 @@
-"""ROS 1 bags (v2.0): their record stream, bounded and checked, read past what is damaged.
+"""Read ROS 1 bags (v2.0) as a record stream, bounded and checked, past damage.
 
 By the stream and not by the index at the end: a killed `rosbag record` leaves none (`.bag.active`).
 """
@@ -42,17 +42,14 @@ from tunenet_logs.formats.ros1_records import (
 from tunenet_logs.progress import silent, teller
 from tunenet_logs.regular_file import open_regular
 
+# How a ROS bag begins, before its version.
 MAGIC = b"#ROSBAG V"
-"""How a ROS bag begins, before its version."""
 
-_VERSION = b"2.0\n"
-"""The only version that is read; `rosbag filter` rewrites older ones."""
-
+_VERSION = b"2.0\n"  # the only version that is read; `rosbag filter` rewrites older ones
+# What a record inside a chunk counts as: its head is a list of names, and each has 46 bytes.
 _RECORD = 2
-"""What a record inside a chunk counts as: its head is a list of names, and each has 46 bytes."""
 
-_COUNTED = {INDEX: 12, CHUNK_INFO: 8}
-"""Bytes of each entry that such a record counts."""
+_COUNTED = {INDEX: 12, CHUNK_INFO: 8}  # bytes of each entry that such a record counts
 
 
 def read_bag(
@@ -61,7 +58,7 @@ def read_bag(
     topics: Sequence[str] | None = None,
     budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """The records of a ROS 1 bag, closed or not; see `MessageFile`."""
+    """Yield the records of a ROS 1 bag, closed or not; see `MessageFile`."""
     with open_regular(path) as file:
         version = file.read(len(MAGIC) + len(_VERSION))[len(MAGIC) :]
         if version != _VERSION:
@@ -120,11 +117,7 @@ class _BagReading:
             self._lose(f"{missing} of {stated} messages are missing")
 
     def _until_the_end(self) -> Generator[Record, None, int]:
-        """The records, one after the other; returns where they end.
-
-        Raises:
-            OverBudgetError: there are too many.
-        """
+        """Yield the records in file order and return their end; raise OverBudgetError."""
         at = len(MAGIC) + len(_VERSION)
         tell = teller("reading") if self.topics is None else silent
         while at < self.file.size:
@@ -157,10 +150,10 @@ class _BagReading:
         return ()
 
     def _chunk(self, head: Head, at: int) -> Generator[Record, None, int]:
-        """A chunk's records; returns where to go on from.
+        """Yield a chunk's records and return where to go on.
 
         Raises:
-            DAMAGED: its head makes no sense, or it was one chunk too many.
+            DAMAGED: its head is malformed, or it is one chunk too many.
         """
         self.budget.spend_records(CHUNK_RECORDS)
         stated = head.number(b"size")
@@ -194,7 +187,7 @@ class _BagReading:
         return head.end
 
     def _inside(self, plain: bytes) -> Generator[Record, None, int]:
-        """The records of an unpacked chunk; returns how many bytes of it belong to none."""
+        """Yield the records of a decompressed chunk and return its number of damaged bytes."""
         at = lost = 0
         while at < len(plain):
             self.budget.spend_records(_RECORD)
@@ -247,7 +240,7 @@ class _BagReading:
         return ()
 
     def _index(self) -> dict[int, RawChannel]:
-        """The connections as the end of the file repeats them; none where that is missing."""
+        """Return the connections of the index at the file's end; empty where it is missing."""
         if self.index is None:
             self.index = {}
             at = self.index_at
@@ -262,11 +255,11 @@ class _BagReading:
         return self.index
 
     def _note(self, head: Head) -> None:
-        """What the bag says about itself.
+        """Register a bag header or index record.
 
         Raises:
-            LogError: it is encrypted.
-            DAMAGED: it makes no sense.
+            LogError: the bag is encrypted.
+            DAMAGED: the record is malformed.
         """
         if head.op in _COUNTED:
             count = head.number(b"count")
@@ -286,7 +279,7 @@ class _BagReading:
             raise ValueError(f"there is no record of kind {head.op}")
 
     def _past(self, at: int, why: str) -> int:
-        """Where the next record begins, behind what is none; else the file's end."""
+        """Return where the next record begins behind damage, else the file's end."""
         behind = self.file.find(at + 1)
         if behind < self.file.size:
             what = f"{why}; what follows was found again"

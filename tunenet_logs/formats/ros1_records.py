@@ -1,4 +1,4 @@
-"""Records of a ROS 1 bag: heads taken apart, their fields checked, and looked for behind damage."""
+"""Parse ROS 1 bag records: checked heads and fields, and search for heads behind damage."""
 
 from __future__ import annotations
 
@@ -10,21 +10,18 @@ from typing import BinaryIO
 
 from tunenet_logs.formats.compression import MAX_PART_BYTES
 
+# The kinds of records, by the byte that a head's field `op` holds.
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
-"""The kinds of records, by the byte that a head's field `op` holds."""
 
-IN_CHUNKS = frozenset((MESSAGE, CONNECTION))
-"""The kinds of records that a chunk may hold."""
+IN_CHUNKS = frozenset((MESSAGE, CONNECTION))  # the kinds of records that a chunk may hold
+# A head names a topic at most; what a message is like lies in a record's data.
+MAX_HEAD_BYTES = 64 * 1024
 
-MOST_HEAD_BYTES = 64 * 1024
-"""A head names a topic at most; what a message is like lies in a record's data."""
-
+# A length [bytes], little-endian, as it stands before every head, field and data.
 U32 = struct.Struct("<I")
-"""A length [bytes], little-endian, as it stands before every head, field and data."""
 
-_FORMATS = {1: "<B", 4: "<I", 8: "<Q"}
-"""Of an unsigned field, by its size [bytes]."""
-
+_FORMATS = {1: "<B", 4: "<I", 8: "<Q"}  # of an unsigned field, by its size [bytes]
+# The fields that a head of each kind must have, to be taken for one behind damage.
 _NEEDED = {
     MESSAGE: (b"conn", b"time"),
     INDEX: (b"conn", b"count"),
@@ -32,22 +29,17 @@ _NEEDED = {
     CHUNK_INFO: (b"chunk_pos", b"count"),
     CONNECTION: (b"conn", b"topic"),
 }
-"""The fields that a head of each kind must have, to be taken for one behind damage."""
 
-_USUAL_HEAD_BYTES = 256
-"""Read at first for a head; only one with a long topic needs a second reading."""
+# Read at first for a head; only one with a long topic needs a second reading.
+_TYPICAL_HEAD_BYTES = 256
 
-_FIRST_BLOCK_BYTES = 16 * 1024
-"""Searched at first behind damage; a head is near, mostly."""
-
-_BLOCK_BYTES = 1024 * 1024
-"""Searched at a time later, after blocks that double."""
-
+_FIRST_BLOCK_BYTES = 16 * 1024  # searched at first behind damage; a head is near, mostly
+_BLOCK_BYTES = 1024 * 1024  # searched at a time later, after blocks that double
+# A head's field `op` as it is stored: its length (three letters and the value), and its name.
 _MARK = b"\x04\x00\x00\x00op="
-"""A head's field `op` as it is stored: its length (three letters and the value), and its name."""
 
+# How far before its field `op` a head may begin; others write little before it.
 _LEADS = range(4, 64)
-"""How far before its field `op` a head may begin; others write little before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +47,8 @@ class Head:
     """A record's head.
 
     Attributes:
-        data_at: where its data begins, in the buffer that it was read from.
-        data_bytes: how long it claims to be; not yet checked.
+        data_at: first byte of its data, in the buffer that it was read from.
+        data_bytes: claimed length of its data, unchecked.
     """
 
     op: int
@@ -66,35 +58,35 @@ class Head:
 
     @property
     def end(self) -> int:
-        """Where the next record begins."""
+        """First byte of the next record."""
         return self.data_at + self.data_bytes
 
     def number(self, name: bytes, size: int = 4) -> int:
-        """An unsigned field of `size` bytes.
+        """Return an unsigned field of `size` bytes.
 
         Raises:
-            ValueError, KeyError, struct.error: it is not there, or of another size.
+            ValueError, KeyError, struct.error: it is missing, or of another size.
         """
         return struct.unpack(_FORMATS[size], self.fields[name])[0]
 
     def time_ns(self) -> int:
-        """When a message was received [ns].
+        """Return a message's time of receipt [ns].
 
         Raises:
-            KeyError, struct.error: it does not say.
+            KeyError, struct.error: the field is missing or of another size.
         """
         seconds, nanoseconds = struct.unpack("<II", self.fields[b"time"])
         return seconds * 1_000_000_000 + nanoseconds
 
 
 def head_at(buffer: bytes | memoryview, at: int = 0) -> Head:
-    """The head of the record at a place in a buffer.
+    """Parse the head of the record at a place in a buffer.
 
     Raises:
-        ValueError, LookupError, struct.error: there is none.
+        ValueError, LookupError, struct.error: there is no valid head.
     """
     (length,) = U32.unpack_from(buffer, at)
-    if length > MOST_HEAD_BYTES:
+    if length > MAX_HEAD_BYTES:
         raise ValueError(f"a head claims {length} bytes")
     start = at + U32.size
     (data_bytes,) = U32.unpack_from(buffer, start + length)
@@ -104,10 +96,10 @@ def head_at(buffer: bytes | memoryview, at: int = 0) -> Head:
 
 
 def fields_of(data: bytes) -> dict[bytes, bytes]:
-    """The fields of a head, or of a connection's data, as name=value.
+    """Parse the name=value fields of a head, or of a connection's data.
 
     Raises:
-        ValueError, struct.error: they are not.
+        ValueError, struct.error: a field is malformed.
     """
     fields: dict[bytes, bytes] = {}
     at = 0
@@ -123,7 +115,7 @@ def fields_of(data: bytes) -> dict[bytes, bytes]:
 
 
 class RecordFile:
-    """A file of records, of which any part may be damaged."""
+    """A file of records, any part of which may be damaged."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -131,25 +123,25 @@ class RecordFile:
         self.size = os.fstat(file.fileno()).st_size
 
     def block(self, at: int, length: int) -> bytes:
-        """The bytes there, fewer at the file's end."""
+        """Read bytes at a place, fewer at the file's end."""
         self._file.seek(at)
         return self._file.read(length)
 
     def head(self, at: int) -> Head:
-        """The head of the record there, by its place in the file.
+        """Parse the head of the record at a place in the file.
 
         Raises:
-            ValueError, LookupError, struct.error: there is none.
+            ValueError, LookupError, struct.error: there is no valid head.
         """
-        block = self.block(at, _USUAL_HEAD_BYTES)
+        block = self.block(at, _TYPICAL_HEAD_BYTES)
         (length,) = U32.unpack_from(block)
         if length + 2 * U32.size > len(block):
-            block = self.block(at, min(length, MOST_HEAD_BYTES) + 2 * U32.size)
+            block = self.block(at, min(length, MAX_HEAD_BYTES) + 2 * U32.size)
         head = head_at(block)
         return Head(head.op, head.fields, at + head.data_at, head.data_bytes)
 
     def data(self, head: Head) -> bytes:
-        """A record's data.
+        """Read a record's data.
 
         Raises:
             ValueError: it is too large, or behind the file's end.
@@ -159,7 +151,7 @@ class RecordFile:
         return self.block(head.data_at, head.data_bytes)
 
     def is_border(self, at: int) -> bool:
-        """Whether a record begins there, or the file ends."""
+        """Return whether a record begins there, or the file ends."""
         try:
             self.head(at)
         except (ValueError, LookupError, struct.error):
@@ -167,7 +159,7 @@ class RecordFile:
         return True
 
     def find(self, start: int) -> int:
-        """Where the next record begins; the file's end if there is none."""
+        """Find the next record from `start` on; the file's end if there is none."""
         length = _FIRST_BLOCK_BYTES
         while start < self.size:
             block = self.block(start, length + RecordSearch.overlap)
@@ -181,21 +173,21 @@ class RecordFile:
         return self.size
 
     def _is_whole(self, at: int) -> bool:
-        """Whether a head that was found is a record's, and no shred of one in an LZ4 chunk."""
+        """Return whether a head is a record's, not a fragment of one in an LZ4 chunk."""
         head = self.head(at)
         return head.op not in IN_CHUNKS or self.is_border(head.end)
 
     def find_in(self, plain: bytes, start: int) -> int:
-        """The same in an unpacked part of it."""
+        """Find the next record in a decompressed part of the file."""
         found = self._search.find(plain, start)
         return len(plain) if found is None else found
 
 
 class RecordSearch:
-    """Looks for the next record behind a damaged one.
+    """Search for the next record behind a damaged one.
 
     Args:
-        tries: places that may be looked at in all; a file of nothing but marks must not take hours.
+        tries: places to examine in all; a file of nothing but marks must not take hours.
     """
 
     overlap = 4 * 1024
@@ -205,7 +197,7 @@ class RecordSearch:
         self._tries = tries
 
     def find(self, buffer: bytes, start: int) -> int | None:
-        """Where the first record from `start` on begins, as far as its head is whole."""
+        """Find the first record from `start` on, as far as its head is intact."""
         mark = buffer.find(_MARK, start)
         while mark >= 0 and self._tries > 0:
             self._tries -= 1

@@ -1,4 +1,4 @@
-"""ROS 2 bags in sqlite3 (`.db3`): messages in the order of their recording."""
+"""Read ROS 2 bags in sqlite3 (`.db3`): messages in recording order."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from tunenet_logs.progress import silent, teller
 _MESSAGES = ("topic_id", "timestamp", "data")
 _TOPICS = ("id", "name", "type", "serialization_format")
 _DEFINITIONS = ("topic_type", "encoding", "encoded_message_definition")
+# Schema encodings that are read; others are as if none were given.
 _SCHEMAS = ("ros2msg", "ros2idl")
-"""Schema encodings that are read; others are as if none were given."""
 
+# What else a topic may say: its columns, and what the same is called in an MCAP of ROS 2.
 _MORE = {
     "offered_qos_profiles": "offered_qos_profiles",
     "type_description_hash": "topic_type_hash",
 }
-"""What else a topic may say: its columns, and what the same is called in an MCAP of ROS 2."""
 
 
 def read_db3(
@@ -48,7 +48,7 @@ def read_db3(
     topics: Sequence[str] | None = None,
     budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """The records of a ROS 2 sqlite3 bag; see `MessageFile`. It and its folder stay unchanged."""
+    """Yield the records of a ROS 2 sqlite3 bag; see `MessageFile`. The folder stays unchanged."""
     try:
         with opened(path, losses) as database:
             budget = budget or Budget(path.stat().st_size)
@@ -110,7 +110,7 @@ class _Db3Reading:
             self._lose(f"{unknown} messages belong to topics that nothing describes")
 
     def _only(self, table: DatabaseTable, topics: Sequence[str] | None) -> DatabaseTable:
-        """The table, with the data of some topics only: that of others is not even loaded."""
+        """Return the table restricted to data of some topics: that of others is not even loaded."""
         if topics is None:
             return table
         wanted = [str(key) for key, channel in self._channels.items() if channel.topic in topics]
@@ -131,10 +131,10 @@ class _Db3Reading:
 def _channels(
     database: sqlite3.Connection, losses: list[Loss], budget: Budget
 ) -> dict[int, RawChannel]:
-    """The topics, by their numbers.
+    """Return the topics by number.
 
     Raises:
-        NoTableError, DATABASE_ERRORS: there are none.
+        NoTableError, DATABASE_ERRORS: there is no readable table of topics.
         OverBudgetError: there are too many.
     """
     definitions = _definitions(database, losses, budget)
@@ -156,7 +156,7 @@ def _channels(
 def _definitions(
     database: sqlite3.Connection, losses: list[Loss], budget: Budget
 ) -> dict[str, tuple[str, bytes]]:
-    """Encoding and text of each type's schema, by its name; none in bags of older ROS 2."""
+    """Return encoding and text of each type's schema, by name; none in bags of older ROS 2."""
     try:
         table = table_of(database, "message_definitions", _DEFINITIONS)
     except NoTableError:

@@ -1,4 +1,4 @@
-"""Folders of a ROS 2 bag: one recording in one file or several, in the order of their numbers."""
+"""Read folders of a ROS 2 bag: one recording in one or several files, in numeric order."""
 
 from __future__ import annotations
 
@@ -20,34 +20,30 @@ from tunenet_logs.formats.ros2_db3 import read_db3
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.regular_file import open_regular
 
+# By ending: how such a file begins, and its reader. rosbag2 can compress files as a whole.
 _READERS: dict[str, tuple[bytes, MessageFile]] = {
     ".db3": (DB3_MAGIC, read_db3),
     ".mcap": (MCAP_MAGIC, read_mcap),
     ".db3.zstd": (ZSTD_MAGIC, read_packed),
     ".mcap.zstd": (ZSTD_MAGIC, read_packed),
 }
-"""By ending: how such a file begins, and its reader. rosbag2 can compress files as a whole."""
 
-_PACKED = ".zstd"
-"""What rosbag2 puts behind the name of a file that it compresses."""
+_PACKED = ".zstd"  # what rosbag2 puts behind the name of a file that it compresses
+_INDEX = "metadata.yaml"  # what rosbag2 writes beside the files when a recording ends
+# Numbers farther apart are no parts of one recording: none is looked for between them. Nor are more
+# files.
+_MAX_PARTS = 10_000
 
-_INDEX = "metadata.yaml"
-"""What rosbag2 writes beside the files when a recording ends."""
-
-_MOST_PARTS = 10_000
-"""Numbers farther apart are no parts of one recording: none is looked for between them. Nor are
-more files."""
-
+# NAME_NUMBER, without the suffix; as many digits as fit 64 bits.
 _NUMBERED = re.compile(r"(.+)_([0-9]{1,18})", re.DOTALL)
-"""NAME_NUMBER, without the suffix; as many digits as fit 64 bits."""
 
 
 def read_folder(
     path: Path, losses: list[Loss], topics: Sequence[str] | None = None
 ) -> Iterator[Record]:
-    """The records of a ROS 2 bag's files, one after the other; see `Container`.
+    """Yield the records of a ROS 2 bag's files, one after the other; see `Container`.
 
-    What its `metadata.yaml` says is not needed: a killed recording has none.
+    Its `metadata.yaml` is not needed: a killed recording has none.
     """
     files = _files(path)
     if len(files) > 1 and not (path / _INDEX).is_file():
@@ -79,7 +75,7 @@ def read_folder(
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Whether a folder is one recording's, and not one that several recordings lie in.
+    """Return whether a folder is one recording, and not a folder of several.
 
     Raises:
         OSError: it cannot be read.
@@ -97,7 +93,7 @@ def is_bag_folder(path: Path) -> bool:
 
 
 def _is_ours(file: Path) -> bool:
-    """Whether a file is a whole recording of `tunenet-record`."""
+    """Return whether a file is an intact recording of `tunenet-record`."""
     try:
         records = _records(file, [], (), Budget(file.stat().st_size))
         return any(isinstance(one, RawMetadata) and one.name == INFO_RECORD for one in records)
@@ -108,11 +104,7 @@ def _is_ours(file: Path) -> bool:
 def _records(
     file: Path, losses: list[Loss], topics: Sequence[str] | None, budget: Budget
 ) -> Iterator[Record]:
-    """Those of one file.
-
-    Raises:
-        LogError: nothing of it can be read.
-    """
+    """Yield the records of one file; raise LogError where nothing of it can be read."""
     ending = _ending(file)
     magic, read = _READERS[ending]
     with open_regular(file) as stream:
@@ -125,7 +117,7 @@ def _records(
 
 
 def _without_repeats(losses: Sequence[Loss]) -> list[Loss]:
-    """What is doubtful in the same way in every file is said once, behind what is lost."""
+    """Merge equal doubts about several files into one, behind the losses."""
     doubts: dict[str, list[Loss]] = {}
     for loss in losses:
         if loss.harmless:
@@ -138,11 +130,7 @@ def _without_repeats(losses: Sequence[Loss]) -> list[Loss]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files of the recording, in its order.
-
-    Raises:
-        LogError: there are none, or they are of several recordings.
-    """
+    """Return the recording's files in order; raise LogError for none, or for several recordings."""
     found = [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
     names = {file.name for file in found}
     files = [
@@ -160,9 +148,9 @@ def _files(folder: Path) -> list[Path]:
         )
     if len(files) == 1:
         return files
-    if len(files) > _MOST_PARTS:
+    if len(files) > _MAX_PARTS:
         raise LogError(
-            f"{folder}: is a directory with over {_MOST_PARTS} files of messages",
+            f"{folder}: is a directory with over {_MAX_PARTS} files of messages",
             "name one of its files",
         )
     numbered = {file: match for file in files if (match := _numbered(file))}
@@ -173,7 +161,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _ending(file: Path) -> str:
-    """Which of those that are read; "" for another."""
+    """Return which of the supported endings a file has; "" for another."""
     return next((ending for ending in _READERS if file.name.endswith(ending)), "")
 
 
@@ -182,9 +170,9 @@ def _numbered(file: Path) -> re.Match[str] | None:
 
 
 def _missing_parts(files: Sequence[Path]) -> list[Loss]:
-    """Numbers that are not there between those that are."""
+    """Return a loss for the numbers missing between those of the files."""
     numbers = [int(match[2]) for file in files if (match := _numbered(file))]
-    if len(numbers) < 2 or numbers[-1] - numbers[0] > _MOST_PARTS:
+    if len(numbers) < 2 or numbers[-1] - numbers[0] > _MAX_PARTS:
         return []
     present = set(numbers)
     absent = [number for number in range(numbers[0], numbers[-1]) if number not in present][:5]

@@ -1,7 +1,7 @@
-"""ROS messages of any type, decoded by the definition that their log carries: nothing is compiled.
+"""Decode ROS messages of any type by the definition in the log: nothing is compiled.
 
-A type becomes a tree of functions, each of which reads one part. What a message makes of them is
-bounded by its own bytes: a type whose parts hold no bytes is refused.
+A type becomes a tree of functions, each of which reads one part. A message's memory is bounded by
+its own bytes: a type whose parts hold no bytes is refused.
 """
 
 from __future__ import annotations
@@ -26,23 +26,13 @@ from tunenet_logs.formats.base import (
 from tunenet_logs.formats.ros_definitions import RosField, RosTypes
 from tunenet_logs.formats.structure import Listed, Node, Plain, Structure
 
-_MOST_DEPTH = 24
-"""Of types within types."""
-
-_MOST_NODES = 5000
-"""Parts of one message, lists of any length aside."""
-
-_MOST_PARTS = 20_000
-"""Messages in the lists of one message."""
-
-_BYTES_BEHIND = 3
-"""That may follow a message: some writers fill up to four."""
-
-_TIMES = {"time": "I", "duration": "i"}
-"""Of ROS 1, and what their seconds are."""
-
+_MAX_DEPTH = 24  # of types within types
+_MAX_NODES = 5000  # parts of one message, lists of any length aside
+_MAX_PARTS = 20_000  # messages in the lists of one message
+_BYTES_BEHIND = 3  # that may follow a message: some writers fill up to four
+_TIMES = {"time": "I", "duration": "i"}  # of ROS 1, and what their seconds are
+# Reads a part at a place; gives it, and the place behind it.
 Read = Callable[[bytes, int], tuple[Any, int]]
-"""Reads a part at a place; gives it, and the place behind it."""
 
 
 class Message:
@@ -51,12 +41,12 @@ class Message:
 
 @dataclass(frozen=True)
 class _Part:
-    """How a part of a type is read, and what it is.
+    """Reader and description of a part of a type.
 
     Attributes:
-        least: bytes that it takes at least.
-        nodes: parts that it is made of.
-        codes: of a part of numbers alone, what `struct` calls them.
+        least: minimum number of bytes.
+        nodes: number of parts within it.
+        codes: `struct` format of a part of numbers alone.
         names: of these numbers.
     """
 
@@ -71,7 +61,7 @@ class _Part:
 def any_ros_type(
     types: RosTypes, name: str, *, is_ros1: bool
 ) -> tuple[Structure, Callable[[bytes | memoryview], Any]]:
-    """What a type is made of, and how its messages are decoded.
+    """Return the structure of a type, and a decoder of its messages.
 
     Args:
         types: with all that it is made of.
@@ -79,7 +69,7 @@ def any_ros_type(
         is_ros1: whether the messages are of ROS 1; else CDR of ROS 2.
 
     Raises:
-        UnusableError: the definition is not complete, or makes no sense.
+        UnusableError: the definition is incomplete or invalid.
     """
     part = _Type(types, is_ros1=is_ros1, layout=_LAYOUTS[1]).part(name)
     assert isinstance(part.node, Structure)
@@ -109,12 +99,12 @@ def any_ros_type(
 
 @dataclass(frozen=True)
 class _CdrLayout:
-    """How CDR lays a message out.
+    """Layout rules of a CDR version.
 
     Attributes:
-        order: of bytes, as `struct` calls it.
-        most_mask: numbers begin at multiples of their size, or of this and one.
-        has_sizes: whether a list of what are no numbers begins with its size in bytes.
+        order: byte order, as `struct` calls it.
+        most_mask: largest alignment of numbers, less one.
+        has_sizes: whether a list of other than numbers begins with its size in bytes.
     """
 
     order: str
@@ -123,17 +113,17 @@ class _CdrLayout:
 
     @property
     def is_xcdr2(self) -> bool:
-        """Whether it is version 2 of the encoding."""
+        """Whether it is XCDR version 2."""
         return self.most_mask == 3
 
 
+# By what a message's second byte says: plain CDR, and plain XCDR2 (DDS-XTypes 1.3, 7.6.3.1.2).
 _LAYOUTS = {
     0: _CdrLayout(">"),
     1: _CdrLayout("<"),
     6: _CdrLayout(">", 3, has_sizes=True),
     7: _CdrLayout("<", 3, has_sizes=True),
 }
-"""By what a message's second byte says: plain CDR, and plain XCDR2 (DDS-XTypes 1.3, 7.6.3.1.2)."""
 
 _WITH_HEADERS = dict.fromkeys(
     (2, 3, 8, 9, 10, 11),
@@ -159,7 +149,7 @@ def _decoder(name: str, read: Read, begin: int = 0) -> Decode:
 
 
 class Rows(Sequence[Message]):
-    """Parts of numbers alone, such as points: taken apart only when asked for."""
+    """Lazy sequence of parts of numbers alone, such as points: unpacked only on demand."""
 
     def __init__(self, rows: NDArray[np.void], names: tuple[str, ...]) -> None:
         self._rows = rows
@@ -172,8 +162,8 @@ class Rows(Sequence[Message]):
         return _message(self._names, self._rows[at].item())
 
     def __iter__(self) -> Iterator[Message]:
-        if len(self) > _MOST_PARTS:
-            raise BeyondLimitError(f"over {_MOST_PARTS} parts")
+        if len(self) > _MAX_PARTS:
+            raise BeyondLimitError(f"over {_MAX_PARTS} parts")
         return (_message(self._names, row) for row in self._rows.tolist())
 
 
@@ -184,7 +174,7 @@ def _message(names: Sequence[str], values: Sequence[Any]) -> Message:
 
 
 class _Type:
-    """Builds the functions of a type, and of those that it is made of."""
+    """Builder of the reading functions of a type and of its parts."""
 
     def __init__(self, types: RosTypes, *, is_ros1: bool, layout: _CdrLayout) -> None:
         self._types = types
@@ -195,12 +185,12 @@ class _Type:
         self._open: list[str] = []
 
     def part(self, name: str) -> _Part:
-        """The type of a name."""
+        """Return the reader of a named type."""
         if name in self._known:
             return self._known[name]
         if name not in self._types:
             raise UnusableError(f"its definition does not say what {name[:60]!r} is")
-        if name in self._open or len(self._open) >= _MOST_DEPTH:
+        if name in self._open or len(self._open) >= _MAX_DEPTH:
             raise UnusableError("its definition has types within types without end")
         self._open.append(name)
         part = self._structure(name, self._types[name])
@@ -213,8 +203,8 @@ class _Type:
             fields = (RosField("structure_needs_at_least_one_member", "B"),)
         parts = [self._field(field) for field in fields]
         nodes = 1 + sum(part.nodes for part in parts)
-        if nodes > _MOST_NODES:
-            raise UnusableError(f"its definition has over {_MOST_NODES} parts")
+        if nodes > _MAX_NODES:
+            raise UnusableError(f"its definition has over {_MAX_NODES} parts")
         least = sum(part.least for part in parts)
         names = tuple(field.name for field in fields)
         if len(set(names)) < len(names):
@@ -234,7 +224,7 @@ class _Type:
         return _Part(structure, read, least, nodes, codes if is_bare else "", names)
 
     def _steps(self, fields: Sequence[RosField], parts: Sequence[_Part]) -> list[Read]:
-        """Functions that give lists of values; numbers side by side are read at once."""
+        """Return functions that read lists of values; adjacent numbers are read at once."""
         steps: list[Read] = []
         run = ""
         for field, part in zip(fields, parts, strict=True):
@@ -250,7 +240,7 @@ class _Type:
         return [*steps, self._numbers(run)] if run else steps
 
     def _mask(self, codes: str) -> int:
-        """The size of the numbers' alignment, less one."""
+        """Return the alignment of numbers, less one."""
         return 0 if self._is_ros1 else min(_SIZES[codes[0]] - 1, self._layout.most_mask)
 
     def _numbers(self, codes: str) -> Read:
@@ -308,7 +298,7 @@ class _Type:
         return data[at:last].decode("utf-8", "replace"), end
 
     def _table(self, codes: str, names: tuple[str, ...], count: int) -> Read:
-        """A list of numbers, or of parts of numbers alone, which is not taken apart yet."""
+        """Return the reader of a list of numbers, or of parts of numbers alone, kept packed."""
         kinds: Any = [(name, self._order + code) for name, code in zip(names, codes, strict=False)]
         dtype = np.dtype(kinds if names else self._order + codes)
         size = dtype.itemsize
@@ -343,8 +333,8 @@ class _Type:
                 number, at = self._length(data, at)
             if number * least > len(data) - at:
                 raise ValueError(f"a list claims {number} parts")
-            if number > _MOST_PARTS:
-                raise BeyondLimitError(f"over {_MOST_PARTS} parts")
+            if number > _MAX_PARTS:
+                raise BeyondLimitError(f"over {_MAX_PARTS} parts")
             found = []
             for _ in range(number):
                 value, at = one(data, at)
@@ -364,5 +354,5 @@ def _one(read: Read) -> Read:
     return read_one
 
 
+# Bytes of numbers, by what `struct` calls them.
 _SIZES: Mapping[str, int] = {code: struct.calcsize(f"<{code}") for code in "?bBhHiIqQfd"}
-"""Bytes of numbers, by what `struct` calls them."""

@@ -1,6 +1,6 @@
-"""Definitions of ROS messages that a log carries, of types that are not known here.
+"""Parse definitions of unknown ROS message types in a log.
 
-They are read as texts and never compiled: that would run what a stranger wrote.
+They are read as text and never compiled: that would run untrusted code.
 """
 
 from __future__ import annotations
@@ -16,32 +16,29 @@ from rosbags.typesys import TypesysError, get_types_from_idl
 
 from tunenet_logs.formats.base import DAMAGED, UnusableError
 
-MOST_SCHEMA_BYTES = 256 * 1024
-"""Of the types that are used, with all that they are made of, none has a tenth of that."""
+# Of the types that are used, with all that they are made of, none has a tenth of that.
+MAX_SCHEMA_BYTES = 256 * 1024
 
-_MOST_IDL_BYTES = 64 * 1024
-"""The same in IDL, whose parser is slow."""
-
+_MAX_IDL_BYTES = 64 * 1024  # the same in IDL, whose parser is slow
+# A field or a constant: `float64[3] position`, `int32 X=1`, `string<=8 name "ball"`.
 _FIELD = re.compile(
     r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?(?P<list>\[(?:<=\d+|\d*)\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)"
 )
-"""A field or a constant: `float64[3] position`, `int32 X=1`, `string<=8 name "ball"`."""
 
+# What stands between the definition of a type and those that it is made of.
 _PART = re.compile(r"^={10,}\r?\n(?:MSG|IDL): +(\S+)[ \t]*\r?$", re.MULTILINE)
-"""What stands between the definition of a type and those that it is made of."""
 
+# In IDL, texts and comments, which may hold anything; a text that is not closed ends its line.
 _IDL_WORDS = re.compile(r'"(?:[^"\\\n]|\\.)*+"?|//[^\n]*|^[ \t]*#[^\n]*', re.MULTILINE)
-"""In IDL, texts and comments, which may hold anything; a text that is not closed ends its line."""
 
+# In IDL without these, what says nothing of fields: annotations, constants.
 _IDL_ASIDE = re.compile(r"@\w+[ \t]*(?:\([^()]*\))?|\bconst\b[^;{}]{0,500};")
-"""In IDL without these, what says nothing of fields: annotations, constants."""
 
+# A module of constants, once these are gone.
 _IDL_EMPTY = re.compile(r"\bmodule\s+\w+\s*\{\s*\}\s*;")
-"""A module of constants, once these are gone."""
 
-_IDL_DEEP = re.compile(r"[(]|<[^<>]*<[^<>]*<|\]\s*\[")
-"""In IDL without these, what no message has."""
-
+_IDL_DEEP = re.compile(r"[(]|<[^<>]*<[^<>]*<|\]\s*\[")  # in IDL without these, what no message has
+# Numbers of ROS, and what `struct` calls them.
 _NUMBERS = {
     "bool": "?",
     "byte": "B",
@@ -57,11 +54,9 @@ _NUMBERS = {
     "float32": "f",
     "float64": "d",
 }
-"""Numbers of ROS, and what `struct` calls them."""
 
 
-_OWN = ("string", "wstring", "time", "duration")
-"""Other types that are nothing but a word."""
+_OWN = ("string", "wstring", "time", "duration")  # other types that are nothing but a word
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,7 @@ class RosField:
     Attributes:
         name: its own.
         kind: a number as `struct` calls it, "string", or a type's full name.
-        count: -1 for one, 0 for a list of any length, else how many.
+        count: -1 for one, 0 for a list of any length, else the fixed length.
     """
 
     name: str
@@ -79,13 +74,13 @@ class RosField:
     count: int = -1
 
 
+# Types with their fields, by full name ("geometry_msgs/msg/Point").
 RosTypes = dict[str, tuple[RosField, ...]]
-"""Types with their fields, by full name ("geometry_msgs/msg/Point")."""
 
 
 @lru_cache(maxsize=64)
 def parsed(schema: bytes, encoding: str, name: str) -> RosTypes:
-    """A definition with all that it is made of.
+    """Parse a definition with all types that it is made of.
 
     Args:
         schema: the text.
@@ -93,10 +88,10 @@ def parsed(schema: bytes, encoding: str, name: str) -> RosTypes:
         name: of the type, in full.
 
     Raises:
-        UnusableError: it is too large, or makes no sense.
+        UnusableError: it is too large or invalid.
     """
     is_idl = encoding in ("ros2idl", "omgidl")
-    most = _MOST_IDL_BYTES if is_idl else MOST_SCHEMA_BYTES
+    most = _MAX_IDL_BYTES if is_idl else MAX_SCHEMA_BYTES
     if len(schema) > most:
         raise UnusableError("its definition is too large")
     try:
@@ -109,10 +104,10 @@ def parsed(schema: bytes, encoding: str, name: str) -> RosTypes:
 
 
 def idl_types(text: str) -> dict[str, Any]:
-    """Types that a log defines in IDL, as rosbags holds them.
+    """Parse the types that a log defines in IDL, as rosbags holds them.
 
     Raises:
-        TypesysError, ValueError: it makes no sense.
+        TypesysError, ValueError: it is invalid.
     """
     found: dict[str, Any] = {}
     for part in _PART.split(text)[2::2] or [text]:
@@ -120,14 +115,14 @@ def idl_types(text: str) -> dict[str, Any]:
         for aside in (_IDL_WORDS, _IDL_ASIDE, _IDL_EMPTY):
             bare = aside.sub("", bare)
         bare = bare.strip()
-        if len(part) > _MOST_IDL_BYTES or _IDL_DEEP.search(bare):  # its parser takes for ever
+        if len(part) > _MAX_IDL_BYTES or _IDL_DEEP.search(bare):  # its parser takes for ever
             raise ValueError("brackets within brackets")
         found |= get_types_from_idl(bare)
     return found
 
 
 def types_of(fielddefs: Any) -> RosTypes:
-    """Types as rosbags holds them."""
+    """Convert types from rosbags' representation."""
     return {
         name: tuple(_field(label, node[0], node[1]) for label, node in fields)
         for name, (_, fields) in fielddefs.items()

@@ -1,7 +1,7 @@
-"""Many ROS messages of one layout decoded at once: each number of a type becomes an array of them.
+"""Decode many ROS messages of one layout at once: each number of a type becomes an array.
 
-Where two messages have the same bytes but in their numbers (the same texts, lists as long), what is
-where in one is there in the other: the first is walked through, of the others bytes are compared.
+Messages that differ in their numbers alone (equal texts, lists of equal length) share a layout:
+the first one is parsed, and of the others only bytes are compared.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from tunenet_logs.formats.ros_definitions import RosField, RosTypes
 
+# A message whose numbers are arrays of shape (N, ...), and of which rows these are, shape (R,).
 Stacked = tuple[Any, NDArray[np.bool_]]
-"""A message whose numbers are arrays of shape (N, ...), and of which rows these are, shape (R,)."""
 
 
 def stacked_decoder(
     types: RosTypes, name: str, *, is_ros1: bool
 ) -> Callable[[NDArray[np.uint8]], Stacked]:
-    """Make a decoder of messages of one size.
+    """Build a vectorized decoder of messages of one size.
 
     Args:
         types: with all that it is made of.
@@ -31,8 +31,8 @@ def stacked_decoder(
         is_ros1: whether the messages are of ROS 1; else CDR of ROS 2.
 
     Returns:
-        From messages as rows of bytes, shape (R, L), to those that are laid out as the first is. It
-        raises ValueError, LookupError or struct.error where that is damaged.
+        A decoder from messages as rows of bytes, shape (R, L), to those that share the first one's
+        layout. It raises ValueError, LookupError or struct.error where that one is damaged.
     """
 
     def decode(rows: NDArray[np.uint8]) -> Stacked:
@@ -48,19 +48,16 @@ def stacked_decoder(
     return decode
 
 
-_FILLED = 4
-"""Bytes up to whose next multiple some writers fill."""
-
-_Take = Callable[[NDArray[np.uint8]], Any]
-"""Takes a part out of messages of one layout."""
+_FILLED = 4  # bytes up to whose next multiple some writers fill
+_Take = Callable[[NDArray[np.uint8]], Any]  # takes a part out of messages of one layout
 
 
 class _FirstMessage:
-    """Goes through the first of some messages.
+    """Parser of the first of several messages.
 
     Attributes:
         at: the place behind what was read.
-        fixed: what all messages of its layout have in common: first byte, and that behind the last.
+        fixed: byte ranges, end excluded, that are equal in all messages of its layout.
     """
 
     def __init__(self, types: RosTypes, rows: NDArray[np.uint8], *, is_ros1: bool) -> None:
@@ -78,7 +75,7 @@ class _FirstMessage:
             self.at = 4
 
     def part(self, name: str) -> _Take:
-        """A type."""
+        """Return the reader of a named type."""
         fields = {field.name: self._field(field) for field in self._types[name]}
         return lambda rows: SimpleNamespace(**{key: take(rows) for key, take in fields.items()})
 
@@ -149,5 +146,4 @@ class _FirstMessage:
             self.at += -(self.at - 4) % size
 
 
-_NUMBERS = frozenset("?bBhHiIqQfd")
-"""What `struct` calls them."""
+_NUMBERS = frozenset("?bBhHiIqQfd")  # what `struct` calls them

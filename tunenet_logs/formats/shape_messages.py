@@ -1,4 +1,4 @@
-"""Messages of one channel whose positions are read by the shape of their type."""
+"""Read positions from the messages of one channel, by the shape of their type."""
 
 from __future__ import annotations
 
@@ -19,24 +19,21 @@ from tunenet_logs.formats.ros import SCHEMA_ENCODINGS
 from tunenet_logs.formats.stamps import time_ns
 from tunenet_logs.formats.structure import Structure, likely_field, numbers_in
 
+# Without any of these in its definition, a type holds no position.
 _HINT = re.compile(rb"\bz\b|position|translation|location|\[3\]|\bpos\b")
-"""Without any of these in its definition, a type holds no position."""
 
-UNUSED = "its type is not one that a task uses"
-"""Why most channels are not read."""
-
-_TRIES = 100
-"""Messages of JSON that may be without what tells their shape, as a list of nothing is."""
+UNUSED = "its type is not one that a task uses"  # why most channels are not read
+_TRIES = 100  # messages of JSON that may be without what tells their shape, as a list of nothing is
 
 
 class ShapeMessages:
-    """Reads the messages of one channel; `ShapeReader` says how.
+    """Reader of one channel's messages, by `ShapeReader`.
 
     Args:
-        kind: how they are decoded.
-        reader: how their positions are read; None where only a message tells.
-        top: what they are made of.
-        budget: for messages that are only looked at.
+        kind: structure and decoder of the type.
+        reader: reader of their positions; None where only a message tells.
+        top: structure of the messages.
+        budget: for messages that are decoded only to infer their structure.
     """
 
     def __init__(
@@ -55,7 +52,7 @@ class ShapeMessages:
         self._stamp = kind.getter(steps) if top and (steps := stamp_steps(top)) else None
 
     def decode(self, data: bytes | memoryview) -> Any:
-        """A message; None of one that nothing is known of, where it cannot be read.
+        """Decode a message; None where it is unreadable and its shape still unknown.
 
         Raises:
             MessageError: it is damaged.
@@ -72,10 +69,10 @@ class ShapeMessages:
             return None
 
     def read(self, message: Any) -> Iterable[PositionSample]:
-        """The positions of a message.
+        """Return the positions of a message.
 
         Raises:
-            ValueError, TypeError, AttributeError: it makes no sense.
+            ValueError, TypeError, AttributeError: its content is invalid.
         """
         reader = self._reader or self._told_by(message)
         if reader is None or message is None:
@@ -101,7 +98,7 @@ class ShapeMessages:
         return reader
 
     def outcome(self, topic: str) -> tuple[str, list[str]]:
-        """Why what was read is not to be used, "" where it is; and what is to be said of it."""
+        """Return why the channel is not used ("" where it is), and notes on it."""
         why = self._reader.refused if self._reader else self._why
         if why:
             return f"{why}; {_choose(topic, self._top)}", []
@@ -114,10 +111,10 @@ class ShapeMessages:
 
 
 def shape_messages(channel: RawChannel, budget: SchemaBudget) -> ShapeMessages | None:
-    """What reads a channel by the shape of its messages; None where nothing speaks for it.
+    """Return a reader of a channel by the shape of its messages; None without any evidence.
 
     Raises:
-        UnusableError: there are positions that need to be chosen by hand.
+        UnusableError: its positions are ambiguous: the user has to choose the columns.
     """
     is_json = channel.encoding == "json"
     hinted = is_json or not channel.schema or _HINT.search(channel.schema)
@@ -141,7 +138,7 @@ def shape_messages(channel: RawChannel, budget: SchemaBudget) -> ShapeMessages |
 
 
 def _choose(topic: str, top: Structure | None) -> str:
-    """The line to type where a shape alone does not tell."""
+    """Return the option to type where the shape alone is ambiguous."""
     fields = numbers_in(top) if top else []
     field = likely_field(fields) if fields else "FIELD"
     return f"choose one with --columns z={topic}.{field}"

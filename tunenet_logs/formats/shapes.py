@@ -1,4 +1,4 @@
-"""The fields that are read of each type, for encodings whose messages prove nothing.
+"""Required fields of each type, for encodings that do not prove a message's type.
 
 A ROS message decodes only by the definition that we know. A protobuf schema can call anything a
 `foxglove.PoseInFrame`, and JSON can hold anything: there the fields are checked against these.
@@ -15,7 +15,7 @@ from tunenet_logs.formats.message_types import type_key
 
 
 class Leaf(Enum):
-    """A field without fields of its own; the value says what it is, for a message."""
+    """A field without subfields; the value describes it in messages."""
 
     NUMBER = "a number"
     OPTIONAL = "a number that may be absent"
@@ -42,20 +42,19 @@ class Many:
 
 @dataclass(frozen=True)
 class Maybe:
-    """A part that a message may lack, or have as something else."""
+    """A part that a message may lack, or have in another shape."""
 
     of: Shape
 
 
-Shape = Leaf | Fields | Many | Maybe
-"""What a field of a message must be."""
+Shape = Leaf | Fields | Many | Maybe  # what a field of a message must be
 
 
 def shape_of(channel: RawChannel) -> Fields:
-    """What must be in the channel's messages.
+    """Return the required shape of the channel's messages.
 
     Raises:
-        UnusableError: its type is not read in this encoding.
+        UnusableError: its type is not supported in this encoding.
     """
     shape = _SHAPES.get(type_key(channel.type_name))
     if shape is None:
@@ -106,6 +105,7 @@ _NUMBER = _fields(data=Leaf.NUMBER)
 _NUMBERS = _fields(data=Many(Leaf.NUMBER))
 _KINOVA = Fields({f"joint{number}": Leaf.NUMBER for number in range(1, 8)})
 
+# The fields that are read of each type, by the name that `type_key` gives.
 _SHAPES: dict[str, Fields] = {
     "geometry_msgs/msg/PoseStamped": _fields(header=_HEADER, pose=_POSE),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _fields(
@@ -168,4 +168,3 @@ _SHAPES: dict[str, Fields] = {
     ),
     "foxglove.RawImage": Fields({"timestamp": Leaf.TIME, **_PIXELS}),
 }
-"""The fields that are read of each type, by the name that `type_key` gives."""

@@ -1,4 +1,4 @@
-"""Files of sound alone, as recorders of voices write them: .wav, .m4a, .mp3, .flac, .ogg."""
+"""Read sound files, as voice recorders write them: .wav, .m4a, .mp3, .flac, .ogg."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from tunenet_logs.formats.video_clock import creation_ns
 from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.sound import Sound
 
+# How such files are mostly called; what they are, their contents tell.
 SUFFIXES = (".wav", ".m4a", ".mp3", ".flac", ".ogg", ".opus", ".aac", ".aiff", ".aif", ".caf")
-"""How such files are mostly called; what they are, their contents tell."""
 
+# The remedy for sound that is written as few programs do.
 _SAVE_AS_WAV = "save it as WAV of 16 bits a sample"
-"""The remedy for sound that is written as few programs do."""
 
 
 def named_as_sound(path: Path) -> bool:
-    """Whether a file is called as sound is, whatever it holds."""
+    """Return whether a file is named as sound, regardless of its content."""
     return path.suffix.lower() in SUFFIXES
 
 
 def is_sound_alone(path: Path) -> bool:
-    """Whether a file holds sound and no film."""
+    """Return whether a file holds sound and no video."""
     try:
         with opened_media(path, SOUNDS, "sound") as container:
             return sound_stream(container) is not None and not _has_film(container)
@@ -37,10 +37,7 @@ def is_sound_alone(path: Path) -> bool:
 
 
 def read_sound(path: Path, _options: ReadOptions = AS_IT_SAYS) -> Episode:
-    """A file of sound as an episode without signals; its first sample is at its creation, or 0.
-
-    Args:
-        path: of the file.
+    """Read a sound file as an episode without signals, beginning at its creation time, or 0.
 
     Raises:
         LogError: no sound is in it, or it is damaged from its beginning on.
@@ -84,7 +81,7 @@ def _read(path: Path) -> Episode:
 
 
 def sound_notes(track: SoundTrack) -> dict[str, str]:
-    """What a log should say of the sound that it was made from."""
+    """Describe a sound track for the notes of a log."""
     return {"sound": f"{track.codec}, {track.rate_hz:g} Hz, {_channels(track.channels)}"}
 
 
@@ -93,7 +90,7 @@ def _channels(count: int) -> str:
 
 
 def _has_film(container: object) -> bool:
-    """Whether it holds pictures beside a cover."""
+    """Return whether a container holds video other than cover art."""
     from av.container import InputContainer
     from av.stream import Disposition
 

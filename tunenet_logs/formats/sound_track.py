@@ -1,4 +1,4 @@
-"""The sound track of a file: what its packets say, and its samples when they are asked for."""
+"""Sound track of a file: packet times, and samples decoded on demand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.gathered_sound import MOST_S, GatheredSound, SoundGatherer
+from tunenet_logs.formats.gathered_sound import MAX_S, GatheredSound, SoundGatherer
 from tunenet_logs.formats.media_file import opened_media
 from tunenet_logs.messages import AUDIO_TOPIC
 from tunenet_logs.sound import Sound
@@ -20,28 +20,25 @@ if TYPE_CHECKING:
     from av import AudioFrame
     from av.container import InputContainer
 
-_MOST_PACKETS = 250_000
-"""Of sound, that are listed: an hour and a half of AAC."""
+_MAX_PACKETS = 250_000  # of sound, that are listed: an hour and a half of AAC
+# Samples that a packet may be decoded to: what the largest of lossless codecs has.
+_MAX_FRAME = 262_144
 
-_LARGEST_FRAME = 262_144
-"""Samples that a packet may be decoded to: what the largest of lossless codecs has."""
-
-_MOST_DAMAGED = 1000
-"""Packets that cannot be decoded, after which a track is given up."""
+_MAX_DAMAGED = 1000  # packets that cannot be decoded, after which a track is given up
 
 
 @dataclass(frozen=True, eq=False)
 class SoundTrack:
-    """What a file says of its sound.
+    """Sound track of a file, as the file describes it.
 
     Attributes:
         path: of the file.
-        formats: that it may have; see `opened_media`.
+        formats: allowed ones; see `opened_media`.
         index: of the stream among those of sound.
         codec: as FFmpeg calls it.
-        channels: that the file states.
-        rate_hz: that the file states, which need not be what its decoder gives.
-        packets_s: when each packet begins, on the file's clock, shape (P,) [s].
+        channels: stated by the file.
+        rate_hz: stated by the file, which need not be what its decoder gives.
+        packets_s: begin of each packet, on the file's clock, shape (P,) [s].
         lasts_s: to the end of the last packet [s].
     """
 
@@ -61,13 +58,13 @@ class SoundTrack:
         slow: float = 1.0,
         warnings: tuple[str, ...] = (),
     ) -> Sound:
-        """Its samples, decoded afresh; a track that is damaged ends where it is.
+        """Decode the samples; a damaged track ends at the damage.
 
         Args:
             start_ns: the log's stamp of the file's time `origin_s`.
             origin_s: see there [s]; the first sample's if None.
             slow: seconds of the log's clock in one of the file's.
-            warnings: what is known of it already.
+            warnings: known before.
         """
         said: list[str] = []
         gathered, file_hz, channels = self._decoded(said)
@@ -85,7 +82,7 @@ class SoundTrack:
         )
 
     def _decoded(self, said: list[str]) -> tuple[GatheredSound, float, int]:
-        """The samples, their rate in the file [Hz], and the number of channels."""
+        """Return the samples, their rate in the file [Hz], and the number of channels."""
         gatherer: SoundGatherer | None = None
         rate_hz, channels = self.rate_hz, self.channels
         try:
@@ -109,34 +106,26 @@ class SoundTrack:
         return found, rate_hz, channels
 
     def _frames(self, said: list[str]) -> Iterator[AudioFrame]:
-        """What its packets decode to, but those that are damaged.
-
-        Raises:
-            LogError: the file cannot be read.
-        """
+        """Yield the decoded packets but for damaged ones; raise LogError if unreadable."""
         from av.error import FFmpegError
 
         damaged = 0
         with opened_media(self.path, self.formats, "sound") as container:
             stream = container.streams.audio[self.index]
-            stream.codec_context.options = {"max_samples": str(_LARGEST_FRAME)}
+            stream.codec_context.options = {"max_samples": str(_MAX_FRAME)}
             for packet in container.demux(stream):
                 try:
                     yield from packet.decode()
                 except (FFmpegError, ValueError, OverflowError, MemoryError):
                     damaged += 1
-                    if damaged > _MOST_DAMAGED:
+                    if damaged > _MAX_DAMAGED:
                         break
         if damaged:
             said.append(f"{damaged} damaged packets of sound were left out")
 
 
 class PacketTimes:
-    """Hears when the packets of a sound track begin.
-
-    Attributes:
-        stream: the track.
-    """
+    """Collector of the times of a sound track's packets."""
 
     def __init__(self, stream: Any) -> None:
         self.stream = stream
@@ -145,9 +134,9 @@ class PacketTimes:
         self._ends_s = 0.0
 
     def add(self, packet: Any) -> None:
-        """One packet, whichever."""
+        """Record the time of a packet."""
         is_heard = packet.size and not packet.is_discard
-        if not is_heard or len(self._begins_s) >= _MOST_PACKETS:
+        if not is_heard or len(self._begins_s) >= _MAX_PACKETS:
             return
         begin_s = self._ends_s if packet.pts is None else packet.pts * self._base_s
         self._begins_s.append(begin_s)
@@ -155,13 +144,13 @@ class PacketTimes:
 
     @property
     def is_enough(self) -> bool:
-        """Whether there is more than is used."""
-        return len(self._begins_s) >= _MOST_PACKETS or (
-            bool(self._begins_s) and self._ends_s - self._begins_s[0] > MOST_S
+        """Whether more was collected than is used."""
+        return len(self._begins_s) >= _MAX_PACKETS or (
+            bool(self._begins_s) and self._ends_s - self._begins_s[0] > MAX_S
         )
 
     def track(self, path: Path, formats: str) -> SoundTrack:
-        """The track, by what was heard."""
+        """Return the track with the packet times collected."""
         context = self.stream.codec_context
         begins_s = np.array(self._begins_s, np.float64)
         lasts_s = self._ends_s - float(begins_s[0]) if len(begins_s) else 0.0
@@ -178,7 +167,7 @@ class PacketTimes:
 
 
 def sound_stream(container: InputContainer) -> Any | None:
-    """The first stream of sound that can be decoded; None where there is none."""
+    """Return the first sound stream that can be decoded; None where there is none."""
     for stream in container.streams.audio:
         if stream.codec_context is not None:
             return stream
@@ -190,7 +179,7 @@ def _nothing() -> GatheredSound:
 
 
 def _piece(frame: AudioFrame) -> NDArray[Any]:
-    """A frame's samples, shape (N, channels)."""
+    """Return a frame's samples, shape (N, channels)."""
     values = frame.to_ndarray()
     if frame.format.is_planar:
         return values.T

@@ -1,4 +1,4 @@
-"""The sound of one topic, put together from its messages."""
+"""Assemble the sound of one topic from its messages."""
 
 from __future__ import annotations
 
@@ -24,23 +24,19 @@ from tunenet_logs.formats.gathered_sound import RATES_HZ, SoundGatherer, reduced
 from tunenet_logs.formats.message_types import SoundSample, SoundType, message_type_of
 from tunenet_logs.sound import Sound
 
-_FORMAT = "pcm-s16"
-"""Of the samples: whole numbers of 16 bits, little-endian, channel by channel."""
-
-_MOST_CHANNELS = 256
-"""Of a sound."""
-
+_FORMAT = "pcm-s16"  # of the samples: whole numbers of 16 bits, little-endian, channel by channel
+_MAX_CHANNELS = 256  # of a sound
+# Of its rate, that a sound has more or fewer samples on the log's clock: no crystal is so far off,
+# and a message's rate is a whole number.
 _SAME = 1e-3
-"""Of its rate, that a sound has more or fewer samples on the log's clock: no crystal is so far off,
-and a message's rate is a whole number."""
 
 
 def checked_sound(kind: SoundType) -> Callable[[Any], SoundSample]:
-    """How messages of a type are read as sound, those only that can be heard.
+    """Return a reader of a type's sound that validates each message.
 
-    What is returned raises:
-        UnusableError: sound of that format is not read.
-        MessageError, or one of DAMAGED: the message is.
+    The reader raises:
+        UnusableError: sound of that format is not supported.
+        MessageError, or one of DAMAGED: the message is damaged.
     """
 
     def read_checked(message: Any) -> SoundSample:
@@ -51,7 +47,7 @@ def checked_sound(kind: SoundType) -> Callable[[Any], SoundSample]:
             )
         if not RATES_HZ[0] <= sample.rate_hz <= RATES_HZ[1]:
             raise MessageError(f"a sound claims {sample.rate_hz} samples a second")
-        if not 0 < sample.channels <= _MOST_CHANNELS:
+        if not 0 < sample.channels <= _MAX_CHANNELS:
             raise MessageError(f"a sound claims {sample.channels} channels")
         size = memoryview(sample.data).nbytes  # raises TypeError, as what is damaged does
         if size % (2 * sample.channels):
@@ -64,14 +60,14 @@ def checked_sound(kind: SoundType) -> Callable[[Any], SoundSample]:
 def sound_of(
     records: Iterable[Record], topic: str, *, trusts_header: bool, exact_hz: float, file_hz: float
 ) -> Sound:
-    """The sound among the records of a log; messages that cannot be used leave a hole.
+    """Assemble the sound of a topic from a log's records; unusable messages leave a gap.
 
     Args:
         records: of the log, perhaps of that topic alone.
-        topic: where the sound is.
-        trusts_header: whether its own stamps tell the time, where they are set; else the log's do.
-        exact_hz: rate of its samples, where the log says it closer than a message can; else 0.
-        file_hz: that the file had which it was recorded from; 0 where nothing tells it.
+        topic: of the sound.
+        trusts_header: whether to use the sound's own stamps, where they are set; else the log's.
+        exact_hz: sample rate, where the log states it more exactly than a message can; else 0.
+        file_hz: sample rate of the file it was recorded from; 0 where it is unknown.
     """
     readers: dict[RawChannel, tuple[Decode, Callable[[Any], SoundSample]]] = {}
     decoders = Decoders(SchemaBudget())
@@ -100,14 +96,7 @@ def sound_of(
 
 
 class _Gathering:
-    """Puts messages together that are like the first.
-
-    Args:
-        first: the first message.
-        stamp_ns: its time.
-        exact_hz: its rate, where that is known closer; else 0.
-        file_hz: that it had in its file; 0 where nothing tells it.
-    """
+    """Assembler of messages with the first one's rate and channels; rates are as in `sound_of`."""
 
     def __init__(self, first: SoundSample, stamp_ns: int, exact_hz: float, file_hz: float) -> None:
         self._like = (first.rate_hz, first.channels)

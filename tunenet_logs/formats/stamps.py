@@ -1,18 +1,18 @@
-"""The times in messages, however ROS 1, ROS 2, protobuf and JSON call their parts."""
+"""Parse the times in messages of ROS 1, ROS 2, protobuf and JSON."""
 
 from __future__ import annotations
 
 from typing import Any
 
+# What ROS 2, protobuf, Foxglove's JSON and ROS 1 call the parts of a time.
 STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("secs", "nsecs"))
-"""What ROS 2, protobuf, Foxglove's JSON and ROS 1 call the parts of a time."""
 
 
 def time_ns(time: Any) -> int:
-    """A time of ROS, protobuf or JSON [ns].
+    """Convert a time of ROS, protobuf or JSON to ns.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it has no known pair of fields.
     """
     for whole, part in STAMP_FIELDS:
         if hasattr(time, whole) and hasattr(time, part):
@@ -21,7 +21,7 @@ def time_ns(time: Any) -> int:
 
 
 def ros_stamp_ns(message: Any) -> int:
-    """The stamp of a message's header [ns]."""
+    """Return the stamp of a message's header [ns]."""
     stamp = message.header.stamp
     try:
         return stamp.sec * 1_000_000_000 + stamp.nanosec

@@ -1,4 +1,4 @@
-"""What the messages of a type are made of, in whatever encoding: fields, lists, numbers, texts."""
+"""Encoding-independent structure of message types: fields, lists, numbers, texts."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from enum import Enum
 
 from tunenet_logs.formats.stamps import STAMP_FIELDS
 
-_MOST_LISTED = 200
-"""Fields that are listed of a type."""
+_MAX_LISTED = 200  # fields that are listed of a type
 
 
 class Plain(Enum):
-    """A part without parts of its own."""
+    """A leaf of a structure."""
 
     NUMBER = "a number"
     WHOLE = "a whole number"
@@ -41,7 +40,7 @@ class Structure:
 
     @property
     def is_place(self) -> bool:
-        """Whether it is x, y and z, and no quaternion."""
+        """Whether it is a position x, y, z, and no quaternion."""
         return "w" not in self.fields and all(
             self.fields.get(axis) in NUMBERS for axis in ("x", "y", "z")
         )
@@ -49,37 +48,34 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class Listed:
-    """A list of one thing.
+    """A list of equal parts.
 
     Attributes:
         of: each part.
-        count: how many there are; None where that differs.
+        count: fixed length; None where it varies.
     """
 
     of: Node
     count: int | None = None
 
 
-Node = Structure | Listed | Plain
-"""A message, or a part of one."""
-
-NUMBERS = (Plain.NUMBER, Plain.WHOLE)
-"""What may be measured."""
+Node = Structure | Listed | Plain  # a message, or a part of one
+NUMBERS = (Plain.NUMBER, Plain.WHOLE)  # what may be measured
 
 
 class NotThereError(LookupError):
-    """A field that is not in a type; the message names it."""
+    """A field that a type lacks, named by the message."""
 
 
 def node_at(top: Structure, steps: tuple[str | int, ...]) -> Node:
-    """The part of a type at a place.
+    """Return the part of a type at a path.
 
     Args:
         top: the type.
         steps: names of fields, and numbers in lists from 0.
 
     Raises:
-        NotThereError: there is none.
+        NotThereError: the type has no such part.
     """
     node: Node = top
     for step in steps:
@@ -95,17 +91,17 @@ def node_at(top: Structure, steps: tuple[str | int, ...]) -> Node:
 
 
 def numbers_in(node: Node, prefix: str = "") -> list[str]:
-    """The numbers and times of a type, as `--columns` names them; 200 at most."""
+    """List the numeric and time fields of a type, as `--columns` names them; 200 at most."""
     found: list[str] = []
     for path in _numbers(node, prefix):
-        if len(found) == _MOST_LISTED:
+        if len(found) == _MAX_LISTED:
             break
         found.append(path)
     return found
 
 
 def likely_field(fields: Sequence[str]) -> str:
-    """The field of a type that is most likely meant."""
+    """Return the field most likely meant: the first z, else the last."""
     return next((field for field in fields if field.split(".")[-1] == "z"), fields[-1])
 
 

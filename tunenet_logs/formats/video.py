@@ -1,4 +1,4 @@
-"""Video files: exact stamps, upright pictures, slow motion at its true rate."""
+"""Read video files: exact stamps, upright frames, slow motion at its true rate."""
 
 from __future__ import annotations
 
@@ -24,35 +24,31 @@ if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-VIDEO_TOPIC = "video"
-"""What the pictures of a video file go by."""
-
+VIDEO_TOPIC = "video"  # what the pictures of a video file go by
+# Streams that no container holds: FFmpeg makes times up for them.
 _BARE = frozenset({"h264", "hevc", "mjpeg", "m4v", "obu", "av1"})
-"""Streams that no container holds: FFmpeg makes times up for them."""
 
-_MOST_PICTURES = 250_000
-"""Of a file: two hours at 30 a second, ten minutes at 400."""
-
+_MAX_PICTURES = 250_000  # of a file: two hours at 30 a second, ten minutes at 400
+# Of a film whose pictures are many and large, and hardly a byte each.
 _TOO_LARGE = "claims far more pixels than a film of its size has; cut the drop out of it"
-"""Of a film whose pictures are many and large, and hardly a byte each."""
 
+# Of the pictures: where fewer have a time, they are counted at the rate that the file states.
 _MOSTLY = 0.9
-"""Of the pictures: where fewer have a time, they are counted at the rate that the file states."""
 
 
 @dataclass(frozen=True, eq=False)
 class Video:
-    """What a video file says of itself.
+    """Metadata and stamps of a video file.
 
     Attributes:
         codec: as FFmpeg calls it ("h264", "mjpeg").
-        size: (width, height) [px] of the upright picture.
-        rotation_deg: counterclockwise turn that brings a stored picture upright; a multiple of 90.
-        ticks: of the pictures that are shown, increasing, in the file's own units; None where they
-            do not tell which picture is which.
-        clock: when they were taken.
+        size: (width, height) [px] of the upright frame.
+        rotation_deg: counterclockwise turn that brings a stored frame upright; a multiple of 90.
+        ticks: of the frames shown, increasing, in the file's own units; None where they do not
+            identify the frames.
+        clock: acquisition stamps.
         warnings: what was repaired or is doubtful, in words.
-        sound: beside the pictures; None where there is none, or nothing tells their times.
+        sound: beside the frames; None where there is none, or their times are unknown.
     """
 
     path: Path
@@ -65,9 +61,9 @@ class Video:
     sound: FilmSound | None = None
 
     def frames(self) -> Iterator[Frame]:
-        """The frames in order, one at a time; a camera's own JPEG untouched, all else as pixels.
+        """Decode the frames in order, one at a time; a camera's own JPEG untouched, else as pixels.
 
-        A damaged frame is left out, and those after it that are made from it.
+        A damaged frame is left out, with those after it that depend on it.
 
         Raises:
             LogError: the file is damaged; the frames before that have been delivered.
@@ -108,7 +104,7 @@ class Video:
 
 
 class _Stamps:
-    """Gives each picture its stamp: by its time in the file, else by its place in the order."""
+    """Stamps of decoded frames: by their time in the file, else by their order."""
 
     def __init__(self, video: Video) -> None:
         self._stamps: list[int] = video.clock.stamps_ns.tolist()
@@ -118,7 +114,7 @@ class _Stamps:
         self._next = 0
 
     def of(self, tick: int | None) -> int | None:
-        """That of the next picture; None for one that is not shown."""
+        """Return the stamp of the next frame; None for one that is not shown."""
         if self._by_tick:
             return None if tick is None else self._by_tick.get(tick)
         self._next += 1
@@ -126,14 +122,14 @@ class _Stamps:
 
 
 def open_video(path: Path, filmed_hz: float | None = None) -> Video:
-    """Read a video's facts and stamps; no picture but the first is decoded.
+    """Read a video's metadata and stamps; no frame but the first is decoded.
 
     Args:
         path: the file.
-        filmed_hz: rate at which it was filmed, where the user knows better than its tags.
+        filmed_hz: true frame rate of the camera, where the user knows better than its tags.
 
     Raises:
-        LogError: no video, without pictures, damaged, or of a size that no camera has.
+        LogError: no video, without frames, damaged, or of a size that no camera has.
     """
     with opened_media(path, FILMS, "video") as container:
         stream = _video_stream(container, path)
@@ -141,14 +137,14 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
         heard = sound_stream(container)
         times = None if heard is None else PacketTimes(heard)
         shown = (packet.pts for packet in _packets(container, stream, times) if _is_shown(packet))
-        packets = list(islice(shown, _MOST_PICTURES + 1))
+        packets = list(islice(shown, _MAX_PICTURES + 1))
         track = times.track(path, FILMS) if times else None
         coded_px = stream.codec_context.width * stream.codec_context.height
         base, codec = stream.time_base, stream.codec_context.name
         is_bare, is_avi = container.format.name in _BARE, container.format.name == "avi"
         stated = stream.codec_context.framerate if is_bare else stream.average_rate
-    if len(packets) > _MOST_PICTURES:
-        raise LogError(f"{path}: holds over {_MOST_PICTURES} pictures; cut the drop out of it")
+    if len(packets) > _MAX_PICTURES:
+        raise LogError(f"{path}: holds over {_MAX_PICTURES} pictures; cut the drop out of it")
     if coded_px * len(packets) > _most_pixels(path):
         raise LogError(f"{path}: {_TOO_LARGE}")
     timed = [tick for tick in packets if tick is not None]
@@ -193,11 +189,7 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
 
 
 def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
-    """A video file as an episode without signals.
-
-    Args:
-        path: of the file.
-        options: what its user says of it.
+    """Read a video file as an episode without signals.
 
     Raises:
         LogError: see `open_video`.
@@ -224,18 +216,18 @@ def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
 
 
 def _most_pixels(path: Path) -> int:
-    """That the pictures of a film may have together."""
+    """Return the limit on the total pixels of a video's frames."""
     return FREE_VIDEO_PIXELS + VIDEO_PIXELS_A_BYTE * path.stat().st_size
 
 
 def is_rate_said(notes: Mapping[str, str]) -> bool:
-    """Tell by `video_notes` whether a tag or a person named another rate than the file plays at."""
+    """Return whether `video_notes` give a filmed rate other than the file's own."""
     rates = re.findall(r"[\d.]{1,20}", notes.get("rate_hz", ""))
     return len(rates) == 2 and rates[0] != rates[1]
 
 
 def video_notes(video: Video) -> dict[str, str]:
-    """What a log should say of the video that it was made from."""
+    """Describe a video for the notes of a log."""
     width, height = video.size
     notes = {"codec": video.codec, "size_px": f"{width}x{height}"}
     clock = video.clock
@@ -252,7 +244,7 @@ def _frames_of(video: Video, _topic: str) -> Iterator[Frame]:
 
 
 def _packets(container: InputContainer, stream: Any, sound: PacketTimes | None) -> Iterator[Any]:
-    """Those of the pictures; those of the sound are heard on the way."""
+    """Yield the packets of the frames, passing those of the sound to `sound`."""
     if sound is None:
         yield from container.demux(stream)
         return
@@ -264,21 +256,21 @@ def _packets(container: InputContainer, stream: Any, sound: PacketTimes | None) 
 
 
 def _is_shown(packet: Any) -> bool:
-    """Whether a packet holds a picture that a player shows.
+    """Return whether a packet holds a frame that a player shows.
 
-    A phone that cuts a film leaves out the pictures before the cut by the file's edit list, but
-    keeps those that later ones are made from.
+    A phone that cuts a video hides the frames before the cut by the file's edit list, but keeps
+    those that later ones depend on.
     """
     return bool(packet.size) and not packet.is_discard
 
 
 def _whole(pictures: Iterable[VideoFrame]) -> Iterator[VideoFrame]:
-    """Those that are no decoder's guess."""
+    """Yield the frames that the decoder does not mark as corrupt."""
     return (picture for picture in pictures if not picture.is_corrupt)
 
 
 def _video_stream(container: InputContainer, path: Path) -> Any:
-    """The first stream of pictures; the cover of a sound file is none."""
+    """Return the first video stream; cover art of a sound file is none."""
     import av.stream
 
     cover = av.stream.Disposition.attached_pic

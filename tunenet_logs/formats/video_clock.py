@@ -1,4 +1,4 @@
-"""When the pictures of a video file were taken."""
+"""Reconstruct the acquisition times of a video file's frames."""
 
 from __future__ import annotations
 
@@ -13,26 +13,23 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import FRAME_NS
 
+# What Android's cameras call the rate at which they filmed.
 _SLOW_MOTION_TAG = "com.android.capture.fps"
-"""What Android's cameras call the rate at which they filmed."""
 
-_RATES_HZ = (1.0, 100_000.0)
-"""What a camera can film at; a tag beyond it is wrong."""
-
-_SAME_RATE = 1.05
-"""A slow-motion tag below so many times the file's own rate says nothing new."""
+_RATES_HZ = (1.0, 100_000.0)  # what a camera can film at; a tag beyond it is wrong
+_SAME_RATE = 1.05  # a slow-motion tag below so many times the file's own rate says nothing new
 
 
 @dataclass(frozen=True)
 class StoredTimes:
-    """What a file says of its times.
+    """Times stored in a video file.
 
     Attributes:
-        ticks: of the pictures that are shown, increasing; None where they have no times, and are in
-            the order in which they are shown.
-        count: how many are shown.
+        ticks: of the frames shown, increasing; None where they have no times, and are in
+            display order.
+        count: number of frames shown.
         base_s: one tick [s].
-        rate_hz: as the file states it, for pictures without times; None where it does not.
+        rate_hz: stated by the file, for frames without times; None where it is unstated.
         tags: of the file.
     """
 
@@ -45,13 +42,13 @@ class StoredTimes:
 
 @dataclass(frozen=True, eq=False)
 class VideoClock:
-    """When the pictures of a video file were taken.
+    """Acquisition stamps of a video file's frames.
 
     Attributes:
-        stamps_ns: of all that are shown, int64, shape (T,), strictly increasing; from the file's
+        stamps_ns: of all frames shown, int64, shape (T,), strictly increasing; from the file's
             creation tag on, else from 0.
-        stored_hz: rate at which the file plays; 0 where it does not say it.
-        filmed_hz: as the user says, else as a slow-motion tag says, else as it plays.
+        stored_hz: playback rate; 0 where it is unstated.
+        filmed_hz: the user's, else that of a slow-motion tag, else the playback rate.
         is_timed: whether the stamps are times; else they count frames, `FRAME_NS` each.
         warnings: what was repaired or is doubtful, in words.
     """
@@ -64,12 +61,12 @@ class VideoClock:
 
 
 def clock_of(times: StoredTimes, said_hz: float | None) -> VideoClock:
-    """The clock by what the user says, else by the file.
+    """Build the clock from the user's frame rate, else from the file.
 
     Args:
         times: of the file.
-        said_hz: rate at which it was filmed, where the user knows better: pictures are then
-            counted, whatever times they have.
+        said_hz: true frame rate, where the user knows better: frames are then counted,
+            regardless of their times.
     """
     start_ns = creation_ns(times.tags.get("creation_time", ""))
     stored_hz = _stored_rate(times)
@@ -105,7 +102,7 @@ def clock_of(times: StoredTimes, said_hz: float | None) -> VideoClock:
 
 
 def _stored_rate(times: StoredTimes) -> float:
-    """Frames a second at which a file plays; 0 for a single frame, and where it does not say it."""
+    """Return the playback rate [Hz]; 0 for a single frame, and where it is unstated."""
     if times.ticks is None:
         return times.rate_hz or 0.0
     fresh = sorted(set(times.ticks))
@@ -118,7 +115,7 @@ def _stored_rate(times: StoredTimes) -> float:
 
 
 def _tagged_rate(text: str, stored_hz: float) -> float | None:
-    """The rate that a slow-motion tag states; None where there is none, or nothing to change."""
+    """Return the rate of a slow-motion tag; None without one, or if it is no faster."""
     try:
         rate = float(text)
     except ValueError:
@@ -130,7 +127,7 @@ def _tagged_rate(text: str, stored_hz: float) -> float | None:
 
 
 def creation_ns(text: str) -> int:
-    """When a file was made, by its tag [ns]; 0 where that says nothing."""
+    """Parse a file's creation tag [ns]; 0 where it is not a date."""
     try:
         stamp = datetime.fromisoformat(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Video in messages, a compressed picture in each: foxglove.CompressedVideo."""
+"""Decode video in messages, one compressed frame in each: foxglove.CompressedVideo."""
 
 from __future__ import annotations
 
@@ -16,26 +16,22 @@ if TYPE_CHECKING:
     from av.video.codeccontext import VideoCodecContext
     from av.video.frame import VideoFrame
 
+# From the format of a message to FFmpeg's decoder.
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
-"""From the format of a message to FFmpeg's decoder."""
 
-_MOST_WAITING = 256
-"""Packets of which the picture may still come; no decoder reorders more."""
+_MAX_WAITING = 256  # packets of which the picture may still come; no decoder reorders more
 
 
-_MOST_AV1_PARTS = 500
-"""Of a packet that are gone through; encoders write a handful for each picture."""
+_MAX_AV1_PARTS = 500  # of a packet that are gone through; encoders write a handful for each picture
+# That begin in a packet: one that is shown, and those never shown that it is made from.
+_MAX_AV1_PICTURES = 8
 
-_MOST_AV1_PICTURES = 8
-"""That begin in a packet: one that is shown, and those never shown that it is made from."""
-
-_AV1_BEGINS_PICTURE = (3, 6)
-"""Types of an AV1 packet's parts: OBU_FRAME_HEADER and OBU_FRAME."""
+_AV1_BEGINS_PICTURE = (3, 6)  # types of an AV1 packet's parts: OBU_FRAME_HEADER and OBU_FRAME
 
 
 @dataclass(slots=True)
 class Packet:
-    """What one message holds; `format` is one of `CODECS`, or FFmpeg's name for another."""
+    """Content of one message; `format` is one of `CODECS`, or FFmpeg's name for another."""
 
     stamp_ns: int
     format: str
@@ -45,15 +41,14 @@ class Packet:
 def decoded(
     packets: Iterable[Packet], opened: Callable[[str], VideoCodecContext] | None = None
 ) -> Iterator[Frame]:
-    """The pictures of a stream as "rgb8" frames, each with the stamp of its own message.
+    """Decode a stream to "rgb8" frames, each with the stamp of its own message.
 
-    What comes before the first picture that stands alone is left out, and so are damaged packets
-    and pictures that the decoder says are damaged. One picture is in memory at a time, beside those
-    that the decoder keeps to build others upon.
+    Frames before the first key frame are left out, and so are damaged packets and frames that the
+    decoder marks as corrupt. One frame is in memory at a time, beside the decoder's references.
 
     Args:
-        packets: in the order in which they were sent.
-        opened: a decoder by FFmpeg's name for it, where one knows more than packets say.
+        packets: in sending order.
+        opened: opens a decoder by FFmpeg's name, where one knows more than packets say.
 
     Raises:
         LogError: this machine's FFmpeg has no such decoder.
@@ -66,20 +61,20 @@ def decoded(
 
 
 def _is_picture(name: str, data: bytes) -> bool:
-    """Whether a packet may be one picture. dav1d gives all pictures of a packet at once.
+    """Return whether a packet may be one frame; dav1d decodes all frames of a packet at once.
 
-    A few kB of AV1 can then be gigabytes. The parts that begin a picture are counted: with those
-    that are never shown, one that is shown has a few.
+    A few kB of AV1 can then be gigabytes. The OBUs that begin a frame are counted: with hidden
+    references, one that is shown has a few.
     """
     if name != CODECS["av1"]:
         return bool(data)
     at = begun = 0
-    for _ in range(_MOST_AV1_PARTS):
+    for _ in range(_MAX_AV1_PARTS):
         if at >= len(data):
             return bool(data)
         head = data[at]
         begun += (head >> 3 & 15) in _AV1_BEGINS_PICTURE
-        if begun > _MOST_AV1_PICTURES:
+        if begun > _MAX_AV1_PICTURES:
             return False
         if not head & 2:  # it has no size: the rest of the packet
             return True
@@ -96,7 +91,7 @@ def _is_picture(name: str, data: bytes) -> bool:
 
 
 class _Stream:
-    """One decoder, from its first packet to what it still holds at the end."""
+    """One decoder, from its first packet to its final flush."""
 
     def __init__(self, name: str, decoder: VideoCodecContext) -> None:
         self._name = name
@@ -109,13 +104,13 @@ class _Stream:
             if not _is_picture(self._name, packet.data):  # none would mean the end of the stream
                 continue
             self._stamps_ns[number] = packet.stamp_ns
-            if len(self._stamps_ns) > _MOST_WAITING:
+            if len(self._stamps_ns) > _MAX_WAITING:
                 del self._stamps_ns[next(iter(self._stamps_ns))]
             yield from self._pictures(number, packet.data)
         yield from self._pictures(None, b"")
 
     def _pictures(self, number: int | None, data: bytes) -> Iterator[Frame]:
-        """Those that one packet completes; those that are left, without one."""
+        """Yield the frames that one packet completes; without a packet, flush the rest."""
         for picture in self._decode(number, data):
             stamp_ns = self._stamps_ns.pop(-1 if picture.pts is None else picture.pts, None)
             self._began = self._began or bool(picture.key_frame)

@@ -1,1 +1,1 @@
-"""How a log reaches the disk so that nothing that was counted as written is lost."""
+"""Write logs to disk so that nothing that was counted as written is lost."""

@@ -1,4 +1,4 @@
-"""A name that one process alone writes under: made for it, locked, and looked after."""
+"""Claim a file name that one process alone writes under: made for it, locked, and watched."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.output.owned_file import OWN_LOG_BYTES, is_own_log
 from tunenet_logs.output.rename_new import rename_new, sync_folder
 
+# To take a name over which others fight at the same moment; each try ends with one of them having
+# it, or refusing.
 _TRIES = 100
-"""To take a name over which others fight at the same moment; each try ends with one of them having
-it, or refusing."""
 
 _ELSEWHERE = "choose another name with -o"
 
+# How links, folders, sockets and devices say that they open as no file.
 _NO_FILE = (errno.ELOOP, errno.EISDIR, errno.ENXIO, errno.ENODEV)
-"""How links, folders, sockets and devices say that they open as no file."""
 
 
 class ClaimedName:
-    """A new, empty file under a name, which no other claim can take while this one lasts.
+    """New, empty file under a name, which no other claim can take while this one lasts.
 
     The file is made under a name of its own and locked (`flock`) before it gets the one that is
     claimed, so nobody ever finds that unlocked but where a killed process left it. Nothing is
@@ -67,18 +67,18 @@ class ClaimedName:
 
     @property
     def descriptor(self) -> int:
-        """Of the file, for writing and reading; -1 once it was let go of."""
+        """File descriptor, for writing and reading; -1 once it was released."""
         return self._opened[0] if self._opened else -1
 
     def is_at(self, path: Path) -> bool:
-        """Whether the file, and no other, lies there."""
+        """Check whether this file, and no other, lies at `path`."""
         try:
             return os.path.samestat(os.lstat(path), os.fstat(self.descriptor))
         except OSError:
             return False
 
     def why_lost(self) -> str:
-        """What became of the file under its name; "" while it is there."""
+        """Return what became of the file under its name; "" while it is there."""
         if self.is_at(self.path):
             return ""
         try:
@@ -90,14 +90,14 @@ class ClaimedName:
         return "was replaced by another file"
 
     def found_at(self) -> Path | None:
-        """Where the file lies, whoever moved it; None where it has no name any more."""
+        """Find the file, whoever moved it; None where it has no name any more."""
         with suppress(OSError):
             path = Path(f"/proc/self/fd/{self.descriptor}").readlink()
             return path if self.is_at(path) else None
         return None
 
     def rename(self, path: Path, *, replaces: bool) -> bool:
-        """Give the file its last name, in the same folder; whether it then lies there.
+        """Give the file its last name, in the same folder; return whether it then lies there.
 
         Raises:
             FileExistsError: the name is taken, and is not to be replaced.
@@ -113,7 +113,7 @@ class ClaimedName:
         return self.is_at(path)
 
     def remove(self) -> None:
-        """Leave no file, unless another one lies there by now, and let go of the name."""
+        """Delete the file, unless another one lies there by now, and release the name."""
         for path in (self.path, self._first):
             if self._opened and self.is_at(path):
                 with suppress(OSError):
@@ -121,7 +121,7 @@ class ClaimedName:
         self.release()
 
     def release(self) -> None:
-        """Let go of the file as it is. Safe to call twice."""
+        """Release the file as it is. Safe to call twice."""
         while self._opened:
             with suppress(OSError):  # nothing is held back that could be lost here
                 os.close(self._opened.pop())
@@ -131,16 +131,14 @@ class ClaimedName:
             self.remove()
 
 
-_NUMBERS = count()
-"""Of the claims of this process."""
-
+_NUMBERS = count()  # of the claims of this process
 _MAKE = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+# Flags to make a file, and to look at one that is there without waiting for it.
 _LOOK = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-"""Flags to make a file, and to look at one that is there without waiting for it."""
 
 
 def _clear(path: Path, *, takes_over: bool) -> None:
-    """Remove what a process left that is gone.
+    """Remove the file of a process that is gone.
 
     Raises:
         LogError: it is no such thing, or is to stay.
@@ -181,7 +179,7 @@ def _clear(path: Path, *, takes_over: bool) -> None:
 
 
 def _locked(descriptor: int) -> bool | None:
-    """Whether the file is locked for this process now; None where the file system has no locks."""
+    """Lock the file for this process if possible; None where the file system has no locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

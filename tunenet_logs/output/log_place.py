@@ -1,4 +1,4 @@
-"""Where a log comes to lie: under one name while it is written, under another once it is whole."""
+"""Place a log: under one name while it is written, under another once it is whole."""
 
 from __future__ import annotations
 
@@ -15,31 +15,18 @@ from tunenet_logs.output.claimed_name import ClaimedName
 from tunenet_logs.output.owned_file import OutputPlace, own_log
 from tunenet_logs.output.whole_file import free_bytes
 
-ACTIVE_SUFFIX = ".active"
-"""Behind a log's name while it is written."""
-
-NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
-"""How a full disk, or a user's share of one, says so."""
-
+ACTIVE_SUFFIX = ".active"  # behind a log's name while it is written
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT)  # how a full disk, or a user's share of one, says so
+# How a folder that cannot be written to says so.
 _READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
-"""How a folder that cannot be written to says so."""
 
-_GB_FROM_MB = 10_000
-"""From so many MB on, a disk is told of in GB."""
-
-_MOST_RESCUED = 100
-"""Copies of one log that may lie beside it."""
-
-_PIECE_BYTES = 1024 * 1024
-"""Copied at a time."""
+_GB_FROM_MB = 10_000  # from so many MB on, a disk is told of in GB
+_MAX_RESCUED = 100  # copies of one log that may lie beside it
+_PIECE_BYTES = 1024 * 1024  # copied at a time
 
 
 def check_log_name(path: Path, *, overwrite: bool) -> None:
-    """Refuse a name that a finished log cannot take.
-
-    Args:
-        path: the log.
-        overwrite: whether it may replace one of ours that is there; nothing else ever is.
+    """Refuse a name that a finished log cannot take; it may only `overwrite` a log of ours.
 
     Raises:
         LogError: it cannot; with the reason.
@@ -51,7 +38,7 @@ def check_log_name(path: Path, *, overwrite: bool) -> None:
 
 
 class LogPlace:
-    """A log's two names, and the space beside it. The first one is this process's alone.
+    """Both names of a log, and the space beside it. The first name is this process's alone.
 
     Args:
         path: the finished log.
@@ -86,7 +73,7 @@ class LogPlace:
             raise not_writable(path, error) from error
 
     def why_too_full(self, free: int) -> str:
-        """Why a disk with so many bytes free takes no more; "" if it does."""
+        """Return why a disk with so many bytes free takes no more; "" if it does."""
         if free >= self._min_free_bytes:
             return ""
         scale, unit = (1e6, "MB") if self._min_free_bytes < _GB_FROM_MB * 1e6 else (1e9, "GB")
@@ -96,7 +83,7 @@ class LogPlace:
     def keep(
         self, *, is_whole: bool, is_cut: bool = False, or_nothing: bool = False
     ) -> Path | None:
-        """Give the file its last name, and let go of it; where it lies. None where it is lost.
+        """Give the file its last name and release it; return where it lies, None if it is lost.
 
         Where the name cannot be given, it stays under its first one. Where it has lost that, as
         somebody removed or replaced it, what it holds is copied to a name of its own.
@@ -124,9 +111,9 @@ class LogPlace:
             claim.release()
 
     def _rescued(self) -> Path | None:
-        """A copy of a file that has no name any more, beside it or in the temporary folder."""
+        """Copy a file that has no name any more, beside it or to the temporary folder."""
         for folder in (self.path.parent, Path(tempfile.gettempdir())):
-            for number in range(1, _MOST_RESCUED + 1):
+            for number in range(1, _MAX_RESCUED + 1):
                 which = "" if number == 1 else f"_{number}"
                 name = folder / f"{self.path.stem}.rescued{which}{self.path.suffix}"
                 if os.path.lexists(name):
@@ -138,12 +125,12 @@ class LogPlace:
         return None
 
     def called(self, path: Path) -> str:
-        """What a log that `keep` kept is called: by its name alone where it lies in its folder."""
+        """Return the display name of a kept log: its name alone where it lies in its folder."""
         return path.name if path.parent == self.path.parent else str(path)
 
 
 def _copied(descriptor: int, path: Path) -> bool:
-    """Copy an open file to a new name; whether all of it lies there.
+    """Copy an open file to a new name, and return whether all of it lies there.
 
     Raises:
         OSError, LogError: it cannot be written; nothing is left.
@@ -163,7 +150,7 @@ def _copied(descriptor: int, path: Path) -> bool:
 
 
 def _pieces(descriptor: int) -> Iterator[bytes]:
-    """All bytes of an open file; a short read is no end."""
+    """Yield all bytes of an open file; a short read is no end."""
     at = 0
     while piece := os.pread(descriptor, _PIECE_BYTES, at):
         at += len(piece)
@@ -171,7 +158,7 @@ def _pieces(descriptor: int) -> Iterator[bytes]:
 
 
 def not_writable(path: Path, error: OSError) -> LogError:
-    """Why no log can be written to `path`, by the name that its user gave, and the remedy."""
+    """Build the error for a path that cannot be written, with its remedy."""
     elsewhere = "choose another place with -o"
     if error.errno == errno.ENOENT:
         return LogError(f"{path.parent}: no such folder; make it first, or {elsewhere}")

@@ -1,9 +1,9 @@
-"""MCAP, written so that it can be ended whole at any moment, even after a write that failed.
+"""Write MCAP that can be ended whole at any moment, even after a write that failed.
 
 The bytes are those of `mcap.writer.Writer` with the same options, but for chunks that cannot be
-packed, which are left so with less effort. That writer counts a message, a
-chunk or a channel when it is handed over, so its end speaks of what a full disk never took; here
-everything is counted when it has reached the file.
+packed, which are left so with less effort. That writer counts a message, a chunk or a channel when
+it is handed over, so its end speaks of what a full disk never took; here everything is counted when
+it has reached the file.
 """
 
 from __future__ import annotations
@@ -28,30 +28,28 @@ from mcap.records import (
 from tunenet_logs.output.mcap_summary import MAGIC, McapSummary, bare_ending, bytes_of
 from tunenet_logs.output.whole_file import WholeFile
 
+# Before packing; few enough that a killed recorder loses little, many enough to pack well.
 _CHUNK_BYTES = 64 * 1024
-"""Before packing; few enough that a killed recorder loses little, many enough to pack well."""
 
+# Of a chunk, packed to see whether it can be: films and pictures are packed already.
 _SAMPLE_BYTES, _SAMPLES = 2048, 4
-"""Of a chunk, packed to see whether it can be: films and pictures are packed already."""
 
-_LEAST_GAIN = 0.03
-"""Of the samples, for which a chunk is worth the usual effort."""
-
+_MIN_GAIN = 0.03  # of the samples, for which a chunk is worth the usual effort
+# A level that takes a fifth of the time, and leaves what does not pack as it is.
 _LITTLE_EFFORT = -1
-"""A level that takes a fifth of the time, and leaves what does not pack as it is."""
 
+# A message's record up to its data: kind, length, channel, sequence number, two stamps [ns].
 _MESSAGE = struct.Struct("<BQHIQQ")
-"""A message's record up to its data: kind, length, channel, sequence number, two stamps [ns]."""
 
+# Of that, what the record's length counts: all but kind and length.
 _MESSAGE_HEAD_BYTES = _MESSAGE.size - 9
-"""Of that, what the record's length counts: all but kind and length."""
 
+# A chunk's index of one channel, up to its entries: kind, length, channel, size [bytes].
 _INDEX = struct.Struct("<BQHI")
-"""A chunk's index of one channel, up to its entries: kind, length, channel, size [bytes]."""
 
 
 class McapOutput:
-    """An MCAP file in the making: zstd chunks, CRCs of chunks and of the whole.
+    """MCAP file in the making: zstd chunks, CRCs of chunks and of the whole.
 
     Args:
         file: empty.
@@ -81,14 +79,14 @@ class McapOutput:
         self._entries: dict[int, list[int]] = {}
 
     def add_schema(self, name: str, encoding: str, text: str) -> int:
-        """Announce a type of messages; its id."""
+        """Announce a type of messages, and return its id."""
         known = len(self._summary.schemas) + sum(isinstance(record, Schema) for record in self._new)
         schema = Schema(id=known + 1, name=name, encoding=encoding, data=text.encode())
         self._announce(schema)
         return schema.id
 
     def add_channel(self, topic: str, encoding: str, schema_id: int) -> int:
-        """Announce a topic; its id."""
+        """Announce a topic, and return its id."""
         known = len(self._summary.channels) + sum(
             isinstance(record, Channel) for record in self._new
         )
@@ -162,7 +160,7 @@ class McapOutput:
         if step > _SAMPLE_BYTES:
             starts = range(0, _SAMPLES * step, step)
             sample = b"".join(data[at : at + _SAMPLE_BYTES] for at in starts)
-            if len(self._compressor.compress(sample)) > (1 - _LEAST_GAIN) * len(sample):
+            if len(self._compressor.compress(sample)) > (1 - _MIN_GAIN) * len(sample):
                 return self._quick_compressor.compress(data)
         return self._compressor.compress(data)
 
@@ -188,7 +186,7 @@ class McapOutput:
         self.is_ended = True
 
     def end_as_fits(self, name: str, values: Mapping[str, str]) -> bool:
-        """The same on a disk that is full, with as much of it as fits; False if nothing does.
+        """End the log on a full disk with as much as fits; return False if nothing does.
 
         What is given up, in this order: the index of the chunks, so that readers go through the
         log from its beginning; the rest of the summary; the metadata record.
@@ -210,7 +208,7 @@ class McapOutput:
 
     @property
     def message_count(self) -> int:
-        """Messages in the file, those in the open chunk not counted."""
+        """Number of messages in the file, those in the open chunk not counted."""
         return self._summary.message_count
 
     def _announce(self, record: Schema | Channel) -> None:
@@ -224,12 +222,12 @@ class McapOutput:
         return record, MetadataIndex(self._file.size_bytes, len(record), name)
 
     def _after(self, piece: bytes) -> tuple[int, int]:
-        """Size and CRC of the file when `piece` will have been added."""
+        """Return size and CRC of the file when `piece` will have been added."""
         return self._file.size_bytes + len(piece), zlib.crc32(piece, self._file.crc32)
 
 
 def _message_indexes(entries: Mapping[int, list[int]], at: int) -> tuple[bytes, dict[int, int]]:
-    """The index records of a chunk, which begin at the offset `at`; where each channel's is."""
+    """Build the index records of a chunk, from offset `at` on, and the offset of each channel's."""
     pieces: list[bytes] = []
     offsets: dict[int, int] = {}
     for channel_id, pairs in entries.items():

@@ -1,4 +1,4 @@
-"""The end of an MCAP file: what it says of the messages that are really in it."""
+"""Build the end of an MCAP file from the messages that are really in it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-MAGIC = b"\x89MCAP0\r\n"
-"""An MCAP file begins and ends with it."""
+MAGIC = b"\x89MCAP0\r\n"  # an MCAP file begins and ends with it
 
 
 class McapSummary:
@@ -72,7 +71,7 @@ class McapSummary:
     def ending(
         self, at: int, data_crc32: int, last: MetadataIndex, *, has_chunk_index: bool = True
     ) -> bytes:
-        """Data end, summary and footer.
+        """Encode data end, summary and footer.
 
         Args:
             at: where they begin in the file.
@@ -94,7 +93,7 @@ class McapSummary:
         return data_end + bytes(summary) + bytes_of(Footer(start, offset_start, crc32)) + MAGIC
 
     def _groups(self, metadata_indexes: Sequence[MetadataIndex]) -> Iterator[tuple[Opcode, bytes]]:
-        """The summary's records in its order."""
+        """Yield the records of the summary in its order."""
         first_ns, last_ns = self._span_ns or (0, 0)
         statistics = Statistics(
             attachment_count=0,
@@ -116,12 +115,12 @@ class McapSummary:
 
 
 def bare_ending(data_crc32: int) -> bytes:
-    """The shortest end that readers take: no summary."""
+    """Encode the shortest end that readers take: no summary."""
     return bytes_of(DataEnd(data_crc32)) + bytes_of(Footer(0, 0, 0)) + MAGIC
 
 
 def bytes_of(record: McapRecord) -> bytes:
-    """A record as it is in a file."""
+    """Serialise a record."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

@@ -1,4 +1,4 @@
-"""A small file that is there whole, on the disk, or not at all; it never takes another's place."""
+"""Write a small file whole, on the disk, or not at all; it never takes another's place."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 from tunenet_logs.output.log_place import ACTIVE_SUFFIX
 from tunenet_logs.output.rename_new import rename_new
 
+# How file systems and kernels say that they know no file without a name, or cannot name it.
 _NO_NAMELESS = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT, errno.EPERM)
-"""How file systems and kernels say that they know no file without a name, or cannot name it."""
 
 
 def write_new(path: Path, data: bytes) -> None:
-    """Write a file of its own: whole and kept by the disk before it has its name.
+    """Write a new file atomically: whole and on the disk before it has its name.
 
     A process that is killed leaves nothing, where the file system knows files without a name;
     elsewhere at most `NAME.active`, which no reader takes for the file.
@@ -33,7 +33,7 @@ def write_new(path: Path, data: bytes) -> None:
 
 
 def _write_nameless(path: Path, data: bytes, folder: int) -> bool:
-    """Write first and name then; False where the file system does not do that."""
+    """Write an unnamed file, then link it; False where the file system does not do that."""
     try:
         file = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The one way in which a command writes a file: what is not ours is never replaced or deleted.
+"""Write files as all commands do: what is not ours is never replaced or deleted.
 
 Ours is what its content says is ours. No link is followed, nothing is opened that may wait, and
 what is written has a name of its own until it is whole.
@@ -20,35 +20,31 @@ from tunenet_logs.output.rename_new import rename_new
 from tunenet_logs.regular_file import open_regular
 from tunenet_logs.terminal import listed, short_name
 
+# Looks at the beginning of an open file: None where it is not of our kind, else the names of what
+# it tells of and the new one will not. Where nothing is lost, it may be replaced.
 Knows = Callable[[BinaryIO], Sequence[str] | None]
-"""Looks at the beginning of an open file: None where it is not of our kind, else the names of what
-it tells of and the new one will not. Where nothing is lost, it may be replaced."""
 
 _PARTIAL = ".partial"
 
-_MOST_NAMED, _MOST_CHARACTERS = 3, 120
-"""Of what would be lost, in a message, and of each name."""
-
-OWN_LOG_BYTES = 128
-"""Of a log's beginning, from which `is_own_log` tells."""
-
+_MAX_NAMED, _MAX_CHARACTERS = 3, 120  # of what would be lost, in a message, and of each name
+OWN_LOG_BYTES = 128  # of a log's beginning, from which `is_own_log` tells
+# A header's record: its length, then profile and library, each behind its own length.
 _OWN_LOG = re.compile(rb"\x89MCAP0\r\n\x01.{8}.\0\0\0[a-z0-9]{0,32}.\0\0\0tunenet-logs ", re.DOTALL)
-"""A header's record: its length, then profile and library, each behind its own length."""
 
 _ANYBODY_WRITES = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 
 @dataclass(frozen=True)
 class OutputPlace:
-    """Where a file is to be written, and what it may take the place of.
+    """Destination of a file, and what it may replace.
 
     Attributes:
         path: the file.
         what: kind of file, as "page" or "tuning".
-        knows: tells files of this kind from others.
+        knows: recognises files of this kind.
         of: whose the new one is, in words; "" where that needs no word.
         elsewhere: what a user does where the place is taken.
-        overwrite: whether a file of this kind may be replaced that tells of something else.
+        overwrite: whether a file of this kind with other content may be replaced.
         asked_by: how the user says so.
     """
 
@@ -61,7 +57,7 @@ class OutputPlace:
     asked_by: str = "--overwrite"
 
     def why_not(self) -> str | None:
-        """Why nothing may be written there, in one line; None where it may."""
+        """Return why nothing may be written there, in one line; None where it may."""
         try:
             mode = self.path.lstat().st_mode
         except (FileNotFoundError, NotADirectoryError):  # writing says what is missing
@@ -73,7 +69,7 @@ class OutputPlace:
         return f"{self.path}: {fault}{self.elsewhere}" if fault else None
 
     def check(self) -> None:
-        """Find out before hours of work whether their result can be written.
+        """Check before hours of work that their result can be written.
 
         Raises:
             UsageError: it cannot; says why.
@@ -92,7 +88,7 @@ class OutputPlace:
 
     @contextmanager
     def replacing(self) -> Iterator[Path]:
-        """Write to a file beside it, this process's own, that takes its name once it is whole.
+        """Yield a file beside it, this process's own, that takes its name once it is whole.
 
         Raises:
             LogError: something else is there, or is by then.
@@ -119,7 +115,7 @@ class OutputPlace:
             self.path.unlink(missing_ok=True)
 
     def _not_ours(self) -> str:
-        """Why a file that is there stays, and the half of what to do; "" where it need not."""
+        """Return why a file that is there stays, and half of the remedy; "" where it need not."""
         try:
             with open_regular(self.path, follows=False) as file:
                 try:
@@ -132,7 +128,7 @@ class OutputPlace:
             return f"exists, and is no {self.what} that tunenet-logs wrote; move it away, or "
         if not lost or self.overwrite:
             return ""
-        others = listed([short_name(one, _MOST_CHARACTERS) for one in lost], _MOST_NAMED)
+        others = listed([short_name(one, _MAX_CHARACTERS) for one in lost], _MAX_NAMED)
         new = f", not of {self.of}" if self.of else ""
         return f"exists, and is the {self.what} of {others}{new}; pass {self.asked_by}, or "
 
@@ -150,7 +146,7 @@ def _locked(mode: int) -> str:
 
 
 def check_folders(folder: Path, below: Path) -> None:
-    """Refuse folders within a folder of results that are links: nothing is written through one.
+    """Refuse symbolic links among the folders within a folder of results.
 
     Args:
         folder: as the user named it, be it a link.
@@ -170,12 +166,12 @@ def check_folders(folder: Path, below: Path) -> None:
 
 
 def nothing(_file: BinaryIO) -> None:
-    """A `Knows` of files that replace none."""
+    """Replace no file: a `Knows`."""
     return
 
 
 def begins_with(*starts: bytes) -> Knows:
-    """A `Knows` of files of ours that tell of nothing else, by how they begin."""
+    """Make a `Knows` of files of ours that hold nothing else, by how they begin."""
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
         return () if file.read(max(map(len, starts))).startswith(starts) else None
@@ -184,18 +180,18 @@ def begins_with(*starts: bytes) -> Knows:
 
 
 def is_own_log(start: bytes) -> bool:
-    """Whether a file that begins so is a log that this package wrote."""
+    """Check whether a file that begins so is a log that this package wrote."""
     return _OWN_LOG.match(start) is not None
 
 
 def own_log(file: BinaryIO) -> Sequence[str] | None:
-    """A `Knows` of such logs."""
+    """Recognise a log that this package wrote: a `Knows`."""
     return () if is_own_log(file.read(OWN_LOG_BYTES)) else None
 
 
 @contextmanager
 def _scratch(path: Path) -> Iterator[Path]:
-    """An empty file beside `path`, new, and gone at the end unless it has another name by then.
+    """Open an empty file beside `path`, new, and gone at the end unless renamed by then.
 
     Raises:
         OSError: it cannot be made or written; it names `path`.
@@ -215,7 +211,7 @@ def _scratch(path: Path) -> Iterator[Path]:
 
 
 def _made(path: Path) -> tuple[Path, int]:
-    """A file beside `path` under a name that nobody has, open for writing."""
+    """Create a file beside `path` under a name that nobody has, open for writing."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     number = 0
     while True:

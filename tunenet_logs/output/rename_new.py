@@ -1,4 +1,4 @@
-"""Renaming that replaces nothing, and has the disk keep the new name."""
+"""Rename without replacing, and have the disk keep the new name."""
 
 from __future__ import annotations
 
@@ -10,18 +10,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-_HERE = -100
-"""Instead of an open folder: names are relative to the working directory (AT_FDCWD)."""
-
-_REPLACE_NOTHING = 1
-"""The flag of Linux's renameat2 (RENAME_NOREPLACE)."""
-
+_HERE = -100  # instead of an open folder: names are relative to the working directory (AT_FDCWD)
+_REPLACE_NOTHING = 1  # the flag of Linux's renameat2 (RENAME_NOREPLACE)
+# How kernels and file systems (exFAT, NFS) say that they rename only by replacing.
 _NO_SUCH_CALL = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP)
-"""How kernels and file systems (exFAT, NFS) say that they rename only by replacing."""
 
 
 def rename_new(old: Path, new: Path) -> None:
-    """Rename a file; what is there stays, whoever made it and however late.
+    """Rename a file without ever replacing another (renameat2 with RENAME_NOREPLACE).
 
     Raises:
         FileExistsError: the new name is taken; nothing was changed.
@@ -38,7 +34,7 @@ def rename_new(old: Path, new: Path) -> None:
 
 
 def take_and_rename(old: Path, new: Path) -> None:
-    """The same where the file system has no such call: the name is taken by an empty file first.
+    """Rename without that call: an empty file takes the name first.
 
     A process that is killed in between leaves that, and the old name.
 
@@ -55,7 +51,7 @@ def take_and_rename(old: Path, new: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the disk keep the names in a folder, where its file system does that by itself."""
+    """Sync a folder's names to disk (`fsync`), unless its file system cannot."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
@@ -66,7 +62,7 @@ def sync_folder(folder: Path) -> None:
 
 @cache
 def _renameat2() -> Any:
-    """The C library's call; None where it has none."""
+    """Return the C library's call; None where it has none."""
     try:
         call = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):

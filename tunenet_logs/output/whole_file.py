@@ -1,4 +1,4 @@
-"""A file that grows by whole pieces: one that does not fit leaves no trace."""
+"""Append whole pieces to a file: one that does not fit leaves no trace."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 class WholeFile:
-    """An open file, written without a buffer: what `append` returned from is in the file.
+    """Open file, written without a buffer: what `append` returned from is in the file.
 
     In the file means that it survives this process being killed; `sync` makes it survive the
     machine. Where a piece does not fit, the file is cut back to the last whole one.
@@ -48,7 +48,7 @@ class WholeFile:
         self.crc32 = zlib.crc32(piece, self.crc32)
 
     def sync(self) -> None:
-        """Have the disk keep what is in the file.
+        """Sync the contents to disk.
 
         Raises:
             OSError: it cannot.
@@ -56,11 +56,11 @@ class WholeFile:
         os.fdatasync(self._descriptor)
 
     def is_changed(self) -> bool:
-        """Whether somebody else has cut it, or written to it."""
+        """Check whether another process has cut the file, or written to it."""
         return os.fstat(self._descriptor).st_size != self.size_bytes
 
     def free_bytes(self) -> int:
-        """What an ordinary user may still write to this disk."""
+        """Return the bytes that an ordinary user may still write to this disk."""
         return free_bytes(self._descriptor)
 
     def _cut_back(self) -> None:
@@ -72,7 +72,7 @@ class WholeFile:
 
 
 def free_bytes(place: Path | int) -> int:
-    """What an ordinary user may still write to the disk of a folder or an open file.
+    """Return the bytes that an ordinary user may still write to a folder's or open file's disk.
 
     Raises:
         OSError: there is no such folder.

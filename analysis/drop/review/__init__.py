@@ -1,1 +1,1 @@
-"""The review of a drop."""
+"""Review of a drop."""

@@ -1,4 +1,4 @@
-"""The chart of bounces: restitution against impact speed, with intervals."""
+"""Chart of bounces: restitution against impact speed, with intervals."""
 
 from __future__ import annotations
 
@@ -10,20 +10,13 @@ from analysis.drop.review.review_data import ReviewData
 from analysis.record import Rebound
 from analysis.review.drawing import WIDTH, chart_view, log_grid, screen_radius, ticks
 
-_LEAST_SPAN = 0.04
-"""Of restitution: less would make noise look like a slope."""
-
+_MIN_SPAN = 0.04  # of restitution: less would make noise look like a slope
+# Chart heights that a figure takes up across; figures that would overlap are left out.
 _FIGURE_WIDTH = 0.55
-"""Chart heights that a figure takes up across; figures that would overlap are left out."""
 
-_FIGURE_RISE = 0.2
-"""Chart heights from a bar up to the place that its figure hangs from."""
-
-_CAP = 0.025
-"""Half the width of the caps at a bar's ends, in chart heights."""
-
-_LOWEST_ROW = 0.08
-"""Chart heights: a row's label below this would overlap those of the speeds."""
+_FIGURE_RISE = 0.2  # chart heights from a bar up to the place that its figure hangs from
+_CAP = 0.025  # half the width of the caps at a bar's ends, in chart heights
+_LOWEST_ROW = 0.08  # chart heights: a row's label below this would overlap those of the speeds
 
 
 def log_bounces(stream: rr.RecordingStream, data: ReviewData) -> None:
@@ -69,24 +62,24 @@ def log_bounces(stream: rr.RecordingStream, data: ReviewData) -> None:
 
 
 def bounce_view(data: ReviewData) -> rrb.View:
-    """Faster impacts on the right; by number where no speed is known."""
+    """Build the view of the bounces by impact speed, or by number where no speed is known."""
     by = "bounce" if _speeds(data.bounces) is None else "impact speed [m/s]"
     bars = ", bars: 95 %" if data.interval95 is not None else ""
     return chart_view("bounces", f"restitution by {by}{bars}")
 
 
 def _speeds(bounces: tuple[Rebound, ...]) -> list[float] | None:
-    """Impact speeds [m/s]; None unless all are known."""
+    """Return the impact speeds [m/s]; None unless all are known."""
     speeds = [bounce.impact_speed_m_s for bounce in bounces if bounce.impact_speed_m_s is not None]
     return speeds if len(speeds) == len(bounces) else None
 
 
 def _span(bounces: tuple[Rebound, ...]) -> tuple[float, float]:
-    """The restitutions between which values and intervals lie, with room for their figures."""
+    """Return the range of restitutions and intervals, with room for their figures."""
     ends = [bounce.restitution for bounce in bounces]
     for bounce in bounces:
         ends += bounce.interval95 or ()
     low, high = min(ends), max(ends)
-    more = max(0.0, _LEAST_SPAN - (high - low)) / 2
+    more = max(0.0, _MIN_SPAN - (high - low)) / 2
     low, high = low - more, high + more
     return low - 0.05 * (high - low), high + 0.2 * (high - low)  # figures stand above

@@ -1,4 +1,4 @@
-"""The video: the tracked ball and its trail, and over them the simulated balls and their path."""
+"""Video of the tracked ball and its trail, and over them the simulated balls and their path."""
 
 from __future__ import annotations
 
@@ -18,26 +18,18 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError
 
+# Of the track behind the ball: a bounce's shape can be seen, older bounces are out of the way.
 _TRAIL_S = 0.35
-"""Of the track behind the ball: a bounce's shape can be seen, older bounces are out of the way."""
 
-_CORNERS = 24
-"""Of the polygon that is drawn as a circle."""
+_CORNERS = 24  # of the polygon that is drawn as a circle
+_MIN_RADIUS_PX = 3.0  # of a circle: a smaller one would hide the ball
+# Of recorded pictures; more are made smaller, so that the review can be loaded soon.
+_MAX_BYTES = 48 * 1024 * 1024
 
-_LEAST_RADIUS_PX = 3.0
-"""Of a circle: a smaller one would hide the ball."""
-
-_MOST_BYTES = 48 * 1024 * 1024
-"""Of recorded pictures; more are made smaller, so that the review can be loaded soon."""
-
-_NARROW = 0.6
-"""Width over height of a view that has no room for a longer name."""
-
-_FEWEST = 4
-"""Samples of a flight, at least, from which its own speed sideways is fitted."""
-
+_NARROW = 0.6  # width over height of a view that has no room for a longer name
+_MIN_COUNT = 4  # samples of a flight, at least, from which its own speed sideways is fitted
+# Points of the path for each picture: it is drawn as a curve where pictures are far apart.
 _FINE = 4
-"""Points of the path for each picture: it is drawn as a curve where pictures are far apart."""
 
 
 def log_film(
@@ -68,7 +60,7 @@ def log_film(
 
 
 def _view(film: FilmedDrop, observed_px: Array, count: int) -> tuple[rrb.View, float]:
-    """The ball's way with room around it, as wide as it is high where the picture is."""
+    """Build a view of the ball's way with room around it, as wide as it is high."""
     size = np.array(film.track.size_px, np.float64)
     low, high = np.nanmin(observed_px, axis=0), np.nanmax(observed_px, axis=0)
     half = np.minimum(0.7 * (high - low).max() + 10, size / 2)
@@ -85,7 +77,7 @@ def _view(film: FilmedDrop, observed_px: Array, count: int) -> tuple[rrb.View, f
 
 
 def log_trail(stream: rr.RecordingStream, seconds: Array, places_px: Array) -> None:
-    """What the ball has just come along."""
+    """Send the trail of the ball's last positions."""
     begin = np.searchsorted(seconds, seconds - _TRAIL_S)
     trails = [places_px[first : index + 1] + 0.5 for index, first in enumerate(begin)]
     style = rr.LineStrips2D.from_fields(
@@ -105,17 +97,14 @@ def log_balls(
     color: Color,
     width: float,
 ) -> None:
-    """A circle around the ball at each time, of a line `width` wide: a disc would hide it.
-
-    None where its place is not known (NaN).
-    """
+    """Send a circle around the ball at each time, none at NaN: a disc would hide the ball."""
     style = rr.LineStrips2D.from_fields(
         colors=[color], radii=screen_radius(width / 2), draw_order=10.0 + width
     )
     stream.log(entity, style, static=True)
     turns = np.linspace(0, 2 * np.pi, _CORNERS + 1)
     circle = np.column_stack([np.cos(turns), np.sin(turns)])
-    drawn_px = np.maximum(radii_px, _LEAST_RADIUS_PX)
+    drawn_px = np.maximum(radii_px, _MIN_RADIUS_PX)
     # Rerun's (0, 0) is a corner of the first pixel, ours its middle.
     strips = positions_px[:, None] + drawn_px[:, None, None] * circle + 0.5
     columns = rr.LineStrips2D.columns(
@@ -127,7 +116,7 @@ def log_balls(
 def log_pictures(
     stream: rr.RecordingStream, tuning: Tuning, found: FilmDetection, span_ns: tuple[int, int]
 ) -> None:
-    """The pictures of this time as they were recorded; bare pixels, or far too many, reduced."""
+    """Send the pictures of this time as recorded; bare pixels, or far too many, reduced."""
     assert tuning.episode is not None
     shown: list[Frame] = []
     for recorded in frames_to_show(tuning.episode, found.topic):
@@ -141,7 +130,7 @@ def log_pictures(
         except LogError:
             continue
         shown.append(picture)
-    if sum(len(frame.data) for frame in shown) > _MOST_BYTES:
+    if sum(len(frame.data) for frame in shown) > _MAX_BYTES:
         shown = [reduced(frame) for frame in shown]
     if shown:
         send_pictures(stream, shown, found.start_ns)
@@ -150,7 +139,7 @@ def log_pictures(
 
 
 def _log_path(stream: rr.RecordingStream, film: FilmedDrop, data: ReviewData) -> None:
-    """The path of the result through the picture, its impacts, and the latest one's name."""
+    """Send the path of the result through the picture, its impacts, and the latest one's name."""
     line = rr.LineStrips2D(
         [model_path(film, data)],
         colors=[(*data.simulated[-1].color, 170)],
@@ -176,7 +165,7 @@ def _log_path(stream: rr.RecordingStream, film: FilmedDrop, data: ReviewData) ->
 
 
 def model_path(film: FilmedDrop, data: ReviewData) -> Array:
-    """Where the camera would see the result's ball go, with all its impacts, shape (N, 2) [px].
+    """Project the way of the result's ball, with all its impacts, shape (N, 2) [px].
 
     From the corner of the first pixel, as Rerun counts.
     """
@@ -194,7 +183,7 @@ def model_path(film: FilmedDrop, data: ReviewData) -> Array:
 def film_positions(
     film: FilmedDrop, seconds: Array, heights: Array, impacts_s: Array | None = None
 ) -> Array:
-    """Where the camera sees a ball that is at these heights.
+    """Project a ball at these heights into the picture.
 
     The projection knows the image's vertical alone; sideways the ball goes as the observed one: a
     piecewise linear least-squares fit with one speed, or one for each flight between `impacts_s`.
@@ -220,10 +209,10 @@ def film_positions(
 
 
 def _knots(seconds: Array, impacts_s: Array) -> Array:
-    """The impacts between flights of enough samples, and both ends, shape (K,) [s]."""
+    """Return the impacts between flights of enough samples, and both ends, shape (K,) [s]."""
     knots = [float(seconds[0])]
     for at in impacts_s:
         before = np.count_nonzero((seconds > knots[-1]) & (seconds <= at))
-        if before >= _FEWEST and np.count_nonzero(seconds > at) >= _FEWEST:
+        if before >= _MIN_COUNT and np.count_nonzero(seconds > at) >= _MIN_COUNT:
             knots.append(float(at))
     return np.array([*knots, float(seconds[-1])])

@@ -1,4 +1,4 @@
-"""A film in which a ball was tracked that makes no drop: its track over the pictures, and how high.
+"""Review of a tracked film that makes no drop: the track over the pictures, and its height.
 
 What looks like an impact is marked, so that it can be seen where the ball does what no drop does.
 """
@@ -20,10 +20,8 @@ from tunenet_logs.arrays import Array
 
 _TRACK: Color = (120, 170, 255)
 
-_FEWEST = 12
-"""Places in which impacts are looked for."""
-
-_LEAST_NOISE_PX = 0.1
+_MIN_COUNT = 12  # places in which impacts are looked for
+_MIN_NOISE_PX = 0.1
 
 
 def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
@@ -75,7 +73,7 @@ def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | N
 
 
 def _without_gaps(places_px: Array) -> list[Array]:
-    """The runs of pictures in which the ball is found, shape (n, 2) each, as Rerun counts."""
+    """Split the track into runs of pictures with the ball, shape (n, 2) each, as Rerun counts."""
     known = np.isfinite(places_px).all(axis=1)
     edges = np.flatnonzero(np.diff(known)) + 1
     runs = np.split(places_px + 0.5, edges)
@@ -83,7 +81,7 @@ def _without_gaps(places_px: Array) -> list[Array]:
 
 
 def _heights_px(gravity_px: Array, places_px: Array) -> Array:
-    """Along the image's vertical, above the lowest place, shape (T,) [px]."""
+    """Return heights along the image's vertical, above the lowest place, shape (T,) [px]."""
     norm = float(np.linalg.norm(gravity_px))
     down = gravity_px / norm if norm > 0 else np.array([0.0, 1.0])
     along = -(places_px @ down)
@@ -91,16 +89,16 @@ def _heights_px(gravity_px: Array, places_px: Array) -> Array:
 
 
 def _impacts(seconds: Array, high_px: Array) -> list[int]:
-    """Where the ball looks as if it hit something: indices."""
-    if len(seconds) < _FEWEST or np.any(np.diff(seconds) <= 0):
+    """Return the indices at which the ball looks as if it hit something."""
+    if len(seconds) < _MIN_COUNT or np.any(np.diff(seconds) <= 0):
         return []
-    return list(film_impacts(seconds, high_px, max(noise_of(high_px), _LEAST_NOISE_PX)))
+    return list(film_impacts(seconds, high_px, max(noise_of(high_px), _MIN_NOISE_PX)))
 
 
 def _log_heights(
     stream: rr.RecordingStream, seconds: Array, high_px: Array, impacts: list[int]
 ) -> rrb.View:
-    """The ball's height in the picture over the log's time, and what looks like impacts."""
+    """Send the height in the picture over the log's time, and what looks like impacts."""
     points = rr.SeriesPoints(colors=[OBSERVED], names=["tracked"], marker_sizes=[2.0])
     stream.log("height/observed", points, static=True)
     send_scalars(stream, "height/observed", seconds, high_px)

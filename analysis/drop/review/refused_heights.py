@@ -1,4 +1,4 @@
-"""Positions in which no drop was found: the heights that were searched, and what looks like one."""
+"""Review of positions in which no drop was found: the heights searched, and likely impacts."""
 
 from __future__ import annotations
 
@@ -13,22 +13,14 @@ from analysis.review.drawing import IMPACT, OBSERVED, entity_of, send_scalars
 from tunenet_logs.episode import UNSTATED
 from tunenet_logs.terminal import short_name
 
-_MOST = 3
-"""Signals with a view of their own: those in which a drop is sought first."""
-
-_MOST_LETTERS = 40
-"""Of a signal's name in a title."""
-
-_MANY = 200
-"""Samples above which larger dots would hide each other."""
+_MAX = 3  # signals with a view of their own: those in which a drop is sought first
+_MAX_LETTERS = 40  # of a signal's name in a title
+_MANY = 200  # samples above which larger dots would hide each other
 
 
 def log_refused_heights(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
-    """Send the heights of the likeliest signals, and the sound beside the likeliest.
-
-    None where the log has no positions.
-    """
-    found = recorded_heights(tuning.episode, _MOST) if tuning.episode else []
+    """Send the likeliest signals' heights, and the sound beside; None without positions."""
+    found = recorded_heights(tuning.episode, _MAX) if tuning.episode else []
     views = [_log_height(stream, number, one) for number, one in enumerate(found)]
     if not views:
         return None
@@ -53,7 +45,7 @@ def _log_height(stream: rr.RecordingStream, number: int, height: RecordedHeight)
         stream.log(f"{origin}/impact", mark, static=True)
         send_scalars(stream, f"{origin}/impact", height.seconds[at], height.heights[at])
     unit = "" if height.signal.unit == UNSTATED else f" [{height.signal.unit}]"
-    name = short_name(height.signal.name, _MOST_LETTERS)
+    name = short_name(height.signal.name, _MAX_LETTERS)
     marked = f"red: {len(at)} that may be impacts" if len(at) else "nothing looks like an impact"
     free = "" if height.is_free else ", no free fall"
     return rrb.TimeSeriesView(

@@ -1,4 +1,4 @@
-"""A sound in which no ball is heard, or beside no drop: its envelope, and all that knocks."""
+"""Review of a sound in which no ball is heard, or beside no drop: its envelope and onsets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tunenet_logs.sound import Sound
 
 
 def log_refused_sound(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
-    """Send envelope and knocks; None where there is no sound, or it is silent."""
+    """Send envelope and onsets; None where there is no sound, or it is silent."""
     found: TimesDetection | None = tuning.refused
     if found is not None and found.listened is not None:
         sound, span_s = found.listened.sound, found.listened.part_s
@@ -32,16 +32,13 @@ def log_refused_sound(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
 def log_sound_of_heights(
     stream: rr.RecordingStream, tuning: Tuning, start_ns: int, span_s: tuple[float, float]
 ) -> rrb.View | None:
-    """Send what was recorded beside positions in which no drop was found.
+    """Send the sound beside positions without a drop; None where there is none, or it is silent.
 
     Args:
         stream: the recording.
         tuning: that was refused.
         start_ns: stamp where the heights' time is 0.
         span_s: first and last moment of the heights.
-
-    Returns:
-        Its view; None where there is no sound, or it is silent then.
     """
     sound = sound_of(tuning.episode)
     if sound is None:

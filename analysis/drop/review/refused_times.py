@@ -1,4 +1,4 @@
-"""Impact times that are no bouncing ball's: how long each is after the one before."""
+"""Review of impact times that are no bouncing ball's: how long each is after the one before."""
 
 from __future__ import annotations
 
@@ -10,12 +10,8 @@ from analysis.record import Tuning
 from analysis.review.drawing import OBSERVED, entity_of, send_scalars, ticked
 from tunenet_logs.terminal import short_name
 
-_MOST = 3
-"""Signals with a view of their own."""
-
-_MOST_LETTERS = 40
-"""Of a signal's name in a title."""
-
+_MAX = 3  # signals with a view of their own
+_MAX_LETTERS = 40  # of a signal's name in a title
 _MS = 1000.0
 
 
@@ -23,7 +19,7 @@ def log_refused_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
     """Send the gaps between the times of each signal; None where none has two."""
     signals = tuning.episode.signals.values() if tuning.episode else ()
     views: list[rrb.View] = []
-    for signal in [one for one in signals if len(one.stamps_ns) > 1][:_MOST]:
+    for signal in [one for one in signals if len(one.stamps_ns) > 1][:_MAX]:
         seconds = np.sort(signal.seconds)
         gaps_ms = _MS * np.diff(seconds)
         entity = entity_of("gaps", str(len(views)))
@@ -32,7 +28,7 @@ def log_refused_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
         )
         stream.log(entity, marks, static=True)
         send_scalars(stream, entity, seconds[1:], gaps_ms)
-        name = short_name(signal.name, _MOST_LETTERS)
+        name = short_name(signal.name, _MAX_LETTERS)
         views.append(
             rrb.TimeSeriesView(
                 origin=f"/{entity}",

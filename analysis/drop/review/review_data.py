@@ -1,4 +1,4 @@
-"""What a drop's review shows, taken from its tuning once: curves over the log's time."""
+"""Review data of a drop, taken from its tuning once: curves over the log's time."""
 
 from __future__ import annotations
 
@@ -17,26 +17,22 @@ from recorders.simulators.base import GRAVITY_M_S2
 from recorders.simulators.closed_form.bounce import Bounce
 from tunenet_logs.arrays import Array
 
+# Of the first rebound's speed: slower impacts are of hops that look like rest (1 % as high).
 _SOFTEST = 0.1
-"""Of the first rebound's speed: slower impacts are of hops that look like rest (1 % as high)."""
 
-_SAME_S = 1e-6
-"""Stamps that differ by less are of one moment."""
-
-_SHOWN_FALLS = 5
-"""Fall times after the first impact: a ball of restitution 0.7 lies still by then."""
-
+_SAME_S = 1e-6  # stamps that differ by less are of one moment
+_SHOWN_FALLS = 5  # fall times after the first impact: a ball of restitution 0.7 lies still by then
+# Fall times before the release that are shown (a review opens there, and should not begin with a
+# ball that is held), and after the last bounce in view that the chart of heights opens with.
 _BEFORE_FALLS, _AFTER_FALLS = 0.25, 0.5
-"""Fall times before the release that are shown (a review opens there, and should not begin with a
-ball that is held), and after the last bounce in view that the chart of heights opens with."""
 
+# Of parameters, as a legend has room for them.
 _SYMBOLS = {"restitution": "e", "restitution_slope": "p", "drag": "k"}
-"""Of parameters, as a legend has room for them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A height over the log's time.
+    """Height over the log's time.
 
     Attributes:
         name: "observed", "k=3", "refined".
@@ -59,7 +55,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class TunedBall:
-    """The result's ball in closed form, between the samples too.
+    """Tuned ball in closed form, between the samples too.
 
     Attributes:
         bounce: the ball, with its own air.
@@ -72,11 +68,11 @@ class TunedBall:
     fall_time_s: float
 
     def heights(self, seconds: Array) -> Array:
-        """Above contact, at times on the log's clock, shape (T,) [drop heights]."""
+        """Return heights above contact at times on the log's clock, shape (T,) [drop heights]."""
         return self.bounce.heights((seconds - self.impact_s) / self.fall_time_s)
 
     def impacts_s(self, until_s: float) -> Array:
-        """On the log's clock, of the hops that do not look like rest, shape (I,) [s]."""
+        """Return impacts on the log's clock, of hops that do not look like rest, shape (I,) [s]."""
         starts, speeds = self.bounce.flights((until_s - self.impact_s) / self.fall_time_s)
         hard = speeds > _SOFTEST * speeds[0]
         hard[0] = True
@@ -86,7 +82,7 @@ class TunedBall:
 
 @dataclass(frozen=True, eq=False)
 class ReviewData:
-    """The curves of one tuning.
+    """Curves of one tuning.
 
     Attributes:
         observed: the recorded heights.
@@ -99,7 +95,7 @@ class ReviewData:
         seen_s: when the last bounce that counts ends, and a little.
         impacts_s: of the result's ball, on the log's time, those that are apart; shape (I,) [s].
         ball: the result's; None where no ball was fitted, as with the paper's simulator.
-        bounces: what is known of each impact of its own; empty if nothing tells them apart.
+        bounces: each impact's own restitution; empty if they cannot be determined.
         interval95: of the result; None where none is honest.
     """
 
@@ -123,7 +119,7 @@ class ReviewData:
 
 
 def review_data(tuning: Tuning) -> ReviewData:
-    """What the review of a tuning shows that found a drop."""
+    """Collect the review of a tuning that found a drop."""
     detection: AnyDetection = tuning.detection
     drop = detection.drop
     steps = tuning.trace.steps if tuning.trace else ()
@@ -155,7 +151,7 @@ def review_data(tuning: Tuning) -> ReviewData:
 
 
 def _observed(detection: AnyDetection) -> Curve:
-    """As the fitted camera, or the fitted table, has the samples."""
+    """Return the samples' heights by the fitted camera, or the fitted table."""
     drop = detection.drop
     posterior = detection.posterior if detection.physical else None
     if posterior is None:
@@ -171,13 +167,13 @@ def _observed(detection: AnyDetection) -> Curve:
 
 
 def begin_s(detection: AnyDetection) -> float:
-    """From when on a drop is shown, on the log's clock [s]."""
+    """Return when the plots of a drop begin, on the log's clock [s]."""
     drop = detection.drop
     return float(drop.release_s - _BEFORE_FALLS * drop.fall_time_s)
 
 
 def _simulated(tuning: Tuning, k: int) -> Curve:
-    """The rollout of iterate `k`, as long as something is observed."""
+    """Return the rollout of iterate `k`, as long as something is observed."""
     assert tuning.trace is not None
     detection, steps = tuning.detection, tuning.trace.steps
     first_s, last_s = _observed(detection).seconds[[0, -1]]
@@ -199,7 +195,7 @@ def _simulated(tuning: Tuning, k: int) -> Curve:
 
 
 def values_words(values: Mapping[str, float]) -> str:
-    """Parameters as a legend has room for them: "e=.752 p=.03 k=.11/m"."""
+    """Format parameters as a legend has room for them: "e=.752 p=.03 k=.11/m"."""
     alone = len(values) == 1
     parts: list[str] = []
     for name, value in values.items():
@@ -212,7 +208,7 @@ def values_words(values: Mapping[str, float]) -> str:
 
 
 def _residual(curve: Curve, observed: Curve) -> Curve:
-    """Sample by sample where both have the same stamps, as all but the paper's simulator do."""
+    """Subtract sample by sample where both have the same stamps, as all but the paper's do."""
     at, rows = matched(observed.seconds, curve.seconds)
     if len(at) > 1:
         off = curve.heights_m[rows] - observed.heights_m[at]
@@ -222,7 +218,7 @@ def _residual(curve: Curve, observed: Curve) -> Curve:
 
 
 def _ball(detection: AnyDetection, last: Step) -> TunedBall | None:
-    """The ball of an iterate, let go where and when its rollout was."""
+    """Return the ball of an iterate, let go where and when its rollout was."""
     posterior = detection.posterior if detection.physical else None
     if posterior is None:
         return None
@@ -239,7 +235,7 @@ def _ball(detection: AnyDetection, last: Step) -> TunedBall | None:
 
 
 def _seen_s(detection: AnyDetection, last_s: float) -> float:
-    """End of the last bounce in view, and half a fall time."""
+    """Return when the last bounce in view ends, and half a fall time later."""
     drop = detection.drop
     posterior = detection.posterior if detection.physical else None
     if posterior is None:

@@ -1,4 +1,4 @@
-"""The sound of a drop over the log's time: its envelope, and what knocks in it, marked."""
+"""Sound of a drop over the log's time: its envelope, and its onsets, marked."""
 
 from __future__ import annotations
 
@@ -18,28 +18,19 @@ from tunenet_logs.sound import Sound
 
 _ENVELOPE: Color = (120, 170, 255)
 
-_RATE_HZ = 250.0
-"""Points of an envelope in a second: a knock and its echo are apart."""
-
-_MOST = 30_000
-"""Points of an envelope: two minutes of sound at that rate."""
-
+_RATE_HZ = 250.0  # points of an envelope in a second: a knock and its echo are apart
+_MAX = 30_000  # points of an envelope: two minutes of sound at that rate
+# Below the loudest sample: what is softer is drawn there, so that the axis has its ticks.
 _DEEP_DB = 45.0
-"""Below the loudest sample: what is softer is drawn there, so that the axis has its ticks."""
 
-_LOUD_S = 0.01
-"""After a knock's onset, in which its mark's level is looked for."""
-
-_AROUND_S = 0.5
-"""Of sound before and after what is shown: the background that its knocks rise from."""
-
-_NEAR_S = 0.002
-"""An onset so near to an impact that was heard is that impact."""
+_LOUD_S = 0.01  # after a knock's onset, in which its mark's level is looked for
+_AROUND_S = 0.5  # of sound before and after what is shown: the background that its knocks rise from
+_NEAR_S = 0.002  # an onset so near to an impact that was heard is that impact
 
 
 @dataclass(frozen=True)
 class Marks:
-    """Moments of a sound that are marked.
+    """Marked moments of a sound.
 
     Attributes:
         entity: last part of their paths.
@@ -57,10 +48,7 @@ class Marks:
 
 
 def sound_of(episode: Episode | None, topic: str | None = None) -> Sound | None:
-    """The sound that a review can show.
-
-    None where there is none, it is silent, or pictures beside it have no clock.
-    """
+    """Return the sound to show; None if there is none, it is silent, or pictures have no clock."""
     if episode is None or not episode.sound_topics or episode.frames_untimed:
         return None
     try:
@@ -80,7 +68,7 @@ def log_beside(
     offset_s: float = 0.0,
     reason: str = "",
 ) -> rrb.View | None:
-    """Send a sound that was recorded beside pictures or positions, with its knocks at `height` too.
+    """Send a sound recorded beside pictures or positions, with its knocks at `height` too.
 
     Args:
         stream: the recording.
@@ -168,19 +156,19 @@ def log_sound(
 
 
 def log_on_table(stream: rr.RecordingStream, marks: Sequence[Marks]) -> None:
-    """The same marks among the heights, at 0."""
+    """Send the same marks among the heights, at 0."""
     for one in marks:
         _log_marks(stream, "height", one, np.zeros(len(one.seconds)))
 
 
 def time_axis(begin_s: float, end_s: float) -> rrb.TimeAxis:
-    """Of a plot that shows this much of the log's time."""
+    """Build the axis of a plot that shows this much of the log's time."""
     ends = (rrb.TimeRangeBoundary.absolute(seconds=at_s) for at_s in (begin_s, end_s))
     return rrb.TimeAxis(view_range=rr.TimeRange(*ends))
 
 
 def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
-    """The largest sample about each of at most `_MOST` moments.
+    """Compute the envelope: the largest sample about each of at most `_MAX` moments.
 
     Args:
         sound: all of it. Of a long one, two minutes about the span are given, or the span.
@@ -189,10 +177,10 @@ def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
     Returns:
         Times on the sound's clock [s], and levels [dB of full scale], -inf of silence; shape (E,).
     """
-    more_s = max(_MOST / _RATE_HZ - (span_s[1] - span_s[0]), 0.0) / 2
+    more_s = max(_MAX / _RATE_HZ - (span_s[1] - span_s[0]), 0.0) / 2
     ends = ((span_s[0] - more_s) * sound.rate_hz, (span_s[1] + more_s) * sound.rate_hz)
     first, last = (round(min(max(at, 0.0), float(len(sound.samples)))) for at in ends)
-    wide = max(round(sound.rate_hz / _RATE_HZ), -(-(last - first) // _MOST), 1)
+    wide = max(round(sound.rate_hz / _RATE_HZ), -(-(last - first) // _MAX), 1)
     count = (last - first) // wide
     pieces = sound.samples[first : first + count * wide].reshape(count, wide)
     most = np.maximum(pieces.max(axis=1), -pieces.min(axis=1))
@@ -204,7 +192,7 @@ def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
 
 
 def _piece(sound: Sound, span_s: tuple[float, float]) -> Sound | None:
-    """What sounds then, on the sound's clock; None where that is nothing."""
+    """Cut what sounds then, on the sound's clock; None where that is nothing."""
     last = len(sound.samples)
     begin, end = (round(min(max(at * sound.rate_hz, 0.0), float(last))) for at in span_s)
     samples = sound.samples[begin:end]
@@ -219,7 +207,7 @@ def _inside(seconds: Array, span_s: tuple[float, float]) -> Array:
 
 
 def _at(moments_s: Array, seconds: Array, levels_db: Array) -> Array:
-    """The largest level soon after each of these moments, shape (N,)."""
+    """Return the largest level soon after each of these moments, shape (N,)."""
     first = np.clip(np.searchsorted(seconds, moments_s) - 1, 0, len(seconds) - 1)
     last = np.searchsorted(seconds, moments_s + _LOUD_S)
     pairs = zip(first.tolist(), last.tolist(), strict=True)
@@ -227,7 +215,7 @@ def _at(moments_s: Array, seconds: Array, levels_db: Array) -> Array:
 
 
 def _log_marks(stream: rr.RecordingStream, place: str, marks: Marks, values: Array) -> None:
-    """Diamonds; nothing where there are none."""
+    """Send diamonds; nothing where there are none."""
     if not len(marks.seconds):
         return
     style = rr.SeriesPoints(

@@ -1,4 +1,4 @@
-"""The review of a drop that was heard: the simulated height, and the impacts on the table."""
+"""Review of a drop that was heard: the simulated height, and the impacts on the table."""
 
 from __future__ import annotations
 
@@ -13,17 +13,13 @@ from analysis.drop.times.motion import simulated_m
 from analysis.record import Tuning
 from analysis.review.drawing import MUTED, OBSERVED, Color, ramp, send_scalars, ticked
 
-NOT_OURS: Color = (235, 95, 75)
-"""Of times that are no impacts."""
-
-_EDGE = 0.02
-"""Of what is shown, before it: or the first mark would be cut."""
-
+NOT_OURS: Color = (235, 95, 75)  # of times that are no impacts
+_EDGE = 0.02  # of what is shown, before it: or the first mark would be cut
 _MS = 1000.0
 
 
 def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
-    """Send heights, impacts and how far these are apart; the layout that shows them."""
+    """Send heights, impacts and how far these are apart; return the layout that shows them."""
     detection: TimesDetection = tuning.detection
     assert tuning.trace is not None
     heard, last = detection.heard, tuning.trace.steps[-1]

@@ -1,4 +1,4 @@
-"""The review of a drop: heights and residuals, the ball in 3D, the iterations, and their layout.
+"""Review of a drop: heights and residuals, the ball in 3D, the iterations, and their layout.
 
 The video and the bounces, which not every tuning has, are in `film` and `bounces`.
 """
@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.drop.checks import MOST_EXCESS_PERCENT
+from analysis.drop.checks import MAX_EXCESS_PERCENT
 from analysis.drop.detection import AnyDetection
 from analysis.drop.review.bounces import bounce_view, log_bounces
 from analysis.drop.review.film import log_film
@@ -38,30 +38,22 @@ from analysis.review.drawing import (
 )
 from analysis.terminal_table import markdown_table, quantity
 
-_MANY = 200
-"""Samples above which dots would hide the lines."""
-
-_MM = 1000.0
-"""Millimetres in a metre: an axis does not show numbers as small as residuals in m."""
-
-_USUAL, _HEADROOM = 0.98, 1.3
-"""Quantile of the result's residuals that their axis must show, and room around it, as a factor."""
+_MANY = 200  # samples above which dots would hide the lines
+_MM = 1000.0  # millimetres in a metre: an axis does not show numbers as small as residuals in m
+# Quantile of the result's residuals that their axis must show, and room around it, as a factor.
+_TYPICAL, _HEADROOM = 0.98, 1.3
 
 _LIMIT: Color = (190, 70, 70)
 _TABLE: Color = (70, 70, 78)
 
-_BALL = 0.045
-"""A drawn ball's radius in drop heights: larger than life, to be seen."""
-
-_PITCH = 4.5
-"""From ball to ball, in radii: room for their labels."""
-
+_BALL = 0.045  # a drawn ball's radius in drop heights: larger than life, to be seen
+_PITCH = 4.5  # from ball to ball, in radii: room for their labels
+# Of the chart of heights, in its heights: it fills a larger and squarer view than others.
 _HEIGHTS_WIDTH = 1.7
-"""Of the chart of heights, in its heights: it fills a larger and squarer view than others."""
 
 
 def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
-    """Send all that is drawn of a drop; the layout that shows it.
+    """Send all that is drawn of a drop; return the layout that shows it.
 
     Two tabs, to play and to scrub; with the video first where there is one.
     """
@@ -106,7 +98,7 @@ def log_drop(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
 
 
 def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, rrb.View]:
-    """Observed dots under the lines of all iterations, and the residuals, over the log's time.
+    """Send observed dots, the lines of all iterations and the residuals, over the log's time.
 
     The title is the legend: one in the plot would hide curves on a small screen.
     """
@@ -139,12 +131,12 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
         axis_y=rrb.ScalarAxis(range=ticked(0.0, 1.05 * height_m)),
         plot_legend=rrb.PlotLegend(visible=False),
     )
-    limit_mm = _MM * MOST_EXCESS_PERCENT / 100 * height_m
+    limit_mm = _MM * MAX_EXCESS_PERCENT / 100 * height_m
     _log_limit(stream, data, limit_mm)
     reach_mm = _reach_mm(data, limit_mm)
     residual_view = rrb.TimeSeriesView(
         origin="/residual",
-        name=f"simulated - observed [mm], red: ±{plainly(limit_mm)} is {MOST_EXCESS_PERCENT:g} %",
+        name=f"simulated - observed [mm], red: ±{plainly(limit_mm)} is {MAX_EXCESS_PERCENT:g} %",
         axis_x=shown,
         axis_y=rrb.ScalarAxis(range=ticked(-reach_mm, reach_mm)),
         plot_legend=rrb.PlotLegend(visible=False),
@@ -153,7 +145,7 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
 
 
 def _log_sound(stream: rr.RecordingStream, tuning: Tuning, data: ReviewData) -> rrb.View | None:
-    """What was recorded beside the ball; None where nothing was, or nothing sounds."""
+    """Send the sound beside the ball; None where there is none, or it is silent."""
     sound = sound_of(tuning.episode)
     if sound is None:
         return None
@@ -167,7 +159,7 @@ def _log_sound(stream: rr.RecordingStream, tuning: Tuning, data: ReviewData) -> 
 
 
 def _log_limit(stream: rr.RecordingStream, data: ReviewData, limit_mm: float) -> None:
-    """Two lines, between which a difference cannot be seen with the eye."""
+    """Send two lines, between which a difference cannot be seen with the eye."""
     ends_s = data.observed.seconds[[0, -1]]
     style = rr.SeriesLines(
         colors=[_LIMIT] * 2, names=["limit", "limit"], widths=[1.0] * 2, aggregation_policy="Off"
@@ -177,16 +169,16 @@ def _log_limit(stream: rr.RecordingStream, data: ReviewData, limit_mm: float) ->
 
 
 def _reach_mm(data: ReviewData, limit_mm: float) -> float:
-    """As far as the limit and the result's residuals go: earlier iterates run off."""
+    """Return how far the limit and the result's residuals go: earlier iterates run off."""
     last = data.residuals[-1]
     inside = (last.seconds >= data.release_s) & (last.seconds <= data.seen_s)
     off_mm = _MM * np.abs(last.heights_m[inside])
-    usual_mm = float(np.quantile(off_mm, _USUAL)) if len(off_mm) else 0.0
+    usual_mm = float(np.quantile(off_mm, _TYPICAL)) if len(off_mm) else 0.0
     return _HEADROOM * max(usual_mm, limit_mm)
 
 
 def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
-    """The observed ball and those of all iterations, falling side by side in 3D."""
+    """Send the observed ball and those of all iterations, falling side by side in 3D."""
     curves = [data.observed, *data.simulated]
     height_m, radius = data.drop_height_m, _BALL * data.drop_height_m
     across = (np.arange(len(curves)) - (len(curves) - 1) / 2) * _PITCH * radius
@@ -240,7 +232,7 @@ def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
 
 
 def _log_height_chart(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
-    """The observed curve fixed, that of the iteration over it; the iteration in words at `step`."""
+    """Send the observed curve, the iteration's over it, and the iteration in words at `step`."""
     start_s = data.release_s - 0.05 * (data.end_s - data.release_s)
     width_s, height_m = data.end_s - start_s, data.drop_height_m
     rows = [(-height / height_m, f"{height:g} m") for height in ticks(0.0, height_m)]
@@ -273,7 +265,7 @@ def _log_height_chart(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
 
 
 def _step_words(k: int, data: ReviewData) -> str:
-    """An iteration's vector, and how far its curve is from the observed one."""
+    """Describe an iteration: its vector, and how far its curve is from the observed one."""
     curve = data.residuals[k]
     inside = (curve.seconds >= data.release_s) & (curve.seconds <= data.seen_s)
     rms_mm = _MM * float(np.sqrt(np.mean(curve.heights_m[inside] ** 2)))

@@ -1,1 +1,1 @@
-"""A drop by its impact times alone."""
+"""Drop by its impact times alone."""

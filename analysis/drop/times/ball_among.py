@@ -1,9 +1,9 @@
-"""The ball among the knocks of a sound: the chain of knocks that a ball explains best.
+"""Search for the ball among a sound's onsets: the chain of onsets that a ball explains best.
 
 Chains are found by their rhythm and loudness (`knocks`). Here each is fitted, and what the fit
-foretells is looked for: an impact before the first, one that was passed over, softer ones after
-the last. Every change must raise the evidence: the logarithm of the odds against knocks at random
-times, of random loudness and colour.
+predicts is looked for: an impact before the first, one that was passed over, softer ones after
+the last. Every change must raise the evidence: the log odds against onsets at random times, of
+random loudness and colour.
 """
 
 from __future__ import annotations
@@ -17,61 +17,47 @@ from analysis.drop.times.fit import Rig
 from analysis.drop.times.knocks import Crowd, KnockChain, chains, softer_db
 from analysis.drop.times.likelihood import log_likelihood
 from analysis.drop.times.missing_impacts import MISSED
-from analysis.drop.times.posterior import MOST_TIMES, Besides, HeardBall, heard_ball
+from analysis.drop.times.posterior import MAX_TIMES, Besides, HeardBall, heard_ball
 from analysis.listening.onsets import Onsets
 from tunenet_logs.arrays import Array
 
-_FITTED = 24
-"""Chains that are fitted."""
-
-_CHANGES = 30
-"""Of the best chain at most."""
-
+_FITTED = 24  # chains that are fitted
+_CHANGES = 30  # of the best chain at most
+# Before the first impact, and about a foretold one, where knocks are tried.
 _BEFORE_S, _NEAR_S = 1.6, 0.02
-"""Before the first impact, and about a foretold one, where knocks are tried."""
 
-_EVEN = 0.985
-"""Restitution of a beat that keeps on: of no ball."""
-
-_SECONDS = 6
-"""Chains of other knocks that are looked at."""
-
-_ECHO_SPREAD_S = 0.002
-"""By which what is late by the same time everywhere is an echo."""
-
+_EVEN = 0.985  # restitution of a beat that keeps on: of no ball
+_SECONDS = 6  # chains of other knocks that are looked at
+_ECHO_SPREAD_S = 0.002  # by which what is late by the same time everywhere is an echo
+# Of a knock's own moment that come to that: an echo begins less sharply than a knock.
 _ECHO_SDS = 2.0
-"""Of a knock's own moment that come to that: an echo begins less sharply than a knock."""
 
-_AS_LOUD_DB = 6.0
-"""Below the ball's own, from which on another knock is as loud."""
-
+_AS_LOUD_DB = 6.0  # below the ball's own, from which on another knock is as loud
+# For ten times the speed: of a ball's knocks, usually; their spread; that of a beat's, about 0.
 _SOFTENING_DB, _SOFTENING_SD_DB, _BEAT_SD_DB = 28.0, 8.0, 5.0
-"""For ten times the speed: of a ball's knocks, usually; their spread; that of a beat's, about 0."""
 
+# Usual scatter of a knock's loudness, and how many knocks that counts for.
 _LOUDNESS_SD_DB, _LOUDNESS_KNOWN = 2.0, 2
-"""Usual scatter of a knock's loudness, and how many knocks that counts for."""
 
-_FULL_SCALE, _FEWEST_SOFTENING = 0.98, 4
-"""Of a knock that is clipped; and knocks that are not, from which on their softening is known."""
+# Of a knock that is clipped; and knocks that are not, from which on their softening is known.
+_FULL_SCALE, _MIN_SOFTENING = 0.98, 4
 
-_TRIED = 6
-"""Knocks, for one impact."""
+_TRIED = 6  # knocks, for one impact
 
 
 @dataclass(frozen=True, eq=False)
 class BallAmong:
-    """A ball, and what was heard beside it.
+    """Ball found among onsets, and what was heard beside it.
 
     Attributes:
         ball: by its impact times, on the sound's clock.
         which: indices of its impacts among the onsets, shape (N,).
-        second_odds: logarithm of the odds for a second ball while this one bounces, or for knocks
-            of a ball just before.
-        earlier_s: those of them that say so where all are before its first: of the same ball, most
-            likely; shape (E,), of no elements where they are not.
+        second_odds: log odds of a second ball while this one bounces, or just before.
+        earlier_s: its impacts where all are before this one's first: of the same ball, most likely;
+            shape (E,), else empty.
         as_loud: other knocks meanwhile that are as loud as its own.
-        softening_odds: logarithm of the odds that its knocks soften as a ball's do, against knocks
-            that stay as loud; None where too few are below full scale to tell.
+        softening_odds: log odds that its knocks soften as a ball's do, against knocks that stay as
+            loud; None where too few are below full scale.
         clipped: its knocks that are as loud as the recording can tell.
     """
 
@@ -85,20 +71,14 @@ class BallAmong:
 
 
 def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
-    """The likeliest ball; None where nothing sounds like one.
-
-    Args:
-        heard: all knocks of the sound.
-        lasts_s: the sound.
-        rig: what is known of the ball.
-    """
+    """Find the likeliest ball among the onsets; None where nothing sounds like one."""
     found = chains(heard, lasts_s)[:_FITTED]
     if not found:
         return None
     judge = _Judge(heard, Crowd.of(heard, lasts_s), replace(rig, height_m=None))
     best = max((judge.judged(one) for one in found), key=lambda one: one.score)
     best = _completed(judge, best)
-    which = best.which[:MOST_TIMES]
+    which = best.which[:MAX_TIMES]
     ball = heard_ball(heard.times_s[which], rig, judge.besides(best))
     if ball is None:
         return None
@@ -116,7 +96,7 @@ def ball_among(heard: Onsets, lasts_s: float, rig: Rig) -> BallAmong | None:
 
 @dataclass(frozen=True, eq=False)
 class _Judge:
-    """Gives chains their evidence.
+    """Evidence of chains.
 
     Attributes:
         heard: all knocks.
@@ -129,7 +109,7 @@ class _Judge:
     rig: Rig
 
     def judged(self, chain: KnockChain) -> KnockChain:
-        """With its evidence as its score."""
+        """Score a chain by its evidence."""
         which, numbers = chain.which, chain.numbers
         times_s = self.heard.times_s[which]
         rate = float(np.log(self.crowd.rate_hz))
@@ -141,7 +121,7 @@ class _Judge:
         return replace(chain, score=score + self._beside(chain))
 
     def _beside(self, chain: KnockChain) -> float:
-        """Of loudness and colour, and of the knocks that are left for chance."""
+        """Return the log odds of loudness, colour, and the onsets that are left for chance."""
         loud = self.heard.loudness_db[chain.which]
         colours = self.heard.colours_db[chain.which]
         foretold = softer_db(self.heard.times_s[chain.which], chain.numbers)
@@ -154,12 +134,12 @@ class _Judge:
         return float(odds.sum()) + own + float(left) - float(np.log(every))
 
     def besides(self, chain: KnockChain) -> Besides:
-        """What the times alone do not say."""
+        """Return what the times alone do not say."""
         return Besides(self.crowd.rate_hz, self._beside(chain))
 
 
 def _completed(judge: _Judge, chain: KnockChain) -> KnockChain:
-    """With every change that raises its evidence, the best first."""
+    """Climb to the best chain: make every change that raises the evidence, the best first."""
     for _ in range(_CHANGES):
         tried = [judge.judged(one) for one in _changes(judge.heard, chain)]
         best = max(tried, key=lambda one: one.score, default=chain)
@@ -170,7 +150,7 @@ def _completed(judge: _Judge, chain: KnockChain) -> KnockChain:
 
 
 def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
-    """One knock more, or one less."""
+    """Return the chains with one onset more, or one less."""
     times_s, which, numbers = heard.times_s, chain.which, chain.numbers
     own_s = times_s[which]
     found: list[KnockChain] = []
@@ -210,10 +190,10 @@ def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
 
 
 def _softening_odds(ball: HeardBall, loudness_db: Array) -> float | None:
-    """By the line of loudness, NaN where it is not known, over the log of the impacts' speeds."""
+    """Regress loudness, NaN where not known, on the log impact speed, for the odds of a ball."""
     speeds = np.log10(ball.flown.arriving_m_s[ball.numbers, 0])
     known = np.isfinite(speeds + loudness_db)  # nobody hears how fast it arrives at the first
-    if known.sum() < _FEWEST_SOFTENING:
+    if known.sum() < _MIN_SOFTENING:
         return None
     speeds, loudness_db = speeds[known], loudness_db[known]
     off = speeds - speeds.mean()
@@ -230,7 +210,7 @@ def _softening_odds(ball: HeardBall, loudness_db: Array) -> float | None:
 
 
 def _as_loud(heard: Onsets, which: NDArray[np.int64]) -> int:
-    """Knocks of others between the ball's first and last that are as loud as its own then."""
+    """Count the others between the ball's first and last that are as loud as its own then."""
     own_s, own_db = heard.times_s[which], heard.loudness_db[which]
     others = heard.only(np.setdiff1d(np.arange(len(heard)), which))
     inside = (others.times_s > own_s[0]) & (others.times_s < own_s[-1])
@@ -239,10 +219,7 @@ def _as_loud(heard: Onsets, which: NDArray[np.int64]) -> int:
 
 
 def _second_odds(judge: _Judge, which: NDArray[np.int64]) -> tuple[float, Array]:
-    """Of the best chain of other knocks that begins before the ball's last impact.
-
-    Also its times, where it ends before the ball's first.
-    """
+    """Return the odds of another chain before the last impact, and its times if all are earlier."""
     heard, own_s = judge.heard, judge.heard.times_s[which]
     others = heard.only(np.setdiff1d(np.arange(len(heard)), which))
     inside = (others.times_s > own_s[0] - _BEFORE_S) & (others.times_s < own_s[-1])

@@ -1,4 +1,4 @@
-"""Checks of a drop that was heard, and the second estimate beside it."""
+"""Checks of a drop that was heard, and its cross-check."""
 
 from __future__ import annotations
 
@@ -14,50 +14,34 @@ from analysis.drop.times.posterior import HeardBall
 from analysis.estimators.base import FitResult, Step
 from tunenet_logs.arrays import Array
 
-_MOST_WRONG = 0.4
-"""Share of impacts that were missed and of times that are none."""
+_MAX_WRONG = 0.4  # share of impacts that were missed and of times that are none
+_SURE_ODDS = float(np.log(100.0))  # logarithm of the odds against noises at random times
+# Odds for knocks that soften, against such as stay as loud: claps have a hundredth.
+_MIN_SOFTENING = 0.2
 
-_SURE_ODDS = float(np.log(100.0))
-"""Logarithm of the odds against noises at random times."""
+_MAX_AS_LOUD = 2  # knocks of others while a ball bounces, as loud as its own
+# Standard deviation of a time [s], and in mean flights: a hand's clapping has more.
+_MAX_JITTER_S, _MAX_JITTER = 0.006, 0.03
 
-_LEAST_SOFTENING = 0.2
-"""Odds for knocks that soften, against such as stay as loud: claps have a hundredth."""
+_NO_RHYTHM = float(np.log(20.0))  # logarithm of the odds against every rhythm that is no ball's
+_MAX_RESTITUTION = 0.95  # of any ball that is heard; a beat that hardly quickens has more
+# Of the slope at its interval's upper end: no ball bounces better the faster it is, but flights
+# that shorten by one time each look so.
+_MIN_SLOPE = -0.01
 
-_MOST_AS_LOUD = 2
-"""Knocks of others while a ball bounces, as loud as its own."""
-
-_MOST_JITTER_S, _MOST_JITTER = 0.006, 0.03
-"""Standard deviation of a time [s], and in mean flights: a hand's clapping has more."""
-
-_NO_RHYTHM = float(np.log(20.0))
-"""Logarithm of the odds against every rhythm that is no ball's."""
-
-_MOST_RESTITUTION = 0.95
-"""Of any ball that is heard; a beat that hardly quickens has more."""
-
-_LEAST_SLOPE = -0.01
-"""Of the slope at its interval's upper end: no ball bounces better the faster it is, but flights
-that shorten by one time each look so."""
-
-_ENOUGH = 5
-"""Impacts from which on other rhythms than a ball's can be told from it."""
-
-_FITS, _LEAST_FIT_S = 2.0, 0.0005
-"""Rms between rollout and times: so many jitters and so much more."""
-
-_MOST_HEIGHT_SDS = 3.5
-"""By which the height may contradict the times."""
-
+_ENOUGH = 5  # impacts from which on other rhythms than a ball's can be told from it
+_FITS, _MIN_FIT_S = 2.0, 0.0005  # rms between rollout and times: so many jitters and so much more
+_MAX_HEIGHT_SDS = 3.5  # by which the height may contradict the times
+# Of plain ratios with the fit; and half width of an interval from which on nothing is known.
 _AGREEMENT, _UNSURE = 0.02, 0.1
-"""Of plain ratios with the fit; and half width of an interval from which on nothing is known."""
 
 
 def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -> tuple[Check, ...]:
-    """What the times themselves tell, and whether the tuned simulator keeps them."""
+    """Check the times themselves, and whether the tuned simulator keeps them."""
     heard = detection.heard
     count, wrong = len(heard.times_s), heard.reading.missed + heard.reading.false
     share = wrong / (count + wrong)
-    of_wrong, most = figures(100 * share, 100 * _MOST_WRONG, 0)
+    of_wrong, most = figures(100 * share, 100 * _MAX_WRONG, 0)
     jitter, most_jitter = figures(1000 * heard.jitter_s, 1000 * _most_jitter_s(heard), 1)
     odds = float(np.exp(min(heard.log_odds, 20.0)))
     is_ball = heard.log_odds > _SURE_ODDS
@@ -74,14 +58,14 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
         ),
         Check(
             "times are the ball's",
-            share <= _MOST_WRONG and is_ball,
+            share <= _MAX_WRONG and is_ball,
             f"{_heard_how(heard)}{odds:.3g} to 1 against noises at random times "
             f"(wanted: {np.exp(_SURE_ODDS):.0f} to 1); {heard.reading.missed} impacts missed, "
             f"{heard.reading.false} noises between {count} impacts: {of_wrong} % wrong (at most "
             f"{most})",
             advice="record five bounces or more in a quiet room",
-            doubts_model=share > _MOST_WRONG,
-            fatal=share > _MOST_WRONG or heard.log_odds < 0,
+            doubts_model=share > _MAX_WRONG,
+            fatal=share > _MAX_WRONG or heard.log_odds < 0,
         ),
         Check(
             "times are sharp",
@@ -98,19 +82,19 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
     checks.append(
         Check(
             "slows as balls do",
-            slope > _LEAST_SLOPE,
+            slope > _MIN_SLOPE,
             f"its restitution {'may fall' if slope > 0 else 'grows'} with speed, by a power of "
             f"{'up to' if slope > 0 else 'at least'} {abs(slope):.3f} (it may grow by "
-            f"{-_LEAST_SLOPE:g} at most)",
+            f"{-_MIN_SLOPE:g} at most)",
             advice="record one ball that bounces freely",
         )
     )
     if heard.rig.height_m is not None:
-        off, most_off = figures(heard.height_sds, _MOST_HEIGHT_SDS, 1)
+        off, most_off = figures(heard.height_sds, _MAX_HEIGHT_SDS, 1)
         checks.append(
             Check(
                 "height fits the times",
-                heard.height_sds < _MOST_HEIGHT_SDS,
+                heard.height_sds < _MAX_HEIGHT_SDS,
                 f"{off} standard deviations off (at most {most_off})",
                 advice="measure from the ball's underside, and record its first impact",
             )
@@ -137,9 +121,9 @@ def _sound_checks(among: BallAmong, first_s: float, *, symptom: bool) -> tuple[C
         )
     alone = Check(
         "one ball alone",
-        among.second_odds < _SURE_ODDS and among.as_loud <= _MOST_AS_LOUD,
+        among.second_odds < _SURE_ODDS and among.as_loud <= _MAX_AS_LOUD,
         f"{odds:.3g} to 1 {second} (at most {np.exp(_SURE_ODDS):.0f}), {among.as_loud} other "
-        f"knocks as loud as its own (at most {_MOST_AS_LOUD})",
+        f"knocks as loud as its own (at most {_MAX_AS_LOUD})",
         advice="let one ball bounce alone, or choose one drop with --start and --end",
         doubts_model=False,
         symptom=symptom,
@@ -153,11 +137,11 @@ def _softens(among: BallAmong) -> Check:
         detail = f"too few whole knocks to tell how it softens; {clipped}"
     else:
         softer = float(np.exp(np.clip(softening_odds, -20.0, 20.0)))
-        wanted = f"(wanted: {_LEAST_SOFTENING} to 1)"
+        wanted = f"(wanted: {_MIN_SOFTENING} to 1)"
         detail = f"{softer:.3g} to 1 against knocks that stay as loud {wanted}; {clipped}"
     return Check(
         "softens as a ball does",
-        softening_odds is not None and softening_odds > np.log(_LEAST_SOFTENING),
+        softening_odds is not None and softening_odds > np.log(_MIN_SOFTENING),
         detail,
         advice="record one ball that bounces freely, the microphone farther away, without "
         "automatic gain",
@@ -171,7 +155,7 @@ def _no_rhythm(heard: HeardBall, softening_odds: float) -> tuple[Check, Check]:
     odds = float(np.exp(min(log_odds, 20.0)))
     surely_softer = softening_odds > _SURE_ODDS
     least = float(heard.interval95[0, 0] if surely_softer else heard.values[0])
-    value, most = figures(least, _MOST_RESTITUTION, 3)
+    value, most = figures(least, _MAX_RESTITUTION, 3)
     return (
         Check(
             "a ball rather than a rhythm",
@@ -182,7 +166,7 @@ def _no_rhythm(heard: HeardBall, softening_odds: float) -> tuple[Check, Check]:
         ),
         Check(
             "flights shorten as a ball's",
-            least <= _MOST_RESTITUTION,
+            least <= _MAX_RESTITUTION,
             f"each lasts {value} of the one before (at most {most}: no ball that is heard keeps "
             "more)",
             advice="record one ball that bounces freely",
@@ -191,11 +175,11 @@ def _no_rhythm(heard: HeardBall, softening_odds: float) -> tuple[Check, Check]:
 
 
 def _most_jitter_s(heard: HeardBall) -> float:
-    return min(_MOST_JITTER_S, _MOST_JITTER * float(np.diff(heard.predicted_s).mean()))
+    return min(_MAX_JITTER_S, _MAX_JITTER * float(np.diff(heard.predicted_s).mean()))
 
 
 def off_s(detection: TimesDetection, step: Step) -> Array:
-    """Impacts of an iterate's rollout less those heard, shape (I,) [s]; NaN where one is none."""
+    """Return an iterate's impacts less those heard, shape (I,) [s]; NaN where one is none."""
     assert step.evaluation is not None
     off = step.evaluation.observation.values - detection.target.values
     return off[:, 0] / detection.heard.seconds_s
@@ -210,7 +194,7 @@ def _simulation_check(heard: HeardBall, off: Array) -> Check:
         ratio = heard.scatter / heard.jitter_s
         own = Whitening.of(times_s, numbers - numbers[0], ratio).rows @ off[known]
         rms_s, worst_s = float(np.sqrt(np.mean(own**2))), float(np.abs(off[known]).max())
-    most_s = _FITS * heard.jitter_s + _LEAST_FIT_S
+    most_s = _FITS * heard.jitter_s + _MIN_FIT_S
     rms, most = figures(1000 * rms_s, 1000 * most_s, 2)
     return Check(
         "simulation fits",
@@ -223,7 +207,7 @@ def _simulation_check(heard: HeardBall, off: Array) -> Check:
 
 
 def ratio_cross_check(heard: HeardBall, value: float) -> CrossCheck | None:
-    """By plain ratios of one flight's duration to that before; None where no two are whole.
+    """Cross-check by plain ratios of successive flights' durations; None without two whole ones.
 
     Each is compared with that of the fitted ball, so that the air takes nothing from it.
     """

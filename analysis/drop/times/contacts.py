@@ -1,4 +1,4 @@
-"""A ball touches the table for a moment at each impact: how long is an unknown in closed form."""
+"""Contact durations of a heard ball, marginalised in closed form."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tunenet_logs.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class WithContacts:
-    """What a fit tells of every ball with every jitter, contacts averaged over.
+    """Fit of every ball with every jitter, marginalised over contact durations.
 
     Attributes:
         middles: log speed after the first impact [m/s] and restitution at the second, shape
@@ -30,7 +30,7 @@ class WithContacts:
 
     @classmethod
     def of(cls, fit: BallsByTimes) -> WithContacts:
-        """What a contact changes is linear, and its prior a part of a normal distribution."""
+        """Marginalise contacts: their effect is linear, their prior a truncated normal."""
         jitters = priors.JITTERS_S
         sharpness = fit.bends[:, None] / jitters**2 + priors.CONTACT_SD_S**-2
         pull = fit.across[:, None] / jitters**2
@@ -50,7 +50,7 @@ class WithContacts:
 
 
 def _cut_normal(middle: Array, sd: Array, low: float, high: float) -> tuple[Array, Array, Array]:
-    """Logarithm of a normal distribution's share between two ends, mean and variance there."""
+    """Return a truncated normal's log share between two ends, its mean and variance."""
     from scipy.special import log_ndtr
 
     flipped = middle > (low + high) / 2  # so that the nearer end is the lower one

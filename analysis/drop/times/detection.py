@@ -1,4 +1,4 @@
-"""A drop as it was heard: impact times in an episode, and the estimation problem that they pose."""
+"""Drop as it was heard: impact times in an episode, and the estimation problem they pose."""
 
 from __future__ import annotations
 
@@ -25,28 +25,21 @@ from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.left_out import LeftOut
 from tunenet_logs.terminal import listed
 
-FEWEST_IMPACTS = 3
-"""Two flights: their durations' ratio is one restitution."""
-
-_EVEN = 0.985
-"""Restitution from which on beats are even: no ball keeps its height."""
-
-_NO_ODDS = -5.0
-"""Logarithm of the odds against noises below which the times are none of a ball."""
-
+MIN_IMPACTS = 3  # two flights: their durations' ratio is one restitution
+_EVEN = 0.985  # restitution from which on beats are even: no ball keeps its height
+_NO_ODDS = -5.0  # logarithm of the odds against noises below which the times are none of a ball
+# Samples of a rollout in the shortest flight, and rates within which that is kept.
 _PER_FLIGHT, _RATES_HZ = 16, (250.0, 2000.0)
-"""Samples of a rollout in the shortest flight, and rates within which that is kept."""
 
-_MOST_SAMPLES, _MORE_FLIGHTS = 20_000, 0.5
-"""Of a rollout; and what comes after the last impact, in last flights."""
+# Of a rollout; and what comes after the last impact, in last flights.
+_MAX_SAMPLES, _MORE_FLIGHTS = 20_000, 0.5
 
-_SAME_S = 1e-7
-"""Moments that differ by less are one sample of a rollout."""
+_SAME_S = 1e-7  # moments that differ by less are one sample of a rollout
 
 
 @dataclass(frozen=True, eq=False)
 class TimesDetection:
-    """Times of impacts, as one signal has them.
+    """Impact times of one signal.
 
     Attributes:
         topic: the signal.
@@ -54,7 +47,7 @@ class TimesDetection:
         times_s: of all that was heard in the selection, on the log's clock, shape (N,).
         rig: what is known beside them.
         ball: what was dropped, as far as it is known.
-        warnings: what a user should know, in words.
+        warnings: for the user.
         listened: the sound that they were found in; None where a log gives times.
         left_out: what the signal or the sound lacks.
     """
@@ -70,12 +63,12 @@ class TimesDetection:
 
     @property
     def uses_ball(self) -> bool:
-        """Whether what is known of the ball has an effect: on the air's drag."""
+        """Whether the ball's size and mass have an effect: on the air's drag."""
         return self.ball.drag_1_m is not None
 
     @cached_property
     def heard(self) -> HeardBall:
-        """The ball that explains the times.
+        """Ball that explains the times.
 
         Raises:
             NotFoundError: no ball does; the message says what the times are.
@@ -104,7 +97,7 @@ class TimesDetection:
 
     @cached_property
     def among(self) -> BallAmong | None:
-        """Of a sound: the ball among its knocks; None where nothing sounds like one."""
+        """Ball among the onsets of a sound; None where nothing sounds like one."""
         return None if self.listened is None else self.listened.ball(self.rig)
 
     @property
@@ -119,7 +112,7 @@ class TimesDetection:
 
     @property
     def window(self) -> Mapping[str, float]:
-        """The first and the last impact, and the first whose restitution is told [s]."""
+        """First and last impact, and the first whose restitution is reported [s]."""
         heard = self.heard
         first_s, last_s = heard.times_s[[0, -1]].tolist()
         told_s = float(heard.predicted_s[heard.told])
@@ -127,12 +120,12 @@ class TimesDetection:
 
     @property
     def extent(self) -> tuple[str, str]:
-        """How many impacts were heard."""
+        """Count of the impacts heard, as label and text."""
         return "drop", f"{len(self.heard.times_s)} impacts"
 
     @cached_property
     def target(self) -> Observation:
-        """o_T: when each impact was heard, less the contacts before it; NaN of one that was not."""
+        """Target observation o_T: heard impact times less the contacts before; NaN if not heard."""
         heard = self.heard
         values = np.full(int(heard.numbers.max()) + 1, np.nan)
         values[heard.numbers] = heard.heard_contactless_s * heard.seconds_s
@@ -140,7 +133,7 @@ class TimesDetection:
 
     @cached_property
     def rig_of_rollouts(self) -> DropRig:
-        """The fall that ends with the first impact that is told, and as many bounces.
+        """Rig whose fall ends with the first reported impact, and as many bounces.
 
         The clock's zero is the log's; without a clock, seconds are those of the fit. Its impacts
         take no time, so its clock is less by the contacts; see `HeardBall.contactless_s`.
@@ -153,7 +146,7 @@ class TimesDetection:
         apart_s = np.diff(impacts_s)
         until_s = float(impacts_s[-1] + _MORE_FLIGHTS * apart_s[-1]) - release_s
         rate_hz = float(np.clip(_PER_FLIGHT / apart_s.min(), *_RATES_HZ))
-        rate_hz = min(rate_hz, _MOST_SAMPLES / until_s)
+        rate_hz = min(rate_hz, _MAX_SAMPLES / until_s)
         even_s = np.arange(int(np.ceil(until_s * rate_hz)) + 1) / rate_hz
         heard_s = heard.heard_contactless_s * heard.seconds_s - release_s
         own = heard_s[heard_s > 0]
@@ -168,7 +161,7 @@ class TimesDetection:
 
 
 def times_problem(detection: TimesDetection, initial: Array) -> Problem:
-    """A simulator whose rollouts hit the table when the ball was heard to.
+    """Set up a simulator whose rollouts hit the table when the ball was heard to.
 
     Args:
         detection: the times.
@@ -198,7 +191,7 @@ def times_problem(detection: TimesDetection, initial: Array) -> Problem:
     count = len(detection.target.axis)
 
     def exact_fit(start: Array) -> FitResult:
-        """The ball that explains all times best; more values than `start` has are left away."""
+        """Return the ball that explains all times best, as many values as `start` has."""
         asked = len(start)
         return FitResult(heard.values[:asked], heard.interval95[:asked], detail=heard.rebounds)
 
@@ -213,7 +206,7 @@ def times_problem(detection: TimesDetection, initial: Array) -> Problem:
 
 
 def rollout_impacts(episode: Episode, rig: DropRig, start_ns: int, count: int) -> Array:
-    """Times of the first impacts of a rollout, from its heights, shape (count,) [s]; NaN of none.
+    """Locate the first impacts of a rollout in its heights, shape (count,) [s]; NaN of none.
 
     The last two samples of a flight say where it goes on to: it falls with g.
     """
@@ -243,14 +236,14 @@ def _observation(values: Array) -> Observation:
 
 
 def signals_in(episode: Episode, topic: str | None) -> list[str]:
-    """Names of the signals of impact times, those with the most impacts first."""
+    """Return the names of the impact-time signals, those with the most impacts first."""
     signals = episode.signals.values() if topic is None else episode.signals_of(topic)
     named = [one for one in signals if one.columns == ("impact",) and not one.drives]
     return [one.name for one in sorted(named, key=lambda one: -len(one.stamps_ns))]
 
 
 def no_times(episode: Episode, topic: str | None) -> NotFoundError:
-    """Why an episode has none."""
+    """Explain why an episode has no impact times."""
     known = listed(sorted(signals_in(episode, None)))
     if topic is not None and known:
         what = f"no impact times in topic {topic} (there are: {known})"

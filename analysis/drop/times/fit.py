@@ -1,10 +1,9 @@
-"""What impact times say of a ball: restitution, slope and drag, each with its 95 % interval.
+"""Posterior of a ball by its impact times: restitution, slope and drag, on a grid.
 
-For every slope and drag of a grid the time of the first impact, the speed after it and the
-restitution at the second are fitted by least squares; likelihood, priors and the unknown jitter of
-the times weigh them. A ball stays on the table for a moment at each impact: how long it does is one
-more unknown, in closed form. With the height of the drop the restitution at the first impact
-follows too.
+For every slope and drag of the grid the time of the first impact, the speed after it and the
+restitution at the second are fitted by least squares; likelihood, priors and the unknown jitter
+of the times weigh them. A ball stays on the table for a moment at each impact: how long is one
+more unknown, in closed form. With the drop height the first impact's restitution follows too.
 """
 
 from __future__ import annotations
@@ -21,28 +20,21 @@ from analysis.drop.times.flight_times import fallen_m_s
 from analysis.drop.times.least_squares import BallsByTimes, whitenings
 from tunenet_logs.arrays import Array
 
-HEIGHT_SD, LEAST_HEIGHT_SD_M = 0.005, 0.003
-"""By how much a height may be off that was measured by hand: a fraction, and a length [m]."""
+# By how much a height may be off that was measured by hand: a fraction, and a length [m].
+HEIGHT_SD, MIN_HEIGHT_SD_M = 0.005, 0.003
 
-_FREEDOM = 2.0
-"""Of the height's distribution."""
-
+_FREEDOM = 2.0  # of the height's distribution
+# Cells of the grid, first over all balls, then about what is likely, so many sds to a side.
 _ROUGH, _FINE, _REACH_SDS = (18, 12), (25, 25), 4.5
-"""Cells of the grid, first over all balls, then about what is likely, so many sds to a side."""
 
-_LEAST_SD = 1e-5
-"""Of a restitution: no clock and no table are better."""
-
-FLIGHT_RANGE = float(np.log(100.0))
-"""Of the log duration of a first flight, before it is heard."""
-
-_NEGLIGIBLE = 1e-6
-"""Weight of a ball that is left away."""
+_MIN_SD = 1e-5  # of a restitution: no clock and no table are better
+FLIGHT_RANGE = float(np.log(100.0))  # of the log duration of a first flight, before it is heard
+_NEGLIGIBLE = 1e-6  # weight of a ball that is left away
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What is known beside the times.
+    """Knowledge of ball, drop and clock beside the times.
 
     Attributes:
         drag_1_m: of the ball; None where it is not known.
@@ -59,17 +51,17 @@ class Rig:
     @property
     def height_sd_m(self) -> float:
         """Standard deviation of the height."""
-        return max(HEIGHT_SD * (self.height_m or 0.0), LEAST_HEIGHT_SD_M)
+        return max(HEIGHT_SD * (self.height_m or 0.0), MIN_HEIGHT_SD_M)
 
 
 @dataclass(frozen=True, eq=False)
 class Balls:
-    """Balls that may have made the times, each of a slope, a drag and a jitter; shape (M,) each.
+    """Weighted samples of balls that may have made the times: slope, drag, jitter; shape (M,) each.
 
     Attributes:
         weights: adding up to 1.
-        restitutions: at the first impact that can be told: the second that is heard, or the first
-            where the height is known.
+        restitutions: at the first impact where it can be determined: the second that is heard, or
+            the first with a known height.
         sds: of them.
         slopes: p.
         drags_1_m: likewise.
@@ -96,7 +88,7 @@ class Balls:
 
     @classmethod
     def mixed(cls, parts: Sequence[Balls]) -> Balls:
-        """All of them, those of each part with its evidence."""
+        """Mix several parts, each with its evidence."""
         logs = np.array([one.log_evidence for one in parts])
         shares = np.exp(logs - logs.max())
         log_evidence = float(logs.max() + np.log(shares.sum()))
@@ -118,18 +110,18 @@ class Balls:
         )
 
     def mean(self, values: Array) -> float:
-        """Of values of the balls, shape (M,)."""
+        """Return the weighted mean of values of the balls, shape (M,)."""
         return float(self.weights @ values)
 
     def sd(self, values: Array) -> float:
-        """Standard deviation of them."""
+        """Return their weighted standard deviation."""
         return float(np.sqrt(max(self.weights @ values**2 - self.mean(values) ** 2, 0.0)))
 
 
 def fit_times(
     times_s: Array, numbers: NDArray[np.int64], log_rate: float, rig: Rig, *, fine: bool = True
 ) -> Balls:
-    """All balls whose impacts may have been heard at these times.
+    """Fit all balls whose impacts may have been heard at these times, on a grid.
 
     Args:
         times_s: of the impacts, shape (N,), N at least 3 [s].
@@ -155,7 +147,7 @@ def fit_times(
     if not fine:
         return balls
     positive = balls.drags_1_m > 0
-    logs = np.log(np.where(positive, balls.drags_1_m, priors.USUAL_DRAG_1_M))
+    logs = np.log(np.where(positive, balls.drags_1_m, priors.TYPICAL_DRAG_1_M))
     ends = [_about(balls, balls.slopes, 0.01), _about(balls, logs, 0.1)]
     nodes = priors.nodes(ends[0], ends[1], _FINE, rig.drag_1_m, has_clock=rig.has_clock)
     return fitted(nodes)
@@ -167,7 +159,7 @@ def _about(balls: Balls, values: Array, least_sd: float) -> tuple[float, float]:
 
 
 def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: Rig) -> Balls:
-    """Every ball of the grid with every jitter, by the evidence of each."""
+    """Weigh every ball of the grid with every jitter by its evidence."""
     jitters = priors.JITTERS_S
     free = fit.count - 3
     told = WithContacts.of(fit)
@@ -196,7 +188,7 @@ def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: Rig) 
     return Balls(
         weights=chosen,
         restitutions=value[rows, columns],
-        sds=np.sqrt(variance[rows, columns] + _LEAST_SD**2),
+        sds=np.sqrt(variance[rows, columns] + _MIN_SD**2),
         slopes=nodes.slopes[rows],
         drags_1_m=nodes.drags_1_m[rows],
         jitters_s=jitters[columns],
@@ -211,7 +203,7 @@ def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: Rig) 
 def _from_height(
     told: WithContacts, seconds_m_s: Array, nodes: priors.Nodes, rig: Rig
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """The restitution at the first impact by height and law, shape (M, J).
+    """Condition on height and law: the restitution at the first impact, shape (M, J).
 
     The times tell the speed after the first impact and the restitution at the second; the height
     tells the speed before the first. The law ties all three: one more measurement, in closed form.

@@ -1,8 +1,8 @@
-"""Which knocks of a sound are one ball's: flights that shorten by a ratio, each knock softer.
+"""Chains of onsets that may be one ball's: flights that shorten by a ratio, ever softer.
 
-Every three knocks whose gaps shorten as a ball's foretell a fourth, and so on. A chain's score is
-the logarithm of its odds against knocks at random times with random loudness: as sharp as its times
-follow each other, and as steadily as it gets softer and keeps its colour.
+Every three onsets whose gaps shorten as a ball's predict a fourth, and so on. A chain's score is
+its log odds against onsets at random times with random loudness: as sharp as its times follow
+each other, and as steadily as it gets softer and keeps its colour.
 """
 
 from __future__ import annotations
@@ -15,48 +15,31 @@ from numpy.typing import NDArray
 from analysis.listening.onsets import Onsets
 from tunenet_logs.arrays import Array
 
-_SHORTEST_S, _LONGEST_S = 0.06, 1.5
-"""Of a flight: from a shorter one on a ball rattles."""
+_MIN_S, _MAX_S = 0.06, 1.5  # of a flight: from a shorter one on a ball rattles
+_MIN_RATIO, _MAX_RATIO = 0.35, 0.985  # of a flight's duration to the one before
+_MAX_SEEDS = 60_000  # triples of knocks that are followed, those of the loudest knocks first
+_MAX_IMPACTS = 40  # of a chain
+_DRIFT, _JITTER_S = 0.02, 0.002  # standard deviation of a foretold gap: a fraction, and a time
+_FARTHEST_SDS = 3.5  # off a foretold time; farther off it is another knock
+_MISSED = float(np.log(0.08))  # of an impact that is not heard; two in a row end a chain
+_PER_DECADE_DB = 30.0  # by which a knock gets softer, as its ball gets slower
+# Of a ball's knock about that, and at least of other knocks among each other.
+_LOUDNESS_SD_DB, _MIN_SPREAD_DB = 4.0, 6.0
 
-_LEAST_RATIO, _MOST_RATIO = 0.35, 0.985
-"""Of a flight's duration to the one before."""
+# The same of a band, and how many bands tell something of their own.
+_COLOUR_SD_DB, _MIN_COLOUR_DB, _COLOURS = 4.0, 5.0, 2.0
 
-_MOST_SEEDS = 60_000
-"""Triples of knocks that are followed, those of the loudest knocks first."""
-
-_MOST_IMPACTS = 40
-"""Of a chain."""
-
-_DRIFT, _JITTER_S = 0.02, 0.002
-"""Standard deviation of a foretold gap: a fraction, and a time."""
-
-_FARTHEST_SDS = 3.5
-"""Off a foretold time; farther off it is another knock."""
-
-_MISSED = float(np.log(0.08))
-"""Of an impact that is not heard; two in a row end a chain."""
-
-_PER_DECADE_DB = 30.0
-"""By which a knock gets softer, as its ball gets slower."""
-
-_LOUDNESS_SD_DB, _LEAST_SPREAD_DB = 4.0, 6.0
-"""Of a ball's knock about that, and at least of other knocks among each other."""
-
-_COLOUR_SD_DB, _LEAST_COLOUR_DB, _COLOURS = 4.0, 5.0, 2.0
-"""The same of a band, and how many bands tell something of their own."""
-
-_CHAINS = 40
-"""That are told apart at the end."""
+_CHAINS = 40  # that are told apart at the end
 
 
 @dataclass(frozen=True, eq=False)
 class KnockChain:
-    """Knocks as one ball's impacts.
+    """Onsets as one ball's impacts.
 
     Attributes:
         which: indices of the onsets, shape (N,).
         numbers: of the impacts, the first 0, shape (N,).
-        score: logarithm of the odds, roughly.
+        score: log odds, roughly.
     """
 
     which: NDArray[np.int64]
@@ -66,7 +49,7 @@ class KnockChain:
 
 @dataclass(frozen=True, eq=False)
 class Crowd:
-    """What knocks are like that are nobody's.
+    """Statistics of onsets that are nobody's.
 
     Attributes:
         rate_hz: of them.
@@ -82,39 +65,33 @@ class Crowd:
 
     @classmethod
     def of(cls, heard: Onsets, lasts_s: float) -> Crowd:
-        """All that were heard: those of a ball are few among many, or all."""
+        """Estimate them from all that were heard: a ball's are few among many, or all."""
         spread = float(np.std(heard.loudness_db))
         colours = heard.colours_db
         colour = float(np.sqrt(np.mean((colours - colours.mean(axis=0)) ** 2)))
         return cls(
             len(heard) / max(lasts_s, 0.2),
             float(heard.loudness_db.mean()),
-            max(spread, _LEAST_SPREAD_DB),
-            max(colour, _LEAST_COLOUR_DB),
+            max(spread, _MIN_SPREAD_DB),
+            max(colour, _MIN_COLOUR_DB),
         )
 
     def loudness_odds(self, loudness_db: Array, foretold_db: Array) -> Array:
-        """Log odds of a ball's knock against one of these."""
+        """Return the log odds of a ball's loudness against one of these."""
         own = -0.5 * ((loudness_db - foretold_db) / _LOUDNESS_SD_DB) ** 2
         own = np.maximum(own, -8.0) - np.log(_LOUDNESS_SD_DB)
         other = -0.5 * ((loudness_db - self.loudness_db) / self.spread_db) ** 2
         return own - other + np.log(self.spread_db)
 
     def colour_odds(self, squares_db2: Array) -> Array:
-        """The same of the mean squared difference of two knocks' colours."""
+        """Return the log odds of the mean squared difference of two onsets' colours."""
         own, other = 2 * _COLOUR_SD_DB**2, 2 * self.colour_sd_db**2
         odds = -0.5 * squares_db2 / own + 0.5 * squares_db2 / other + 0.5 * np.log(other / own)
         return _COLOURS * np.maximum(odds, -3.0)
 
 
 def chains(heard: Onsets, lasts_s: float, most: int = _CHAINS) -> list[KnockChain]:
-    """The likeliest chains of three impacts or more, best first.
-
-    Args:
-        heard: all knocks, in order.
-        lasts_s: the sound, in which they were heard.
-        most: chains that are wanted.
-    """
+    """Find the likeliest chains of three impacts or more, best first."""
     if len(heard) < 3:
         return []
     crowd = Crowd.of(heard, lasts_s)
@@ -138,17 +115,17 @@ def chains(heard: Onsets, lasts_s: float, most: int = _CHAINS) -> list[KnockChai
 
 
 def softer_db(times_s: Array, numbers: NDArray[np.int64]) -> Array:
-    """By how much each knock of a ball is softer than the first, by its gaps, shape (N,)."""
+    """Predict how much softer each knock of a ball is than the first, by its gaps, shape (N,)."""
     gaps = np.diff(times_s) / np.diff(numbers)
     speeds = np.append(gaps[0], gaps)
     return _PER_DECADE_DB * np.log10(speeds / gaps[0])
 
 
 def _seeds(heard: Onsets) -> NDArray[np.int64]:
-    """Triples whose gaps and loudness may be a ball's, shape (S, 3)."""
+    """Return the triples whose gaps and loudness may be a ball's, shape (S, 3)."""
     times_s, loud = heard.times_s, heard.loudness_db
     gaps = times_s[None, :] - times_s[:, None]
-    first, second = np.nonzero((gaps >= _SHORTEST_S) & (gaps <= _LONGEST_S))
+    first, second = np.nonzero((gaps >= _MIN_S) & (gaps <= _MAX_S))
     rows = [np.zeros((0, 3), dtype=np.int64)]
     softer = loud[None, :] < loud[:, None] + 2 * _LOUDNESS_SD_DB
     for middle in range(len(times_s)):
@@ -157,12 +134,12 @@ def _seeds(heard: Onsets) -> NDArray[np.int64]:
         if not len(before) or not len(after):
             continue
         ratio = gaps[middle, after][None, :] / gaps[before, middle][:, None]
-        one, two = np.nonzero((ratio >= _LEAST_RATIO) & (ratio <= _MOST_RATIO))
+        one, two = np.nonzero((ratio >= _MIN_RATIO) & (ratio <= _MAX_RATIO))
         triple = np.column_stack([before[one], np.full(len(one), middle), after[two]])
         rows.append(triple.astype(np.int64))
     seeds = np.concatenate(rows)
-    if len(seeds) > _MOST_SEEDS:
-        loudest = np.argsort(-loud[seeds].min(axis=1), kind="stable")[:_MOST_SEEDS]
+    if len(seeds) > _MAX_SEEDS:
+        loudest = np.argsort(-loud[seeds].min(axis=1), kind="stable")[:_MAX_SEEDS]
         seeds = seeds[np.sort(loudest)]
     return seeds
 
@@ -170,10 +147,10 @@ def _seeds(heard: Onsets) -> NDArray[np.int64]:
 def _followed(
     heard: Onsets, seeds: NDArray[np.int64], crowd: Crowd
 ) -> tuple[NDArray[np.int64], Array]:
-    """Onset of each impact of every chain, -1 of a missed one, shape (S, I); the scores (S,)."""
+    """Extend every seed: onset of each impact, -1 if missed, shape (S, I); and scores (S,)."""
     times_s, loud, colours = heard.times_s, heard.loudness_db, heard.colours_db
     count = len(seeds)
-    which = np.full((count, _MOST_IMPACTS), -1)
+    which = np.full((count, _MAX_IMPACTS), -1)
     which[:, :3] = seeds
     one, two = np.diff(times_s[seeds], axis=1).T
     ratio = two / one
@@ -191,9 +168,9 @@ def _followed(
     alive = np.ones(count, dtype=np.bool_)
     best = scores.copy()
     ends = np.full(count, 3)
-    for number in range(3, _MOST_IMPACTS):
+    for number in range(3, _MAX_IMPACTS):
         gap_next = gap * ratio
-        alive &= (gap_next > _SHORTEST_S / 2) & (missed < 2)
+        alive &= (gap_next > _MIN_S / 2) & (missed < 2)
         if not alive.any():
             break
         level = level + _PER_DECADE_DB * np.log10(ratio)
@@ -212,11 +189,11 @@ def _followed(
         which[met, number] = at[met]
         newly = np.where(met, times_s[at] - last, gap_next)
         grown = np.where(met, newly / gap, ratio)
-        ratio = np.where(met, np.clip(0.5 * ratio + 0.5 * grown, 0.3, _MOST_RATIO), ratio)
+        ratio = np.where(met, np.clip(0.5 * ratio + 0.5 * grown, 0.3, _MAX_RATIO), ratio)
         level = np.where(met, 0.6 * level + 0.4 * loud[at], level)
         gap, last = newly, np.where(met, times_s[at], due)
         missed = np.where(met, 0, missed + 1)
         better = met & (scores > best)
         best[better], ends[better] = scores[better], number + 1
-    which[np.arange(_MOST_IMPACTS)[None, :] >= ends[:, None]] = -1
+    which[np.arange(_MAX_IMPACTS)[None, :] >= ends[:, None]] = -1
     return which, best

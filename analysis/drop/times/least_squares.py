@@ -1,4 +1,4 @@
-"""Least squares of many balls at once: each of a slope and a drag, to the times that were heard."""
+"""Least squares of many balls at once, each of a slope and a drag, to the times heard."""
 
 from __future__ import annotations
 
@@ -13,16 +13,13 @@ from analysis.drop.times.flight_times import FlightTimes, flights
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 
-_ITERATIONS, _SHORT = 7, 1e-6
-"""Of Gauss and Newton's method, and the step of its derivatives."""
-
-_TRIED = np.linspace(0.06, 1.1, 209)
-"""Restitutions to begin with."""
+_ITERATIONS, _SHORT = 7, 1e-6  # of Gauss and Newton's method, and the step of its derivatives
+_TRIED = np.linspace(0.06, 1.1, 209)  # restitutions to begin with
 
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """Makes residuals of the times independent, of the size of the jitter.
+    """Whitening of the times' residuals: independent, of the size of the jitter.
 
     An impact that returns more than the law says makes all later flights longer.
 
@@ -40,7 +37,7 @@ class Whitening:
 
     @classmethod
     def of(cls, times_s: Array, numbers: NDArray[np.int64], ratio_1_s: float) -> Whitening:
-        """Of the times that were heard."""
+        """Build the whitening of the times that were heard, by Cholesky factorisation."""
         later_s = since_impacts_s(times_s, numbers)[:, 1:]  # the first's is the speed after it
         spread = np.eye(len(times_s)) + ratio_1_s**2 * later_s @ later_s.T
         rows = np.asarray(np.linalg.inv(np.linalg.cholesky(spread)), dtype=np.float64)
@@ -50,7 +47,7 @@ class Whitening:
 def whitenings(
     times_s: Array, numbers: NDArray[np.int64], jitter_s: float
 ) -> tuple[Whitening, ...]:
-    """One for each scatter that balls have, by the usual jitter."""
+    """Build one whitening for each scatter that balls have, by the usual jitter."""
     return tuple(
         replace(Whitening.of(times_s, numbers, scatter / jitter_s), log_prior=float(np.log(likely)))
         for scatter, likely in priors.SCATTERS.items()
@@ -59,7 +56,7 @@ def whitenings(
 
 @dataclass(frozen=True, eq=False)
 class BallsByTimes:
-    """Least squares of every ball of a grid.
+    """Least-squares fits of every ball of a grid.
 
     Attributes:
         unknowns: time of the first impact [s], log speed after it [m/s], restitution at the second;
@@ -92,7 +89,7 @@ class BallsByTimes:
         nodes: priors.Nodes,
         white: Whitening,
     ) -> BallsByTimes:
-        """Gauss-Newton for all balls at once, from the ball without air that fits best."""
+        """Fit all balls at once by Gauss-Newton, from the ball without air that fits best."""
         count = int(numbers.max())
 
         def flown(begin: Array, kept: Array) -> FlightTimes:
@@ -139,7 +136,7 @@ class BallsByTimes:
 
 
 def ideal_ball(times_s: Array, numbers: NDArray[np.int64]) -> Array:
-    """The best ball without air and slope: first impact [s], log speed [m/s], restitution."""
+    """Fit a ball without air and slope: first impact [s], log speed [m/s], restitution."""
     powers = _TRIED[:, None] ** np.arange(int(numbers.max()))
     at = np.cumsum(np.column_stack([np.zeros(len(_TRIED)), powers]), axis=1)[:, numbers]
     middle = at.mean(axis=1)

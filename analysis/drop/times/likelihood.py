@@ -1,7 +1,7 @@
-"""How much better a ball explains times than noises do, at once: all unknowns near the best ball.
+"""Laplace approximation of a ball's evidence by its times, against noises.
 
-`fit` averages over a grid of slopes and drags, and takes its time; to choose among readings of many
-knocks, one ball is fitted with the same unknowns and priors, and what lies about it is normal.
+`fit` averages over a grid of slopes and drags, and takes its time; to choose among readings of
+many onsets, one ball is fitted with the same unknowns and priors, the posterior about it normal.
 """
 
 from __future__ import annotations
@@ -17,20 +17,18 @@ from tunenet_logs.arrays import Array
 
 _SLOPE, _SLOPE_SD = 0.04, 0.07
 _ITERATIONS = 8
+# Of the derivatives: log speed, restitution, slope, log drag.
 _STEPS = np.array([1e-6, 1e-6, 1e-5, 1e-4])
-"""Of the derivatives: log speed, restitution, slope, log drag."""
 
-_FLAT = 3
-"""Unknowns without a prior: time of the first impact, log speed after it, restitution."""
-
-_LEAST, _MOST = np.array([-0.25, np.log(5e-4)]), np.array([0.45, np.log(0.6)])
-"""Slope and log drag, within which balls are."""
+_FLAT = 3  # unknowns without a prior: time of the first impact, log speed after it, restitution
+# Slope and log drag, within which balls are.
+_MIN, _MAX = np.array([-0.25, np.log(5e-4)]), np.array([0.45, np.log(0.6)])
 
 
 def log_likelihood(
     times_s: Array, numbers: NDArray[np.int64], log_rate: float, rig: Rig
 ) -> tuple[float, float]:
-    """Logarithm of the odds against noises at random times, and the ball's restitution.
+    """Return the log odds against noises at random times, and the ball's restitution.
 
     Args:
         times_s: of the impacts, shape (N,), N at least 3 [s].
@@ -52,8 +50,8 @@ def log_likelihood(
 def _likelihood(
     times_s: Array, numbers: NDArray[np.int64], white: Whitening, rig: Rig
 ) -> tuple[float, float]:
-    """Logarithm of the likelihood with this share of scatter, and the ball's restitution."""
-    log_drag = np.log(rig.drag_1_m or priors.USUAL_DRAG_1_M)
+    """Return the log likelihood with this share of scatter, and the ball's restitution."""
+    log_drag = np.log(rig.drag_1_m or priors.TYPICAL_DRAG_1_M)
     middles = np.array([0.0, 0.0, 0.0, _SLOPE, log_drag, priors.CONTACT_S])
     drag_sd = priors.KNOWN_DRAG if rig.drag_1_m else priors.LOG_DRAG_SD
     prior = np.array([0.0, 0.0, 0.0, _SLOPE_SD**-2, drag_sd**-2, priors.CONTACT_SD_S**-2])
@@ -68,7 +66,7 @@ def _likelihood(
         step[1:3] = np.clip(step[1:3], -0.15, 0.15)
         at = np.asarray(at + step, dtype=np.float64)
         at[2] = np.clip(at[2], 0.01, 1.3)
-        at[3:5] = np.clip(at[3:5], _LEAST, _MOST)
+        at[3:5] = np.clip(at[3:5], _MIN, _MAX)
         left, columns = _seen(times_s, numbers, at)
     left, columns = white.rows @ left, white.rows @ columns
     jitters = priors.JITTERS_S[:, None, None]
@@ -86,7 +84,7 @@ def _likelihood(
 
 
 def _seen(times_s: Array, numbers: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
-    """Residuals of the times, shape (N,), and the derivatives of what is foretold, (N, 6)."""
+    """Return the times' residuals, shape (N,), and their predictions' derivatives, (N, 6)."""
     balls = np.tile(at[1:5], (5, 1))
     balls[1:] += np.diag(_STEPS)
     count = int(numbers.max())

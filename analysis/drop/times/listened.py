@@ -1,4 +1,4 @@
-"""The sound of an episode, and the knocks in it."""
+"""Sound of an episode, and its onsets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tunenet_logs.terminal import listed
 
 @dataclass(frozen=True, eq=False)
 class Listened:
-    """A sound, and what knocks in the part of it that was chosen.
+    """Sound, and the onsets in the chosen part of it.
 
     Attributes:
         sound: all of it.
@@ -32,12 +32,12 @@ class Listened:
     part_s: tuple[float, float]
 
     def ball(self, rig: Rig) -> BallAmong | None:
-        """The ball that is heard best; None where nothing sounds like one."""
+        """Find the ball that is heard best; None where nothing sounds like one."""
         return ball_among(self.knocks, self.part_s[1] - self.part_s[0], rig)
 
 
 def listened(episode: Episode, selection: Selection) -> Listened:
-    """What is heard in an episode.
+    """Detect the onsets in an episode's sound.
 
     Raises:
         NotFoundError: there is no sound of that name, or it is silent.

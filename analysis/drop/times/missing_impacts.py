@@ -1,10 +1,9 @@
-"""Which of the times that were heard are a ball's impacts, and which impact each is.
+"""Assignment of heard times to a ball's impacts, by beam search.
 
 An impact may be missed, a time may be a noise. A reading numbers the times: flights shorten by
-nearly the same ratio, so each time after the first three is foretold by those before it (an
-extended Kalman filter of time, log duration and log ratio). The best readings that end with each
-time are kept, as far as a beam is wide. A score is a logarithm of odds against noises at random
-times.
+nearly the same ratio, so each time after the first three is predicted by those before it (an
+extended Kalman filter of time, log duration and log ratio). The beam keeps the best readings
+that end with each time. A score is the log odds against noises at random times.
 """
 
 from __future__ import annotations
@@ -17,45 +16,30 @@ from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
 
+# Probability of an impact that is not heard, and the rate of noises, as a share of the rate at
+# which times follow each other.
 MISSED, FALSE = 0.06, 0.12
-"""Probability of an impact that is not heard, and the rate of noises, as a share of the rate at
-which times follow each other."""
 
-_BEFORE, _MOST_BEFORE = 0.15, 5
-"""The same share of noises before the first impact, and how many of them count."""
+# The same share of noises before the first impact, and how many of them count.
+_BEFORE, _MAX_BEFORE = 0.15, 5
 
-MOST_FLIGHTS, MOST_FALSE = 3, 3
-"""Flights in one interval, and noises in a row, between two impacts."""
-
-_PAUSE = 5.0
-"""Median intervals: a longer one is a pause."""
-
-_STARTS = 24
-"""Times from which on the first impact is looked for at most."""
-
-_BEAM = 80
-"""Readings that are kept of those that end with the same time."""
-
-_JITTER_S = 0.002
-"""Standard deviation of a time while searching."""
-
-_DRIFT = 0.06
-"""Of the log ratio from flight to flight: slope and drag change it slowly."""
-
-_FARTHEST_SDS = 5.0
-"""Of a foretold time; farther off it is another time."""
-
-_RATIOS = np.linspace(0.08, 1.04, 481)
-"""Of a flight's duration to the one before, to begin with."""
+MAX_FLIGHTS, MAX_FALSE = 3, 3  # flights in one interval, and noises in a row, between two impacts
+_PAUSE = 5.0  # median intervals: a longer one is a pause
+_STARTS = 24  # times from which on the first impact is looked for at most
+_BEAM = 80  # readings that are kept of those that end with the same time
+_JITTER_S = 0.002  # standard deviation of a time while searching
+_DRIFT = 0.06  # of the log ratio from flight to flight: slope and drag change it slowly
+_FARTHEST_SDS = 5.0  # of a foretold time; farther off it is another time
+_RATIOS = np.linspace(0.08, 1.04, 481)  # of a flight's duration to the one before, to begin with
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Times as a ball's impacts.
+    """Times assigned to a ball's impacts.
 
     Attributes:
         numbers: of the impacts, 0 the first that is heard; -1 of a time that is none, shape (N,).
-        score: logarithm of the odds against noises, roughly.
+        score: log odds against noises, roughly.
     """
 
     numbers: NDArray[np.int64]
@@ -68,17 +52,17 @@ class Reading:
 
     @property
     def missed(self) -> int:
-        """Impacts between the first and the last that are not heard."""
+        """Number of impacts between the first and the last that are not heard."""
         return int(self.numbers.max()) + 1 - len(self.heard)
 
     @property
     def false(self) -> int:
-        """Times between the first impact and the last that are none."""
+        """Number of times between the first impact and the last that are none."""
         heard = self.heard
         return int(heard[-1] - heard[0]) + 1 - len(heard)
 
     def log_prior(self, times_s: Array) -> float:
-        """Of what was missed and what is false, over that of noises alone."""
+        """Return the log prior of what was missed and is false, over that of noises alone."""
         first, last = times_s[self.heard[[0, -1]]]
         return (
             (1 - FALSE) * noise_rate_hz(times_s) * float(last - first)
@@ -90,23 +74,18 @@ class Reading:
 
 
 def _log_before(first: NDArray[np.int64]) -> Array:
-    """Of so many times before the first impact."""
-    return np.minimum(first, _MOST_BEFORE) * np.log(_BEFORE)
+    """Return the log prior of so many times before the first impact."""
+    return np.minimum(first, _MAX_BEFORE) * np.log(_BEFORE)
 
 
 def noise_rate_hz(times_s: Array) -> float:
-    """How often times follow each other, but for pauses: as often would noises, if all were."""
+    """Return how often times follow each other, but for pauses: so would noises, if all were."""
     apart_s = np.diff(times_s)
     return 1 / float(apart_s[apart_s < _PAUSE * np.median(apart_s)].mean())
 
 
 def readings(times_s: Array, most: int) -> list[Reading]:
-    """The likeliest readings, best first.
-
-    Args:
-        times_s: rising, shape (N,) [s].
-        most: readings that are wanted.
-    """
+    """Find the likeliest readings of rising times (N,) [s] by beam search, best first."""
     count = len(times_s)
     if count < 3:
         return []
@@ -114,11 +93,11 @@ def readings(times_s: Array, most: int) -> list[Reading]:
     ending: list[_Beam] = []
     for at in range(count):
         found = [_starts(times_s, at, rate_hz)]
-        for back in range(1, min(MOST_FALSE + 1, at) + 1):
+        for back in range(1, min(MAX_FALSE + 1, at) + 1):
             before = ending[at - back]
             found += [
                 before.extended(times_s, at, back - 1, lasting, rate_hz)
-                for lasting in range(1, MOST_FLIGHTS + 1)
+                for lasting in range(1, MAX_FLIGHTS + 1)
             ]
         ending.append(_Beam.joined(found).best(_BEAM))
     every = _Beam.joined(ending).best(most)
@@ -130,7 +109,7 @@ def readings(times_s: Array, most: int) -> list[Reading]:
 
 @dataclass(frozen=True, eq=False)
 class _Beam:
-    """R readings that end with one time, and what each foretells.
+    """Beam of R readings that end with one time, and what each predicts.
 
     Attributes:
         scores: shape (R,).
@@ -147,7 +126,7 @@ class _Beam:
 
     @classmethod
     def joined(cls, parts: list[_Beam]) -> _Beam:
-        """All of them."""
+        """Join several beams."""
         return cls(
             np.concatenate([part.scores for part in parts]),
             np.concatenate([part.numbers for part in parts]),
@@ -156,14 +135,14 @@ class _Beam:
         )
 
     def best(self, most: int) -> _Beam:
-        """Those with the highest scores, in order."""
+        """Return the readings with the highest scores, in order."""
         return self._only(np.argsort(-self.scores, kind="stable")[:most])
 
     def _only(self, rows: NDArray[np.int64]) -> _Beam:
         return _Beam(self.scores[rows], self.numbers[rows], self.state[rows], self.covariance[rows])
 
     def extended(self, times_s: Array, at: int, false: int, lasting: int, rate_hz: float) -> _Beam:
-        """With the time of index `at` as the impact that is `lasting` flights later."""
+        """Extend by the time of index `at` as the impact `lasting` flights later (EKF update)."""
         each = np.exp(self.state[:, 1:2] + np.arange(lasting) * self.state[:, 2:])
         row = np.stack([np.ones(len(each)), each.sum(axis=1), each @ np.arange(lasting)], axis=1)
         off = times_s[at] - self.state[:, 0] - row[:, 1]
@@ -189,7 +168,7 @@ class _Beam:
 
 
 def _moved(state: Array, covariance: Array, lasting: int, row: Array) -> tuple[Array, Array]:
-    """What is foretold from the impact `lasting` flights later."""
+    """Move state and covariance on to the impact `lasting` flights later (EKF prediction)."""
     move = np.tile(np.eye(3), (len(state), 1, 1))
     move[:, 0] = row
     move[:, 1, 2] = lasting
@@ -204,14 +183,14 @@ def _moved(state: Array, covariance: Array, lasting: int, row: Array) -> tuple[A
 
 
 def _starts(times_s: Array, at: int, rate_hz: float) -> _Beam:
-    """Readings whose third impact that is heard is the time of index `at`."""
-    reach = MOST_FALSE + 1
+    """Return the readings whose third impact that is heard is the time of index `at`."""
+    reach = MAX_FALSE + 1
     picks = [
         (first, second, before, after)
         for second in range(max(at - reach, 1), at)
         for first in range(max(second - reach, 0), second)
-        for before in range(1, MOST_FLIGHTS + 1)
-        for after in range(1, MOST_FLIGHTS + 1)
+        for before in range(1, MAX_FLIGHTS + 1)
+        for after in range(1, MAX_FLIGHTS + 1)
         if first < _STARTS
     ]
     chosen = np.array(picks, dtype=np.int64).reshape(-1, 4)
@@ -244,19 +223,16 @@ def _starts(times_s: Array, at: int, rate_hz: float) -> _Beam:
 def _begun(
     one_s: Array, two_s: Array, before: NDArray[np.int64], after: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Log duration of the flight after two intervals and log ratio, (R, 2); NaN where no ball's.
-
-    And how fast the ratio of the intervals grows with that of the flights, (R,).
-    """
+    """Return log duration and ratio after two intervals, (R, 2), NaN if no ball's; its growth."""
     ratio, grows = np.full((2, len(one_s)), np.nan)
-    for flown in range(1, MOST_FLIGHTS + 1):
-        for later in range(1, MOST_FLIGHTS + 1):
+    for flown in range(1, MAX_FLIGHTS + 1):
+        for later in range(1, MAX_FLIGHTS + 1):
             rows = (before == flown) & (after == later)
             curve = _interval_ratios(flown, later)
             asked = (two_s / one_s)[rows]
             ratio[rows] = np.interp(asked, curve, _RATIOS, left=np.nan, right=np.nan)
             grows[rows] = np.interp(asked, curve, np.gradient(curve, _RATIOS))
-    powers = np.arange(MOST_FLIGHTS)
+    powers = np.arange(MAX_FLIGHTS)
     sums = np.where(powers < before[:, None], ratio[:, None] ** powers, 0.0).sum(axis=1)
     values = np.column_stack(
         [np.log(one_s / sums) + (before + after) * np.log(ratio), np.log(ratio)]
@@ -266,7 +242,7 @@ def _begun(
 
 @cache
 def _interval_ratios(before: int, after: int) -> Array:
-    """Second interval over the first, of so many flights, for each of `_RATIOS`."""
+    """Return the second interval over the first, of so many flights, at each of `_RATIOS`."""
     one = sum(_RATIOS**power for power in range(before))
     two = sum(_RATIOS**power for power in range(before, before + after))
     return np.asarray(two / one)

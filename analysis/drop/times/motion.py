@@ -1,4 +1,4 @@
-"""How the tuned simulator moves beside what was heard: it is on the table at each impact."""
+"""Tuned simulator compared with what was heard: it is on the table at each impact."""
 
 from __future__ import annotations
 
@@ -6,19 +6,16 @@ import numpy as np
 
 from analysis.drop.times.detection import TimesDetection
 from analysis.estimators.base import Step, Trace
-from analysis.motion import MOST_SAMPLES, Curves, Motion
+from analysis.motion import MAX_SAMPLES, Curves, Motion
 from analysis.record import Rebound
 from tunenet_logs.arrays import Array
 
-_TOLD = 0.15
-"""Of drag and slope: an interval wider than this, in restitution, is a prior's."""
-
-_SAME_S = 5e-9
-"""Stamps that differ by less are of one moment."""
+_TOLD = 0.15  # of drag and slope: an interval wider than this, in restitution, is a prior's
+_SAME_S = 5e-9  # stamps that differ by less are of one moment
 
 
 def simulated_m(detection: TimesDetection, step: Step) -> tuple[Array, Array]:
-    """Times on the log's clock [s] and heights above the table [m] of an iterate, each (T,).
+    """Return an iterate's times on the log's clock [s] and heights on the table [m], each (T,).
 
     The rollout leaves the table at once, the ball after a contact: each flight takes the contact
     before it along.
@@ -34,7 +31,7 @@ def simulated_m(detection: TimesDetection, step: Step) -> tuple[Array, Array]:
 
 
 def heard_motion(detection: TimesDetection, trace: Trace) -> Motion:
-    """The rollout's height; what was observed is 0 at each impact that was heard, else nothing."""
+    """Return the rollout's height; the observed one is 0 at each impact heard, else unknown."""
     if not detection.rig.has_clock:
         return Motion(untold=_untold(detection))
     seconds, heights_m = simulated_m(detection, trace.steps[-1])
@@ -47,19 +44,19 @@ def heard_motion(detection: TimesDetection, trace: Trace) -> Motion:
     at = np.clip(np.searchsorted(seconds, heard_s - _SAME_S), 0, len(seconds) - 1)
     there = np.abs(seconds[at] - heard_s) <= _SAME_S
     observed_m[at[there]] = 0.0
-    every = max(1, -(-len(seconds) // (MOST_SAMPLES // 2)))
+    every = max(1, -(-len(seconds) // (MAX_SAMPLES // 2)))
     kept = np.union1d(np.arange(0, len(seconds), every), at[there])
     curves = Curves(detection.start_ns, seconds[kept], observed_m[kept], heights_m[kept])
     return Motion(curves=curves, untold=_untold(detection))
 
 
 def heard_rebounds(detection: TimesDetection, trace: Trace) -> tuple[Rebound, ...]:
-    """Each impact between two flights that were heard whole."""
+    """Return each impact between two flights that were heard whole."""
     return detection.heard.rebounds if trace.fit is not None else detection.heard.rebounds[:1]
 
 
 def _untold(detection: TimesDetection) -> tuple[str, ...]:
-    """What the times leave to what is known of balls, in words."""
+    """Return what the times leave to what is known of balls, in words."""
     slope, drag = np.ptp(detection.heard.interval95[1:], axis=1).tolist()
     found: list[str] = []
     if slope > _TOLD:

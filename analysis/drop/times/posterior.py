@@ -1,4 +1,4 @@
-"""The ball that was heard: an average over readings of the times, and over balls that make them."""
+"""Posterior of the ball that was heard: averaged over readings of the times, and over balls."""
 
 from __future__ import annotations
 
@@ -24,32 +24,21 @@ from analysis.statistics import TWO_SIDED
 from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 
-MOST_TIMES = 60
-"""That are looked at: by then a ball hardly rises."""
-
-_READINGS = 8
-"""That are fitted; most have one that stands out."""
-
-_NEGLIGIBLE = 1e-4
-"""Weight of a reading that is left away."""
-
-_TAILS = (0.025, 0.975)
-"""Probabilities at the ends of an interval."""
-
-_HALVINGS = 24
-"""Of a bracket of about 1 around a quantile."""
-
-_TYPICAL_APEX_M = 0.4
-"""Of a first flight whose true seconds are not known."""
+MAX_TIMES = 60  # that are looked at: by then a ball hardly rises
+_READINGS = 8  # that are fitted; most have one that stands out
+_NEGLIGIBLE = 1e-4  # weight of a reading that is left away
+_TAILS = (0.025, 0.975)  # probabilities at the ends of an interval
+_HALVINGS = 24  # of a bracket of about 1 around a quantile
+_TYPICAL_APEX_M = 0.4  # of a first flight whose true seconds are not known
 
 
 @dataclass(frozen=True)
 class Besides:
-    """What is known of the times that they do not say themselves.
+    """Evidence beside the times.
 
     Attributes:
         rate_hz: of times that are none of the ball's.
-        log_odds: logarithm of the odds for the ball by all else than the times.
+        log_odds: of the ball by all else than the times.
     """
 
     rate_hz: float
@@ -58,10 +47,10 @@ class Besides:
 
 @dataclass(frozen=True, eq=False)
 class HeardBall:
-    """What the times say of a ball.
+    """Posterior of a ball by its impact times.
 
     Attributes:
-        values: restitution at the first impact that can be told, slope, drag [1/m], shape (3,).
+        values: restitution at the first reported impact, slope, drag [1/m], shape (3,).
         interval95: shape (3, 2).
         reading: the likeliest.
         times_s: of its impacts, as they were heard, shape (N,) [s].
@@ -69,9 +58,8 @@ class HeardBall:
         jitter_s: standard deviation of a time.
         scatter: of each impact's own restitution about the law, as a fraction.
         contact_s: how long the ball touches the table at each impact.
-        log_odds: logarithm of the odds against noises at random times.
-        rhythm: what explains the times best of all that is no ball, and the logarithm of a ball's
-            odds against it.
+        log_odds: against noises at random times.
+        rhythm: likeliest rhythm that is no ball's, and a ball's log odds against it.
         height_sds: by how many standard deviations the height contradicts the times.
         begin_s: time of the first impact by the values [s].
         leaving_m_s: speed after it.
@@ -95,7 +83,7 @@ class HeardBall:
 
     @property
     def numbers(self) -> NDArray[np.int64]:
-        """Of the impacts that were heard, the first 0, shape (N,)."""
+        """Numbers of the impacts that were heard, the first 0, shape (N,)."""
         return self.reading.numbers[self.reading.heard]
 
     @property
@@ -105,37 +93,37 @@ class HeardBall:
 
     @cached_property
     def flown(self) -> FlightTimes:
-        """The ball of the values, to the last impact that was heard."""
+        """Flights of the ball of the values, to the last impact that was heard."""
         return _flown(int(self.numbers.max()), self.leaving_m_s, self.values, self.rig)
 
     @property
     def predicted_s(self) -> Array:
-        """When each impact begins by the values, shape (I,) [s]."""
+        """Predicted begin of each impact by the values, shape (I,) [s]."""
         flown_s = self.flown.impacts_s[:, 0] / self.seconds_s
         return self.begin_s + flown_s + self.contact_s * np.arange(len(flown_s))
 
     @property
     def contactless_s(self) -> Array:
-        """When a ball of the same flights would hit that leaves at once: `predicted_s` then."""
+        """Predicted impacts of a ball of the same flights that leaves at once, shape (I,) [s]."""
         return self.predicted_s - self._delays_s(np.arange(len(self.predicted_s)))
 
     @property
     def heard_contactless_s(self) -> Array:
-        """`times_s`, as that ball would have made them, shape (N,) [s]."""
+        """Heard times as that ball would have made them, shape (N,) [s]."""
         return self.times_s - self._delays_s(self.numbers)
 
     def _delays_s(self, numbers: NDArray[np.int64]) -> Array:
-        """By the contacts since the first impact that is told."""
+        """Return the delays by the contacts since the first reported impact."""
         return self.contact_s * (numbers - self.told).astype(np.float64)
 
     @property
     def residuals_s(self) -> Array:
-        """Heard less predicted, shape (N,) [s]."""
+        """Residuals, heard less predicted, shape (N,) [s]."""
         return self.times_s - self.predicted_s[self.numbers]
 
     @property
     def fall_m(self) -> float:
-        """Height of the fall that ends with the first impact that is told [m]."""
+        """Height of the fall that ends with the first reported impact [m]."""
         if self.rig.height_m is not None:
             arrives = self.leaving_m_s / max(float(self.values[0]), 1e-3)
             drag_1_m = max(float(self.values[2]), 1e-9)
@@ -145,7 +133,7 @@ class HeardBall:
 
     @cached_property
     def rebounds(self) -> tuple[Rebound, ...]:
-        """Each impact between two flights that were heard whole, by their durations alone."""
+        """Each impact between two flights heard whole, by their durations alone."""
         found = [self._told()]
         drag_1_m = float(self.values[2])
         known = dict(zip(self.numbers.tolist(), self.times_s.tolist(), strict=True))
@@ -188,14 +176,14 @@ class HeardBall:
 
 
 def heard_ball(times_s: Array, rig: Rig, besides: Besides | None = None) -> HeardBall | None:
-    """Average over all that may have been heard; None where no ball explains any of it.
+    """Average over readings and balls that may have been heard; None where no ball explains any.
 
     Args:
-        times_s: rising, shape (N,) [s]; of more than `MOST_TIMES` the first.
+        times_s: rising, shape (N,) [s]; of more than `MAX_TIMES` the first.
         rig: what is known of the ball.
         besides: None where the times are all that was heard.
     """
-    times_s = times_s[:MOST_TIMES]
+    times_s = times_s[:MAX_TIMES]
     if len(times_s) < 3:
         return None
     seconds_s = 1.0 if rig.has_clock else _typical_seconds(times_s)
@@ -249,7 +237,7 @@ def heard_ball(times_s: Array, rig: Rig, besides: Besides | None = None) -> Hear
 def _log_odds(
     odds: float, tried: tuple[Reading, Balls], clock_s: Array, besides: Besides | None
 ) -> float:
-    """Against noises at random times."""
+    """Return the log odds against noises at random times."""
     if besides is None:
         return odds - float(np.log(len(clock_s)))
     reading, balls = tried
@@ -261,7 +249,7 @@ def _log_odds(
 def _against_rhythms(
     clock_s: Array, reading: Reading, log_rate: float, rig: Rig
 ) -> tuple[str, float]:
-    """The best rhythm of these impacts, or of all times, and a ball's log odds against it."""
+    """Return the best rhythm of these impacts, or of all times, and a ball's log odds over it."""
     heard = reading.heard
     times_s, numbers = clock_s[heard], reading.numbers[heard]
     prior = reading.log_prior(clock_s)
@@ -277,13 +265,13 @@ def _against_rhythms(
 
 
 def _typical_seconds(times_s: Array) -> float:
-    """With which the longest flight is as high as usual: without a clock only its drag needs it."""
+    """Return seconds that make the longest flight as high as usual: only its drag needs them."""
     usual_s = 2 * float(np.sqrt(2 * _TYPICAL_APEX_M / GRAVITY_M_S2))
     return usual_s / float(np.quantile(np.diff(times_s), 0.9))
 
 
 def _flown(count: int, leaving_m_s: float, values: Array, rig: Rig) -> FlightTimes:
-    """FlightTimes of one ball, shape (count + 1, 1)."""
+    """Return the flights of one ball, shape (count + 1, 1)."""
     restitution, slope, drag_1_m = (np.array([one]) for one in values.tolist())
     if rig.height_m is not None:  # from the law's value at the first impact to that at the second
         arrives = leaving_m_s / np.maximum(restitution, 1e-3)
@@ -295,7 +283,7 @@ def _flown(count: int, leaving_m_s: float, values: Array, rig: Rig) -> FlightTim
 def _held(
     clock_s: Array, reading: Reading, values: Array, balls: Balls, rig: Rig
 ) -> tuple[float, float]:
-    """First impact [s] and speed after it [m/s] that fit best with the values held."""
+    """Fit first impact [s] and speed after it [m/s] by Gauss-Newton, with the values held."""
     numbers = reading.numbers[reading.heard]
     log_speed, short, begin_s = balls.mean(balls.begins), 1e-6, float(clock_s[0])
     ratio_1_s = balls.mean(balls.scatters) / balls.mean(balls.jitters_s)
@@ -313,7 +301,7 @@ def _held(
 
 
 def _intervals(parts: list[tuple[float, Balls]]) -> Array:
-    """95 % intervals of the mixture of all readings, shape (3, 2)."""
+    """Return the 95 % credible intervals of the mixture of all readings, shape (3, 2)."""
     weights = np.concatenate([weight * balls.weights for weight, balls in parts])
     weights /= weights.sum()
     restitutions, sds, slopes, drags = (
@@ -325,14 +313,14 @@ def _intervals(parts: list[tuple[float, Balls]]) -> Array:
 
 
 def _on_grid(values: Array, weights: Array) -> Array:
-    """Ends of the 95 % interval of values on a grid, linear between its nodes."""
+    """Return the 95 % interval of values on a grid, linear between its nodes."""
     nodes, where = np.unique(values, return_inverse=True)
     each = np.bincount(where, weights)
     return np.interp(_TAILS, np.cumsum(each) - each / 2, nodes)
 
 
 def _quantile(probability: float, middles: Array, sds: Array, weights: Array) -> float:
-    """Of a mixture of normal distributions, by bisection."""
+    """Find a quantile of a mixture of normal distributions, by bisection."""
     from scipy.special import ndtr
 
     low, high = float((middles - 5 * sds).min()), float((middles + 5 * sds).max())

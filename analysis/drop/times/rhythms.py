@@ -1,4 +1,4 @@
-"""Rhythms that are no ball's: what each explains of the same times, to be compared with a ball.
+"""Rhythms that are no ball's: the evidence of each for the same times, against a ball's.
 
 A ball's flights shorten by a ratio that grows from flight to flight, if it changes at all. A hand
 keeps its beat, or quickens it: each beat shorter by the same time, or by the same tempo, or by a
@@ -18,28 +18,22 @@ from numpy.typing import NDArray
 from analysis.drop.times import impact_prior as priors
 from tunenet_logs.arrays import Array
 
-_RANGE = float(np.log(100.0))
-"""Of the log duration of a first beat, before it is heard."""
-
+_RANGE = float(np.log(100.0))  # of the log duration of a first beat, before it is heard
+# Standard deviations of a beat that are tried, in mean beats.
 _STEADY_SDS = np.geomspace(0.002, 0.5, 25)
-"""Standard deviations of a beat that are tried, in mean beats."""
 
-_USUAL_STEADY, _LOG_STEADY_SD = 0.03, 1.0
-"""Of a hand: log normal."""
-
+_TYPICAL_STEADY, _LOG_STEADY_SD = 0.03, 1.0  # of a hand: log normal
+# By which the last beat is shorter than the first; below 0 it is longer.
 _SHARES = np.linspace(-1.0, 0.98, 1001)
-"""By which the last beat is shorter than the first; below 0 it is longer."""
 
-_TEMPOS = np.geomspace(0.02, 20.0, 400)
-"""By how much the last beat's tempo is over the first's."""
-
+_TEMPOS = np.geomspace(0.02, 20.0, 400)  # by how much the last beat's tempo is over the first's
+# Logarithm of the first ratio of beats, and what is added to it from beat to beat.
 _RATIOS, _BENDS = np.linspace(-1.5, 0.0, 61), -np.geomspace(0.002, 0.3, 40)
-"""Logarithm of the first ratio of beats, and what is added to it from beat to beat."""
 
 
 @dataclass(frozen=True)
 class Rhythm:
-    """What explains times better than other rhythms.
+    """Rhythm that explains the times best.
 
     Attributes:
         name: in words.
@@ -56,7 +50,7 @@ def best_rhythm(
     log_rate: float,
     jitter_s: float = priors.TRIGGER_JITTER_S,
 ) -> Rhythm:
-    """The rhythm with the highest evidence.
+    """Find the rhythm with the highest evidence.
 
     Args:
         times_s: of the beats, shape (N,), N at least 3 [s].
@@ -84,7 +78,7 @@ def _bent(count: int) -> Array:
 
 
 def _families(count: int) -> Iterator[tuple[str, Array]]:
-    """Durations of the beats over the first, shape (M, count), of each kind of rhythm."""
+    """Yield the beats' durations over the first, shape (M, count), of each kind of rhythm."""
     steps = np.arange(count) / max(count - 1, 1)
     yield "an even beat", np.ones((1, count))
     yield "beats that shorten by one time each", 1 - _SHARES[:, None] * steps
@@ -93,7 +87,7 @@ def _families(count: int) -> Iterator[tuple[str, Array]]:
 
 
 def _jittered(times_s: Array, sums: Array, jitter_s: float) -> Array:
-    """Log evidence where each time has its own jitter, shape (M,)."""
+    """Return the log evidence where each time has its own jitter, shape (M,)."""
     middle = sums.mean(axis=1)
     about = sums - middle[:, None]
     length = (about**2).sum(axis=1)
@@ -106,21 +100,21 @@ def _jittered(times_s: Array, sums: Array, jitter_s: float) -> Array:
 
 
 def _running(times_s: Array, sums: Array, apart: NDArray[np.int64]) -> Array:
-    """Log evidence where each beat runs from the one before, shape (M,)."""
+    """Return the log evidence where each beat runs from the one before, shape (M,)."""
     scale = np.sqrt(apart)
     heard, shape = np.diff(times_s) / scale, np.diff(sums, axis=1) / scale
     length = (shape**2).sum(axis=1)
     first_s = shape @ heard / length
     off = heard - first_s[:, None] * shape
     sds = _STEADY_SDS * float(np.ptp(times_s)) / int(apart.sum())
-    prior = np.exp(-0.5 * (np.log(_STEADY_SDS / _USUAL_STEADY) / _LOG_STEADY_SD) ** 2)
+    prior = np.exp(-0.5 * (np.log(_STEADY_SDS / _TYPICAL_STEADY) / _LOG_STEADY_SD) ** 2)
     log = np.log(prior / prior.sum()) - (len(heard) - 1) * np.log(sds * np.sqrt(2 * np.pi))
     log = log - (off**2).sum(axis=1)[:, None] / (2 * sds**2)
     return _summed(log) - 0.5 * np.log(length) - np.log(scale).sum() - _log_duration(first_s)
 
 
 def _log_duration(first_s: Array) -> Array:
-    """Of the first beat; infinite where there is none."""
+    """Return the log duration of the first beat; infinite where there is none."""
     return np.where(first_s > 0, np.log(np.maximum(first_s, 1e-9)), np.inf)
 
 

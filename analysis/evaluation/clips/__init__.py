@@ -1,1 +1,1 @@
-"""Drawn clips of falling balls, frame by frame, and what `tunenet-tune` makes of them."""
+"""Synthetic videos of falling balls, and what `tunenet-tune` makes of them."""

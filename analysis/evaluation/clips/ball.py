@@ -1,4 +1,4 @@
-"""A shaded ball, its shadow and its reflection, drawn only where they are.
+"""Ray-cast a shaded ball, its shadow and its reflection, only where they are.
 
 A sphere of radius r at c (in the camera's axes) covers a pixel that looks along d where
 g(d) = (d c)^2 - d^2 (c^2 - r^2) > 0: its true outline, an ellipse. Edges are smooth: the fraction
@@ -21,7 +21,7 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class BallLook:
-    """How the ball looks.
+    """Appearance of the ball.
 
     Attributes:
         radius_m: of the ball.
@@ -45,15 +45,7 @@ class BallLook:
 
 
 def add_ball(frame: Picture, view: View, stage: Stage, look: BallLook, centers_m: Array) -> None:
-    """Draw what the camera sees of a ball that was at these positions while the shutter was open.
-
-    Args:
-        frame: drawn on in place.
-        view: where from.
-        stage: what is behind it.
-        look: of the ball.
-        centers_m: of the ball while the shutter is open, shape (S, 3).
-    """
+    """Render a ball at its positions `centers_m`, shape (S, 3), while the shutter is open."""
     if look.shadow > 0:
         _add_shadow(frame, view, stage, look, centers_m)
     if look.mirror > 0:
@@ -69,7 +61,7 @@ def _add_spheres(
     centers_m: Array,
     through: NDArray[np.float32] | None,
 ) -> None:
-    """Mean of the spheres over the frame; `through` a floor they are faint, and only there."""
+    """Blend in the mean of the spheres; `through` a floor they are faint, and only there."""
     boxes = [_box(view, center, look.radius_m) for center in centers_m]
     left, top = np.min([box[:2] for box in boxes], axis=0)
     right, bottom = np.max([box[2:] for box in boxes], axis=0)
@@ -93,7 +85,7 @@ def _add_spheres(
 
 
 def _box(view: View, center_m: Array, radius_m: float) -> Box:
-    """Pixels that a sphere may touch: left, top, right, bottom; empty where it is out of view."""
+    """Return the pixels a sphere may touch: left, top, right, bottom; empty out of view."""
     seen = view.seen_from_camera(center_m[None])[0]
     if seen[2] < 2 * radius_m:
         return 0, 0, 0, 0
@@ -107,7 +99,7 @@ def _box(view: View, center_m: Array, radius_m: float) -> Box:
 def _sphere(
     view: View, center_m: Array, look: BallLook, box: Box
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Fraction of each pixel that is ball, shape (H, W), and its colour there, shape (H, W, 3)."""
+    """Return the ball's coverage of each pixel, shape (H, W), and colour, shape (H, W, 3)."""
     center = view.seen_from_camera(center_m[None])[0].astype(np.float32)
     looks = view.directions(box)
     along = looks @ center

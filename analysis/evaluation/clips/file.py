@@ -1,4 +1,4 @@
-"""A drawn clip as a file that a user might have: a phone's mp4, or a log of JPEGs."""
+"""Encode a synthetic clip as users have it: a phone's mp4, or a log of JPEGs."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from tunenet_logs.arrays import Picture
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.writer import EpisodeWriter
 
-_TICKS_HZ = 90_000
-"""The clock of an mp4's stamps, as most phones have it."""
-
+_TICKS_HZ = 90_000  # the clock of an mp4's stamps, as most phones have it
+# Bytes from the name of an mp4's track header to its display matrix (ISO/IEC 14496-12, 8.3.2).
 _MATRIX_AT = 44
-"""Bytes from the name of an mp4's track header to its display matrix (ISO/IEC 14496-12, 8.3.2)."""
 
+# What can be made of one clip that changes nothing of its ball.
 VERSIONS = (
     "as filmed",
     "1/8 speed",
@@ -30,13 +29,12 @@ VERSIONS = (
     "rotated, flagged",
     "every 2nd frame",
 )
-"""What can be made of one clip that changes nothing of its ball."""
 
 _ROTATED, _HALF_SIZE, _MIRRORED = VERSIONS[4], VERSIONS[2], VERSIONS[3]
 
 
 class _Sink(Protocol):
-    """Takes frames until it is closed."""
+    """Sink of frames."""
 
     def add(self, picture: Picture, second: float) -> None: ...
 
@@ -51,12 +49,12 @@ class _Sink(Protocol):
 
 
 def write_clip(order: ClipOrder, folder: Path) -> Path:
-    """The clip as filmed, in a new file."""
+    """Write the clip as filmed to a new file."""
     return write_versions(order, folder, VERSIONS[:1])[0]
 
 
 def write_versions(order: ClipOrder, folder: Path, versions: tuple[str, ...]) -> list[Path]:
-    """Some of `VERSIONS` of one clip, drawn once; one file each."""
+    """Render one clip once, and write some of its `VERSIONS`; one file each."""
     suffix = "mcap" if order.as_log and versions == VERSIONS[:1] else "mp4"
     paths = [folder / f"clip_{VERSIONS.index(one)}.{suffix}" for one in versions]
     with ExitStack() as stack:
@@ -92,7 +90,7 @@ def _changed(picture: Picture, version: str) -> Picture:
 
 
 class _Mp4:
-    """H.264 with the times of its frames."""
+    """H.264 with frame times."""
 
     def __init__(self, order: ClipOrder, path: Path, version: str) -> None:
         import av
@@ -162,7 +160,7 @@ class _Log:
 
 
 def _flag_rotation(path: Path) -> None:
-    """Say in an mp4 that a player is to turn it by a quarter, clockwise."""
+    """Set the rotation flag of an mp4 to a quarter turn, clockwise."""
     data = bytearray(path.read_bytes())
     at = data.index(b"tkhd") + _MATRIX_AT
     rows = np.array([[0, 1 << 16, 0], [-(1 << 16), 0, 0], [0, 0, 1 << 30]], ">i4")

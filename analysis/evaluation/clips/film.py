@@ -1,4 +1,4 @@
-"""A drawn clip, frame by frame, and where its ball is in each."""
+"""Render a synthetic clip, frame by frame, with the true position of its ball."""
 
 from __future__ import annotations
 
@@ -11,39 +11,25 @@ from analysis.evaluation.clips.order import ClipOrder, Hand, Person
 from analysis.evaluation.video.bouncing_ball import GRAVITY_M_S2, drop_ball
 from tunenet_logs.arrays import Array, Picture
 
-_MOST_SUBFRAMES = 16
-"""Positions of the ball while a shutter is open: enough for a smooth streak."""
-
+_MAX_SUBFRAMES = 16  # positions of the ball while a shutter is open: enough for a smooth streak
+# A ball that moves less while the shutter is open is drawn once, one that moves more 16 times, and
+# every other one four times.
 _STILL_PX, _FAST_PX = 0.2, 4.0
-"""A ball that moves less while the shutter is open is drawn once, one that moves more 16 times, and
-every other one four times."""
 
-_MAINS_HZ = 50.0
-"""Europe's: lamps flicker at twice this."""
-
-_NOISE_PICTURES = 3
-"""Drawing noise for each frame anew would take longer than all the rest."""
-
-_NOISE_MARGIN_PX = 64
-"""By how much a noise picture is larger than a frame, to be cut out anywhere."""
-
-_LEAST_NOISE = 0.05
-"""Of 255: less would be rounded away."""
+_MAINS_HZ = 50.0  # Europe's: lamps flicker at twice this
+_NOISE_PICTURES = 3  # drawing noise for each frame anew would take longer than all the rest
+_NOISE_MARGIN_PX = 64  # by how much a noise picture is larger than a frame, to be cut out anywhere
+_MIN_NOISE = 0.05  # of 255: less would be rounded away
 
 
 def frame_seconds(order: ClipOrder) -> Array:
-    """When each frame is taken, after the release, shape (T,)."""
+    """Return the times of the frames after the release, shape (T,)."""
     count = int((order.held_s + order.length_s) * order.rate_hz)
     return np.arange(count) / order.rate_hz - order.held_s
 
 
 def centers_m(order: ClipOrder, seconds: Array) -> Array:
-    """Where the ball's centre is in the world, shape (T, 3) [m].
-
-    Args:
-        order: the clip.
-        seconds: after the release, increasing, shape (T,).
-    """
+    """Return the ball's centre in the world, shape (T, 3) [m], at `seconds` after the release."""
     if order.heights_m is not None:
         up = order.heights_m(seconds) + order.look.radius_m
     else:
@@ -52,12 +38,12 @@ def centers_m(order: ClipOrder, seconds: Array) -> Array:
 
 
 def places_px(order: ClipOrder) -> Array:
-    """Where the ball's centre is in each frame, at its stamp, shape (T, 2) [px]."""
+    """Project the ball's centre into each frame at its stamp, shape (T, 2) [px]."""
     return order.view.image_from_world(centers_m(order, frame_seconds(order)))
 
 
 def clip_frames(order: ClipOrder) -> Iterator[Picture]:
-    """The frames, RGB, uint8, shape (H, W, 3)."""
+    """Yield the frames, RGB, uint8, shape (H, W, 3)."""
     import cv2
 
     seconds = frame_seconds(order)
@@ -80,30 +66,24 @@ def clip_frames(order: ClipOrder) -> Iterator[Picture]:
 
 
 def _exposed(order: ClipOrder, seconds: Array) -> list[Array]:
-    """Centres of the ball while each frame's shutter is open, shape (1, 4 or 16, 3) [m] each."""
-    offsets = (np.arange(_MOST_SUBFRAMES) + 0.5) / _MOST_SUBFRAMES - 0.5
+    """Return the ball's centres during each frame's exposure, shape (1, 4 or 16, 3) [m] each."""
+    offsets = (np.arange(_MAX_SUBFRAMES) + 0.5) / _MAX_SUBFRAMES - 0.5
     fine = (seconds[:, None] + offsets * order.exposure_s).ravel()
     centers = centers_m(order, fine)
-    pixels = order.view.image_from_world(centers).reshape(len(seconds), _MOST_SUBFRAMES, 2)
-    centers = centers.reshape(len(seconds), _MOST_SUBFRAMES, 3)
+    pixels = order.view.image_from_world(centers).reshape(len(seconds), _MAX_SUBFRAMES, 2)
+    centers = centers.reshape(len(seconds), _MAX_SUBFRAMES, 3)
     ways = np.linalg.norm(np.diff(pixels, axis=1), axis=2).sum(axis=1)
     chosen = []
     for way_px, positions in zip(ways.tolist(), centers, strict=True):
         if way_px < _STILL_PX:
-            chosen.append(positions[_MOST_SUBFRAMES // 2][None])
+            chosen.append(positions[_MAX_SUBFRAMES // 2][None])
         else:
             chosen.append(positions if way_px > _FAST_PX else positions[1::4])
     return chosen
 
 
 class SensorNoise:
-    """White noise of a camera: a few noise pictures, each time from another corner.
-
-    Args:
-        rng: draws the pictures, and the corners.
-        size_px: width and height of the frames.
-        noise: standard deviation of a pixel, of 255.
-    """
+    """White sensor noise of std `noise` of 255: a few noise images, from random corners."""
 
     def __init__(self, rng: np.random.Generator, size_px: tuple[int, int], noise: float) -> None:
         self._rng = rng
@@ -111,11 +91,11 @@ class SensorNoise:
         shape = (self._height + _NOISE_MARGIN_PX, self._width + _NOISE_MARGIN_PX, 3)
         self._pictures = [
             np.round(rng.standard_normal(shape, np.float32) * noise).astype(np.int16)
-            for _ in range(_NOISE_PICTURES if noise > _LEAST_NOISE else 0)
+            for _ in range(_NOISE_PICTURES if noise > _MIN_NOISE else 0)
         ]
 
     def added_to(self, frame: Picture) -> Picture:
-        """The frame with noise, a new array."""
+        """Add noise to a copy of the frame."""
         import cv2
 
         if not self._pictures:
@@ -127,7 +107,7 @@ class SensorNoise:
 
 
 def _add_hand(frame: Picture, order: ClipOrder, hand: Hand, second: float) -> None:
-    """A palm with an arm that comes from beyond the picture's edge."""
+    """Draw a palm with an arm that comes from beyond the image's edge."""
     import cv2
 
     start = centers_m(order, np.array([0.0]))
@@ -155,7 +135,7 @@ def _add_hand(frame: Picture, order: ClipOrder, hand: Hand, second: float) -> No
 
 
 def _add_person(frame: Picture, person: Person, second: float) -> None:
-    """Head, body and legs that swing, walking from one edge to the other."""
+    """Draw a person walking from one edge to the other."""
     import cv2
 
     if second < person.from_s:

@@ -1,4 +1,4 @@
-"""What a drawn clip is to show, at random: the ball, the rig, the room and who else is there."""
+"""Draw the content of a synthetic clip at random: the ball, rig, room and bystanders."""
 
 from __future__ import annotations
 
@@ -15,27 +15,20 @@ from tunenet_logs.arrays import Array
 
 DROP_M = (0.2, 2.0)
 RESTITUTION = (0.1, 0.95)
-RATES_HZ = (30.0, 120.0)
-"""Drawn evenly: what a person films at home with a phone."""
-
+RATES_HZ = (30.0, 120.0)  # drawn evenly: what a person films at home with a phone
 EXPOSURE_S = 0.008
-NOISE = 6.0
-"""The most: a room's light; standard deviation of a pixel, of 255."""
-
-_RADIUS_M = (0.012, 0.06)
-"""From a marble to a small football."""
-
+NOISE = 6.0  # the most: a room's light; standard deviation of a pixel, of 255
+_RADIUS_M = (0.012, 0.06)  # from a marble to a small football
 _FALLS = (5.0, 9.0)
-_LONGEST_S = 4.0
-"""Filmed after the release: so many fall times, but no longer than that."""
-_LEAST_CONTRAST = (20.0, 30.0)
-"""Of 255, in the colour that differs most, on nearly all and on half of the way of the fall: what a
-person can follow."""
+_MAX_S = 4.0  # filmed after the release: so many fall times, but no longer than that
+# Of 255, in the colour that differs most, on nearly all and on half of the way of the fall: what a
+# person can follow.
+_MIN_CONTRAST = (20.0, 30.0)
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand that holds the ball until it lets go, and then leaves.
+    """Hand that holds the ball until it lets go, and then leaves.
 
     Attributes:
         colour: RGB.
@@ -54,7 +47,7 @@ class Hand:
 
 @dataclass(frozen=True)
 class Person:
-    """Somebody who walks through behind the ball.
+    """Person who walks through behind the ball.
 
     Attributes:
         colours: RGB of head, body and legs.
@@ -71,7 +64,7 @@ class Person:
 
 @dataclass(frozen=True, eq=False)
 class ClipOrder:
-    """One clip.
+    """Specification of one clip.
 
     Attributes:
         ball: what falls.
@@ -114,7 +107,7 @@ class ClipOrder:
 
 
 def draw_clip(seed: int, index: int) -> ClipOrder:
-    """The clip of that number; the same numbers give the same clip."""
+    """Draw the clip of that number; the same numbers give the same clip."""
     rng = np.random.default_rng([seed, index, 0xC11B])
     ball = DroppedBall(float(rng.uniform(*DROP_M)), float(rng.uniform(*RESTITUTION)))
     return draw_clip_of(ball, rng)
@@ -123,7 +116,7 @@ def draw_clip(seed: int, index: int) -> ClipOrder:
 def draw_clip_of(
     ball: DroppedBall, rng: np.random.Generator, sizes_px: Sequence[tuple[int, int]] = SIZES_PX
 ) -> ClipOrder:
-    """A clip of this ball, its pictures of one of these sizes."""
+    """Draw a clip of this ball, with images of one of these sizes."""
     while True:
         radius_m = float(rng.uniform(*_RADIUS_M))
         view = random_view(rng, ball.drop_m, radius_m, sizes_px)
@@ -140,7 +133,7 @@ def draw_clip_of(
         look=look,
         rate_hz=rate_hz,
         held_s=float(rng.uniform(0.1, 0.8)),
-        length_s=float(min(rng.uniform(*_FALLS) * fall_s + 0.3, _LONGEST_S)),
+        length_s=float(min(rng.uniform(*_FALLS) * fall_s + 0.3, _MAX_S)),
         exposure_s=float(rng.uniform(0.0, min(EXPOSURE_S, 0.95 / rate_hz))),
         noise=float(rng.uniform(0.0, NOISE)),
         flicker=float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.0, 0.03)])),
@@ -156,7 +149,7 @@ def draw_clip_of(
 def _visible_look(
     rng: np.random.Generator, radius_m: float, view: View, stage: Stage, ball: DroppedBall
 ) -> BallLook:
-    """A ball that differs from what is behind it enough for a person to follow it."""
+    """Draw a ball with enough contrast to its background for a person to follow it."""
     heights = radius_m + ball.drop_m * np.linspace(0.0, 1.0, 9)
     places = np.column_stack([np.zeros((9, 2)), heights])
     columns, rows = np.round(view.image_from_world(places)).astype(int).T
@@ -165,7 +158,7 @@ def _visible_look(
     while True:
         mean = np.array(look.colour) * (look.ambient + 0.5 * (1 - look.ambient))
         apart = np.quantile(np.abs(behind - mean).max(axis=1), [0.15, 0.5])
-        if (apart > _LEAST_CONTRAST).all():
+        if (apart > _MIN_CONTRAST).all():
             return look
         look = replace(look, colour=_ball_colour(rng))
 
@@ -186,7 +179,7 @@ def _look(rng: np.random.Generator, radius_m: float) -> BallLook:
 
 
 def _ball_colour(rng: np.random.Generator) -> tuple[float, float, float]:
-    """Vivid, dull, or grey; dark and light."""
+    """Draw a colour: vivid, dull, or grey; dark and light."""
     import colorsys
 
     saturation = rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.15, 0.5), rng.uniform(0.5, 1)])

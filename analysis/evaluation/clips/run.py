@@ -1,4 +1,4 @@
-"""Drawn clips through the whole road of `tunenet-tune`: what a stranger's video would get.
+"""Tune synthetic clips through the whole of `tunenet-tune`, as a stranger's videos.
 
 Nothing of a clip's rig is given. Its ball is integrated from impact to impact (`bouncing_ball`)
 and drawn by rays (`clips.ball`): neither shares code with the tracker or the fit. A ball differs
@@ -31,13 +31,12 @@ from tunenet_logs.terminal import Progress
 Result = TypeVar("Result")
 
 COUNT = 100
-TRANSFORMED = 30
-"""Clips of a full run, as filmed, and in all `VERSIONS`."""
+TRANSFORMED = 30  # clips of a full run, as filmed, and in all `VERSIONS`
 
 
 @dataclass(frozen=True)
 class ClipResult:
-    """What came of one clip.
+    """Result for one clip.
 
     Attributes:
         truth: restitution that was drawn.
@@ -67,7 +66,7 @@ class ClipResult:
 
 @dataclass(frozen=True)
 class TransformedClip:
-    """What came of one clip and of its versions, in the order of `VERSIONS`.
+    """Results for one clip and its versions, in the order of `VERSIONS`.
 
     Attributes:
         truth: restitution that was drawn.
@@ -81,7 +80,7 @@ class TransformedClip:
 
     @property
     def answered(self) -> int:
-        """How many versions were."""
+        """Number of versions that were answered."""
         return sum(estimate is not None for estimate in self.estimates)
 
     @property
@@ -94,19 +93,19 @@ class TransformedClip:
 def clip_results(
     seed: int, count: int, jobs: int | None, progress: Progress
 ) -> tuple[ClipResult, ...]:
-    """Draw, write, read and tune `count` clips, in `jobs` processes (default: all cores)."""
+    """Render, write, read and tune `count` clips, in `jobs` processes (default: all cores)."""
     return tuple(_spread(clip_result, seed, count, jobs, progress))
 
 
 def transformed_results(
     seed: int, count: int, jobs: int | None, progress: Progress
 ) -> tuple[TransformedClip, ...]:
-    """The first `count` clips of a seed, each in all `VERSIONS`."""
+    """Tune the first `count` clips of a seed, each in all `VERSIONS`."""
     return tuple(_spread(transformed_result, seed, count, jobs, progress))
 
 
 def clip_result(seed: int, index: int) -> ClipResult:
-    """One clip."""
+    """Tune one clip."""
     order = draw_clip(seed, index)
     with tempfile.TemporaryDirectory() as folder:
         tuning = tune_log(write_clip(order, Path(folder)), Options())
@@ -128,20 +127,20 @@ def clip_result(seed: int, index: int) -> ClipResult:
 
 
 def transformed_result(seed: int, index: int) -> TransformedClip:
-    """One clip in all versions."""
+    """Tune one clip in all versions."""
     order = draw_clip(seed, index)
     return TransformedClip(seed, index, order.ball.restitution, version_estimates(order))
 
 
 def version_estimates(order: ClipOrder) -> tuple[float | None, ...]:
-    """What each of `VERSIONS` gives."""
+    """Return the estimate from each of `VERSIONS`."""
     with tempfile.TemporaryDirectory() as folder:
         paths = write_versions(order, Path(folder), VERSIONS)
         return tuple(_value(tune_log(path, Options())) for path in paths)
 
 
 def track_errors_px(order: ClipOrder, track: Track) -> Array:
-    """Tracked less true centres of a clip as filmed, shape (T, 2) [px], NaN before the release."""
+    """Return the errors of tracked centres, shape (T, 2) [px], NaN before the release."""
     seconds = (track.stamps_ns - track.stamps_ns[0]) * 1e-9
     rows = np.round(seconds * order.rate_hz).astype(int)
     off = track.places_px - places_px(order)[rows]
@@ -169,13 +168,13 @@ def _spread(
     jobs: int | None,
     progress: Progress,
 ) -> list[Result]:
-    """`work` on every clip, in their order."""
+    """Run `work` on every clip, in their order."""
     pieces = [Piece((seed, index), 1, f"clip {index}") for index in range(count)]
     return parallel_map(partial(_alone, work), pieces, jobs, progress, ("filming", "clip"))
 
 
 def _alone(work: Callable[[int, int], Result], which: tuple[int, int]) -> Result:
-    """`work` in one thread: there is a process for each core."""
+    """Run `work` in one thread: there is a process for each core."""
     import cv2
 
     cv2.setNumThreads(1)

@@ -1,4 +1,4 @@
-"""What a drawn clip shows where nothing moves: a textured floor, a wall behind it, a light."""
+"""Render the static scene of a clip: a textured floor, a wall behind it, a light."""
 
 from __future__ import annotations
 
@@ -10,22 +10,15 @@ from numpy.typing import NDArray
 from analysis.evaluation.clips.view import View
 from tunenet_logs.arrays import Array, Picture
 
-_TEXTURE_PX = 512
-"""Side of a texture, which is repeated."""
-
-_WALL_FALLS = (0.3, 1.5)
-"""From the ball to the wall behind it [drop heights]."""
-
-_WALL_TURN_RAD = 0.6
-"""Most that the wall is turned about the vertical."""
-
-_FINER = 2
-"""Points along each side of a pixel, whose mean is its colour (antialiasing)."""
+_TEXTURE_PX = 512  # side of a texture, which is repeated
+_WALL_FALLS = (0.3, 1.5)  # from the ball to the wall behind it [drop heights]
+_WALL_TURN_RAD = 0.6  # most that the wall is turned about the vertical
+_FINER = 2  # points along each side of a pixel, whose mean is its colour (antialiasing)
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """The still part of a scene.
+    """Static part of a scene.
 
     Attributes:
         picture: RGB, uint8, shape (H, W, 3).
@@ -38,7 +31,7 @@ class Stage:
 
 
 def draw_stage(view: View, drop_m: float, rng: np.random.Generator) -> Stage:
-    """A floor and a wall of random colour, texture and light, as the camera sees them."""
+    """Render a floor and a wall of random colour, texture and light, as the camera sees them."""
     import cv2
 
     wall_m = drop_m * rng.uniform(*_WALL_FALLS)
@@ -64,7 +57,7 @@ def draw_stage(view: View, drop_m: float, rng: np.random.Generator) -> Stage:
 
 
 def _fine_directions(view: View) -> NDArray[np.float32]:
-    """Directions of `_FINER` by `_FINER` points of each pixel."""
+    """Return the directions of `_FINER` by `_FINER` points of each pixel."""
     width, height = view.size_px
     x, y = view.middle_px
     offsets = (np.arange(_FINER) + 0.5) / _FINER - 0.5
@@ -79,7 +72,7 @@ def _fine_directions(view: View) -> NDArray[np.float32]:
 def _surfaces(
     view: View, looks: NDArray[np.float32], wall_m: float, turn: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Coordinates on the surface seen [m], places in the world [m], whether it is the floor."""
+    """Return coordinates on the surface seen [m], world places [m], and whether it is the floor."""
     position = np.array(view.camera.position_m, np.float32)
     normal = np.array([-np.cos(turn), np.sin(turn), 0.0], np.float32)  # towards the camera
     sideways = np.array([normal[1], -normal[0], 0.0], np.float32)
@@ -97,7 +90,7 @@ def _surfaces(
 
 
 def _texture(rng: np.random.Generator) -> Picture:
-    """Plain, rough, striped or chequered, of a colour that may be dull, dark or light."""
+    """Draw a texture, plain, rough, striped or chequered, of a dull, dark or light colour."""
     import cv2
 
     side = _TEXTURE_PX
@@ -126,7 +119,7 @@ def _room_colour(rng: np.random.Generator) -> list[float]:
 
 
 def _light(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
-    """A light that falls off to one side and to the corners, shape (H, W, 1)."""
+    """Draw a light that falls off to one side and to the corners, shape (H, W, 1)."""
     y = np.linspace(-1, 1, shape[0], dtype=np.float32)[:, None]
     x = np.linspace(-1, 1, shape[1], dtype=np.float32)[None]
     slope_x, slope_y = rng.uniform(-0.2, 0.2, 2)

@@ -1,4 +1,4 @@
-"""What came of drawn clips, as tables for a terminal."""
+"""Tabulate the results of synthetic clips for a terminal."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from analysis.evaluation.clips.run import ClipResult, TransformedClip
 from analysis.evaluation.text import short, table_line
 from tunenet_logs.arrays import Array
 
-_WIDTHS = (10, 10, 9, 10, 10, 10, 10, 12, 12)
-"""Of the columns [characters]."""
+_WIDTHS = (10, 10, 9, 10, 10, 10, 10, 12, 12)  # of the columns [characters]
 
 
 def clip_table(results: Sequence[ClipResult]) -> str:
-    """How many were answered, how well, and how well the ball was followed."""
+    """Tabulate how many clips were answered, the errors, and the track's accuracy."""
     errors = np.array(
         [abs(clip.estimate - clip.truth) for clip in results if clip.estimate is not None]
     )
@@ -45,7 +44,7 @@ def clip_table(results: Sequence[ClipResult]) -> str:
 
 
 def transformed_table(results: Sequence[TransformedClip]) -> str:
-    """How much the answer depends on what changes nothing of the ball."""
+    """Tabulate how much the estimate depends on transforms that leave the ball unchanged."""
     spreads = [clip.spread for clip in results if clip.spread is not None]
     whole = sum(clip.answered == len(VERSIONS) for clip in results)
     head = ["clips", "answered", "", "mean", "median", "95 %", "worst"]
@@ -55,7 +54,7 @@ def transformed_table(results: Sequence[TransformedClip]) -> str:
 
 
 def _error_cells(errors: Array) -> list[str]:
-    """Mean, median, 95th percentile and largest of errors, shape (N,); dashes where N is 0."""
+    """Format mean, median, 95th percentile and maximum of errors, shape (N,); dashes for none."""
     if not len(errors):
         return ["-"] * 4
     figures = (errors.mean(), np.median(errors), np.quantile(errors, 0.95), errors.max())

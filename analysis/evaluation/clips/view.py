@@ -1,4 +1,4 @@
-"""The camera of a drawn clip: a pinhole that may be rolled, and where it may stand."""
+"""Pinhole camera of a synthetic clip, which may be rolled, and where it may stand."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from recorders.simulators.pinhole import PinholeCamera
 from tunenet_logs.arrays import Array
 
+# Width and height: webcams and phones, upright ones too.
 SIZES_PX = (
     (320, 240),
     (480, 270),
@@ -23,34 +24,23 @@ SIZES_PX = (
     (1280, 720),
     (1280, 960),
 )
-"""Width and height: webcams and phones, upright ones too."""
 
 _FOV_DEG = (35.0, 65.0)
 _DISTANCE = (1.2, 4.0)
 _ELEVATION_DEG = (-5.0, 45.0)
+# Where people stand: lens, distance [drop heights], elevation, and standard deviation of the roll.
 _ROLL_DEG = 3.0
-"""Where people stand: lens, distance [drop heights], elevation, and standard deviation of the
-roll."""
 
-_LEAST_SPAN = 0.35
-"""Of the fall, over the picture's height."""
-
-_RADIUS_PX = (2.5, 60.0)
-"""Of the ball: smaller is a speck, larger fills the picture."""
-
-_MARGIN_PX = 3.0
-"""Between the ball and the frame."""
-
-_LEAST_EYE_M = 0.05
-"""Height of the camera over the floor."""
-
-_TRIES = 60
-"""Before a ball of another size is drawn."""
+_MIN_SPAN = 0.35  # of the fall, over the picture's height
+_RADIUS_PX = (2.5, 60.0)  # of the ball: smaller is a speck, larger fills the picture
+_MARGIN_PX = 3.0  # between the ball and the frame
+_MIN_EYE_M = 0.05  # height of the camera over the floor
+_TRIES = 60  # before a ball of another size is drawn
 
 
 @dataclass(frozen=True)
 class View:
-    """A camera turned about its axis.
+    """Pinhole camera turned about its optical axis.
 
     Attributes:
         camera: where from, upright.
@@ -67,31 +57,27 @@ class View:
 
     @property
     def middle_px(self) -> Array:
-        """Where the axis meets the picture, shape (2,)."""
+        """Principal point, shape (2,)."""
         return (np.array(self.size_px) - 1) / 2
 
     @property
     def camera_from_world(self) -> Array:
-        """Rows are the picture's right and down, and forward, shape (3, 3)."""
+        """Rotation whose rows are the image's right and down, and forward, shape (3, 3)."""
         cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return turn @ self.camera.camera_from_world
 
     def seen_from_camera(self, points_m: Array) -> Array:
-        """Points in the camera's axes [m], shape (N, 3)."""
+        """Transform points to camera axes [m], shape (N, 3)."""
         return (points_m - np.array(self.camera.position_m)) @ self.camera_from_world.T
 
     def image_from_world(self, points_m: Array) -> Array:
-        """Pixels of points, shape (N, 2); the first pixel's centre is 0, 0."""
+        """Project points to pixels, shape (N, 2); the first pixel's centre is 0, 0."""
         seen = self.seen_from_camera(points_m)
         return self.middle_px + self.camera.focal_px * seen[:, :2] / seen[:, 2:]
 
     def directions(self, box: tuple[int, int, int, int]) -> NDArray[np.float32]:
-        """Where the pixels of left, top, right, bottom look, in the camera's axes; 1 forward.
-
-        Returns:
-            Shape (bottom - top, right - left, 3).
-        """
+        """Return viewing directions of a box's pixels, camera axes, (H, W, 3); 1 forward."""
         left, top, right, bottom = box
         looks = np.ones((bottom - top, right - left, 3), np.float32)
         x, y = self.middle_px
@@ -106,7 +92,7 @@ def random_view(
     radius_m: float,
     sizes_px: Sequence[tuple[int, int]] = SIZES_PX,
 ) -> View | None:
-    """A camera that has the whole fall in its picture, at a fair size; None after `_TRIES`."""
+    """Draw a camera with the whole fall in view, at a fair size; None after `_TRIES`."""
     size = sizes_px[int(rng.integers(len(sizes_px)))]
     path = np.array([[0.0, 0.0, radius_m], [0.0, 0.0, radius_m + drop_m]])
     for _ in range(_TRIES):
@@ -117,7 +103,7 @@ def random_view(
         target = (0.0, drop_m * rng.normal(0.0, 0.15), aim)
         camera = PinholeCamera(position, target, size, rng.uniform(*_FOV_DEG))
         view = View(camera, float(np.radians(rng.normal(0.0, _ROLL_DEG))))
-        if position[2] > max(_LEAST_EYE_M, 1.5 * radius_m) and _shows(view, path, radius_m):
+        if position[2] > max(_MIN_EYE_M, 1.5 * radius_m) and _shows(view, path, radius_m):
             return view
     return None
 
@@ -129,4 +115,4 @@ def _shows(view: View, path_m: Array, radius_m: float) -> bool:
     inside = (pixels > margin) & (pixels < np.array(view.size_px) - 1 - margin)
     least, most = _RADIUS_PX
     fair = least < radius_px.min() and radius_px.max() < min(most, 0.08 * max(view.size_px))
-    return bool(inside.all() and fair and np.ptp(pixels[:, 1]) > _LEAST_SPAN * view.size_px[1])
+    return bool(inside.all() and fair and np.ptp(pixels[:, 1]) > _MIN_SPAN * view.size_px[1])

@@ -1,1 +1,1 @@
-"""The second experiment: the restitution of a bouncing ball, every method, rollout by rollout."""
+"""Second experiment: the restitution of a bouncing ball, every method, rollout by rollout."""

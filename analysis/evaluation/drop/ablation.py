@@ -8,7 +8,7 @@ from analysis.tunenet.network import Network, Weights, layer, linear, relu, tanh
 
 
 class DifferenceNetwork:
-    """The paper's network with the difference of its two intermediate outputs, not both of them.
+    """Paper's network with the difference of its two intermediate outputs, not both.
 
     The paper found the concatenation better (its section on the network).
     """
@@ -36,7 +36,7 @@ class DifferenceNetwork:
 class Antisymmetrised:
     """h(o_P, o_T) = (g(o_P, o_T) - g(o_T, o_P)) / 2 of another network g, with g's weights.
 
-    It is exactly 0 where both observations are equal, whatever the weights.
+    It is exactly 0 where both observations are equal, for any weights.
     """
 
     def __init__(self, network: Network) -> None:

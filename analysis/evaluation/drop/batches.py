@@ -1,4 +1,4 @@
-"""Methods at work on test cases, spread over processes: the same figures however many there are."""
+"""Run methods on test cases, spread over processes, with the same figures for any number."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from tunenet_logs.terminal import Progress
 
 
 class OverspentError(Exception):
-    """A method took more rollouts than it was allowed, or says that it took fewer: a defect."""
+    """Method that took more rollouts than it was allowed, or miscounts them: a defect."""
 
 
 @dataclass(frozen=True)
 class TargetBatch:
-    """A method and some of the targets of a cell: what one process does in one go.
+    """Method and some of the targets of a cell: what one process does in one go.
 
     Attributes:
         method: the method, ready to estimate.
@@ -39,7 +39,7 @@ class TargetBatch:
 
 
 def errors_of(batch: TargetBatch) -> Array:
-    """Absolute errors of the answers after 0, 1, ... rollouts, shape (targets, 1 + rollouts).
+    """Return the absolute errors after 0, 1, ... rollouts, shape (targets, 1 + rollouts).
 
     Raises:
         OverspentError: the method miscounts its rollouts.
@@ -57,7 +57,7 @@ def errors_of(batch: TargetBatch) -> Array:
 
 @cache
 def problems_in(contact: ContactSettings) -> DropProblems:
-    """Poses the test cases of a simulator; one world a process."""
+    """Return the test cases' problems in a simulator; one world a process."""
     return DropProblems(contact)
 
 
@@ -72,6 +72,6 @@ def _check_spending(method: Method, problem: Problem, trace: Trace, allowed: int
 def estimate_batches(
     batches: Sequence[TargetBatch], jobs: int | None, progress: Progress
 ) -> list[Array]:
-    """`errors_of` every batch, in their order, in `jobs` processes (default: all cores)."""
+    """Run `errors_of` on every batch, in order, in `jobs` processes (default: all cores)."""
     pieces = [Piece(batch, len(batch.targets), batch.method.name) for batch in batches]
     return parallel_map(errors_of, pieces, jobs, progress, ("estimating", "target"))

@@ -1,4 +1,4 @@
-"""Error against rollouts: the curves of the paper's figure, for whatever draws them."""
+"""Compute the curves of the paper's figure: error against rollouts."""
 
 from __future__ import annotations
 
@@ -13,15 +13,9 @@ from tunenet_logs.arrays import Array
 
 Color = tuple[int, int, int]
 
-PANELS = ("Easy", "Hard")
-"""The paper's left and right."""
-
-FLOOR = 1e-6
-"""Of restitution: a smaller error is drawn here, for a logarithm."""
-
-_MOST = 100
-"""Rollouts: the last column of the paper's table 2."""
-
+PANELS = ("Easy", "Hard")  # the paper's left and right
+FLOOR = 1e-6  # of restitution: a smaller error is drawn here, for a logarithm
+_MAX = 100  # rollouts: the last column of the paper's table 2
 _COLORS: dict[str, Color] = {
     "mean": (140, 140, 140),
     "entropy-search": (148, 103, 189),
@@ -40,7 +34,7 @@ _OURS: Sequence[Color] = ((220, 40, 40), (240, 110, 90))
 
 @dataclass(frozen=True, eq=False)
 class ErrorCurve:
-    """A method's line in a panel.
+    """Error curve of a method.
 
     Attributes:
         mean: mean over the seeds of the mean absolute error after 0, 1, ... rollouts, shape (R,).
@@ -66,14 +60,14 @@ class ErrorCurve:
 
 
 def error_curves(results: DropResults, panel: str) -> list[ErrorCurve]:
-    """The clean cell of a target set on the paper's simulator; beyond a budget a line goes on.
+    """Return the curves of a target set's clean cell; beyond a budget a line goes on.
 
     Points that the paper gives for two methods of ours are the last one's.
     """
     outcomes = results.of(Cell("drop", "paper", panel, 0.0))
     colors = _colors(outcomes)
     most = max((one.allowed for one in outcomes), default=0)
-    published = tuple(n for n in ROLLOUTS if n <= (results.rollouts or _MOST))
+    published = tuple(n for n in ROLLOUTS if n <= (results.rollouts or _MAX))
     curves = [_curve(one, max(most, 1), colors[one.method], published) for one in outcomes]
     last = {curve.paper: curve.method for curve in curves}
     return [
@@ -82,8 +76,8 @@ def error_curves(results: DropResults, panel: str) -> list[ErrorCurve]:
 
 
 def _curve(one: MethodErrors, most: int, color: Color, budgets: tuple[int, ...]) -> ErrorCurve:
-    """A method's curve; `budgets` are those whose published points are shown."""
-    reach = [n for n in range(min(most, _MOST) + 1) if one.knows(n)]
+    """Return a method's curve; `budgets` are those whose published points are shown."""
+    reach = [n for n in range(min(most, _MAX) + 1) if one.knows(n)]
     means = np.column_stack([one.errors_after(n).mean(axis=1) for n in reach])
     published = [(n, published_error(one.cell.which, one.method, n)) for n in budgets]
     return ErrorCurve(

@@ -1,4 +1,4 @@
-"""The paper's figure as a picture: mean error against rollouts, Easy and Hard side by side."""
+"""Plot the paper's figure: mean error against rollouts, Easy and Hard side by side."""
 
 from __future__ import annotations
 
@@ -15,12 +15,9 @@ from analysis.optional_dependencies import needed
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_ROOM = 1.3
-"""Factor between the outermost errors and the ends of the axis."""
-
+_ROOM = 1.3  # factor between the outermost errors and the ends of the axis
 _TICKS = (0, 1, 2, 5, 10, 20, 40, 100)
-_MOST = 100
-"""Rollouts: the paper's last, where no limit was given."""
+_MAX = 100  # rollouts: the paper's last, where no limit was given
 
 
 def write_figure(results: DropResults, path: Path, made: str) -> None:
@@ -36,7 +33,7 @@ def write_figure(results: DropResults, path: Path, made: str) -> None:
 
 
 def draw_figure(results: DropResults) -> Figure:
-    """The figure, not yet written; every curve and point is inside its axes."""
+    """Draw the figure without writing it; every curve and point is inside its axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -48,7 +45,7 @@ def draw_figure(results: DropResults) -> Figure:
     for axis, panel in zip(axes, panels, strict=True):
         for curve in error_curves(results, panel):
             handles[curve.label] = _draw(axis, curve)
-        _dress(axis, panel, results.rollouts or _MOST)
+        _dress(axis, panel, results.rollouts or _MAX)
     axes[0].set_ylim(*_limits([one for panel in panels for one in error_curves(results, panel)]))
     axes[0].set_ylabel(f"mean absolute error of the restitution (drawn from {FLOOR:g} up)")
     handles["the paper's"] = axes[0].plot([], [], "D", color="0.3", ms=5, mew=0)[0]
@@ -57,7 +54,7 @@ def draw_figure(results: DropResults) -> Figure:
 
 
 def _limits(curves: Iterable[ErrorCurve]) -> tuple[float, float]:
-    """Lowest and highest error of all panels, which share the axis, and some room."""
+    """Return the lowest and highest error of all panels, which share the axis, with a margin."""
     shown = [np.concatenate([one.low, one.high, [y for _, y in one.paper]]) for one in curves]
     errors = np.concatenate(shown)
     return max(FLOOR, float(errors.min()) / _ROOM), float(errors.max()) * _ROOM
@@ -75,7 +72,7 @@ def _draw(axis: Any, curve: ErrorCurve) -> Any:
 
 
 def _dress(axis: Any, panel: str, most: int) -> None:
-    """Axes up to `most` rollouts."""
+    """Format the axes up to `most` rollouts."""
     ticks = [tick for tick in _TICKS if tick <= most]
     axis.set_title(f"GT {panel}")
     axis.set_xlabel("rollouts")

@@ -27,18 +27,13 @@ from tunenet_logs.arrays import Array
 
 _GRAVITY_M_S2 = 9.80665
 _STEP_S = 0.002
-_SOFTEST_M_S = 0.25
-"""A slower impact is not heard."""
+_SOFTEST_M_S = 0.25  # a slower impact is not heard
+# Of the balls: half normal, and log normal within `_DRAGS_1_M`.
+_SLOPE_SD, _LOG_DRAG_SD, _TYPICAL_DRAG_1_M = 0.08, 1.0, 0.03
 
-_SLOPE_SD, _LOG_DRAG_SD, _USUAL_DRAG_1_M = 0.08, 1.0, 0.03
-"""Of the balls: half normal, and log normal within `_DRAGS_1_M`."""
-
-_DRAGS_1_M = (0.002, 0.15)
-"""A steel ball's, and a little more than a table-tennis ball's."""
-
+_DRAGS_1_M = (0.002, 0.15)  # a steel ball's, and a little more than a table-tennis ball's
 JITTERS_S = (0.0005, 0.001, 0.002)
-_FEWEST, _MOST = 5, 12
-"""Impacts that are heard."""
+_MIN_COUNT, _MAX = 5, 12  # impacts that are heard
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +60,7 @@ class HeardSet:
 
 
 def _landing(speed_m_s: float, drag_1_m: float, height_m: float = 0.0) -> tuple[float, float]:
-    """Duration [s] and speed [m/s] at the end of a flight that begins upward, by small steps."""
+    """Integrate a flight that begins upward (RK4): duration [s] and final speed [m/s]."""
 
     def change(state: Array) -> Array:
         return np.array([state[1], -_GRAVITY_M_S2 - drag_1_m * state[1] * abs(state[1])])
@@ -93,13 +88,7 @@ def _landing(speed_m_s: float, drag_1_m: float, height_m: float = 0.0) -> tuple[
 
 
 def _impacts(unknowns: Array, count: int, arrives_m_s: float) -> tuple[Array, Array]:
-    """Times after the first impact [s], and restitutions, of `count` impacts.
-
-    Args:
-        unknowns: log speed after the first impact, restitution at the second, slope, drag [1/m].
-        count: of the impacts.
-        arrives_m_s: speed before the first.
-    """
+    """Return times after the first impact [s], and restitutions, of `count` impacts."""
     speed, drag_1_m = float(np.exp(unknowns[0])), float(unknowns[3])
     times, kept, second = [0.0], [speed / arrives_m_s], np.nan
     while len(times) < count:
@@ -114,7 +103,7 @@ def _impacts(unknowns: Array, count: int, arrives_m_s: float) -> tuple[Array, Ar
 
 
 def _bound(unknowns: Array, count: int, jitter_s: float) -> float:
-    """Standard deviation of the restitution, slope and log drag known as the fit's priors say."""
+    """Return the Cramér-Rao bound on the restitution, with the priors of slope and log drag."""
     columns = [np.ones(count)]
     for index in range(4):
         moved = [unknowns.copy(), unknowns.copy()]
@@ -132,7 +121,7 @@ def _bound(unknowns: Array, count: int, jitter_s: float) -> float:
 
 @cache
 def _prior_sds() -> tuple[float, float]:
-    """Standard deviations of slope and log drag before any time is heard, as the fit has them."""
+    """Return the prior standard deviations of slope and log drag, as the fit has them."""
     nodes = priors.nodes(priors.WHOLE_SLOPE, priors.WHOLE_LOG_DRAG, (200, 200), None)
     weights = np.exp(nodes.log_prior)
     slows = nodes.drags_1_m > 0
@@ -146,13 +135,13 @@ def _sd(values: Array, weights: Array) -> float:
 
 
 def heard_set(rng: np.random.Generator, number: int) -> HeardSet:
-    """One ball's impact times; each fourth set has a missed impact or a noise."""
+    """Draw one ball's impact times; each fourth set has a missed impact or a noise."""
     while True:
         first, slope = float(rng.uniform(0.4, 0.9)), float(abs(rng.normal(0, _SLOPE_SD)))
-        drag_1_m = float(np.exp(rng.normal(np.log(_USUAL_DRAG_1_M), _LOG_DRAG_SD)))
+        drag_1_m = float(np.exp(rng.normal(np.log(_TYPICAL_DRAG_1_M), _LOG_DRAG_SD)))
         height_m = float(rng.uniform(0.3, 2.0))
         jitter_s = float(rng.choice(JITTERS_S))
-        most = int(rng.integers(_FEWEST, _MOST + 1))
+        most = int(rng.integers(_MIN_COUNT, _MAX + 1))
         if not _DRAGS_1_M[0] < drag_1_m < _DRAGS_1_M[1]:
             continue
         _, arrives = _landing(0.0, drag_1_m, height_m)
@@ -163,7 +152,7 @@ def heard_set(rng: np.random.Generator, number: int) -> HeardSet:
         unknowns = np.array([np.log(first * arrives), at_second, slope, drag_1_m])
         times, _ = _impacts(unknowns, most, arrives)
         wrong = ("", "", "", ("missed", "noise")[number // 4 % 2])[number % 4]
-        if len(times) < _FEWEST + (wrong == "missed"):
+        if len(times) < _MIN_COUNT + (wrong == "missed"):
             continue
         bound = _bound(unknowns, len(times), jitter_s)
         if np.isfinite(bound):
@@ -178,12 +167,12 @@ def heard_set(rng: np.random.Generator, number: int) -> HeardSet:
 
 @dataclass(frozen=True)
 class TimesFigures:
-    """What came of sets of one kind.
+    """Figures of sets of one kind.
 
     Attributes:
         label: of the kind.
         sets: how many.
-        told: of them with a value.
+        told: how many of them have a value.
         mae: mean absolute error.
         bound: what the bound allows of it.
         covered: fraction of the intervals that hold the truth.
@@ -200,7 +189,7 @@ class TimesFigures:
 
 
 def times_figures(seed: int, count: int, *, with_height: bool = False) -> list[TimesFigures]:
-    """Figures of all sets, and of those with each jitter and each kind of wrong time."""
+    """Return the figures of all sets, and of those with each jitter and each wrong time."""
     rng = np.random.default_rng([seed, *b"impact times"])
     sets = [heard_set(rng, number) for number in range(count)]
     rows = np.array([_row(one, rng, with_height=with_height) for one in sets])
@@ -235,7 +224,7 @@ def _figures(label: str, rows: Array) -> TimesFigures:
 
 
 def times_table(figures: list[TimesFigures]) -> str:
-    """In words, one line a kind."""
+    """Tabulate the figures, one line a kind."""
     head = f"{'impact times':16}{'sets':>6}{'told':>6}{'MAE':>9}{'bound':>9}{'ratio':>7}"
     lines = [head + f"{'covered':>9}{'width':>8}"]
     lines += [

@@ -1,4 +1,4 @@
-"""Empirical coverage of the 95 % interval of a recorded drop.
+"""Measure the empirical coverage of the 95 % interval of a recorded drop.
 
 Recordings are simulated by the engine, noise is added, and they go the whole way of `tunenet-tune`:
 nothing of the rig is given. The fit and its interval are in closed form.
@@ -21,19 +21,16 @@ from recorders.simulated_drop import DropOrder, simulate_drop
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 
-RESTITUTION = (0.1, 0.95)
-"""Drawn evenly: nearly all balls."""
-
+RESTITUTION = (0.1, 0.95)  # drawn evenly: nearly all balls
+# Standard deviation of a height, drawn evenly: up to twice that of the noisy cells.
 NOISE_M = (0.0, 0.02)
-"""Standard deviation of a height, drawn evenly: up to twice that of the noisy cells."""
 
-PER_TARGET = 2
-"""Recordings of each kind for each target of the experiment."""
+PER_TARGET = 2  # recordings of each kind for each target of the experiment
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A kind of recording.
+    """Kind of recording.
 
     Attributes:
         label: of its row; its recordings are drawn from it.
@@ -56,12 +53,12 @@ RECORDINGS = (
 
 @dataclass(frozen=True)
 class Coverage:
-    """What came of one kind of recording.
+    """Interval coverage for one kind of recording.
 
     Attributes:
         targets: how many were recorded.
         fitted: how many of them were not rejected.
-        covered: fraction of the fitted whose interval contains the truth, whatever their verdict.
+        covered: fraction of the fitted whose interval contains the truth, for any verdict.
         covered_se: its standard error.
         ok: fraction of all with the verdict "ok", which show their interval.
         ok_covered: fraction of those whose interval contains the truth.
@@ -89,7 +86,7 @@ class Coverage:
 def interval_coverages(
     seeds: tuple[int, ...], targets: int, jobs: int | None, progress: Progress
 ) -> tuple[Coverage, ...]:
-    """Every kind of recording, `PER_TARGET * targets` for each seed."""
+    """Measure every kind of recording, `PER_TARGET * targets` for each seed."""
     count = PER_TARGET * targets
     return tuple(interval_coverage(one, seeds, count, jobs, progress) for one in RECORDINGS)
 
@@ -101,18 +98,13 @@ def interval_coverage(
     jobs: int | None,
     progress: Progress,
 ) -> Coverage:
-    """`count` recordings for each seed; noise and restitution evenly over their ranges."""
+    """Measure `count` recordings for each seed, of uniform noise and restitution."""
     orders = [order for seed in seeds for order in _orders(recording, count, seed)]
     return coverage_of(recording.label, observe_all(_tuned, orders, jobs, progress))
 
 
 def coverage_of(label: str, rows: Array) -> Coverage:
-    """The figures of rows of (truth, value, interval's ends, the network's value, whether ok).
-
-    Args:
-        label: of the kind of recording.
-        rows: shape (N, 6); NaN where there is no value.
-    """
+    """Compute figures of rows (truth, value, interval, network's value, is ok), shape (N, 6)."""
     fitted = rows[np.isfinite(rows[:, 0])]
     truth, value, low, high, network, ok = fitted.T
     covered, is_ok = (low <= truth) & (truth <= high), ok > 0
@@ -136,7 +128,7 @@ def _mean(values: NDArray[Any]) -> float | None:
 
 
 def fraction_error(hits: NDArray[np.bool_]) -> float | None:
-    """Standard error of the fraction of hits, by Agresti and Coull (1998): not 0 where all are.
+    """Return the standard error of a fraction by Agresti and Coull (1998): never 0.
 
     Two hits and two misses are added, so that it is defined for any; `hits` has shape (N,).
     """
@@ -162,7 +154,7 @@ def _orders(recording: Recording, count: int, seed: int) -> list[DropOrder]:
 
 
 def _tuned(orders: Sequence[DropOrder]) -> Array:
-    """The rows of `coverage_of`, shape (N, 6)."""
+    """Return the rows of `coverage_of`, shape (N, 6)."""
     rows = np.full((len(orders), 6), np.nan)
     for row, order in zip(rows, orders, strict=True):
         tuning = tune_episode(simulate_drop(order), Options())

@@ -1,4 +1,4 @@
-"""Who competes in the second experiment: the paper's methods, a user's, ours.
+"""Register the methods of the second experiment: the paper's, a user's, ours.
 
 Each by name, and with what it needs: networks that are trained for it, optional libraries.
 """
@@ -28,26 +28,22 @@ from analysis.tunenet.network import Model
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
+# On the paper's simulator; on the calibrated one; the parts of the network compared.
 Table = Literal["paper", "calibrated", "ablation"]
-"""On the paper's simulator; on the calibrated one; the parts of the network compared."""
 
-Group = Literal["paper", "user", "ours"]
-"""Whose a method is."""
-
+Group = Literal["paper", "user", "ours"]  # whose a method is
+# The method that has a posterior, see `train_posteriors`; only on the paper's simulator.
 NPE = "npe"
-"""The method that has a posterior, see `train_posteriors`; only on the paper's simulator."""
 
-MOST_ROLLOUTS = 100
-"""Rollouts a target: the last column of the paper's table 2."""
-
+MAX_ROLLOUTS = 100  # rollouts a target: the last column of the paper's table 2
 _SECANT_ROLLOUTS = 10
+# Rollouts after which the secant and our fits have converged, and give nothing new.
 _OUR_ROLLOUTS = 40
-"""Rollouts after which the secant and our fits have converged, and give nothing new."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """A row of the table.
+    """Method to compare, a row of the table.
 
     Attributes:
         name: as JSON, CSV and `--methods` have it.
@@ -68,7 +64,7 @@ class Method:
 
 @dataclass(frozen=True)
 class _Needs:
-    """What a method takes: networks of `networks.NETWORKS`, and optional libraries."""
+    """Requirements of a method: networks of `networks.NETWORKS`, and optional libraries."""
 
     networks: tuple[str, ...] = ()
     libraries: tuple[str, ...] = ()
@@ -101,13 +97,12 @@ _ALL: Mapping[str, _Needs] = {
     **_ABLATION,
 }
 
-NAMES = tuple(_ALL)
-"""What `--methods` takes, in the order of the tables."""
+NAMES = tuple(_ALL)  # what `--methods` takes, in the order of the tables
 
 
 @dataclass(frozen=True)
 class MethodRegistry:
-    """The methods that were chosen, and what they need.
+    """Chosen methods and their requirements.
 
     Attributes:
         names: of those chosen.
@@ -135,7 +130,7 @@ class MethodRegistry:
         seed: int,
         posterior: Posterior | None = None,
     ) -> list[Method]:
-        """The chosen methods of one table, ready to estimate.
+        """Return the chosen methods of one table, ready to estimate.
 
         Args:
             table: which one.
@@ -165,7 +160,7 @@ class MethodRegistry:
 
 
 def choose_methods(names: Iterable[str] | None) -> MethodRegistry:
-    """The methods of these names; all for None.
+    """Select methods by name; all for None.
 
     Raises:
         UsageError: a name is unknown, or a library is not installed.
@@ -184,7 +179,7 @@ def choose_methods(names: Iterable[str] | None) -> MethodRegistry:
 def paper_methods(
     networks: Mapping[str, Model], mean: float, bins: tuple[float, float], seed: int
 ) -> tuple[Method, ...]:
-    """The methods of the paper's table 2.
+    """Return the methods of the paper's table 2.
 
     Args:
         networks: "paper" and "paper-code", trained by those presets, and "direct", trained on
@@ -193,7 +188,7 @@ def paper_methods(
         bins: smallest and largest value that entropy search looks at.
         seed: of the methods that draw.
     """
-    most = MOST_ROLLOUTS
+    most = MAX_ROLLOUTS
     text, code = TuneNet(networks["paper"]), TuneNet(networks["paper-code"])
     cma = CmaEs(seed)
     entropy = EntropySearch(bins, seed)
@@ -208,8 +203,8 @@ def paper_methods(
 
 
 def user_methods(seed: int) -> tuple[Method, ...]:
-    """What a user would pick who has no network; `seed` is of the methods that draw."""
-    most = MOST_ROLLOUTS
+    """Return what a user without a network would pick; `seed` is of the methods that draw."""
+    most = MAX_ROLLOUTS
     return (
         Method("secant", "Secant on the first flight", "user", FlightSecant(), _SECANT_ROLLOUTS),
         Method("brent", "Brent", "user", Brent(), most),
@@ -219,18 +214,18 @@ def user_methods(seed: int) -> tuple[Method, ...]:
 
 
 def _our_methods(network: Model | None) -> list[Method]:
-    """Ours, by the network for the cell's simulator; none where neither was chosen."""
+    """Return our methods, by the network for the cell's simulator; none without one."""
     if network is None:
         return []
     return [
-        Method("network", "Our network alone", "ours", TuneNet(network), MOST_ROLLOUTS),
+        Method("network", "Our network alone", "ours", TuneNet(network), MAX_ROLLOUTS),
         Method("ours", "Our network, then fits", "ours", TuneNetThenLine(network), _OUR_ROLLOUTS),
     ]
 
 
 def _ablation_methods(networks: Networks) -> list[Method]:
     return [
-        Method(name, _ABLATION_LABELS[name], "paper", TuneNet(networks[network]), MOST_ROLLOUTS)
+        Method(name, _ABLATION_LABELS[name], "paper", TuneNet(networks[network]), MAX_ROLLOUTS)
         for name, needs in _ABLATION.items()
         for network in needs.networks
         if network in networks

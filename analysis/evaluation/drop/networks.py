@@ -1,4 +1,4 @@
-"""The networks of the second experiment, trained from one seed."""
+"""Train the networks of the second experiment from one seed."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from analysis.tunenet.pairs import PairSet
 from analysis.tunenet.training import train
 from tunenet_logs.terminal import Progress
 
-Networks = Mapping[str, Model]
-"""By the names in `NETWORKS`."""
-
+Networks = Mapping[str, Model]  # by the names in `NETWORKS`
 PAPER = "paper"
 PAPER_CODE = "paper-code"
 DIRECT = "direct"
@@ -27,7 +25,7 @@ OURS_CALIBRATED = "ours-calibrated"
 
 @dataclass(frozen=True)
 class _NetworkPlan:
-    """An architecture, and the preset whose recipe trains it."""
+    """Architecture, and the preset whose recipe trains it."""
 
     network: Network
     preset: str
@@ -48,7 +46,7 @@ NETWORKS = (*_PLANS, *_OURS)
 
 @dataclass(frozen=True)
 class Effort:
-    """How much training is done, where it is not the presets': to try things out.
+    """Amount of training in place of the presets', to try things out.
 
     Attributes:
         pairs: training pairs.
@@ -66,15 +64,7 @@ def train_networks(
     progress: Progress,
     effort: Effort | None = None,
 ) -> Networks:
-    """Train what is wanted; the paper's all on the same 800 pairs, ours on their own.
-
-    Args:
-        wanted: of `NETWORKS`.
-        seed: of the pairs and of training; the test targets are drawn from other seeds.
-        jobs: processes that simulate; None for all cores.
-        progress: shows how far it is.
-        effort: in place of the presets'.
-    """
+    """Train the wanted networks; the paper's all on the same 800 pairs, ours on their own."""
     effort = effort or Effort()
     trained = {
         name: training(seed, jobs, progress, effort.epochs)
@@ -94,7 +84,7 @@ def train_networks(
 
 
 def _seen(name: str, pairs: PairSet) -> PairSet:
-    """What a network learns from."""
+    """Return the pairs a network learns from."""
     if name != DIRECT:
         return pairs
     from analysis.evaluation.methods.direct import direct_pairs

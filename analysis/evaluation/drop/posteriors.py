@@ -1,4 +1,4 @@
-"""Neural posteriors in the second experiment: what they learn from, and what they cover."""
+"""Train neural posteriors for the second experiment, and measure their coverage."""
 
 from __future__ import annotations
 
@@ -19,16 +19,13 @@ from recorders.simulators.drop import RESTITUTION
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 
-Posteriors = Mapping[tuple[int, float], SbiPosterior]
-"""By seed and noise of the target [m]."""
-
-SIMULATIONS = 1600
-"""Drops: as many as the paper's 800 pairs take."""
+Posteriors = Mapping[tuple[int, float], SbiPosterior]  # by seed and noise of the target [m]
+SIMULATIONS = 1600  # drops: as many as the paper's 800 pairs take
 
 
 @dataclass(frozen=True, eq=False)
 class _Training:
-    """What one network learns from.
+    """Training data of one network.
 
     Attributes:
         observations: z of the drops [m], as they are observed, shape (N, L).
@@ -49,16 +46,9 @@ def train_posteriors(
     progress: Progress,
     effort: Effort | None = None,
 ) -> Posteriors:
-    """A network for each seed and noise: whoever has such a sensor knows how noisy it is.
+    """Train a network for each seed and noise: a sensor's noise is known to its user.
 
-    Those of one seed learn from the same drops. The networks are the same, whatever `jobs`.
-
-    Args:
-        seeds: of the drops, the noise and training; test targets are drawn from other seeds.
-        noises_m: standard deviations of what is added to each height.
-        jobs: processes; None for all cores.
-        progress: shows how far it is.
-        effort: in place of the library's; a pair is two simulations.
+    Those of one seed learn from the same drops. The networks are the same for any `jobs`.
     """
     effort = effort or Effort()
     count = 2 * effort.pairs if effort.pairs else SIMULATIONS
@@ -77,7 +67,7 @@ def train_posteriors(
 
 
 def _simulated(count: int, seed: int, jobs: int | None, progress: Progress) -> tuple[Array, Array]:
-    """Heights over time [m], shape (N, L), and restitutions, drawn from the prior, shape (N,)."""
+    """Simulate heights over time [m], shape (N, L), and draw restitutions, shape (N,)."""
     rng = np.random.default_rng([seed, *b"posterior"])
     releases_m = rng.uniform(*PAPER_HEIGHT_M, count)
     restitutions = rng.uniform(*RESTITUTION.training_range, count)
@@ -97,13 +87,7 @@ def _trained(training: _Training) -> SbiPosterior:
 def credible_coverage(
     work: Sequence[tuple[Cell, Sequence[TargetBatch]]], jobs: int | None, progress: Progress
 ) -> tuple[Credible, ...]:
-    """Empirical coverage of the credible intervals of posteriors, one row a cell.
-
-    Args:
-        work: cells, and what a `NeuralPosterior` is to do there, for all seeds.
-        jobs: processes; None for all cores.
-        progress: shows how far it is.
-    """
+    """Measure the empirical coverage of posteriors' credible intervals, one row a cell."""
     if not work:
         return ()
     pieces = [
@@ -126,7 +110,7 @@ def credible_coverage(
 
 
 def ends_of(batch: TargetBatch) -> Array:
-    """The 95 % credible intervals of a posterior's targets, shape (targets, 2)."""
+    """Return the 95 % credible intervals of a posterior's targets, shape (targets, 2)."""
     estimator = batch.method.estimator
     assert isinstance(estimator, NeuralPosterior)
     problems = problems_in(batch.contact)

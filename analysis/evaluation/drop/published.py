@@ -1,4 +1,4 @@
-"""What the paper reports of its second experiment: table 2 of Allevato et al. 2019.
+"""Published figures of the second experiment: table 2 of Allevato et al. 2019.
 
 Table 3 stands in `motion.rows`.
 """
@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-ROLLOUTS = (1, 5, 10, 100)
-"""The columns of table 2, K."""
-
+ROLLOUTS = (1, 5, 10, 100)  # the columns of table 2, K
 _TABLE_2: Mapping[str, Mapping[str, tuple[float, float, float, float]]] = {
     "Easy": {
         "mean": (0.0968, 0.0968, 0.0968, 0.0968),
@@ -27,6 +25,7 @@ _TABLE_2: Mapping[str, Mapping[str, tuple[float, float, float, float]]] = {
     },
 }
 
+# Our names of its methods; its text and its authors' code are two of ours.
 _OURS_OF = {
     "mean": "mean",
     "entropy-search": "entropy-search",
@@ -35,20 +34,13 @@ _OURS_OF = {
     "tunenet-paper": "tunenet",
     "tunenet-paper-code": "tunenet",
 }
-"""Our names of its methods; its text and its authors' code are two of ours."""
 
+# Its text describes one Hard and its code draws another; its figures stand beside both.
 _SETS = {"Easy": "Easy", "Hard": "Hard", "Hard (target only)": "Hard"}
-"""Its text describes one Hard and its code draws another; its figures stand beside both."""
 
 
 def published_error(which: str, method: str, rollouts: int) -> float | None:
-    """The mean absolute error of restitution in table 2; None where the paper has none.
-
-    Args:
-        which: name of a `TargetSet`.
-        method: name of a `Method`.
-        rollouts: K.
-    """
+    """Return the mean absolute error of restitution in table 2; None where there is none."""
     row = _TABLE_2.get(_SETS.get(which, ""), {}).get(_OURS_OF.get(method, ""))
     if row is None or rollouts not in ROLLOUTS:
         return None

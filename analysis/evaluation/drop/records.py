@@ -1,4 +1,4 @@
-"""The second experiment's results for other programs: JSON and CSV, one record a figure."""
+"""Export the second experiment's results as JSON and CSV, one record a figure."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from analysis.evaluation.drop.intervals import Coverage
 from analysis.evaluation.drop.results import Cell, DropResults, MethodErrors
 from analysis.evaluation.export import csv_text, json_text
 
+# Of the CSV, in long form: one row for each method, budget and seed of each cell.
 COLUMNS = (
     "experiment",
     "simulator",
@@ -24,11 +25,10 @@ COLUMNS = (
     "median",
     "paper",
 )
-"""Of the CSV, in long form: one row for each method, budget and seed of each cell."""
 
 
 def drop_rows(results: DropResults) -> list[dict[str, Any]]:
-    """One record for each cell, method, count of rollouts and seed; see `COLUMNS`."""
+    """Return one record for each cell, method, number of rollouts and seed; see `COLUMNS`."""
     rows: list[dict[str, Any]] = []
     for one in results.outcomes:
         for n in filter(one.knows, results.columns):
@@ -40,7 +40,7 @@ def drop_rows(results: DropResults) -> list[dict[str, Any]]:
 
 
 def drop_json(results: DropResults) -> str:
-    """Everything: figures over all seeds, those of each seed, and the curves of the figure."""
+    """Serialise figures over all seeds, those of each seed, and the curves of the figure."""
     summary = []
     curves = []
     for one in results.outcomes:
@@ -74,28 +74,28 @@ def drop_json(results: DropResults) -> str:
 
 
 def drop_csv(results: DropResults) -> str:
-    """`drop_rows` as a table; an empty field where the paper has nothing."""
+    """Format `drop_rows` as a table; an empty field where the paper has nothing."""
     return csv_text(COLUMNS, drop_rows(results))
 
 
 def intervals_json(rows: Sequence[Coverage], seeds: Sequence[int], targets: int) -> str:
-    """Every figure of the intervals; null where there is none."""
+    """Serialise every figure of the intervals; null where there is none."""
     head = {"experiment": "intervals", "seeds": list(seeds), "targets": targets}
     return json_text({**head, **_intervals(rows)})
 
 
 def intervals_csv(rows: Sequence[Coverage]) -> str:
-    """One row for each kind of recording; an empty field where there is no figure."""
+    """Format one row for each kind of recording; an empty field without a figure."""
     return csv_text(tuple(one.name for one in fields(Coverage)), [asdict(one) for one in rows])
 
 
 def _intervals(rows: Sequence[Coverage]) -> dict[str, Any]:
-    """Left out where none were measured."""
+    """Return the intervals' records; left out where none were measured."""
     return {"intervals": [asdict(one) for one in rows]} if rows else {}
 
 
 def _credible(results: DropResults) -> dict[str, Any]:
-    """Left out where no method has a posterior."""
+    """Return the credible intervals' records; left out where no method has a posterior."""
     rows = []
     for one in results.credible:
         figures = {key: value for key, value in asdict(one).items() if key != "cell"}

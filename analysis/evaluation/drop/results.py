@@ -1,4 +1,4 @@
-"""What came of comparing methods: errors of every target, and the figures drawn from them."""
+"""Results of comparing methods: errors of every target, and the figures drawn from them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from tunenet_logs.arrays import Array
 
 Experiment = Literal["drop", "ablation"]
 
+# Budgets at which methods are compared: the paper's K, and 40, our method's.
 ROLLOUTS = (1, 5, 10, 40, 100)
-"""Budgets at which methods are compared: the paper's K, and 40, our method's."""
 
+# Methods that are given of the test targets what no method could know.
 GIVEN_TRUTHS = ("mean", "entropy-search")
-"""Methods that are given of the test targets what no method could know."""
 
 GIVEN_NOTE = "* is given the mean / the range of the test targets, as by its authors: not ranked."
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Where methods are compared: the same targets, observed alike, in the same simulator.
+    """Conditions of a comparison: the same targets, observed alike, in the same simulator.
 
     Attributes:
         experiment: which table it belongs to.
@@ -43,7 +43,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Figures:
-    """One method in one cell after some number of rollouts.
+    """Figures of one method in one cell after some number of rollouts.
 
     Attributes:
         mae: mean over the seeds of the mean absolute error over the targets.
@@ -62,7 +62,7 @@ class Figures:
 
 @dataclass(frozen=True, eq=False)
 class MethodErrors:
-    """The errors of one method in one cell.
+    """Errors of one method in one cell.
 
     Attributes:
         cell: where it competed.
@@ -88,20 +88,20 @@ class MethodErrors:
 
     @property
     def shown(self) -> str:
-        """Its label; with a star where it `is_given_truths`."""
+        """Label; with a star where it `is_given_truths`."""
         return self.label + "*" * self.is_given_truths
 
     @property
     def allowed(self) -> int:
-        """Rollouts that it was allowed."""
+        """Number of rollouts that it was allowed."""
         return self.errors.shape[2] - 1
 
     def knows(self, rollouts: int) -> bool:
-        """Whether its answer after that many is known: it had them, or has no use for them."""
+        """Check whether its answer after that many is known: it had them, or needs none."""
         return rollouts <= self.allowed or self.budget <= self.allowed
 
     def errors_after(self, rollouts: int) -> Array:
-        """Absolute errors, shape (seeds, targets); beyond its budget its answer stands.
+        """Return absolute errors, shape (seeds, targets); beyond its budget its answer stands.
 
         Raises:
             ValueError: it was not allowed as many, and might have used them.
@@ -111,7 +111,7 @@ class MethodErrors:
         return self.errors[:, :, min(rollouts, self.allowed)]
 
     def figures(self, rollouts: int) -> Figures:
-        """Mean, median and spread over the seeds after that many rollouts."""
+        """Return mean, median and spread over the seeds after that many rollouts."""
         errors = self.errors_after(rollouts)
         means = errors.mean(axis=1)
         comparable = self.cell.simulator == "paper" and not self.cell.noise_m
@@ -142,7 +142,7 @@ class Credible:
 
 @dataclass(frozen=True, eq=False)
 class DropResults:
-    """The second experiment, done.
+    """Results of the second experiment.
 
     Attributes:
         seeds: of training and of the targets.
@@ -167,9 +167,9 @@ class DropResults:
 
     @property
     def cells(self) -> tuple[Cell, ...]:
-        """In the order in which they were run."""
+        """Cells in the order in which they were run."""
         return tuple(dict.fromkeys(one.cell for one in self.outcomes))
 
     def of(self, cell: Cell) -> Sequence[MethodErrors]:
-        """Every method of a cell."""
+        """Return every method of a cell."""
         return [one for one in self.outcomes if one.cell == cell]

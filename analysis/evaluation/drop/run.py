@@ -1,4 +1,4 @@
-"""The second experiment: every method on the same targets, rollout by rollout."""
+"""Run the second experiment: every method on the same targets, rollout by rollout."""
 
 from __future__ import annotations
 
@@ -17,26 +17,23 @@ from analysis.evaluation.drop.targets import TARGET_SETS, DropTarget, TargetSet,
 from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from tunenet_logs.terminal import Progress
 
-NOISE_M = 0.01
-"""Standard deviation of a height in the noisy cells [m]: what a good tracker leaves."""
+NOISE_M = 0.01  # standard deviation of a height in the noisy cells [m]: what a good tracker leaves
+# Rollouts a target, by whose a method is; as in the paper's table 2.
+_MAX: Mapping[Group, int] = {"paper": 100, "user": 100, "ours": 100}
 
-_MOST: Mapping[Group, int] = {"paper": 100, "user": 100, "ours": 100}
-"""Rollouts a target, by whose a method is; as in the paper's table 2."""
+# A rollout takes 3 ms there, and three of a user's methods go on for as long as they may.
+_MAX_CALIBRATED: Mapping[Group, int] = {"user": 40, "ours": 100}
 
-_MOST_CALIBRATED: Mapping[Group, int] = {"user": 40, "ours": 100}
-"""A rollout takes 3 ms there, and three of a user's methods go on for as long as they may."""
+_MAX_NOISY: Mapping[Group, int] = {"paper": 10, "user": 10, "ours": 40}
+# Fewer where the paper has no figure beside which they would stand.
+_MAX_ABLATION: Mapping[Group, int] = {"paper": 10}
 
-_MOST_NOISY: Mapping[Group, int] = {"paper": 10, "user": 10, "ours": 40}
-_MOST_ABLATION: Mapping[Group, int] = {"paper": 10}
-"""Fewer where the paper has no figure beside which they would stand."""
-
-_BATCH = 5
-"""Targets in a batch: few, so that the processes end together."""
+_BATCH = 5  # targets in a batch: few, so that the processes end together
 
 
 @dataclass(frozen=True)
 class DropExperiment:
-    """How the experiment is run.
+    """Settings of the experiment.
 
     Attributes:
         seeds: each trains its own networks and draws its own targets.
@@ -57,7 +54,7 @@ class DropExperiment:
 
 @dataclass(frozen=True)
 class _EmptyCell:
-    """A cell before it is filled.
+    """Cell before it is filled.
 
     Attributes:
         most: rollouts that a method is allowed there, by whose it is.
@@ -72,7 +69,7 @@ class _EmptyCell:
     def batches(
         self, method: Method, targets: Sequence[DropTarget], rollouts: int | None
     ) -> list[TargetBatch]:
-        """A method's work on the targets, in pieces; `rollouts` as in `DropExperiment`."""
+        """Split a method's work on the targets; `rollouts` as in `DropExperiment`."""
         most = min(method.budget, self.most[method.group])
         most = most if rollouts is None else min(most, rollouts)
         return [
@@ -84,7 +81,7 @@ class _EmptyCell:
 def run_drop(order: DropExperiment, progress: Progress) -> DropResults:
     """Train, draw, estimate.
 
-    The same order gives the same figures, whatever its `jobs`.
+    The same order gives the same figures for any `jobs`.
 
     Raises:
         UsageError: a method is unknown, or needs a library that is not installed.
@@ -138,13 +135,13 @@ def run_drop(order: DropExperiment, progress: Progress) -> DropResults:
 def _empty_cells() -> list[_EmptyCell]:
     cells = []
     simulators: tuple[tuple[Table, ContactSettings, Mapping[Group, int]], ...]
-    simulators = (("paper", PAPER, _MOST), ("calibrated", CALIBRATED, _MOST_CALIBRATED))
+    simulators = (("paper", PAPER, _MAX), ("calibrated", CALIBRATED, _MAX_CALIBRATED))
     for table, contact, most_clean in simulators:
-        for noise_m, most in ((0.0, most_clean), (NOISE_M, _MOST_NOISY)):
+        for noise_m, most in ((0.0, most_clean), (NOISE_M, _MAX_NOISY)):
             for which in TARGET_SETS:
                 cell = Cell("drop", table, which.name, noise_m)
                 cells.append(_EmptyCell(cell, table, which, contact, most))
     for which in TARGET_SETS[:2]:
         cell = Cell("ablation", "paper", which.name, 0.0)
-        cells.append(_EmptyCell(cell, "ablation", which, PAPER, _MOST_ABLATION))
+        cells.append(_EmptyCell(cell, "ablation", which, PAPER, _MAX_ABLATION))
     return cells

@@ -1,4 +1,4 @@
-"""The second experiment's results as tables: for a terminal, and in Markdown for reviews."""
+"""Tabulate the second experiment's results for a terminal, and in Markdown for reviews."""
 
 from __future__ import annotations
 
@@ -16,22 +16,15 @@ from analysis.evaluation.text import (
 )
 
 _SPREAD = "median [best–worst seed]"
-_SPREADS_A_LINE = 3
-"""Budgets whose spreads stand side by side: more would be wider than a terminal."""
-
-_AHEAD_AT = (5, 10)
-"""Rollouts at which methods are ranked: two of the paper's K."""
-
-_OURS = "ours"
-"""The one method that stands for ours; named here, not picked by its errors."""
-
+_SPREADS_A_LINE = 3  # budgets whose spreads stand side by side: more would be wider than a terminal
+_AHEAD_AT = (5, 10)  # rollouts at which methods are ranked: two of the paper's K
+_OURS = "ours"  # the one method that stands for ours; named here, not picked by its errors
 _COVERAGE_WIDTHS = (36, 8, 10, 15, 9, 15, 6)
-_CREDIBLE_WIDTHS = (71, 8, 15, 6)
-"""Of the columns [characters]."""
+_CREDIBLE_WIDTHS = (71, 8, 15, 6)  # of the columns [characters]
 
 
 def drop_tables(results: DropResults) -> str:
-    """Every cell, who is ahead, and the ablation."""
+    """Tabulate every cell, the ranking, and the ablation."""
     blocks = [_protocol(results)]
     compared = [cell for cell in results.cells if cell.experiment == "drop"]
     blocks += [_cell_table(cell, results) for cell in compared]
@@ -47,7 +40,7 @@ def drop_tables(results: DropResults) -> str:
 
 
 def title(cell: Cell) -> str:
-    """A cell in words."""
+    """Describe a cell."""
     what = "Ablation, " if cell.experiment == "ablation" else ""
     simulator = "the paper's simulator" if cell.simulator == "paper" else "calibrated simulator"
     noise = f", {100 * cell.noise_m:g} cm of noise on the target" if cell.noise_m else ""
@@ -65,7 +58,7 @@ def _protocol(results: DropResults) -> str:
 
 
 def _cell_table(cell: Cell, results: DropResults) -> str:
-    """Means, the paper's beside them, and below the medians and the spread over the seeds."""
+    """Tabulate means beside the paper's, and below the medians and the spread over seeds."""
     outcomes = results.of(cell)
     compared = any(one.figures(1).paper for one in outcomes if one.knows(1))
     shown = _shown_columns(results, outcomes)
@@ -83,7 +76,7 @@ def _cell_table(cell: Cell, results: DropResults) -> str:
 
 
 def _shown_columns(results: DropResults, outcomes: Sequence[MethodErrors]) -> list[int]:
-    """Budgets that some method was allowed and has a use for; the first where there is none."""
+    """Return the budgets that some method was allowed and can use; else the first."""
     columns = results.columns
     shown = [n for n in columns if any(one.knows(n) and one.budget >= n for one in outcomes)]
     return shown or list(columns[:1])
@@ -105,7 +98,7 @@ def _spread(one: MethodErrors, rollouts: int) -> str:
 
 
 def coverage_table(rows: Sequence[Coverage]) -> str:
-    """Coverage of the intervals of recorded drops, and the errors of their values."""
+    """Tabulate the coverage of recorded drops' intervals, and the errors of their values."""
     low, high = RESTITUTION
     most_cm = 100 * NOISE_M[1]
     lines = [
@@ -127,7 +120,7 @@ def coverage_table(rows: Sequence[Coverage]) -> str:
 
 
 def credible_table(rows: Sequence[Credible]) -> str:
-    """Coverage of a posterior's intervals, on the targets of the tables above."""
+    """Tabulate the coverage of a posterior's intervals on the targets of the tables above."""
     head = ["95 % credible intervals of the neural posterior", "targets", "held", "width"]
     lines = [head]
     for row in rows:
@@ -137,17 +130,14 @@ def credible_table(rows: Sequence[Credible]) -> str:
 
 
 def _percent(fraction: float | None, error: float | None) -> str:
-    """A fraction with its standard error."""
+    """Format a fraction with its standard error."""
     if fraction is None or error is None:
         return "-"
     return f"{100 * fraction:.1f} ± {100 * error:.1f} %"
 
 
 def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
-    """Which method is best in each cell, and how ours at 5 rollouts compares with all others.
-
-    Behind each mean stands the worst seed's.
-    """
+    """Rank the methods in each cell, compare ours at 5 rollouts, and name each worst seed."""
     budgets = [n for n in _AHEAD_AT if n in results.columns]
     lines = []
     for cell in cells:
@@ -165,12 +155,12 @@ def _ahead(results: DropResults, cells: Iterable[Cell]) -> str:
 
 
 def _is_ranked(one: MethodErrors) -> bool:
-    """Of ours the one named in advance, of the others those that are given no test target."""
+    """Check whether it is ranked: of ours the one named in advance, of others the blind ones."""
     return not one.is_given_truths and (one.group != "ours" or one.method == _OURS)
 
 
 def _worst(one: MethodErrors, rollouts: int, results: DropResults) -> str:
-    """The worst of several seeds: its number and its mean error."""
+    """Name the worst of several seeds and its mean error."""
     if len(results.seeds) == 1:
         return ""
     means = one.errors_after(rollouts).mean(axis=1)
@@ -197,7 +187,7 @@ def _ours_against_others(ranked: Sequence[MethodErrors], budgets: Sequence[int])
 
 
 def factor(mine: float, theirs: float) -> str:
-    """How an error compares with another in words; two that print as nothing are level."""
+    """Compare an error with another in words; two that print as nothing are level."""
     if mine == theirs or max(mine, theirs) < NEGLIGIBLE:
         return "level with"
     ahead = mine < theirs
@@ -212,7 +202,7 @@ def _best(outcomes: Iterable[MethodErrors], rollouts: int) -> MethodErrors | Non
 
 
 def drop_markdown(results: DropResults) -> str:
-    """Markdown, a table a cell: mean absolute error after K rollouts, in brackets the paper's."""
+    """Format Markdown, a table a cell: mean absolute error after K rollouts (the paper's)."""
     seeds = ", ".join(str(seed) for seed in results.seeds)
     head = (
         "# Restitution from the ball's height\n\n"

@@ -1,4 +1,4 @@
-"""The drops of the paper's second experiment: which balls, from where, seen how."""
+"""Draw the drops of the paper's second experiment: balls, heights and observation."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from recorders.simulators.contact import CALIBRATED, PAPER, ContactSettings
 from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
 from tunenet_logs.episode import Episode
 
+# Test targets are drawn from seeds above this one, training and validation from below.
 TEST_SEEDS = 7_000_000
-"""Test targets are drawn from seeds above this one, training and validation from below."""
 
+# Height of the ball's centre, where a method has to find it too; 4.5 m is the paper's middle.
 RELEASE = Parameter("release_m", "m", (0.6, 10.0), PAPER_HEIGHT_M, 4.5)
-"""Height of the ball's centre, where a method has to find it too; 4.5 m is the paper's middle."""
 
 
 @dataclass(frozen=True)
 class TargetSet:
-    """From which restitutions the pairs of a test set are drawn.
+    """Test set: ranges from which its restitutions are drawn.
 
     Attributes:
         name: as `tunenet-eval` prints it.
@@ -40,15 +40,15 @@ class TargetSet:
 
 EASY = TargetSet("Easy", PAPER_RESTITUTION, PAPER_RESTITUTION)
 HARD = TargetSet("Hard", (0.0, 1.0), (0.0, 1.0))
+# As the paper's text has it; what its authors' code draws is `HARD`.
 HARD_TARGET = TargetSet("Hard (target only)", PAPER_RESTITUTION, (0.0, 1.0))
-"""As the paper's text has it; what its authors' code draws is `HARD`."""
 
 TARGET_SETS = (EASY, HARD, HARD_TARGET)
 
 
 @dataclass(frozen=True)
 class DropTarget:
-    """One test case.
+    """Test case.
 
     Attributes:
         release_m: height of the ball's centre when it is let go.
@@ -66,7 +66,7 @@ class DropTarget:
 
 
 def draw_targets(which: TargetSet, count: int, seed: int, noise_m: float = 0.0) -> list[DropTarget]:
-    """`count` test cases; the same seed gives the same ones, whatever the noise."""
+    """Draw `count` test cases; the same seed gives the same ones, for any noise."""
     rng = np.random.default_rng([TEST_SEEDS + seed, *which.name.encode()])
     heights = rng.uniform(*PAPER_HEIGHT_M, count)
     initial = rng.uniform(*which.initial, count)
@@ -80,7 +80,7 @@ def draw_targets(which: TargetSet, count: int, seed: int, noise_m: float = 0.0) 
 
 
 class _AnyRelease:
-    """The drop with the height of release as a second parameter."""
+    """Drop simulator with the height of release as a second parameter."""
 
     parameters = (RESTITUTION, RELEASE)
 
@@ -98,7 +98,7 @@ class _AnyRelease:
 
 
 class DropProblems:
-    """Poses test cases as problems, all in one world of the engine.
+    """Problems of the test cases, all in one world of the engine.
 
     Args:
         contact: the paper's simulator (400 samples of z at 60 Hz), or the calibrated one (the
@@ -110,13 +110,7 @@ class DropProblems:
         self._world = DropSimulator(_rig(PAPER_HEIGHT_M[0]), contact)
 
     def pose(self, target: DropTarget, *, free_release: bool = False) -> Problem:
-        """The problem of one test case.
-
-        Args:
-            target: the case.
-            free_release: the height of release is a second parameter, whose first guess is right.
-                Only for the paper's simulator.
-        """
+        """Pose one test case; `free_release` makes the height of release a second parameter."""
         rig = _rig(target.release_m)
         simulator = self._world.with_rig(rig)
         episode = simulator.rollout({RESTITUTION.name: target.truth})

@@ -1,4 +1,4 @@
-"""Verdicts on impact times: of balls, and of rhythms and noises that are no ball's."""
+"""Collect verdicts on impact times: of balls, and of rhythms and noises that are no ball's."""
 
 from __future__ import annotations
 
@@ -16,14 +16,9 @@ from analysis.tuning import tune_episode
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
-_FEWEST, _MOST = 5, 12
-"""Times of a set."""
-
-_SHARP_S = 0.001
-"""Jitter of times that a machine might have made."""
-
-_MANY = 6
-"""Impacts from which on a ball should mostly be told."""
+_MIN_COUNT, _MAX = 5, 12  # times of a set
+_SHARP_S = 0.001  # jitter of times that a machine might have made
+_MANY = 6  # impacts from which on a ball should mostly be told
 
 
 def _clapping(jitter_s: float) -> Callable[[np.random.Generator, int], Array]:
@@ -56,6 +51,7 @@ def _drum_roll(rng: np.random.Generator, count: int) -> Array:
     return np.cumsum((1 + rng.normal(0.0, 0.03, count)) / tempos_hz)
 
 
+# Kinds of times that are no ball's: from random numbers and a count, times [s].
 NO_BALLS: dict[str, Callable[[np.random.Generator, int], Array]] = {
     "clapping, 2 ms": _clapping(0.002),
     "clapping, 5 ms": _clapping(0.005),
@@ -66,22 +62,21 @@ NO_BALLS: dict[str, Callable[[np.random.Generator, int], Array]] = {
     "longer and longer": _increasing,
     "drum roll": _drum_roll,
 }
-"""Kinds of times that are no ball's: from random numbers and a count, times [s]."""
 
 
 def heard_verdict(times_s: Array) -> Verdict:
-    """What `tunenet-tune` says of these times, shape (N,) [s]."""
+    """Return the verdict of `tunenet-tune` on these times, shape (N,) [s]."""
     stamps_ns = np.round(times_s * 1e9).astype(np.int64)
     signal = Signal("impacts", stamps_ns, np.ones((len(stamps_ns), 1)), ("impact",), "1")
     return tune_episode(Episode(EpisodeInfo(), {"impacts": signal}), Options(), Path("a")).verdict
 
 
 def _sets(seed: int, count: int, balls: int) -> Iterator[tuple[list[str], Array]]:
-    """Names of a set's kinds, and its times [s]."""
+    """Yield the names of a set's kinds, and its times [s]."""
     rng = np.random.default_rng([seed, *b"no balls"])
     for name, made in NO_BALLS.items():
         for _ in range(count):
-            yield [name], made(rng, int(rng.integers(_FEWEST, _MOST + 1)))
+            yield [name], made(rng, int(rng.integers(_MIN_COUNT, _MAX + 1)))
     rng = np.random.default_rng([seed, *b"impact times"])  # the balls of the first table
     for number in range(balls):
         one = heard_set(rng, number)
@@ -91,13 +86,7 @@ def _sets(seed: int, count: int, balls: int) -> Iterator[tuple[list[str], Array]
 
 
 def verdicts(seed: int, count: int, balls: int) -> dict[str, Counter[Verdict]]:
-    """How often each kind has each verdict.
-
-    Args:
-        seed: of the random numbers.
-        count: sets of each kind of no ball.
-        balls: sets of balls.
-    """
+    """Count how often each kind has each verdict, of `count` sets a kind, and of `balls`."""
     found: dict[str, Counter[Verdict]] = {}
     for names, times_s in _sets(seed, count, balls):
         verdict = heard_verdict(times_s)
@@ -107,7 +96,7 @@ def verdicts(seed: int, count: int, balls: int) -> dict[str, Counter[Verdict]]:
 
 
 def verdict_table(seed: int, count: int, balls: int) -> str:
-    """In words, one line a kind; see `verdicts`."""
+    """Tabulate `verdicts`, one line a kind."""
     names = get_args(Verdict)
     lines = [f"{'verdicts':20}{'sets':>6}" + "".join(f"{name:>10}" for name in names)]
     for kind, each in verdicts(seed, count, balls).items():

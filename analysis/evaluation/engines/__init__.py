@@ -1,1 +1,1 @@
-"""Balls that one engine drops, tuned in another: does a tuning mean the same everywhere?"""
+"""Tune balls that one engine drops in another: does a tuning mean the same everywhere?"""

@@ -1,4 +1,4 @@
-"""An exact engine: a ball that touches the plane leaves it with the restitution that is set.
+"""Exact engine: a ball that touches the plane leaves it with the restitution that is set.
 
 It has the names of `recorders.simulators.base.Engine` that a drop needs.
 """
@@ -17,7 +17,7 @@ name = f"{EXACT} 1.0"
 
 
 class ExactBallWorld:
-    """Speed and height alone, reflected where it touches; see `BallWorld`."""
+    """Speed and height alone, reflected on contact; see `BallWorld`."""
 
     engine = name
 

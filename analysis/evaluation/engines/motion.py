@@ -1,4 +1,4 @@
-"""How a ball moves in each engine, and what is measured of its motion alone."""
+"""Simulate a ball in each engine, and measure its motion alone."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.evaluation.engines.exact_engine import EXACT
 from analysis.evaluation.real_balls import physics
-from analysis.evaluation.real_balls.drops import LEAST_FALL
+from analysis.evaluation.real_balls.drops import MIN_FALL
 from analysis.evaluation.real_balls.physics import RealBall, fallen
 from recorders.simulators.base import GRAVITY_M_S2
 from recorders.simulators.contact import CALIBRATED
@@ -16,32 +16,25 @@ from recorders.simulators.drop import DRAG, RESTITUTION, SLOPE, TOPIC, DropRig, 
 from recorders.simulators.engines import engine
 from tunenet_logs.arrays import Array
 
-RADIUS_M = 0.05
-"""Of the balls that engines drop."""
-
+RADIUS_M = 0.05  # of the balls that engines drop
 _FINE_HZ = 1920.0
+# Samples by which a rebound's height is measured, and until when [fall times without air]: the top
+# of the first rebound of a ball that keeps its speed is at 2, in air a little later.
 _FINE_FALLS = 2.4
-"""Samples by which a rebound's height is measured, and until when [fall times without air]: the
-top of the first rebound of a ball that keeps its speed is at 2, in air a little later."""
 
+# By which the integrator's clock is slowed: its gravity is then the engines', while restitutions
+# and drags, which no clock is in, stay as they are.
 CLOCK = math.sqrt(physics.GRAVITY_M_S2 / GRAVITY_M_S2)
-"""By which the integrator's clock is slowed: its gravity is then the engines', while restitutions
-and drags, which no clock is in, stay as they are."""
 
 
 def integrated_m(ball: RealBall, seconds: Array) -> Array:
-    """Heights of the underside by an integrator without an engine [m], shape (T,).
-
-    Args:
-        ball: let go at 0.
-        seconds: after that, increasing, shape (T,).
-    """
+    """Integrate the heights of the underside without an engine [m], shape (T,)."""
     own_s = seconds / CLOCK
     return fallen(ball.values[None], float(own_s[-1])).at(own_s[None])[0]
 
 
 def simulated_m(name: str, ball: RealBall, seconds: Array) -> Array:
-    """The same in an engine of this name, one of `ENGINES`."""
+    """Simulate the same heights in an engine of this name, one of `ENGINES`."""
     rig = DropRig(gap_m=ball.drop_m, radius_m=RADIUS_M, times_s=tuple(seconds.tolist()))
     world = engine(name).ball_world(RADIUS_M, CALIBRATED)
     values = {
@@ -54,22 +47,18 @@ def simulated_m(name: str, ball: RealBall, seconds: Array) -> Array:
 
 
 def source_m(name: str, ball: RealBall, seconds: Array) -> Array:
-    """What a target's source does: an engine, or the integrator where that is `EXACT`."""
+    """Return the heights by a target's source: an engine, or the integrator for `EXACT`."""
     return integrated_m(ball, seconds) if name == EXACT else simulated_m(name, ball, seconds)
 
 
 def fine_seconds(drop_m: float) -> Array:
-    """Times at which a drop's first rebound can be measured, shape (T,)."""
+    """Return times at which a drop's first rebound can be measured, shape (T,)."""
     span_s = _FINE_FALLS * math.sqrt(2 * drop_m / GRAVITY_M_S2)
     return np.arange(0.0, span_s, 1 / _FINE_HZ)
 
 
 def rebound_restitution(heights_m: Array) -> float:
-    """The root of the first rebound's height over the drop's: 0 of a ball that stays down.
-
-    Args:
-        heights_m: of the underside, evenly spaced in time from the release on, shape (T,).
-    """
+    """Return the root of the first rebound's height over the drop's; 0 without a rebound."""
     rises = np.diff(heights_m) > 0
     lowest = int(np.argmax(rises))
     falls = np.flatnonzero(~rises[lowest:])
@@ -83,12 +72,7 @@ def rebound_restitution(heights_m: Array) -> float:
 
 
 def apart_percent(heights_m: Array, others_m: Array) -> float:
-    """Rms difference of two motions over the bounces in view [% of the drop height].
-
-    Args:
-        heights_m: of the target, from the release on, shape (T,).
-        others_m: at the same times, shape (T,).
-    """
-    last = int(np.flatnonzero(heights_m > LEAST_FALL * heights_m[0])[-1])
+    """Return the RMS difference of two motions over the bounces in view [% of the drop]."""
+    last = int(np.flatnonzero(heights_m > MIN_FALL * heights_m[0])[-1])
     off_m = (heights_m - others_m)[: last + 1]
     return 100 * float(np.sqrt(np.mean(off_m**2)) / heights_m[0])

@@ -1,4 +1,4 @@
-"""The pairs of engines for other programs: JSON and CSV."""
+"""Export the pairs of engines as JSON and CSV."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from analysis.evaluation.engines.run import ROLLOUTS, EngineLine, EngineOrder
 from analysis.evaluation.export import csv_text, json_text
 
+# Of the CSV: one row for each range, pair of engines and method.
 COLUMNS = (
     "set",
     "source",
@@ -28,18 +29,17 @@ COLUMNS = (
     "motion_mean_percent",
     "motion_worst_percent",
 )
-"""Of the CSV: one row for each range, pair of engines and method."""
 
 
 def engines_json(lines: Sequence[EngineLine], order: EngineOrder) -> str:
-    """Every figure, and every target behind it."""
+    """Serialise every figure, and every target behind it."""
     rows = [{**_record(line), "outcomes": [asdict(one) for one in line.outcomes]} for line in lines]
     head = {"experiment": "engines", "seeds": list(order.seeds), "targets": order.targets}
     return json_text({**head, "rollouts": ROLLOUTS, "rows": rows})
 
 
 def engines_csv(lines: Sequence[EngineLine]) -> str:
-    """The figures alone; an empty field where there is none."""
+    """Format the figures alone; an empty field where there is none."""
     return csv_text(COLUMNS, [_record(line) for line in lines])
 
 

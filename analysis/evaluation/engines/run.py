@@ -1,4 +1,4 @@
-"""Every target of every source, tuned in every engine."""
+"""Tune every target of every source in every engine."""
 
 from __future__ import annotations
 
@@ -30,25 +30,19 @@ from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress
 
-ROLLOUTS = 5
-"""Of each tuning: `tunenet-tune --iterations 5`."""
-
+ROLLOUTS = 5  # of each tuning: `tunenet-tune --iterations 5`
+# The network's steps alone, and the default, which goes on from there. One tuning has both.
 METHODS = ("tunenet", "tunenet+refine")
-"""The network's steps alone, and the default, which goes on from there. One tuning has both."""
 
-NAMES = (*ENGINES, EXACT)
-"""Sources, and engines that are tuned."""
-
-_PORTION = 5
-"""Targets in a portion: few, so that the processes end together."""
-
+NAMES = (*ENGINES, EXACT)  # sources, and engines that are tuned
+_PORTION = 5  # targets in a portion: few, so that the processes end together
 _TOPIC = "/vrpn/ball/pose"
 _START_NS = 1_700_000_000_000_000_000
 
 
 @dataclass(frozen=True)
 class EngineOrder:
-    """How the experiment is run.
+    """Settings of the experiment.
 
     Attributes:
         seeds: each draws its own targets.
@@ -63,7 +57,7 @@ class EngineOrder:
 
 @dataclass(frozen=True)
 class EnginePortion:
-    """Some targets, made by one engine and tuned in another: what one process does in one go."""
+    """Targets made by one engine and tuned in another: what one process does in one go."""
 
     source: str
     engine: str
@@ -72,7 +66,7 @@ class EnginePortion:
 
 @dataclass(frozen=True)
 class TunedTarget:
-    """What one method made of a target.
+    """Result of one method on a target.
 
     Attributes:
         wanted: effective restitution of the target, by the height of its first rebound.
@@ -88,7 +82,7 @@ class TunedTarget:
 
     @property
     def error(self) -> float:
-        """Of the effective restitution, absolute."""
+        """Absolute error of the effective restitution."""
         return abs(self.found - self.wanted)
 
 
@@ -113,19 +107,19 @@ class EngineLine:
 
     @property
     def ok_errors(self) -> tuple[float, ...]:
-        """Of the effective restitution, where the tuning says that it is ok."""
+        """Errors of the effective restitution where the verdict is ok."""
         return tuple(one.error for one in self.outcomes if one.is_ok)
 
     @property
     def is_kept(self) -> bool | None:
-        """Whether the promise is, by what is ok; None where nothing is promised or ok."""
+        """Whether the promise is kept where the verdict is ok; None without either."""
         if self.promise.worst is None or self.method != METHODS[-1] or not self.ok_errors:
             return None
         return max(self.ok_errors) <= self.promise.worst
 
 
 def missing_engine(*names: str) -> str | None:
-    """The first of these that is not installed."""
+    """Return the first of these that is not installed."""
     for name in names:
         try:
             if name != EXACT:
@@ -136,7 +130,7 @@ def missing_engine(*names: str) -> str | None:
 
 
 def engine_lines(order: EngineOrder, progress: Progress) -> list[EngineLine]:
-    """Every pair of source and engine, range by range; the same whatever the jobs."""
+    """Tune every pair of source and engine, range by range; the same for any number of jobs."""
     pairs = [(source, tuned) for source in NAMES for tuned in NAMES]
     missing = {pair: missing_engine(*pair) for pair in pairs}
     cells: list[tuple[Promise, tuple[str, str], slice]] = []
@@ -169,7 +163,7 @@ def _answered(
 
 
 def tuned_targets(portion: EnginePortion) -> list[dict[str, TunedTarget]]:
-    """What each method makes of each target; nothing where the tuning rejects it."""
+    """Tune each target by each method; nothing where the tuning rejects it."""
     with simulated_in(portion.engine):
         return [_tuned(portion.source, portion.engine, target) for target in portion.targets]
 
@@ -199,7 +193,7 @@ def _tuned(source: str, tuned_engine: str, target: EngineTarget) -> dict[str, Tu
 
 
 def _recorded(seconds: Array, heights_m: Array) -> Episode:
-    """The log in memory: positions alone, nothing of ball, table or release."""
+    """Build the log in memory: positions alone, nothing of ball, table or release."""
     stamps_ns = _START_NS + np.round(1e9 * seconds).astype(np.int64)
     positions_m = np.zeros((len(seconds), 3))
     positions_m[:, 2] = RADIUS_M + heights_m
@@ -208,7 +202,7 @@ def _recorded(seconds: Array, heights_m: Array) -> Episode:
 
 
 def _rolled_out_m(step: Step, seconds: Array) -> Array:
-    """Heights of the underside in the tuning's own rollout at the log's stamps [m], shape (T,)."""
+    """Return the underside's heights in the tuning's own rollout at the log's stamps [m], (T,)."""
     assert step.evaluation is not None
     episode = step.evaluation.episode
     signal = episode.signals[TOPIC]

@@ -1,4 +1,4 @@
-"""The pairs of engines as tables for a terminal."""
+"""Tabulate the pairs of engines for a terminal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WIDTHS = (10, 10, 7, 12, 8, 8, 10, 8, 8, 10, 10, 0)
 
 
 def engine_tables(lines: Sequence[EngineLine], order: EngineOrder) -> str:
-    """A table for each range: all pairs, each with the network alone and with the default."""
+    """Tabulate all pairs for each range, each with the network alone and with the default."""
     head = [
         f"Made in one engine, tuned in another; {seeds_in_words(order.seeds)}, {order.targets} "
         f"targets each, {ROLLOUTS} rollouts.",

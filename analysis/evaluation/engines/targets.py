@@ -1,4 +1,4 @@
-"""Which balls are dropped: the paper's Easy and Hard ranges, and real balls in air."""
+"""Draw the balls to drop: the paper's Easy and Hard ranges, and real balls in air."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from analysis.evaluation.drop.targets import EASY, HARD, TEST_SEEDS, draw_target
 from analysis.evaluation.real_balls.drops import (
     DRAGS_1_M,
     DROPS_M,
-    LONGEST_S,
+    MAX_S,
     RATES_HZ,
     RESTITUTIONS,
     SLOPES,
@@ -24,7 +24,7 @@ REAL = "Real balls"
 
 @dataclass(frozen=True)
 class Promise:
-    """A range of targets, and how well they are to be tuned.
+    """Range of targets, and how well they are to be tuned.
 
     Attributes:
         name: as tables and files have it.
@@ -41,10 +41,10 @@ RANGES = (Promise(EASY.name, 0.003), Promise(HARD.name, 0.005), Promise(REAL, No
 
 @dataclass(frozen=True)
 class EngineTarget:
-    """A ball to be dropped by one engine and tuned in another.
+    """Ball to be dropped by one engine and tuned in another.
 
     Attributes:
-        ball: as the source is told.
+        ball: given to the source.
         initial: the first guess of its restitution.
         rate_hz: of the samples.
         samples: how many, the first at the release.
@@ -57,12 +57,12 @@ class EngineTarget:
 
     @property
     def seconds(self) -> Array:
-        """Of the samples, after the release, shape (T,)."""
+        """Times of the samples after the release, shape (T,)."""
         return np.arange(self.samples) / self.rate_hz
 
 
 def drawn_targets(which: str, count: int, seed: int) -> list[EngineTarget]:
-    """`count` targets of a range; the same seed gives the same ones, for every pair of engines.
+    """Draw `count` targets of a range; the same for every pair of engines, by the seed.
 
     Easy and Hard are those of `tunenet-eval drop`: 400 samples at 60 Hz from 3.5 to 4.5 m.
     """
@@ -80,7 +80,7 @@ def drawn_targets(which: str, count: int, seed: int) -> list[EngineTarget]:
 
 
 def _real_ball(rng: np.random.Generator) -> EngineTarget:
-    """Of the ranges of `tunenet-eval real-balls`."""
+    """Draw a ball of the ranges of `tunenet-eval real-balls`."""
     low, high = np.log(DRAGS_1_M)
     ball = RealBall(
         rng.uniform(*RESTITUTIONS),
@@ -89,4 +89,4 @@ def _real_ball(rng: np.random.Generator) -> EngineTarget:
         rng.uniform(*DROPS_M),
     )
     rate_hz = RATES_HZ[int(rng.integers(len(RATES_HZ)))]
-    return EngineTarget(ball, rng.uniform(*HARD.initial), rate_hz, round(LONGEST_S * rate_hz))
+    return EngineTarget(ball, rng.uniform(*HARD.initial), rate_hz, round(MAX_S * rate_hz))

@@ -1,4 +1,4 @@
-"""A method that answers with the best of the places that it has looked at."""
+"""Answer with the best of the points visited by another method."""
 
 from __future__ import annotations
 

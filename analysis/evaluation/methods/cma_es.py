@@ -32,7 +32,7 @@ class CmaEs(Estimator):
         self._population = population
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """Whole generations; see `Estimator.estimate`."""
+        """Run whole generations; see `Estimator.estimate`."""
         search = Search(problem, rollouts, keep_best=False)
         return search.run(lambda: self._optimize(search, problem))
 

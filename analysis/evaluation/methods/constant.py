@@ -1,4 +1,4 @@
-"""One value for every target: what any method has to beat."""
+"""Answer with one value for every target: what any method has to beat."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from analysis.estimators.base import Estimator, Problem, Step, Trace
 
 
 class Constant(Estimator):
-    """Answers the same whatever it is shown, without a rollout.
+    """Constant answer, without a rollout.
 
     The Mean of the paper's table 2 is given the mean of the test set's targets, which no method
     that has to find them could know.
@@ -23,5 +23,5 @@ class Constant(Estimator):
         self.name = name
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
-        """No rollout; see `Estimator.estimate`."""
+        """Answer without a rollout; see `Estimator.estimate`."""
         return Trace((Step(problem.clamp(np.array([self._value])), 0),))

@@ -1,4 +1,4 @@
-"""Direct prediction: the network sees the target alone and names the parameters at once."""
+"""Predict the parameters directly: the network sees the target alone."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from analysis.tunenet.pairs import PairSet
 
 
 class Direct(Estimator):
-    """The paper's network with its proposed input zeroed, so that its output is the parameter.
+    """Paper's network with its proposed input zeroed, so that its output is the parameter.
 
     "Zeroed" is meant before the scaling. With the raw scaling of the preset `paper-code`, which the
     paper's authors use for it, the network sees exact zeros. With another one it sees a constant,
     which its first layer's bias absorbs.
-
-    Args:
-        model: trained on `direct_pairs`.
     """
 
     name = "direct"
@@ -26,14 +23,14 @@ class Direct(Estimator):
         self._model = model
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
-        """No rollout; see `Estimator.estimate`."""
+        """Predict without a rollout; see `Estimator.estimate`."""
         target = problem.target.values[None]
         found = self._model(np.zeros_like(target), target)[0]
         return Trace((Step(problem.clamp(found), 0),))
 
 
 def direct_pairs(pairs: PairSet) -> PairSet:
-    """The same targets, each beside one observation of zeros whose parameters are 0.
+    """Pair each target with one observation of zeros whose parameters are 0.
 
     The residual of such a pair is the parameter itself, so training needs nothing of its own.
     """

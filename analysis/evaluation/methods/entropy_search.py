@@ -12,12 +12,11 @@ from analysis.estimators.search import Search
 from tunenet_logs.arrays import Array
 
 _BINS = 50
-_SAMPLES = 100
-"""Functions drawn from the process; both as in the TuneNet paper's appendix."""
+_SAMPLES = 100  # functions drawn from the process; both as in the TuneNet paper's appendix
 
 
 class EntropySearch(Estimator):
-    """Greedy search by the entropy of where the least error is.
+    """Greedy search by the entropy of the minimiser's distribution.
 
     A Gaussian process (RBF kernel and noise, by maximum likelihood) is fitted to the L2 norm of
     the misfit over the parameter. Functions are drawn from it, noise included; P is the fraction
@@ -54,7 +53,7 @@ class EntropySearch(Estimator):
         self._samples = samples
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """One rollout a step; see `Estimator.estimate`."""
+        """Search with one rollout a step; see `Estimator.estimate`."""
         search = Search(problem, rollouts, keep_best=False)
         return search.run(lambda: self._optimize(search, problem))
 
@@ -82,7 +81,7 @@ class EntropySearch(Estimator):
     def _smallest(
         self, positions: Array, errors: Array, bins: Array, rng: np.random.Generator
     ) -> Array:
-        """P: the fraction of sampled functions that is smallest in each bin, shape (bins,)."""
+        """Return P: how often each bin has the minimum of a sampled function, shape (bins,)."""
         process = _fitted(positions, errors, float(np.ptp(bins)))
         mean, covariance = process.predict(bins[:, None], return_cov=True)
         drawn = rng.multivariate_normal(
@@ -92,7 +91,7 @@ class EntropySearch(Estimator):
 
 
 def _fitted(positions: Array, errors: Array, width: float) -> Any:
-    """The Gaussian process of maximum likelihood for errors, shape (N,), at positions, (N, 1).
+    """Fit a Gaussian process by maximum likelihood to errors, shape (N,), at (N, 1).
 
     From GPy's start alone the likelihood often ends in a maximum where all is noise, so a second
     start has little of it.

@@ -1,4 +1,4 @@
-"""Neural posterior estimation: a density of the parameter, read off the target alone."""
+"""Neural posterior estimation: a density of the parameter from the target alone."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ import numpy as np
 from analysis.estimators.base import Estimator, Observation, Problem, Step, Trace
 from tunenet_logs.arrays import Array
 
-INTERVAL = (0.025, 0.975)
-"""Quantiles between which a 95 % credible interval lies."""
-
-_CELLS = 4000
-"""Of the grid: 1/4000 of the prior's range is far below any posterior's width."""
+INTERVAL = (0.025, 0.975)  # quantiles between which a 95 % credible interval lies
+_CELLS = 4000  # of the grid: 1/4000 of the prior's range is far below any posterior's width
 
 
 @dataclass(frozen=True, eq=False)
 class GridDensity:
-    """A density of one parameter, constant within each cell of a grid.
+    """Density of one parameter, constant within each cell of a grid.
 
     Attributes:
         edges: of the cells, ascending, shape (N + 1,).
@@ -31,7 +28,7 @@ class GridDensity:
 
     @classmethod
     def from_logs(cls, edges: Array, logs: Array) -> GridDensity:
-        """From log densities at the middles of the cells, up to a constant, shape (N,).
+        """Normalise log densities at the middles of the cells, shape (N,).
 
         What the density has outside the grid is left out, and the rest scaled up to 1.
         """
@@ -41,40 +38,37 @@ class GridDensity:
 
     @property
     def mean(self) -> float:
-        """Its expectation."""
+        """Expectation."""
         return float(np.diff(self.below) @ middles(self.edges))
 
     def quantile(self, probability: float) -> float:
-        """The value below which this much of the probability lies."""
+        """Return the value below which this much of the probability lies."""
         return float(np.interp(probability, self.below, self.edges))
 
     def interval(self) -> tuple[float, float]:
-        """The 95 % credible interval, with as much on either side of it."""
+        """Return the equal-tailed 95 % credible interval."""
         low, high = (self.quantile(probability) for probability in INTERVAL)
         return low, high
 
 
 class Posterior(Protocol):
-    """A trained network that knows the density of a parameter, given what is seen."""
+    """Trained conditional density of a parameter, given an observation."""
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of the prior, outside of which the density is nothing."""
+        """Bounds of the prior, outside of which the density is 0."""
         ...
 
     def log_density(self, observation: Array, values: Array) -> Array:
-        """Log densities at `values`, shape (N,), for an observation of shape (L,)."""
+        """Return log densities at `values`, shape (N,), for an observation of shape (L,)."""
         ...
 
 
 class NeuralPosterior(Estimator):
-    """Answers with the mean of a posterior: no rollout, and no first guess.
+    """Posterior mean as an answer: no rollout, and no first guess.
 
     The network is trained once and answers for any target (amortised). Nothing is drawn: its
     density is evaluated on a grid, so the same target always has the same answer.
-
-    Args:
-        posterior: of the one parameter of the problems to come.
     """
 
     name = "npe"
@@ -83,17 +77,17 @@ class NeuralPosterior(Estimator):
         self._posterior = posterior
 
     def density(self, target: Observation) -> GridDensity:
-        """The posterior of the parameter, given a target whose values have shape (L, 1)."""
+        """Return the parameter's posterior, given a target whose values have shape (L, 1)."""
         edges = np.linspace(*self._posterior.bounds, _CELLS + 1)
         seen = target.values.ravel()
         return GridDensity.from_logs(edges, self._posterior.log_density(seen, middles(edges)))
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
-        """No rollout; see `Estimator.estimate`."""
+        """Answer without a rollout; see `Estimator.estimate`."""
         found = np.array([self.density(problem.target).mean])
         return Trace((Step(problem.clamp(found), 0),))
 
 
 def middles(edges: Array) -> Array:
-    """Of the cells between them, shape (N,)."""
+    """Return the midpoints of the cells between edges, shape (N,)."""
     return (edges[1:] + edges[:-1]) / 2

@@ -1,4 +1,4 @@
-"""Our network for the paper's drops before its cameras, trained on the paper's budget.
+"""Train networks for the paper's drops before its cameras, on the paper's budget.
 
 The 1600 rollouts of `our_networks`, in groups of one height. In each pair the target is filmed by a
 camera of its own, drawn as the paper draws it, and the other rollout is what it would look like to
@@ -35,7 +35,7 @@ def train_papers_on_films(
     pairs: int | None = None,
     epochs: int | None = None,
 ) -> Model:
-    """The paper's network by its text; `pairs` and `epochs` in place of the preset's."""
+    """Train the paper's network by its text; `pairs` and `epochs` override the preset."""
     paper = TRAININGS["paper"]
     recipe = replace(paper.recipe, epochs=epochs or paper.recipe.epochs)
     return train(
@@ -50,7 +50,7 @@ def train_ours_on_films(
     pairs: int | None = None,
     epochs: int | None = None,
 ) -> Model:
-    """Ours; `pairs` and `epochs` in place of the recipe's, to try things."""
+    """Train ours; `pairs` and `epochs` override the recipe, to try things."""
     recipe = replace(_TRAINING, epochs=epochs or _TRAINING.epochs)
     data = filmed_pairs(pairs, seed, jobs, progress)
     return train(AntisymmetricNetwork(), data, recipe, seed, progress)
@@ -58,7 +58,7 @@ def train_ours_on_films(
 
 @dataclass(frozen=True, eq=False)
 class _Take:
-    """A pair to film: heights of the ball's centre [m], each of shape (T,); the camera's seed."""
+    """Pair to film: heights of the ball's centre [m], each of shape (T,); the camera's seed."""
 
     proposed_m: Array
     target_m: Array
@@ -66,7 +66,7 @@ class _Take:
 
 
 def filmed_pairs(count: int | None, seed: int, jobs: int | None, progress: Progress) -> PairSet:
-    """Pairs as `FilmedProblems.pose_ours` shows them; `count` None for all of `grouped_pairs`."""
+    """Film pairs as `FilmedProblems.pose_ours` does; `count` None for all of `grouped_pairs`."""
     pairs = grouped_pairs(seed, jobs, progress)
     rng = np.random.default_rng([seed, 2])
     chosen = slice(count)
@@ -85,7 +85,7 @@ def filmed_pairs(count: int | None, seed: int, jobs: int | None, progress: Progr
 
 
 def _film(takes: Sequence[_Take]) -> NDArray[Any]:
-    """Both sides of each pair, shape (N, 2, T); single precision, to take half the memory."""
+    """Film both sides of each pair, shape (N, 2, T), in float32 to halve the memory."""
     return np.array([_both(take) for take in takes], dtype=np.float32)
 
 

@@ -1,4 +1,4 @@
-"""The test cases of the paper's second experiment before its cameras: TuneNet Obs.
+"""Film the test cases of the paper's second experiment with its cameras: TuneNet Obs.
 
 Two views of one film: the paper's network has the picture's y beside the simulation's z; ours has
 the same y beside what the simulation would look like to the camera that suits it most. Neither is
@@ -25,23 +25,23 @@ from tunenet_logs.episode import Episode
 
 
 class FilmedProblems:
-    """Poses filmed test cases as problems, all in one world of the engine."""
+    """Problems of filmed test cases, all in one world of the engine."""
 
     def __init__(self) -> None:
         self._world = DropSimulator(_rig(PAPER_HEIGHT_M[0]), PAPER)
 
     def rows(self, target: DropTarget) -> Array:
-        """Where the ball is in the picture; see `paper_rows`. Its seed draws the camera."""
+        """Return the ball's image rows; see `paper_rows`. The target's seed draws the camera."""
         episode = self._simulator(target).rollout({RESTITUTION.name: target.truth})
         return paper_rows(episode.signals[TOPIC].values, np.random.default_rng([target.seed, 1]))
 
     def pose_papers(self, target: DropTarget) -> Problem:
-        """As the paper's network sees it."""
+        """Pose a test case as the paper's network sees it."""
         seen = _observation(filled(self.rows(target)), "y [picture heights]")
         return Problem(seen, self._simulator(target), views.paper_unit_heights, _guess(target))
 
     def pose_ours(self, target: DropTarget) -> Problem:
-        """As ours sees it: the same rows, in their own range, and each simulation as best seen."""
+        """Pose a test case as ours sees it: rows in their own range, simulations as best seen."""
         simulator = self._simulator(target)
         seen = places_in_view(self.rows(target))
         observe = partial(_as_seen, seen=seen, rig=simulator.rig)
@@ -55,18 +55,13 @@ _PLACES = "place in the picture [range of the ball's]"
 
 
 def places_in_view(rows: Array) -> Array:
-    """Rows as places upward: 0 at the ball's lowest, 1 at its highest; shape (T,)."""
+    """Normalise rows upward: 0 at the ball's lowest, 1 at its highest; shape (T,)."""
     lowest, highest = np.nanmax(rows), np.nanmin(rows)
     return (lowest - rows) / (lowest - highest)
 
 
 def as_seen(heights: Array, seen: Array) -> Array:
-    """What a simulation looks like to the camera that suits it most.
-
-    Args:
-        heights: of the simulation [drop heights], shape (T,).
-        seen: places of the target, shape (T,).
-    """
+    """Map a simulation [drop heights] to the best-fitting camera's image, both shape (T,)."""
     known = seen[np.isfinite(seen)]
     return best_map(heights, seen, noise_of(known)).positions(heights)
 

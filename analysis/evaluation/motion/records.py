@@ -1,4 +1,4 @@
-"""Table 3 for other programs: JSON and CSV, one record a row and seed."""
+"""Export table 3 as JSON and CSV, one record a row and seed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from analysis.evaluation.export import csv_text, json_text
 from analysis.evaluation.motion.rows import MotionRow
 
+# Of the CSV.
 COLUMNS = (
     "experiment",
     "method",
@@ -18,11 +19,10 @@ COLUMNS = (
     "paper_percent",
     "paper_cm",
 )
-"""Of the CSV."""
 
 
 def motion_rows(rows: Sequence[MotionRow], seeds: Sequence[int]) -> list[dict[str, Any]]:
-    """One record for each row and seed; see `COLUMNS`."""
+    """Return one record for each row and seed; see `COLUMNS`."""
     records = []
     for row in rows:
         paper = {
@@ -38,7 +38,7 @@ def motion_rows(rows: Sequence[MotionRow], seeds: Sequence[int]) -> list[dict[st
 
 
 def motion_json(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -> str:
-    """Everything: the rows of `motion_rows`, and what stands beside each."""
+    """Serialise the rows of `motion_rows`, and what stands beside each."""
     words = [
         {"method": row.name, "label": row.label, "protocol": row.protocol, "note": row.note}
         for row in rows
@@ -55,5 +55,5 @@ def motion_json(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -
 
 
 def motion_csv(rows: Sequence[MotionRow], seeds: Sequence[int]) -> str:
-    """`motion_rows` as a table; an empty field where there is no figure."""
+    """Format `motion_rows` as a table; an empty field where there is no figure."""
     return csv_text(COLUMNS, motion_rows(rows, seeds))

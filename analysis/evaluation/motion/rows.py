@@ -1,4 +1,4 @@
-"""The rows of the paper's table 3, motion prediction, with the published figures."""
+"""Rows of the paper's table 3, motion prediction, with the published figures."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
+# Of 400 (1.7 s): the first impact is always among them, at step 51 to 58, and often a second.
 SEEN_STEPS = 100
-"""Of 400 (1.7 s): the first impact is always among them, at step 51 to 58, and often a second."""
 
+# What a predictor is given of a run: its release; every true state, to predict the next from; or
+# the true states of the first 100 steps, to predict the rest from (those 100 count as predicted one
+# step ahead, so that every figure is over all 400).
 Protocol = Literal["rollout", "one step ahead", "100 steps seen"]
-"""What a predictor is given of a run: its release; every true state, to predict the next from;
-or the true states of the first 100 steps, to predict the rest from (those 100 count as predicted
-one step ahead, so that every figure is over all 400)."""
 
 
 @dataclass(frozen=True)
 class MotionError:
-    """How far predicted heights are from the true ones.
+    """Error of predicted heights.
 
     Attributes:
         percent: 100 mean(|z_hat - z_T| / z_T), over runs and steps.
@@ -34,7 +34,7 @@ class MotionError:
 
 @dataclass(frozen=True)
 class MotionRow:
-    """A method under a protocol.
+    """Method under a protocol.
 
     Attributes:
         name: as JSON and CSV have it.
@@ -133,7 +133,7 @@ ROWS = (
 
 
 def motion_error(predicted_m: Array, true_m: Array) -> MotionError:
-    """The paper's two figures, of heights [m] of one shape.
+    """Compute the paper's two figures, of heights [m] of one shape.
 
     Heights are of the ball's centre over the plane: 0.5 m for a ball that lies on it.
     """
@@ -142,7 +142,7 @@ def motion_error(predicted_m: Array, true_m: Array) -> MotionError:
 
 
 def with_figures(seeds: Sequence[Mapping[str, MotionError]]) -> tuple[MotionRow, ...]:
-    """`ROWS` with what was measured for each seed, by the rows' names; others are left without."""
+    """Fill `ROWS` with what was measured for each seed, by the rows' names."""
     return tuple(
         MotionRow(
             row.name,

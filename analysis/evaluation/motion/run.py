@@ -1,4 +1,4 @@
-"""Motion prediction, the paper's table 3: where the ball will be, by a tuned simulator or without.
+"""Run motion prediction, the paper's table 3, by a tuned simulator or without.
 
 Ground truth, Easy: 400 frames at 60 Hz in the paper's simulator. A tuner sees the whole recorded
 drop, or its film by an unknown camera (Obs), finds the restitution, and one more rollout is its
@@ -37,13 +37,12 @@ from recorders.simulators.drop import TOPIC
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 
-ITERATIONS = 5
-"""K, rollouts that a tuner may spend: the paper's."""
+ITERATIONS = 5  # K, rollouts that a tuner may spend: the paper's
 
 
 @dataclass(frozen=True, eq=False)
 class Tuners:
-    """What is trained for one seed.
+    """Networks trained for one seed.
 
     Attributes:
         paper_code: the paper's network, preset "paper-code".
@@ -60,7 +59,7 @@ class Tuners:
 
 @dataclass(frozen=True)
 class OneStepTraining:
-    """How the one-step predictors are trained: on `drops` drops, one simulation each.
+    """Training of the one-step predictors: on `drops` drops, one simulation each.
 
     The paper's 800 pairs are as many drops to whoever learns from single ones.
     """
@@ -77,15 +76,7 @@ def run_motion(
     progress: Progress,
     effort: nets.Effort | None = None,
 ) -> tuple[MotionRow, ...]:
-    """Train the tuners and the one-step predictors of each seed, and measure them.
-
-    Args:
-        seeds: each trains its own networks and draws its own targets.
-        targets: test cases for each seed.
-        jobs: processes that simulate; None for all cores.
-        progress: shows what is under way.
-        effort: of all training, in place of the presets'; a pair is a drop to those that predict.
-    """
+    """Train the tuners and the one-step predictors of each seed, and measure them."""
     effort = effort or nets.Effort()
     tuners = partial(_tuners, jobs=jobs, progress=progress, effort=effort)
     return motion_table(seeds, targets, tuners, progress, _one_step_training(effort))
@@ -125,15 +116,7 @@ def motion_table(
     progress: Progress,
     training: OneStepTraining | None = None,
 ) -> tuple[MotionRow, ...]:
-    """Table 3, every row with a figure for each seed.
-
-    Args:
-        seeds: of test targets and of training.
-        count: test targets a seed; 100 in the paper.
-        tuners: gives what is trained with a seed.
-        progress: shows what is under way.
-        training: of the one-step predictors.
-    """
+    """Compute table 3, every row with a figure for each seed; 100 targets in the paper."""
     return with_figures(
         [motion_errors(seed, count, tuners(seed), progress, training) for seed in seeds]
     )
@@ -146,7 +129,7 @@ def motion_errors(
     progress: Progress,
     training: OneStepTraining | None = None,
 ) -> dict[str, MotionError]:
-    """The figures of one seed by the names of their rows; see `motion_table`."""
+    """Return the figures of one seed by the names of their rows; see `motion_table`."""
     targets = draw_targets(EASY, count, seed)
     return {
         **tuning_errors(targets, tuners, progress),
@@ -157,7 +140,7 @@ def motion_errors(
 def tuning_errors(
     targets: Sequence[DropTarget], tuners: Tuners, progress: Progress
 ) -> dict[str, MotionError]:
-    """Zero, un-tuned and tuned simulators, each rolled out once from the release."""
+    """Measure zero, un-tuned and tuned simulators, each rolled out once from the release."""
     problems, films = DropProblems(), FilmedProblems()
     methods: dict[str, tuple[Estimator, Callable[[DropTarget], Problem]]] = {
         "tunenet-obs": (TuneNet(tuners.paper_filmed), films.pose_papers),
@@ -187,7 +170,7 @@ def tuning_errors(
 def one_step_errors(
     targets: Sequence[DropTarget], seed: int, training: OneStepTraining, progress: Progress
 ) -> dict[str, MotionError]:
-    """Neural and VRNN hybrid, trained here, under each protocol; and the baselines to beat."""
+    """Train and measure Neural and VRNN hybrid under each protocol, and the baselines."""
     drops = training_drops(training.drops, seed, progress)
     neural = train_neural(drops.states, training.neural, seed, progress)
     hybrid = train_vrnn(drops, training.vrnn, seed, progress)
@@ -208,5 +191,5 @@ def one_step_errors(
 
 
 def _heights_m(problem: Problem, values: Array) -> Array:
-    """Of the ball's centre after each step, shape (400,) [m]."""
+    """Return the ball's centre after each step, shape (400,) [m]."""
     return problem.evaluate(values).episode.signals[TOPIC].values[:, 2]

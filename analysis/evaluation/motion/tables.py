@@ -1,4 +1,4 @@
-"""The paper's table 3 for a terminal, its figures beside ours."""
+"""Tabulate the paper's table 3 for a terminal, its figures beside ours."""
 
 from __future__ import annotations
 
@@ -10,15 +10,12 @@ import numpy as np
 from analysis.evaluation.motion.rows import MotionRow
 from analysis.evaluation.text import seeds_in_words, table_line
 
-_WIDTHS = (17, 5, 15, 32, 0)
-"""Of the columns [characters]."""
-
-_WIDEST = 98
-"""Characters, of a line of the notes."""
+_WIDTHS = (17, 5, 15, 32, 0)  # of the columns [characters]
+_WIDEST = 98  # characters, of a line of the notes
 
 
 def motion_lines(rows: Sequence[MotionRow], seeds: Sequence[int], targets: int) -> str:
-    """The table: percent and centimetres, mean over the seeds and [lowest–highest] of them."""
+    """Tabulate percent and centimetres, mean over the seeds and [lowest–highest] of them."""
     notes = list(dict.fromkeys(row.note for row in rows if row.note))
     lines = [
         f"Error of the predicted height of the ball, Easy; {seeds_in_words(seeds)}, "

@@ -1,1 +1,1 @@
-"""The first experiment: the mass in an arm's gripper, from its torques."""
+"""First experiment: the mass in an arm's gripper, from its torques."""

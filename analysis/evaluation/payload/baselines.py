@@ -1,6 +1,6 @@
-"""What a roboticist would write in thirty lines: least squares, and a tare that is subtracted.
+"""Baselines for the payload: least squares, tare subtraction, and the Cramér-Rao bound.
 
-And the Cramér-Rao bound: what no unbiased estimate beats where nothing but the sensors' noise, the
+The Cramér-Rao bound is what no unbiased estimate beats where nothing but the sensors' noise, the
 payload's centre and, without a tare, their zeros are unknown.
 """
 
@@ -15,21 +15,12 @@ from analysis.evaluation.payload.stranger_arm import StrangerRun
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 
-_SMOOTH_S = 0.35
-"""Of the parabolas whose derivatives are a joint's speed and acceleration."""
-
-_SLOW_RAD_S = 0.01
-"""Dry friction turns over with a joint's speed, over this."""
+_SMOOTH_S = 0.35  # of the parabolas whose derivatives are a joint's speed and acceleration
+_SLOW_RAD_S = 0.01  # dry friction turns over with a joint's speed, over this
 
 
 def least_squares(model: Any, frame: int, held: Episode) -> float:
-    """Mass [kg] beside an offset, viscous and dry friction for each joint.
-
-    Args:
-        model: of the arm as described, Pinocchio's.
-        frame: of the tool, in it.
-        held: the run with the payload.
-    """
+    """Estimate the mass [kg] by least squares, beside offset, viscous and dry friction a joint."""
     seconds, where, effort = _read(held)
     speed, pull, empty = _moved(model, seconds, where)
     per_kg = _rigid(_holding(model, frame, 1.0, np.zeros(3)), where, speed, pull) - empty
@@ -39,14 +30,7 @@ def least_squares(model: Any, frame: int, held: Episode) -> float:
 
 
 def tare_subtracted(model: Any, frame: int, held: Episode, empty: Episode) -> float:
-    """Mass [kg] beside its first moments, from the difference of two runs along one motion.
-
-    Args:
-        model: of the arm as described, Pinocchio's.
-        frame: of the tool, in it.
-        held: the run with the payload.
-        empty: the run without.
-    """
+    """Estimate the mass [kg] and first moments from two runs along one motion."""
     seconds, where, effort = _read(held)
     tare_seconds, tare_where, tare_effort = _read(empty)
     inside = (seconds > tare_seconds[0]) & (seconds < tare_seconds[-1])
@@ -64,12 +48,7 @@ def tare_subtracted(model: Any, frame: int, held: Episode, empty: Episode) -> fl
 
 
 def bound_kg(held: StrangerRun, empty: StrangerRun | None) -> float:
-    """Standard deviation of the mass at the Cramér-Rao bound [kg].
-
-    Args:
-        held: the run with the payload.
-        empty: one without, which shows the sensors' zeros; None for no tare.
-    """
+    """Return the Cramér-Rao bound on the mass's standard deviation [kg]; no tare if None."""
     count = held.feels.shape[1]
     precision = np.zeros((4 + count, 4 + count))
     for joint in range(count):
@@ -84,7 +63,7 @@ def bound_kg(held: StrangerRun, empty: StrangerRun | None) -> float:
 
 
 def _read(episode: Episode) -> tuple[Array, Array, Array]:
-    """Times [s], shape (T,), positions [rad] and torques [N·m], both of shape (T, J)."""
+    """Return times [s], shape (T,), positions [rad] and torques [N·m], both of shape (T, J)."""
     position = episode.signals["/joint_states.position"]
     effort = episode.signals["/joint_states.effort"]
     seconds = np.asarray(position.stamps_ns * 1e-9, np.float64)
@@ -92,7 +71,7 @@ def _read(episode: Episode) -> tuple[Array, Array, Array]:
 
 
 def _moved(model: Any, seconds: Array, where: Array) -> tuple[Array, Array, Array]:
-    """Speeds and accelerations by local parabolas, and the model's torques, all of shape (T, J)."""
+    """Return speeds and accelerations by Savitzky-Golay, and the model's torques, all (T, J)."""
     from scipy.signal import savgol_filter
 
     step = float(np.median(np.diff(seconds)))
@@ -103,14 +82,14 @@ def _moved(model: Any, seconds: Array, where: Array) -> tuple[Array, Array, Arra
 
 
 def _rigid(model: Any, where: Array, speed: Array, pull: Array) -> Array:
-    """Torques [N·m] along a motion, all of shape (T, J)."""
+    """Return inverse dynamics torques [N·m] along a motion, all of shape (T, J)."""
     library, data = import_module("pinocchio"), model.createData()
     rows = zip(where, speed, pull, strict=True)
     return np.array([library.rnea(model, data, *row).copy() for row in rows])
 
 
 def _holding(model: Any, frame: int, mass_kg: float, centre_m: Array) -> Any:
-    """The model with a point of that mass in its hand, at a place of the tool frame, shape (3,)."""
+    """Attach a point mass to the model's hand, at a place of the tool frame, shape (3,)."""
     library, model = import_module("pinocchio"), model.copy()
     mount = model.frames[frame]
     body = library.Inertia(mass_kg, centre_m, np.zeros((3, 3)))
@@ -120,7 +99,7 @@ def _holding(model: Any, frame: int, mass_kg: float, centre_m: Array) -> Any:
 
 
 def _diagonal(column: Array) -> Array:
-    """A column a joint, over the samples of all joints, one after the other: (J T, J)."""
+    """Return a column a joint, over the samples of all joints in turn: (J T, J)."""
     samples, count = column.shape
     block = np.zeros((count * samples, count))
     for joint in range(count):

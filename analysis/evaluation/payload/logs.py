@@ -1,4 +1,4 @@
-"""How exactly a payload is found in logs like a real driver's, and how often intervals hold.
+"""Measure payload errors and interval coverage on logs like a real driver's.
 
 Arms, drivers and payloads are drawn; torques come from the engine's inverse dynamics, the fit's
 from Pinocchio. Each log goes the whole way of `tunenet-tune`: nothing of the disturbances is given.
@@ -28,31 +28,22 @@ from recorders.simulators.arm.path import circle, random_path
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 
+# Logs are drawn from these and a seed; whatever was chosen was chosen on seeds below 100 000.
 TEST_SEEDS = 5_000_000
-"""Logs are drawn from these and a seed; whatever was chosen was chosen on seeds below 100 000."""
 
-ARMS = 1_000
-"""Arms, with their disturbances, that belong to each seed of the command."""
-
-MOST_KG = 1.0
-"""Of a payload: the range of the paper's training."""
-
-MOST_OFFSET_M = 0.03
-"""Of its centre from the gripper's, along each axis."""
-
+ARMS = 1_000  # arms, with their disturbances, that belong to each seed of the command
+MAX_KG = 1.0  # of a payload: the range of the paper's training
+MAX_OFFSET_M = 0.03  # of its centre from the gripper's, along each axis
+# Samples of the motion, its duration, and messages where noise is the only disturbance.
 _PATH_HZ, _SECONDS, _NOISE_RATE_HZ = 500.0, 5.2, 60.0
-"""Samples of the motion, its duration, and messages where noise is the only disturbance."""
 
-_OF_SD = float(np.sqrt(2 / np.pi))
-"""Mean absolute value of a Gaussian over its standard deviation."""
-
-_PORTION = 10
-"""Logs in a piece of work: few, so that the processes end together."""
+_OF_SD = float(np.sqrt(2 / np.pi))  # mean absolute value of a Gaussian over its standard deviation
+_PORTION = 10  # logs in a piece of work: few, so that the processes end together
 
 
 @dataclass(frozen=True)
 class LogCase:
-    """One line of the table.
+    """Kind of log, a line of the table.
 
     Attributes:
         noise_nm: white noise of the torques alone; None for all disturbances of a real driver.
@@ -88,7 +79,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class LogRow:
-    """What came of one case; of masses in kg, None where nothing was answered.
+    """Results of one case; of masses in kg, None where nothing was answered.
 
     Attributes:
         logs: how many.
@@ -100,7 +91,7 @@ class LogRow:
         secant: mean absolute error of the line through two rollouts.
         held: fraction of the intervals of the answered that contain the truth, shown or not.
         width: their median width.
-        told: fraction of the answered whose centre of mass is given.
+        told: fraction of the answered whose centre of mass is reported.
         centre_mm: mean absolute errors of it along x, y, z of the tool.
         told_mae: mean absolute error of the mass where it is.
     """
@@ -122,7 +113,7 @@ class LogRow:
 def log_rows(
     seeds: Sequence[int], count: int, jobs: int | None, progress: Progress
 ) -> list[LogRow]:
-    """Every case on `count` logs in all, in equal shares of the seeds."""
+    """Tune every case on `count` logs in all, in equal shares of the seeds."""
     share = -(-count // len(seeds))
     numbers = [seed * ARMS + one for seed in seeds for one in range(share)][:count]
     pieces = [
@@ -139,7 +130,7 @@ def log_rows(
 
 
 def row_of(case: LogCase, found: Array) -> LogRow:
-    """A line, of what `_tuned` gives, shape (N, 13)."""
+    """Compute a line from what `_tuned` gives, shape (N, 13)."""
     answered = found[np.isfinite(found[:, 1])]
     truth, value, low, high, bound, secant = answered[:, :6].T
     centred = answered[np.isfinite(answered[:, 7])]
@@ -167,7 +158,7 @@ def _mean(values: NDArray) -> float | None:
 
 
 def _tuned(work: tuple[LogCase, tuple[int, ...]]) -> Array:
-    """A row a log: truth, value, interval, bound, secant, ok, centre found, centre true."""
+    """Return a row a log: truth, value, interval, bound, secant, ok, centre found, centre true."""
     case, numbers = work
     return np.array([_tuned_one(case, number) for number in numbers])
 
@@ -175,8 +166,8 @@ def _tuned(work: tuple[LogCase, tuple[int, ...]]) -> Array:
 def _tuned_one(case: LogCase, number: int) -> list[float]:
     arm, seed = jaco(), TEST_SEEDS + number
     rng = np.random.default_rng([seed, 0xBE])
-    mass_kg = float(rng.uniform(0, MOST_KG))
-    x, y, z = (rng.uniform(-MOST_OFFSET_M, MOST_OFFSET_M, 3) * case.is_off_centre).tolist()
+    mass_kg = float(rng.uniform(0, MAX_KG))
+    x, y, z = (rng.uniform(-MAX_OFFSET_M, MAX_OFFSET_M, 3) * case.is_off_centre).tolist()
     path = circle if case.is_circle else lambda *when: random_path(arm, seed, *when)
     moved = path(_PATH_HZ, _SECONDS)
     sizes = DisturbanceScales(

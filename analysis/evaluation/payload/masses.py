@@ -1,4 +1,4 @@
-"""The paper's first experiment: the mass in an arm's gripper, table 1 of Allevato et al. 2019.
+"""Run the paper's first experiment, the mass in an arm's gripper (Allevato et al. 2019, table 1).
 
 Networks learn from masses of 0 to 1 kg; validation targets are as heavy, test targets 1 kg heavier.
 """
@@ -33,24 +33,20 @@ from tunenet_logs.terminal import Progress
 
 Observe = Callable[[Episode], Observation]
 
-ITERATIONS = 9
-"""K of the paper's table 1."""
-
-TEST_SEEDS = 7_000_000
-"""Targets are drawn from these and a seed; training from the seed alone."""
-
+ITERATIONS = 9  # K of the paper's table 1
+TEST_SEEDS = 7_000_000  # targets are drawn from these and a seed; training from the seed alone
+# By how much the targets are heavier than what was learnt from [kg].
 SETS: Mapping[str, float] = {"validation": 0.0, "test": 1.0}
-"""By how much the targets are heavier than what was learnt from [kg]."""
 
+# Of the masses learnt from; the mean of the targets is as much heavier as they are.
 TRAINED_MEAN_KG = sum(PAPER_MASS_KG) / 2
-"""Of the masses learnt from; the mean of the targets is as much heavier as they are."""
 
 EFFORT = f"{TOPIC}.effort"
 
 
 @dataclass(frozen=True)
 class MassMethod:
-    """A row of the table.
+    """Method, a row of the table.
 
     Attributes:
         name: what files call it.
@@ -80,7 +76,7 @@ METHODS = (
 
 @dataclass(frozen=True, eq=False)
 class MassRow:
-    """What a method did on one set.
+    """Errors of a method on one set.
 
     Attributes:
         errors: absolute errors [kg], shape (seeds, targets).
@@ -95,7 +91,7 @@ class MassRow:
 
 @dataclass(frozen=True)
 class MassOrder:
-    """How the experiment is run.
+    """Settings of the experiment.
 
     Attributes:
         seeds: each with its own training and targets.
@@ -113,7 +109,7 @@ class MassOrder:
 
 
 def mass_rows(order: MassOrder, progress: Progress) -> list[MassRow]:
-    """Every method on the same targets, every seed in a process of its own."""
+    """Run every method on the same targets, every seed in a process of its own."""
     pieces = [Piece((seed, order), 1, f"seed {seed}") for seed in order.seeds]
     done = parallel_map(_one_seed, pieces, order.jobs, progress, ("masses", "seed"))
     rows = []
@@ -126,7 +122,7 @@ def mass_rows(order: MassOrder, progress: Progress) -> list[MassRow]:
 
 
 def _one_seed(work: tuple[int, MassOrder]) -> dict[tuple[str, str], Array]:
-    """Values and truths by method and set, each of shape (2, targets)."""
+    """Return values and truths by method and set, each of shape (2, targets)."""
     seed, order = work
     simulator = PayloadSimulator(
         jaco(),
@@ -171,7 +167,7 @@ def _trained(name: str, seed: int, order: MassOrder) -> Model:
 def _iterated(
     simulator: PayloadSimulator, model: Model, observe: Observe, initial: Array, truths: Array
 ) -> Array:
-    """Iterates of every target [kg], shape (targets, K + 1)."""
+    """Return the iterates of every target [kg], shape (targets, K + 1)."""
     name = simulator.parameters[0].name
     rows: list[list[float]] = []
     for guess, truth in zip(initial, truths, strict=True):
@@ -199,9 +195,9 @@ def _observe_readings(simulator: PayloadSimulator) -> Observe:
     return observe
 
 
+# What the network of each preset looks at.
 OBSERVE: Mapping[str, Callable[[PayloadSimulator], Observe]] = {
     "default": _observe_readings,
     "paper": _observe_torques,
     "paper-code": _observe_torques,
 }
-"""What the network of each preset looks at."""

@@ -1,4 +1,4 @@
-"""The payload's figures for other programs: JSON and CSV."""
+"""Export the payload's figures as JSON and CSV."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from analysis.evaluation.payload.strangers import StrangerRow
 
 
 def mass_records(rows: Sequence[MassRow], order: MassOrder) -> list[dict[str, Any]]:
-    """One record for each method, set and seed."""
+    """Return one record for each method, set and seed."""
     sets = list(SETS)
     return [
         {
@@ -34,7 +34,7 @@ def mass_records(rows: Sequence[MassRow], order: MassOrder) -> list[dict[str, An
 
 
 def log_records(rows: Sequence[LogRow]) -> list[dict[str, Any]]:
-    """One record for each case."""
+    """Return one record for each case."""
     records = []
     for row in rows:
         record = asdict(row)
@@ -44,7 +44,7 @@ def log_records(rows: Sequence[LogRow]) -> list[dict[str, Any]]:
 
 
 def stranger_records(rows: Sequence[StrangerRow]) -> list[dict[str, Any]]:
-    """One record for each cell, without the tares and with them."""
+    """Return one record for each cell, without the tares and with them."""
     records = []
     for row in rows:
         record = asdict(row)
@@ -60,7 +60,7 @@ def payload_json(
     strangers: Sequence[StrangerRow] = (),
     conventions: Sequence[ConventionRow] = (),
 ) -> str:
-    """Everything: `masses` for each seed, with the mean over all, and the rows of the others."""
+    """Serialise `masses` for each seed, with the mean over all, and the rows of the others."""
     summary = [
         {
             "method": row.method.name,
@@ -83,6 +83,6 @@ def payload_json(
 
 
 def payload_csv(masses: Sequence[MassRow], order: MassOrder) -> str:
-    """Table 1 in long form."""
+    """Format table 1 in long form."""
     records = mass_records(masses, order)
     return csv_text(list(records[0]) if records else ["method"], records)

@@ -1,4 +1,4 @@
-"""A world of arms that shares no code and no constants with the fit.
+"""Simulate arms with code and constants that the fit does not share.
 
 An arm as it is: links that weigh something else than the description says, a base that is not
 level, encoders off zero, rotors, gears with Stribeck and load-dependent friction and ripple, hoses,
@@ -20,25 +20,17 @@ from analysis.evaluation.payload.stranger_motion import StrangerMotion
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
-GRAVITY_M_S2 = 9.80665
-"""Standard gravity."""
-
-_FINE_HZ = 400.0
-"""At which torques are computed, to be reported late and at other rates."""
-
-DRAW = 0x57A6
-"""Makes a seed this world's own."""
-
-_MOST_NM = 500.0
-"""A description without limits may say more."""
-
-_MOST_KG, _OFF_CENTRE_M = 2.5, 0.015
-"""Of a payload, and how far its centre is from the tool frame's origin."""
+GRAVITY_M_S2 = 9.80665  # standard gravity
+_FINE_HZ = 400.0  # at which torques are computed, to be reported late and at other rates
+DRAW = 0x57A6  # makes a seed this world's own
+_MAX_NM = 500.0  # a description without limits may say more
+# Of a payload, and how far its centre is from the tool frame's origin.
+_MAX_KG, _OFF_CENTRE_M = 2.5, 0.015
 
 
 @dataclass(frozen=True)
 class Troubles:
-    """Sizes of what is wrong with an arm; those in parts are of each joint's highest torque.
+    """Sizes of an arm's imperfections; those in parts are of each joint's highest torque.
 
     Attributes:
         noise: white, in parts.
@@ -79,14 +71,13 @@ class Troubles:
     lag_s: float = 0.0
 
     def times(self, factor: float) -> Troubles:
-        """All of them larger; the noise stays."""
+        """Scale all of them but the noise."""
         sizes = {item.name: factor * getattr(self, item.name) for item in fields(self)}
         return replace(self, **{**sizes, "noise": self.noise})
 
 
-CLEAN = Troubles()
-"""An arm as its description says, with good sensors."""
-
+CLEAN = Troubles()  # an arm as its description says, with good sensors
+# An arm with torque sensors behind its gears, well calibrated.
 LIGHT = Troubles(
     noise=0.004,
     offset=0.006,
@@ -99,8 +90,8 @@ LIGHT = Troubles(
     lag_s=0.01,
     drift=0.001,
 )
-"""An arm with torque sensors behind its gears, well calibrated."""
 
+# An arm with all that is known to go wrong.
 FULL = Troubles(
     noise=0.006,
     offset=0.012,
@@ -120,12 +111,11 @@ FULL = Troubles(
     zero_rad=0.006,
     lag_s=0.025,
 )
-"""An arm with all that is known to go wrong."""
 
 
 @dataclass(frozen=True, eq=False)
 class StrangerRun:
-    """One run of a stranger's arm, as its driver gives it, and as it was.
+    """Run of a stranger's arm, as its driver gives it, and as it was.
 
     Attributes:
         episode: `/joint_states` signals.
@@ -143,7 +133,7 @@ class StrangerRun:
 
 @dataclass(frozen=True, eq=False)
 class StrangerLog:
-    """A run with a payload, one without, and the truth.
+    """Run with a payload, one without, and the truth.
 
     Attributes:
         held: with the payload.
@@ -159,17 +149,10 @@ class StrangerLog:
 
 
 def stranger_log(urdf: Path, tool: str, seed: int, troubles: Troubles) -> StrangerLog:
-    """Draw an arm, a motion and a payload of 0 to 2.5 kg, its centre 1.5 cm off.
-
-    Args:
-        urdf: of the arm as its description says.
-        tool: the link in whose frame the payload is.
-        seed: of all that is drawn.
-        troubles: of the arm.
-    """
+    """Draw an arm, a motion and a payload of 0 to 2.5 kg, its centre 1.5 cm off."""
     rng = np.random.default_rng([seed, DRAW])
     arm = StrangerArm.drawn(urdf, tool, rng, troubles)
-    mass_kg = float(rng.uniform(0.0, _MOST_KG))
+    mass_kg = float(rng.uniform(0.0, _MAX_KG))
     away = rng.standard_normal(3)
     centre_m = _OFF_CENTRE_M * away / np.linalg.norm(away)
     motion = StrangerMotion.drawn(arm.model, rng)
@@ -181,7 +164,7 @@ def stranger_log(urdf: Path, tool: str, seed: int, troubles: Troubles) -> Strang
 
 @dataclass(frozen=True, eq=False)
 class StrangerArm:
-    """An arm as it is, drawn.
+    """Arm as it is, drawn.
 
     Attributes:
         library: Pinocchio.
@@ -203,7 +186,7 @@ class StrangerArm:
 
     @classmethod
     def drawn(cls, urdf: Path, tool: str, rng: np.random.Generator, size: Troubles) -> StrangerArm:
-        """An arm of a description, with troubles of this size."""
+        """Draw an arm of a description, with troubles of this size."""
         library = import_module("pinocchio")
         model = described_arm(urdf).copy()
         count = model.nq
@@ -217,7 +200,7 @@ class StrangerArm:
         down = np.array([np.sin(tilt[0]), np.sin(tilt[1]), 0.0])
         down[2] = -np.sqrt(1 - down @ down)
         model.gravity.linear = GRAVITY_M_S2 * down
-        limit_nm = np.minimum(model.effortLimit, _MOST_NM)
+        limit_nm = np.minimum(model.effortLimit, _MAX_NM)
         names = ("offset", "drift", "warming", "gain")
         draws = {name: rng.standard_normal(count) for name in names}
         even = ("dry", "viscous", "peak", "slow", "load", "ripple", "hoses", "rotor", "lag", "lean")
@@ -237,15 +220,7 @@ class StrangerArm:
         *,
         before: bool,
     ) -> StrangerRun:
-        """Along a motion, as a driver gives it.
-
-        Args:
-            motion: of the joints.
-            rate_hz: of the driver's messages.
-            payload: mass [kg] and centre [m] in the tool frame, shape (3,); None for nothing.
-            rng: of jitter and noise.
-            before: whether the sensors have yet to drift.
-        """
+        """Simulate a run, as a driver gives it; payload [kg], centre [m] in the tool frame."""
         size, draw = self.troubles, self.draws
         fine = np.arange(0.0, motion.length_s, 1 / _FINE_HZ)
         where = motion.at(fine)
@@ -279,7 +254,7 @@ class StrangerArm:
         return StrangerRun(Episode(EpisodeInfo(), signals), stamps, feels, noise_nm)
 
     def _loaded(self, payload: tuple[float, Array] | None) -> Any:
-        """The model with a block of that mass [kg] and centre [m] in its tool frame."""
+        """Add a block of that mass [kg] and centre [m] in the tool frame to the model."""
         if payload is None:
             return self.model
         mass_kg, centre_m = payload
@@ -292,13 +267,13 @@ class StrangerArm:
         return model
 
     def _rigid_nm(self, model: Any, where: Array, speed: Array, pull: Array) -> Array:
-        """Torques along a motion [rad, rad/s, rad/s²], all of shape (T, J)."""
+        """Return Newton-Euler torques along a motion [rad, rad/s, rad/s²], all (T, J)."""
         data = model.createData()
         rows = zip(where, speed, pull, strict=True)
         return np.array([self.library.rnea(model, data, *row).copy() for row in rows])
 
     def _friction_nm(self, carried: Array, speed: Array) -> Array:
-        """Of gears that carry torques [N·m] at speeds [rad/s], all of shape (T, J)."""
+        """Return the friction of gears with torques [N·m] and speeds [rad/s], all (T, J)."""
         size, draw = self.troubles, self.draws
         way = np.tanh(speed / 0.004)
         slow_rad_s = 0.02 + 0.1 * draw["slow"]
@@ -310,7 +285,7 @@ class StrangerArm:
         return (dry + load) * way + viscous * speed
 
     def _place_nm(self, where: Array) -> Array:
-        """What depends on where a joint is [rad]: its gear's ripple and its hoses; (T, J)."""
+        """Return what depends on a joint's position [rad]: gear ripple and hoses; (T, J)."""
         size, draw = self.troubles, self.draws
         rows = zip((1, 2, 3), draw["teeth"], draw["phase"][:3], strict=True)
         waves = [np.sin(teeth * where + phase) / rank for rank, teeth, phase in rows]
@@ -319,7 +294,7 @@ class StrangerArm:
         return self.limit_nm * (ripple + 2 * size.hoses * draw["hoses"] * pull)
 
     def _feels(self, where: Array, motion: StrangerMotion, stamps: Array) -> Array:
-        """What 1 kg adds, and 1 kg m along each axis, by finite differences; (T, J, 4)."""
+        """Return the torques of 1 kg, and of 1 kg m along each axis, by differences; (T, J, 4)."""
         small = 1e-3
         speed = (motion.at(stamps + small) - motion.at(stamps - small)) / (2 * small)
         pull = (motion.at(stamps + small) - 2 * where + motion.at(stamps - small)) / small**2
@@ -333,7 +308,7 @@ class StrangerArm:
 
 @cache
 def described_arm(urdf: Path) -> Any:
-    """Pinocchio's model of a description; all joints are angles: those without end revolute."""
+    """Load Pinocchio's model of a description; continuous joints become revolute."""
     text = urdf.read_text(encoding="utf-8").replace('"continuous"', '"revolute"')
     text = text.replace("<limit effort", '<limit lower="-6.3" upper="6.3" effort')
     model = import_module("pinocchio").buildModelFromXML(text)

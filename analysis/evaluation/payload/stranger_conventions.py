@@ -1,7 +1,7 @@
-"""How often a log shows what its driver means by torque.
+"""Measure how often a log reveals its driver's torque convention.
 
-It is the joint's or the load's, with the arm's weight in it or without. Strangers' logs without a
-tare, light and full ones in turn, are given as each of the four drivers would.
+A torque is the joint's or the load's, with the arm's weight in it or without. Strangers' logs
+without a tare, light and full ones in turn, are given as each of the four drivers would.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF
 from tunenet_logs.episode import Episode
 from tunenet_logs.terminal import Progress
 
+# Of a log; who trusts `ok` is misled by the third alone.
 OUTCOMES = ("right and ok", "right and suspect", "wrong and ok", "wrong and suspect", "rejected")
-"""Of a log; who trusts `ok` is misled by the third alone."""
 
 _TROUBLES = (LIGHT, FULL)
 
 
 @dataclass(frozen=True)
 class ConventionRow:
-    """Logs of drivers that mean the same.
+    """Logs of drivers with one convention.
 
     Attributes:
         convention: what they mean; None for all drivers together.
@@ -73,7 +73,7 @@ class _Asked:
 def convention_rows(
     seeds: Sequence[int], count: int, jobs: int | None, progress: Progress
 ) -> list[ConventionRow]:
-    """`count` logs in all, in equal shares of the seeds: a row each convention, and one of all."""
+    """Tune `count` logs in equal shares of the seeds: a row each convention, and one of all."""
     asked = [_Asked(number, at) for at, number in enumerate(stranger_numbers(seeds, count))]
     parts = [tuple(asked[at : at + PORTION]) for at in range(0, len(asked), PORTION)]
     pieces = [Piece(part, len(part), "") for part in parts]
@@ -99,7 +99,7 @@ def _outcomes(asked: tuple[_Asked, ...]) -> list[str]:
 
 
 def outcome(meant: Convention, answer: StrangerAnswer | None) -> str:
-    """Which of `OUTCOMES` an answer is."""
+    """Classify an answer as one of `OUTCOMES`."""
     if answer is None:
         return "rejected"
     known = "right" if answer.convention == meant else "wrong"
@@ -107,13 +107,7 @@ def outcome(meant: Convention, answer: StrangerAnswer | None) -> str:
 
 
 def as_meant(model: Any, run: StrangerRun, convention: Convention) -> Episode:
-    """A run as another driver gives it.
-
-    Args:
-        model: of the empty arm as described, Pinocchio's: its weight is what a driver takes out.
-        run: with the joints' torques, the arm's weight in them.
-        convention: of the other driver.
-    """
+    """Convert a run to another driver's convention, given Pinocchio's model of the empty arm."""
     position = run.episode.signals["/joint_states.position"]
     effort = run.episode.signals["/joint_states.effort"]
     values = np.array(effort.values)

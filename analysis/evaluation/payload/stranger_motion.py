@@ -1,4 +1,4 @@
-"""How a stranger's arm moves: each joint along a sum of sines, from rest to rest."""
+"""Draw motions of a stranger's arm: each joint along a sum of sines, from rest to rest."""
 
 from __future__ import annotations
 
@@ -9,28 +9,17 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-_TERMS = 3
-"""Sines of a joint."""
-
-_LEAST_S, _MOST_S = 6.0, 10.0
-"""Of a motion."""
-
-_LOWEST_RAD, _MOST_SPAN_RAD = -2.8, 5.6
-"""Of a joint, within its own limits."""
-
-_MOST_RAD_S = 1.5
-"""Of a joint, within its own limit."""
-
-_LOOKS = 1000
-"""Times at which its speed is looked at."""
-
-_EASING_S = 1.0
-"""How long starting and stopping take."""
+_TERMS = 3  # sines of a joint
+_MIN_S, _MAX_S = 6.0, 10.0  # of a motion
+_LOWEST_RAD, _MAX_SPAN_RAD = -2.8, 5.6  # of a joint, within its own limits
+_MAX_RAD_S = 1.5  # of a joint, within its own limit
+_LOOKS = 1000  # times at which its speed is looked at
+_EASING_S = 1.0  # how long starting and stopping take
 
 
 @dataclass(frozen=True, eq=False)
 class StrangerMotion:
-    """Positions over time.
+    """Joint positions over time.
 
     Attributes:
         middle: of each joint [rad], shape (J,).
@@ -48,16 +37,16 @@ class StrangerMotion:
 
     @classmethod
     def drawn(cls, model: Any, rng: np.random.Generator) -> StrangerMotion:
-        """A motion of 6 to 10 s within the limits of position and speed of Pinocchio's model."""
+        """Draw a motion of 6 to 10 s within the model's limits of position and speed."""
         shape = (_TERMS, model.nq)
         low = np.maximum(model.lowerPositionLimit, _LOWEST_RAD)
-        high = np.minimum(model.upperPositionLimit, low + _MOST_SPAN_RAD)
-        length_s = float(rng.uniform(_LEAST_S, _MOST_S))
+        high = np.minimum(model.upperPositionLimit, low + _MAX_SPAN_RAD)
+        length_s = float(rng.uniform(_MIN_S, _MAX_S))
         rank = np.arange(1, _TERMS + 1)[:, None]
         rates = 2 * np.pi * rank / length_s
         rates = rates * rng.uniform(0.8, 1.2, shape)
         amplitudes = rng.normal(0.0, 0.5, shape) / rank
-        fastest = np.minimum(model.velocityLimit, _MOST_RAD_S)
+        fastest = np.minimum(model.velocityLimit, _MAX_RAD_S)
         reach = np.minimum(np.sum(np.abs(amplitudes), axis=0), (high - low) / 2.2)
         amplitudes *= reach / np.maximum(np.sum(np.abs(amplitudes), axis=0), 1e-9)
         middle = rng.uniform(low + reach, high - reach)
@@ -68,7 +57,7 @@ class StrangerMotion:
         return replace(motion, amplitudes=amplitudes * slower)
 
     def at(self, seconds: Array) -> Array:
-        """Positions [rad] at times of shape (T,), shape (T, J); eased in and out."""
+        """Return positions [rad] at times of shape (T,), shape (T, J); eased in and out."""
         ends = (np.minimum(seconds, self.length_s - seconds) / _EASING_S).clip(0.0, 1.0)
         ease = ends**3 * (10 - 15 * ends + 6 * ends**2)
         waves = self.rates * seconds[:, None, None] + self.phases

@@ -1,4 +1,4 @@
-"""Several runs of one arm that is a stranger, as people have them who keep a card of theirs."""
+"""Draw several runs of one stranger's arm, as people have them who keep a card of theirs."""
 
 from __future__ import annotations
 
@@ -25,15 +25,7 @@ def stranger_runs(
     troubles: Troubles,
     payloads: Sequence[tuple[float, Array] | None],
 ) -> list[StrangerRun]:
-    """Draw an arm, and runs of it along other motions, its sensors' zeros drifting in between.
-
-    Args:
-        urdf: of the arm as its description says.
-        tool: the link in whose frame a payload is.
-        seed: of all that is drawn.
-        troubles: of the arm.
-        payloads: mass [kg] and centre [m], shape (3,), in each run; None for an empty gripper.
-    """
+    """Draw an arm, and runs of it along other motions, its sensors' zeros drifting in between."""
     rng = np.random.default_rng([seed, DRAW, 1])
     arm = StrangerArm.drawn(urdf, tool, rng, troubles)
     rate_hz = float(rng.choice([50.0, 80.0, 100.0, 125.0]))

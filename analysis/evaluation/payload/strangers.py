@@ -1,4 +1,4 @@
-"""How exactly a payload is found in logs of arms that share no code and no constants with the fit.
+"""Measure payload errors on arms that share no code and no constants with the fit.
 
 The same logs go to what a roboticist would write instead, and to the Cramér-Rao bound. Each log
 goes the whole way of `tunenet-tune`, without its tare and with it.
@@ -29,31 +29,26 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.terminal import Progress
 
+# Logs are drawn from these and on; whatever was chosen was chosen on seeds up to 1000.
 STRANGER_SEEDS = 9_000_000
-"""Logs are drawn from these and on; whatever was chosen was chosen on seeds up to 1000."""
 
+# Logs that belong to each seed of the command: as many as it can be asked for.
 LOGS_OF_A_SEED = 100_000
-"""Logs that belong to each seed of the command: as many as it can be asked for."""
 
+# What a stranger's driver means by torque: the joint's, with the arm's weight.
 PLAIN = Convention(1, True)
-"""What a stranger's driver means by torque: the joint's, with the arm's weight."""
 
+# An answer that is `ok` and further off than this many halves of its interval misleads.
 _FAR_HALF_WIDTHS = 3.0
-"""An answer that is `ok` and further off than this many halves of its interval misleads."""
 
-_OF_SD = float(np.sqrt(2 / np.pi))
-"""Mean absolute value of a Gaussian over its standard deviation."""
-
-_G = 1000.0
-"""Grams in a kilogram."""
-
-PORTION = 5
-"""Logs in a piece of work: few, so that the processes end together."""
+_OF_SD = float(np.sqrt(2 / np.pi))  # mean absolute value of a Gaussian over its standard deviation
+_G = 1000.0  # grams in a kilogram
+PORTION = 5  # logs in a piece of work: few, so that the processes end together
 
 
 @dataclass(frozen=True)
 class StrangerCase:
-    """One cell: arms that have the same troubles.
+    """Cell of arms with the same troubles.
 
     Attributes:
         label: in words.
@@ -67,10 +62,11 @@ class StrangerCase:
 
     @property
     def sized(self) -> Troubles:
-        """The troubles at this size."""
+        """Troubles at this size."""
         return self.troubles.times(self.size)
 
 
+# The last seven have one trouble alone, beside the noise of the first.
 STRANGER_CASES = (
     StrangerCase("clean", CLEAN),
     *(
@@ -88,12 +84,11 @@ STRANGER_CASES = (
         "links", Troubles(link_mass=0.04, link_centre_m=0.003, link_inertia=0.1, gain=0.015)
     ),
 )
-"""The last seven have one trouble alone, beside the noise of the first."""
 
 
 @dataclass(frozen=True)
 class StrangerAnswer:
-    """What `tunenet-tune` says of a log.
+    """Answer of `tunenet-tune` on a log.
 
     Attributes:
         mass_kg: its value.
@@ -112,7 +107,7 @@ class StrangerAnswer:
 
 @dataclass(frozen=True)
 class StrangerResult:
-    """All that is said of one log, and the truth.
+    """All answers on one log, and the truth.
 
     Attributes:
         truth_kg: the mass.
@@ -131,7 +126,7 @@ class StrangerResult:
 
 @dataclass(frozen=True)
 class Rival:
-    """A baseline on the logs that were answered.
+    """Baseline on the logs that were answered.
 
     Attributes:
         mae_g: mean absolute error.
@@ -145,7 +140,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class StrangerRow:
-    """A cell without the tares, or with them; None where nothing was answered.
+    """Cell without the tares, or with them; None where nothing was answered.
 
     Attributes:
         case: which cell.
@@ -187,7 +182,7 @@ class StrangerRow:
 def stranger_rows(
     seeds: Sequence[int], count: int, jobs: int | None, progress: Progress
 ) -> list[StrangerRow]:
-    """Every cell on `count` logs in all, in equal shares of the seeds: two rows each."""
+    """Run every cell on `count` logs in all, in equal shares of the seeds: two rows each."""
     numbers = stranger_numbers(seeds, count)
     pieces = [
         Piece((case, numbers[at : at + PORTION]), len(numbers[at : at + PORTION]), case.label)
@@ -208,7 +203,7 @@ def stranger_rows(
 
 
 def stranger_numbers(seeds: Sequence[int], count: int) -> tuple[int, ...]:
-    """What `count` logs are drawn from, in equal shares of the command's seeds."""
+    """Return the draw numbers of `count` logs, in equal shares of the command's seeds."""
     share = -(-count // len(seeds))
     numbers = [
         STRANGER_SEEDS + seed * LOGS_OF_A_SEED + one for seed in seeds for one in range(share)
@@ -217,7 +212,7 @@ def stranger_numbers(seeds: Sequence[int], count: int) -> tuple[int, ...]:
 
 
 def stranger_result(case: StrangerCase, number: int) -> StrangerResult:
-    """Draw a log, and ask everyone."""
+    """Draw a log and run every method on it."""
     log = stranger_log(JACO_URDF, JACO_TOOL_LINK, number, case.sized)
     held, empty = log.held.episode, log.empty.episode
     model = described_arm(JACO_URDF)
@@ -232,7 +227,7 @@ def stranger_result(case: StrangerCase, number: int) -> StrangerResult:
 
 
 def stranger_answer(episode: Episode, tares: tuple[Episode, ...]) -> StrangerAnswer | None:
-    """What the whole of `tunenet-tune` says of a log; None where it rejects it."""
+    """Tune a log with the whole of `tunenet-tune`; None where it is rejected."""
     tuning = tune_episode(episode, Options(task="payload", selection=Selection(tares=tares)))
     fit = tuning.trace.fit if tuning.trace else None
     if tuning.estimate is None or fit is None:
@@ -250,7 +245,7 @@ def _tuned(work: tuple[StrangerCase, tuple[int, ...]]) -> list[StrangerResult]:
 def stranger_row(
     case: StrangerCase, results: Sequence[StrangerResult], *, has_tare: bool
 ) -> StrangerRow:
-    """The figures of one cell's logs, one or more."""
+    """Compute the figures of one cell's logs, one or more."""
     logs = [(one, answer) for one in results if (answer := one.answers[has_tare]) is not None]
 
     def figures(of: Callable[[StrangerResult, StrangerAnswer], float]) -> Array:
@@ -289,12 +284,12 @@ def _over(summary: Callable[[Array], float], values: Array) -> float | None:
 
 
 def _standard_error(values: Array) -> float:
-    """Of a mean; 0 for one value, which tells none."""
+    """Return the standard error of a mean; 0 for one value, which gives none."""
     return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
 
 
 def _rival(ours_g: Array, theirs_g: Array) -> Rival | None:
-    """A baseline's absolute errors beside ours of the same logs, both of shape (N,)."""
+    """Compare a baseline's absolute errors with ours on the same logs, both of shape (N,)."""
     if not len(ours_g):
         return None
     lead_g, sd_g = float(np.mean(theirs_g - ours_g)), _standard_error(theirs_g - ours_g)

@@ -1,4 +1,4 @@
-"""The payload's tables for a terminal, the paper's figures beside ours."""
+"""Tabulate the payload's results for a terminal, the paper's figures beside ours."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.evaluation.payload.logs import MOST_KG, LogRow
+from analysis.evaluation.payload.logs import MAX_KG, LogRow
 from analysis.evaluation.payload.masses import METHODS, SETS, MassOrder, MassRow
 from analysis.evaluation.payload.stranger_conventions import OUTCOMES, ConventionRow
 from analysis.evaluation.payload.strangers import Rival, StrangerRow
@@ -15,12 +15,11 @@ from analysis.evaluation.text import seeds_in_words, table_line
 _WIDTHS = (30, 4, 32, 32, 0)
 _LOG_WIDTHS = (38, 6, 10, 10, 10, 10, 8, 8, 0)
 _STRANGER_WIDTHS = (26, 6, 6, 14, 8, 7, 9, 15, 17, 8, 8, 8, 8, 0)
-_CONVENTION_WIDTHS = (20, 16, 16, 18, 18, 0)
-"""Of the columns [characters]."""
+_CONVENTION_WIDTHS = (20, 16, 16, 18, 18, 0)  # of the columns [characters]
 
 
 def mass_table(rows: Sequence[MassRow], order: MassOrder) -> str:
-    """Table 1 of the paper: mean absolute errors and percent, mean and range over the seeds."""
+    """Tabulate the paper's table 1: mean absolute errors and percent, over the seeds."""
     lines = [
         f"Mass in the gripper, mean absolute error in kg; {seeds_in_words(order.seeds)}, "
         f"{order.targets} targets each.",
@@ -43,10 +42,10 @@ def mass_table(rows: Sequence[MassRow], order: MassOrder) -> str:
 
 
 def log_table(rows: Sequence[LogRow]) -> str:
-    """Errors in logs like a driver's beside the Cramér-Rao bound, coverage, centres of mass."""
+    """Tabulate errors beside the Cramér-Rao bound, coverage, centres of mass."""
     head = ("logs", "count", "answered", "MAE, kg", "bound's", "secant", "held", "width", "centre")
     lines = [
-        f"Payloads of 0 to {MOST_KG:g} kg in logs of 5 s, through the whole of tunenet-tune.",
+        f"Payloads of 0 to {MAX_KG:g} kg in logs of 5 s, through the whole of tunenet-tune.",
         "bound's: the best that the model which the answer states allows (Cramér and Rao).",
         "centre: how often it is given, with which errors of x, y, z and of the mass then.",
         "",
@@ -61,7 +60,7 @@ def log_table(rows: Sequence[LogRow]) -> str:
 
 
 def stranger_table(rows: Sequence[StrangerRow]) -> str:
-    """Errors in logs of arms that share no code with the fit, beside what one would write."""
+    """Tabulate errors on arms that share no code with the fit, beside the baselines."""
     head = ("arms", "tare", "logs", "MAE, g", "median", "worst", "bound's", "least squares")
     head += ("tare subtracted", "held", "width", "ok", "ok, far", "ok, wrong sign or gravity")
     lines = [
@@ -85,7 +84,7 @@ def stranger_table(rows: Sequence[StrangerRow]) -> str:
 
 
 def convention_table(rows: Sequence[ConventionRow]) -> str:
-    """What drivers' torques were taken for: a column for each kind of driver."""
+    """Tabulate the recognised conventions: a column for each kind of driver."""
     head = ["sign and gravity"]
     for row in rows:
         means = row.convention

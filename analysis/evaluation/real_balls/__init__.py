@@ -1,1 +1,1 @@
-"""Real balls: air, a restitution that falls with speed; and whether the tuned one moves alike."""
+"""Tune real balls: air, a restitution that falls with speed; does the tuned one move alike?"""

@@ -1,4 +1,4 @@
-"""The best that a simulator without air can do, with one restitution: own parabolas, no product."""
+"""Bound what a simulator without air can do with one restitution: its own parabolas."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ from analysis.evaluation.real_balls.drops import RecordedDrop
 from analysis.evaluation.real_balls.physics import GRAVITY_M_S2
 from tunenet_logs.arrays import Array
 
-_STILL = 1e-3
-"""Rebound over first impact, in speed, below which it lies."""
-
-_LIVELIEST = 0.999
-"""Restitution, so that it lies some day."""
+_STILL = 1e-3  # rebound over first impact, in speed, below which it lies
+_LIVELIEST = 0.999  # restitution, so that it lies some day
 
 
 def parabolas(restitution: float, drop_m: float, seconds: Array) -> Array:
-    """Height over the contact of a ball without air, at times after the release, shape (T,)."""
+    """Return the height over the contact of a ball without air, after the release, shape (T,)."""
     fall_s = float(np.sqrt(2 * drop_m / GRAVITY_M_S2))
     hit = GRAVITY_M_S2 * fall_s
     count = max(1, int(np.ceil(np.log(_STILL) / np.log(np.clip(restitution, 1e-9, _LIVELIEST)))))
@@ -31,14 +28,14 @@ def parabolas(restitution: float, drop_m: float, seconds: Array) -> Array:
 
 
 def first_rebound(drop: RecordedDrop) -> float:
-    """The restitution with which a ball without air rebounds as high as this one first does."""
+    """Return the restitution that gives the first rebound's height without air."""
     first, second = drop.path.impacts_s[0, :2]
     between = np.linspace(first, second, 2001)
     return float(np.sqrt(drop.truth_m(between).max() / drop.ball.drop_m))
 
 
 def best_of_all(drop: RecordedDrop) -> float:
-    """The one whose parabolas are nearest to the recorded heights, release and fall known."""
+    """Fit the restitution whose parabolas are nearest to the heights, release and fall known."""
     inside = drop.seconds >= 0
     seconds = drop.seconds[inside]
     heights = drop.positions_m[inside, 2] - drop.level_m
@@ -54,7 +51,7 @@ def best_of_all(drop: RecordedDrop) -> float:
 
 
 def airless_off(restitution: float, drop: RecordedDrop) -> Array:
-    """Where it has the ball less where it is, over the drop, shape (T,); see `tuned.off_path`."""
+    """Return its position error over the drop, shape (T,); see `tuned.off_path`."""
     seconds = np.linspace(0.0, drop.last_bounce_s, 2001)
     drop_m = drop.ball.drop_m
     return (parabolas(restitution, drop_m, seconds) - drop.truth_m(seconds)) / drop_m

@@ -1,4 +1,4 @@
-"""Balls that people drop: their own masses, sizes and restitutions, and what drops of them are."""
+"""Balls that people drop: their masses, sizes and restitutions, and drops of them."""
 
 from __future__ import annotations
 
@@ -7,25 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.evaluation.real_balls.drops import LONGEST_S, RATES_HZ, RecordedDrop, record_drop
-from analysis.evaluation.real_balls.physics import SLOWEST_M_S, RealBall, fallen
+from analysis.evaluation.real_balls.drops import MAX_S, RATES_HZ, RecordedDrop, record_drop
+from analysis.evaluation.real_balls.physics import MIN_SPEED_M_S, RealBall, fallen
 
-_AIR_KG_M3 = 1.204
-"""At 20 degrees Celsius and 101.3 kPa."""
-
-HEIGHTS_M = (0.5, 1.0, 2.0)
-"""That each ball is dropped from."""
-
-NOISE_M = 0.001
-"""Standard deviation of each coordinate of these drops."""
-
+_AIR_KG_M3 = 1.204  # at 20 degrees Celsius and 101.3 kPa
+HEIGHTS_M = (0.5, 1.0, 2.0)  # that each ball is dropped from
+NOISE_M = 0.001  # standard deviation of each coordinate of these drops
+# From the release to the last sample of what the paper's network is given: it needs 6.7 s.
 PAPER_S = 7.2
-"""From the release to the last sample of what the paper's network is given: it needs 6.7 s."""
 
 
 @dataclass(frozen=True)
 class TableBall:
-    """A kind of ball.
+    """Kind of ball.
 
     Attributes:
         name: in tables.
@@ -47,14 +41,14 @@ class TableBall:
 
     @property
     def drag_1_m(self) -> float:
-        """Deceleration by the air over speed squared: rho Cd A / (2 m) [1/m]."""
+        """Drag deceleration over speed squared: rho Cd A / (2 m) [1/m]."""
         area_m2 = np.pi / 4 * self.diameter_m**2
         return float(_AIR_KG_M3 * self.drag_coefficient * area_m2 / (2 * self.mass_kg))
 
     def dropped(self, drop_m: float) -> RealBall:
-        """This ball let go from a height: with the restitution at the speed that it gets to."""
+        """Drop this ball from a height, with the restitution at its impact speed."""
         falling = fallen(np.array([[0.5, 0.0, self.drag_1_m, drop_m]]), 0.0)
-        speed = max(float(falling.impact_speeds_m_s[0, 0]), SLOWEST_M_S)
+        speed = max(float(falling.impact_speeds_m_s[0, 0]), MIN_SPEED_M_S)
         restitution = self.restitution * (speed / self.speed_m_s) ** -self.slope
         return RealBall(restitution, self.slope, self.drag_1_m, drop_m)
 
@@ -84,11 +78,11 @@ TABLE_BALLS = (
 
 @dataclass(frozen=True, eq=False)
 class TableDrop:
-    """A drop of a ball of the table.
+    """Drop of a ball of the table.
 
     Attributes:
         ball: which.
-        view: what is recorded of it, for `LONGEST_S` at most.
+        view: what is recorded of it, for `MAX_S` at most.
         whole: the same and more, for the paper's network: 60 Hz, `PAPER_S`, whether it lies or not.
     """
 
@@ -98,13 +92,13 @@ class TableDrop:
 
 
 def table_drops(ball: TableBall, seed: int, count: int) -> Iterator[TableDrop]:
-    """`count` drops from each of `HEIGHTS_M`, at rates in turn."""
+    """Yield `count` drops from each of `HEIGHTS_M`, at rates in turn."""
     for at, drop_m in enumerate(HEIGHTS_M):
         for number in range(count):
             named = [seed, number, at, *ball.name.encode()]
             rate_hz = RATES_HZ[(number + at) % len(RATES_HZ)]
             real = ball.dropped(drop_m)
-            view = record_drop(real, rate_hz, NOISE_M, np.random.default_rng(named), LONGEST_S)
+            view = record_drop(real, rate_hz, NOISE_M, np.random.default_rng(named), MAX_S)
             rng = np.random.default_rng([*named, 1])
             whole = record_drop(real, 60.0, NOISE_M, rng, PAPER_S, lies_s=(PAPER_S, PAPER_S))
             yield TableDrop(ball, view, whole)

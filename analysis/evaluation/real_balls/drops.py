@@ -1,4 +1,4 @@
-"""Recorded drops of balls that a stranger may have: what is drawn, and the log that comes of it."""
+"""Draw recorded drops of balls that a stranger may have, and their logs."""
 
 from __future__ import annotations
 
@@ -17,20 +17,16 @@ RESTITUTIONS: Range = (0.3, 0.92)
 SLOPES: Range = (0.0, 0.12)
 DRAGS_1_M: Range = (0.003, 0.18)
 DROPS_M: Range = (0.3, 2.0)
-RATES_HZ = (30.0, 60.0, 120.0)
-"""The stranger's balls: even, the drag in its logarithm."""
-
+RATES_HZ = (30.0, 60.0, 120.0)  # the stranger's balls: even, the drag in its logarithm
 SCALES = (0.5, 1.0, 2.0)
+# Of the cells: what slope and both ends of the drag's range are multiplied by, and the standard
+# deviation of each coordinate.
 NOISES_M = (0.001, 0.005)
-"""Of the cells: what slope and both ends of the drag's range are multiplied by, and the standard
-deviation of each coordinate."""
 
-LONGEST_S = 3.0
-"""From the release to the last sample; a ball that lies earlier is recorded a little longer."""
+# From the release to the last sample; a ball that lies earlier is recorded a little longer.
+MAX_S = 3.0
 
-LEAST_FALL = 0.01
-"""Of the drop: a bounce that ends with a lower fall is not in view."""
-
+MIN_FALL = 0.01  # of the drop: a bounce that ends with a lower fall is not in view
 LIES_S: Range = (0.2, 0.6)
 _HELD_S: Range = (0.3, 1.0)
 _RADII_M: Range = (0.015, 0.12)
@@ -53,17 +49,17 @@ class WorldCell:
 
     @property
     def label(self) -> str:
-        """In tables."""
+        """Label in tables."""
         return f"x {self.scale:g}, {1000 * self.noise_m:g} mm"
 
     @property
     def slopes(self) -> Range:
-        """Ends of the range that slopes are drawn from."""
+        """Range of slopes."""
         return SLOPES[0] * self.scale, SLOPES[1] * self.scale
 
     @property
     def drags_1_m(self) -> Range:
-        """Ends of the range that drags are drawn from [1/m]."""
+        """Range of drags [1/m]."""
         return DRAGS_1_M[0] * self.scale, DRAGS_1_M[1] * self.scale
 
 
@@ -72,7 +68,7 @@ CELLS = tuple(WorldCell(scale, noise) for noise in NOISES_M for scale in SCALES)
 
 @dataclass(frozen=True, eq=False)
 class RecordedDrop:
-    """A ball let go and recorded.
+    """Ball let go and recorded.
 
     Attributes:
         ball: what fell.
@@ -92,37 +88,37 @@ class RecordedDrop:
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """Of the samples, shape (T,)."""
+        """Stamps of the samples, shape (T,)."""
         return _START_NS + np.round((self.seconds - self.seconds[0]) * 1e9).astype(np.int64)
 
     @property
     def last_bounce_s(self) -> float:
-        """The last impact in view, after the release: see `LEAST_FALL`."""
+        """Last impact in view, after the release: see `MIN_FALL`."""
         times, speeds = self.path.impacts_s[0], self.path.impact_speeds_m_s[0]
-        seen = (times <= self.seconds[-1]) & (speeds >= np.sqrt(LEAST_FALL) * speeds[0])
+        seen = (times <= self.seconds[-1]) & (speeds >= np.sqrt(MIN_FALL) * speeds[0])
         return float(times[seen].max())
 
     def seconds_of(self, stamps_ns: NDArray[np.int64]) -> Array:
-        """Times after the release of stamps on the log's clock, shape (T,)."""
+        """Convert stamps on the log's clock to times after the release, shape (T,)."""
         return (stamps_ns - _START_NS).astype(np.float64) * 1e-9 + self.seconds[0]
 
     def truth_m(self, seconds: Array) -> Array:
-        """Height over the contact at times after the release, shape (T,)."""
+        """Return the height over the contact at times after the release, shape (T,)."""
         return self.path.at(seconds[None])[0]
 
     def until(self, end_s: float) -> RecordedDrop:
-        """The same, recorded up to a time after the release."""
+        """Return the drop recorded up to a time after the release."""
         kept = self.seconds <= end_s
         return replace(self, seconds=self.seconds[kept], positions_m=self.positions_m[kept])
 
     def episode(self) -> Episode:
-        """The log in memory: positions alone, nothing of ball, table or release."""
+        """Build the log in memory: positions alone, nothing of ball, table or release."""
         signal = Signal(_TOPIC, self.stamps_ns, self.positions_m, ("x", "y", "z"), "m")
         return Episode(EpisodeInfo(), {_TOPIC: signal})
 
 
 def draw_drop(cell: WorldCell, seed: int, number: int) -> RecordedDrop:
-    """Drop `number` of a seed: the same ball, but for the scale, in every cell."""
+    """Draw drop `number` of a seed: the same ball, but for the scale, in every cell."""
     rng = np.random.default_rng([seed, number, 1919])
     low, high = np.log(DRAGS_1_M)
     ball = RealBall(
@@ -140,7 +136,7 @@ def record_drop(
     rate_hz: float,
     noise_m: float,
     rng: np.random.Generator,
-    longest_s: float = LONGEST_S,
+    longest_s: float = MAX_S,
     lies_s: Range = LIES_S,
 ) -> RecordedDrop:
     """Hold a ball for a while, let it go, and record it until it has lain for `lies_s`.

@@ -1,4 +1,4 @@
-"""The figures of a line: errors with the worst beside the mean, intervals, verdicts."""
+"""Compute a line's figures: errors with the worst beside the mean, intervals, verdicts."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ from analysis.evaluation.real_balls.tuned import PARAMETERS, VERDICTS, Found
 from tunenet_logs.arrays import Array
 
 PATH = "path"
+# Quantities beside the parameters; see `Found` and `Moved`.
 MOTION = ("ours", "paper", "first_rebound", "best_airless")
-"""Quantities beside the parameters; see `Found` and `Moved`."""
 
 
-Shares = tuple[float | None, float | None, float | None]
-"""Of the verdicts, in their order."""
+Shares = tuple[float | None, float | None, float | None]  # of the verdicts, in their order
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Of absolute errors; None where there is none.
+    """Statistics of absolute errors; None where there is none.
 
     Attributes:
         mean: over all that were answered.
@@ -40,7 +39,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class RealLine:
-    """What came of drops of one kind, for one quantity. Fractions; None where there is none.
+    """Results of drops of one kind, for one quantity. Fractions; None where there is none.
 
     Attributes:
         section: of the evaluation.
@@ -79,13 +78,13 @@ NONE = Spread(None, None, None, None)
 
 
 def compared_lines(label: str, drops: Sequence[Compared]) -> list[RealLine]:
-    """A line for each parameter and the path."""
+    """Return a line for each parameter and the path."""
     ours = [drop.ours for drop in drops]
     return found_lines("positions", label, ours, [drop.reference for drop in drops])
 
 
 def moved_lines(label: str, drops: Sequence[Moved]) -> list[RealLine]:
-    """Likewise, and a line for each tuning's motion."""
+    """Return a line for each parameter, the path and each tuning's motion."""
     lines = found_lines("balls", label, [drop.whole for drop in drops])
     shares = _verdicts([drop.verdict for drop in drops])
     for name in MOTION:
@@ -96,7 +95,7 @@ def moved_lines(label: str, drops: Sequence[Moved]) -> list[RealLine]:
 
 
 def filmed_lines(label: str, films: Sequence[FilmedBall]) -> list[RealLine]:
-    """A line for each parameter and the path, and one for the motion of a ball of the table."""
+    """Return a line for each parameter and the path, and one for a table ball's motion."""
     lines = found_lines("films", label, [film.found for film in films])
     if label in LIGHT:
         return lines
@@ -107,7 +106,7 @@ def filmed_lines(label: str, films: Sequence[FilmedBall]) -> list[RealLine]:
 def found_lines(
     section: str, label: str, ours: Sequence[Found], reference: Sequence[Found] = ()
 ) -> list[RealLine]:
-    """A line for each parameter and one for the path."""
+    """Return a line for each parameter and one for the path."""
     shares = _verdicts([found.verdict for found in ours])
     lines = [_parameter_line((section, label), at, ours, reference, shares) for at in range(3)]
     off, best = (np.array([found.path for found in some]) for some in (ours, reference))
@@ -115,7 +114,7 @@ def found_lines(
 
 
 def spread_of(errors: Array) -> Spread:
-    """Of errors, shape (N,); NaN where there is no answer."""
+    """Compute the statistics of errors, shape (N,); NaN where there is no answer."""
     known = np.abs(errors[np.isfinite(errors)])
     if not len(known):
         return NONE
@@ -150,7 +149,7 @@ def _parameter_line(
 
 
 def _columns(found: Sequence[Found], at: int) -> tuple[Array, Array, Array]:
-    """Truth and value, shape (N,), and interval, shape (N, 2), of a parameter."""
+    """Return truth and value, shape (N,), and interval, shape (N, 2), of a parameter."""
     return (
         np.array([one.truth[at] for one in found]),
         np.array([one.values[at] for one in found]),

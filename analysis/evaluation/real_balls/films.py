@@ -1,4 +1,4 @@
-"""Drops before a camera: what a tracker makes of the film, without one.
+"""Simulate the track of a drop before a camera, without rendering it.
 
 A pinhole stands anywhere from which a person films a drop. Places have noise and are not rounded.
 """
@@ -12,28 +12,24 @@ from analysis.evaluation.real_balls.physics import GRAVITY_M_S2
 from analysis.tracking.track import Track
 from tunenet_logs.arrays import Array
 
-NOISE_PX = 0.3
-"""Standard deviation of a coordinate."""
-
-SIZE_PX = (320, 240)
-"""Width and height of a picture."""
-
+NOISE_PX = 0.3  # standard deviation of a coordinate
+SIZE_PX = (320, 240)  # width and height of a picture
 _AWAY = (1.5, 5.0)
 _ELEVATION_DEG = (-10.0, 35.0)
 _ROLL_DEG = 3.0
 _IN_PICTURE = (0.5, 0.85)
+# Of the camera: distance in drop heights, elevation seen from the middle of the drop, standard
+# deviation of its roll, the drop over the picture's height, and how far the ball is from the middle
+# column at most.
 _ASIDE_PX = 40.0
-"""Of the camera: distance in drop heights, elevation seen from the middle of the drop, standard
-deviation of its roll, the drop over the picture's height, and how far the ball is from the middle
-column at most."""
 
 _PLUMB_DEG = 1.0
+# Standard deviations of what a tracker says: of the vertical's direction and of a radius.
 _RADIUS_NOISE = 0.03
-"""Standard deviations of what a tracker says: of the vertical's direction and of a radius."""
 
 
 def filmed(drop: RecordedDrop, radius_m: float, rng: np.random.Generator) -> Track:
-    """The track of the ball; `drop` says when a picture is taken."""
+    """Simulate the track of the ball; `drop` says when a picture is taken."""
     pixels, depth_m, focal_px = _seen(drop, rng)
     noise = rng.normal(0.0, 1.0, (len(pixels), 3))
     places = pixels[2:] + NOISE_PX * noise[2:, :2]
@@ -53,7 +49,7 @@ def filmed(drop: RecordedDrop, radius_m: float, rng: np.random.Generator) -> Tra
 
 
 def _seen(drop: RecordedDrop, rng: np.random.Generator) -> tuple[Array, Array, float]:
-    """Pixels, shape (2 + T, 2), and depths, shape (2 + T,) [m], and the focal length [px].
+    """Return pixels, shape (2 + T, 2), depths, shape (2 + T,) [m], and focal length [px].
 
     Of the release and the contact, then of the ball in each picture.
     """
@@ -73,6 +69,6 @@ def _seen(drop: RecordedDrop, rng: np.random.Generator) -> tuple[Array, Array, f
 
 
 def _turn(angle: float) -> Array:
-    """Rotation by an angle [rad], shape (2, 2)."""
+    """Return the rotation by an angle [rad], shape (2, 2)."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, -sin], [sin, cos]])

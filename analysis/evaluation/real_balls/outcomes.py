@@ -1,4 +1,4 @@
-"""What one process does in one go: drops of a cell, of a ball of the table, or films."""
+"""Work of one process: drops of a cell, of a ball of the table, or videos."""
 
 from __future__ import annotations
 
@@ -26,16 +26,10 @@ from analysis.selection import Options
 from analysis.tuning import tune_episode
 from tunenet_logs.arrays import Array
 
-SEEN = 0.6
-"""Of the time from the release to the last bounce in view: what a prediction is tuned on."""
-
+SEEN = 0.6  # of the time from the release to the last bounce in view: what a prediction is tuned on
 LIGHT_DRAGS_1_M = (0.1, 0.14)
-LIGHT_RADIUS_M = 0.02
-"""Of light balls whose kind is not named, about a table-tennis ball's."""
-
-LIGHT = ("light, no slope", "light, slope")
-"""Their names in tables."""
-
+LIGHT_RADIUS_M = 0.02  # of light balls whose kind is not named, about a table-tennis ball's
+LIGHT = ("light, no slope", "light, slope")  # their names in tables
 _FILM_HZ = 60.0
 
 
@@ -50,7 +44,7 @@ class CellPortion:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A drop of a cell: what the product found, and what the reference did."""
+    """Results of the product and of the reference on a drop of a cell."""
 
     ours: Found
     reference: Found
@@ -58,7 +52,7 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """How far a drop of the table is from where each tuning has it.
+    """Errors of each tuning's motion on a drop of the table.
 
     Every error is the mean distance from the release to the last bounce in view, over the drop; NaN
     where there is no answer.
@@ -68,7 +62,7 @@ class Moved:
         drop_m: that it fell.
         ours: tuned on the first `SEEN` of the time.
         verdict: of that tuning.
-        paper: the preset "paper", tuned on all that it asks for, whatever the verdict.
+        paper: the preset "paper", tuned on all that it asks for, for any verdict.
         first_rebound: no air, the restitution that gives the first rebound's height.
         best_airless: no air, the restitution that is best on the first `SEEN`.
         whole: what a tuning on all that is in view finds.
@@ -86,7 +80,7 @@ class Moved:
 
 @dataclass(frozen=True, eq=False)
 class FilmedBall:
-    """A film of a ball.
+    """Video of a ball.
 
     Attributes:
         ball: its name.
@@ -100,7 +94,7 @@ class FilmedBall:
 
 
 def compared_drops(portion: CellPortion) -> list[Compared]:
-    """Each drop tuned, and fitted by the reference."""
+    """Tune each drop, and fit it by the reference."""
     found: list[Compared] = []
     for number in portion.numbers:
         drop = draw_drop(portion.cell, portion.seed, number)
@@ -110,7 +104,7 @@ def compared_drops(portion: CellPortion) -> list[Compared]:
 
 
 def reference_found(drop: RecordedDrop, cell: WorldCell) -> Found:
-    """What the reference finds."""
+    """Fit a drop by the reference."""
     fit = fit_reference(drop, cell)
     seconds = drop.seconds[(drop.seconds >= 0) & (drop.seconds <= drop.last_bounce_s)]
     off = (fit.heights_m(seconds) - drop.truth_m(seconds)) / drop.ball.drop_m
@@ -119,7 +113,7 @@ def reference_found(drop: RecordedDrop, cell: WorldCell) -> Found:
 
 
 def moved_drops(asked: tuple[TableBall, int, int]) -> list[Moved]:
-    """Of a ball, a seed and a number of drops from each height."""
+    """Measure the motion of a ball, for a seed and a number of drops from each height."""
     ball, seed, count = asked
     found: list[Moved] = []
     for drop in table_drops(ball, seed, count):
@@ -143,7 +137,7 @@ def moved_drops(asked: tuple[TableBall, int, int]) -> list[Moved]:
 
 
 def filmed_table(asked: tuple[TableBall, int, int]) -> list[FilmedBall]:
-    """As `moved_drops`, as films."""
+    """Measure as `moved_drops`, on videos."""
     ball, seed, count = asked
     found: list[FilmedBall] = []
     for at, drop in enumerate(table_drops(ball, seed, count)):
@@ -159,7 +153,7 @@ def filmed_table(asked: tuple[TableBall, int, int]) -> list[FilmedBall]:
 
 
 def filmed_light(asked: tuple[bool, int, range]) -> list[FilmedBall]:
-    """Films of light balls that are not named: with a slope or none, of a seed."""
+    """Tune videos of light balls that are not named: with a slope or none, of a seed."""
     slopes, seed, numbers = asked
     found: list[FilmedBall] = []
     for number in numbers:

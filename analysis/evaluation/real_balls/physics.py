@@ -1,4 +1,4 @@
-"""A ball that falls and bounces in air: the truth, which shares nothing with fit or simulator.
+"""Integrate a ball that bounces in air: the truth, which shares nothing with the fit.
 
 Between impacts dv/dt = -g - k v |v|, stepped by the classical Runge-Kutta method (Kutta 1901). A
 flight is cut at its apex, where v |v| is not smooth: the time to it is the integral of
@@ -16,23 +16,17 @@ from tunenet_logs.arrays import Array
 
 GRAVITY_M_S2 = 9.81
 
-SLOWEST_M_S = 0.05
-"""Speed of an impact below which the restitution no longer changes."""
-
-_STILL_M_S = 1e-3
-"""A ball that rebounds slower lies still: it would rise by 50 nm."""
-
-STEPS = 32
-"""Of half a flight at the first impact's speed; of slower ones fewer, in proportion."""
-
-_FEWEST_STEPS = 2
+MIN_SPEED_M_S = 0.05  # speed of an impact below which the restitution no longer changes
+_STILL_M_S = 1e-3  # a ball that rebounds slower lies still: it would rise by 50 nm
+STEPS = 32  # of half a flight at the first impact's speed; of slower ones fewer, in proportion
+_MIN_STEPS = 2
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
 @dataclass(frozen=True)
 class RealBall:
-    """What falls, and from where.
+    """Ball and its drop height.
 
     Attributes:
         restitution: e, at the first impact's speed.
@@ -48,13 +42,13 @@ class RealBall:
 
     @property
     def values(self) -> Array:
-        """In the order of the fields, shape (4,)."""
+        """Parameters in the order of the fields, shape (4,)."""
         return np.array([self.restitution, self.slope, self.drag_1_m, self.drop_m])
 
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """What B balls do: states from each of which one step reaches the next.
+    """Motion of B balls: states from each of which one step reaches the next.
 
     Attributes:
         drops_m: see `RealBall`, shape (B,).
@@ -77,7 +71,7 @@ class Paths:
     rests_s: Array
 
     def at(self, seconds: Array) -> Array:
-        """Heights over the contact [m], shape (B, T), at times after the release, shape (B, T)."""
+        """Return heights over the contact [m], shape (B, T), at times after the release, (B, T)."""
         rows = np.arange(len(seconds))[:, None]
         since = np.maximum(seconds, 0.0)
         found = [
@@ -96,13 +90,7 @@ class Paths:
 
 
 def fallen(balls: Array, until_s: float, steps: int = STEPS) -> Paths:
-    """Let balls go, and follow them until `until_s` or until they lie.
-
-    Args:
-        balls: restitution, slope, drag [1/m] and drop [m] of each, shape (B, 4).
-        until_s: after the release.
-        steps: see `STEPS`.
-    """
+    """Integrate balls (restitution, slope, drag [1/m], drop [m]), shape (B, 4), until they lie."""
     restitutions, slopes, drags, drops = np.asarray(balls, dtype=np.float64).T
     tape = _Tape(drags, np.zeros(len(drops)), drops, np.zeros(len(drops)))
     first = tape.fall(steps)
@@ -110,13 +98,13 @@ def fallen(balls: Array, until_s: float, steps: int = STEPS) -> Paths:
     rests = np.full(len(drops), np.inf)
     hit = first
     while True:
-        ratio = np.maximum(hit, SLOWEST_M_S) / first
+        ratio = np.maximum(hit, MIN_SPEED_M_S) / first
         up = np.clip(restitutions * ratio**-slopes, 0.0, 1.0) * hit
         still = up < _STILL_M_S
         rests = np.where(still & np.isinf(rests), tape.time, rests)
         if np.all(still | (tape.time > until_s)):
             break
-        count = max(_FEWEST_STEPS, int(np.ceil(steps * np.max(up / first))))
+        count = max(_MIN_STEPS, int(np.ceil(steps * np.max(up / first))))
         tape.rise(np.where(still, 0.0, up), count)
         hit = np.where(still, 0.0, tape.fall(count))
         impacts.append(tape.time)
@@ -145,7 +133,7 @@ class _Tape:
         self.time = self.time + step
 
     def rise(self, speed: Array, count: int) -> None:
-        """From the table to the apex, in `count` steps."""
+        """Step from the table to the apex, in `count` steps."""
         self._height, self._speed = np.zeros_like(speed), speed
         inner = speed[:, None] / 2 * (_NODES + 1)
         pace = 1 / (GRAVITY_M_S2 + self._drags[:, None] * inner**2)
@@ -154,7 +142,7 @@ class _Tape:
             self._go(step)
 
     def fall(self, count: int) -> Array:
-        """From the apex to the table; the speed there, downward, shape (B,).
+        """Step from the apex to the table; return the speed there, downward, shape (B,).
 
         As long as it would take without air in `count` steps, nearly all of the rest in a few.
         """
@@ -170,7 +158,7 @@ class _Tape:
         return -self._speed
 
     def _rest(self) -> Array:
-        """How long one step to the table takes, shape (B,)."""
+        """Find by Newton's method how long one step to the table takes, shape (B,)."""
         pull = GRAVITY_M_S2 - self._drags * self._speed**2
         height, speed = np.maximum(self._height, 0.0), np.minimum(self._speed, 0.0)
         rest = (speed + np.sqrt(speed**2 + 2 * pull * height)) / pull
@@ -181,7 +169,7 @@ class _Tape:
 
 
 def _stepped(height: Array, speed: Array, step: Array, drag: Array) -> tuple[Array, Array]:
-    """Heights and speeds one step later."""
+    """Return heights and speeds one Runge-Kutta step later."""
 
     def pull(speed: Array) -> Array:
         return -GRAVITY_M_S2 - drag * speed * np.abs(speed)

@@ -1,4 +1,4 @@
-"""The results of `tunenet-eval real-balls` for other programs: one record a line and quantity."""
+"""Export the results of `tunenet-eval real-balls`: one record a line and quantity."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from analysis.evaluation.real_balls.figures import RealLine, Spread
 from analysis.evaluation.real_balls.run import RealOrder
 
 _SPREADS = ("ours", "reference")
+# Of the CSV: the errors without a prefix are ours.
 COLUMNS = (
     *(field.name for field in fields(RealLine) if field.name not in _SPREADS),
     *(field.name for field in fields(Spread)),
     *(f"reference_{field.name}" for field in fields(Spread)),
 )
-"""Of the CSV: the errors without a prefix are ours."""
 
 
 def real_records(lines: Sequence[RealLine]) -> list[dict[str, Any]]:
-    """One for each line; see `COLUMNS`."""
+    """Return one record for each line; see `COLUMNS`."""
     records: list[dict[str, Any]] = []
     for line in lines:
         record = asdict(line)
@@ -31,11 +31,11 @@ def real_records(lines: Sequence[RealLine]) -> list[dict[str, Any]]:
 
 
 def real_json(lines: Sequence[RealLine], order: RealOrder) -> str:
-    """Every figure; null where there is none."""
+    """Serialise every figure; null where there is none."""
     head = {"experiment": "real-balls", "seeds": list(order.seeds), "targets": order.targets}
     return json_text({**head, "rows": real_records(lines)})
 
 
 def real_csv(lines: Sequence[RealLine]) -> str:
-    """`real_records` as a table; an empty field where there is no figure."""
+    """Format `real_records` as a table; an empty field where there is no figure."""
     return csv_text(COLUMNS, real_records(lines))

@@ -1,4 +1,4 @@
-"""A least-squares fit that knows the model: what a log says at best.
+"""Fit a drop by least squares with the known model: the best that a log allows.
 
 It fits the integrator of `physics` to the heights, from the truth on, and knows gravity, the noise
 and the ranges that the balls were drawn from. Around its best values the model is taken as linear:
@@ -16,21 +16,17 @@ from analysis.evaluation.real_balls.drops import RecordedDrop, WorldCell
 from analysis.evaluation.real_balls.physics import RealBall, fallen
 from tunenet_logs.arrays import Array
 
-_STEPS = 12
-"""Of half a flight: within some micrometres of the truth's."""
-
+_STEPS = 12  # of half a flight: within some micrometres of the truth's
+# For derivatives: of restitution, slope, drag, drop, release and level.
 _NUDGES = np.array([1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4])
-"""For derivatives: of restitution, slope, drag, drop, release and level."""
 
-_GRID = 121
-"""Slopes and drags that the ranges are kept to on."""
-
+_GRID = 121  # slopes and drags that the ranges are kept to on
 _ENDS = (0.025, 0.5, 0.975)
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFit:
-    """What it found: restitution, slope and drag [1/m], in this order.
+    """Fitted restitution, slope and drag [1/m], in this order.
 
     Attributes:
         values: medians, shape (3,).
@@ -45,7 +41,7 @@ class ReferenceFit:
     release_s: float
 
     def heights_m(self, seconds: Array) -> Array:
-        """Of the best path over its contact, at times on the drop's clock, shape (T,)."""
+        """Return the best path over its contact, at times on the drop's clock, shape (T,)."""
         since = seconds - self.release_s
         return fallen(self.ball.values[None], float(since[-1])).at(since[None])[0]
 
@@ -85,7 +81,7 @@ def fit_reference(drop: RecordedDrop, cell: WorldCell) -> ReferenceFit:
 
 
 def _residuals(values: Array, drop: RecordedDrop) -> Array:
-    """Of B sets of values, over the noise, shape (B, T)."""
+    """Return residuals of B sets of values, over the noise, shape (B, T)."""
     seconds = drop.seconds - values[:, 4:5]
     paths = fallen(values[:, :4], float(seconds.max()), _STEPS)
     heights = paths.at(seconds) + values[:, 5:6]
@@ -93,7 +89,7 @@ def _residuals(values: Array, drop: RecordedDrop) -> Array:
 
 
 def _posterior(best: Array, misfit: Array, slopes: Array, cell: WorldCell) -> tuple[Array, Array]:
-    """Medians, shape (3,), and 95 % intervals, shape (3, 2), of restitution, slope and drag.
+    """Return medians, shape (3,), and 95 % intervals, shape (3, 2), of the parameters.
 
     Args:
         best: restitution, slope and drag of the best path, shape (3,).
@@ -137,13 +133,13 @@ def _posterior(best: Array, misfit: Array, slopes: Array, cell: WorldCell) -> tu
 
 
 def _grid_quantiles(grid: Array, weights: Array) -> Array:
-    """Of a density on an even grid, by trapezia, shape (3,)."""
+    """Return the quantiles of a density on an even grid, by trapezia, shape (3,)."""
     mass = np.concatenate([[0.0], np.cumsum((weights[1:] + weights[:-1]) / 2)])
     return np.interp(_ENDS, mass / mass[-1], grid)
 
 
 def _normal_quantiles(centres: Array, deviation: float, weights: Array) -> Array:
-    """Of a mixture of normal distributions of one deviation, shape (3,)."""
+    """Return the quantiles of a mixture of normals of one deviation, shape (3,)."""
     from scipy.special import ndtr
 
     kept = weights > 1e-7 * weights.max()

@@ -1,4 +1,4 @@
-"""How real balls are tuned: the stranger's, those of a table, and films of them."""
+"""Run the tuning of real balls: the stranger's, those of a table, and videos of them."""
 
 from __future__ import annotations
 
@@ -29,16 +29,13 @@ from tunenet_logs.terminal import Progress
 Asked = TypeVar("Asked")
 Result = TypeVar("Result")
 
-_PORTION = 5
-"""Drops in a portion: few, so that the processes end together."""
-
-_TARGETS_A_TABLE_DROP = 50
-"""Drops of a cell for each drop of a ball of the table from one height."""
+_PORTION = 5  # drops in a portion: few, so that the processes end together
+_TARGETS_A_TABLE_DROP = 50  # drops of a cell for each drop of a ball of the table from one height
 
 
 @dataclass(frozen=True)
 class RealOrder:
-    """How the experiment is run.
+    """Settings of the experiment.
 
     Attributes:
         seeds: each draws its own drops.
@@ -57,7 +54,7 @@ class RealOrder:
 
     @property
     def portions(self) -> list[tuple[int, range]]:
-        """All targets of all seeds."""
+        """Targets of all seeds, in portions."""
         return [
             (seed, range(at, min(at + _PORTION, self.targets)))
             for seed in self.seeds
@@ -66,7 +63,7 @@ class RealOrder:
 
 
 def position_lines(order: RealOrder, progress: Progress) -> list[RealLine]:
-    """The stranger's balls: a cell after the other."""
+    """Run the stranger's balls, cell by cell."""
     asked = {
         cell.label: [(CellPortion(cell, *one), len(one[1])) for one in order.portions]
         for cell in CELLS
@@ -75,13 +72,13 @@ def position_lines(order: RealOrder, progress: Progress) -> list[RealLine]:
 
 
 def ball_lines(order: RealOrder, progress: Progress) -> list[RealLine]:
-    """The table's balls."""
+    """Run the table's balls."""
     asked = {ball.name: _table(order, ball) for ball in TABLE_BALLS}
     return _lines(moved_drops, asked, moved_lines, order, progress)
 
 
 def film_lines(order: RealOrder, progress: Progress) -> list[RealLine]:
-    """Films of the table's balls, and of light ones that are not named."""
+    """Run videos of the table's balls, and of light ones that are not named."""
     asked = {ball.name: _table(order, ball) for ball in TABLE_BALLS}
     lines = _lines(filmed_table, asked, filmed_lines, order, progress)
     light = {
@@ -103,7 +100,7 @@ def _lines(
     order: RealOrder,
     progress: Progress,
 ) -> list[RealLine]:
-    """`lines` of each label, of what `work` makes of what is asked, with its number of drops."""
+    """Return `lines` of each label, of what `work` makes of what is asked."""
     pieces = [Piece(item, units, label) for label, some in asked.items() for item, units in some]
     done = iter(parallel_map(work, pieces, order.jobs, progress, ("real balls", "drop")))
     found: list[RealLine] = []

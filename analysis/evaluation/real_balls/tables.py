@@ -1,4 +1,4 @@
-"""What came of real balls, as tables for a terminal."""
+"""Tabulate the results of real balls for a terminal."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from analysis.evaluation.real_balls.run import RealOrder
 from analysis.evaluation.real_balls.tuned import PARAMETERS
 from analysis.evaluation.text import seeds_in_words, short_or_dash, table_line
 
-_FIRST = 17
-"""Width of the labels [characters]."""
-
+_FIRST = 17  # width of the labels [characters]
 _TITLES = {
     "positions": "the stranger's balls, positions",
     "balls": "balls of the table, positions",
@@ -70,7 +68,7 @@ _REFERENCE_PATHS: tuple[Column, ...] = (
 
 
 def protocol(order: RealOrder) -> str:
-    """What is measured, and how."""
+    """Describe what is measured, and how."""
     return (
         f"Balls in air whose restitution falls with speed; {seeds_in_words(order.seeds)}, "
         f"{order.targets} drops a cell each,\n{order.table_drops} of each ball of the table from "
@@ -83,7 +81,7 @@ def protocol(order: RealOrder) -> str:
 
 
 def section_blocks(section: str, lines: Sequence[RealLine]) -> Iterator[str]:
-    """A table for each quantity of a section."""
+    """Yield a table for each quantity of a section."""
     reference = section == "positions"
     for quantity in (*PARAMETERS, PATH):
         if quantity == PATH:
@@ -98,7 +96,7 @@ def section_blocks(section: str, lines: Sequence[RealLine]) -> Iterator[str]:
 
 
 def motion_table(section: str, lines: Sequence[RealLine]) -> str:
-    """Where the ball will be, by each tuning."""
+    """Tabulate the predicted motion by each tuning."""
     names = MOTION if section == "balls" else MOTION[:1]
     heads = _MOTION_HEADS[: len(names)]
     widths = (_FIRST, 10, *[18] * len(names))

@@ -1,4 +1,4 @@
-"""What a tuning says of a ball, and where its simulator moves it, beside the truth."""
+"""Compare a tuning's parameters and motion with the truth."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from recorders.simulators.drop import DropSimulator
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 
+# By their names in a record; one that a tuning does not report is NaN.
 PARAMETERS = ("restitution", "restitution_slope", "drag")
-"""By their names in a record; one that a tuning does not report is NaN."""
 
 VERDICTS = ("ok", "suspect", "rejected")
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What was found for one drop; NaN where nothing was.
+    """Result for one drop; NaN where there is none.
 
     Attributes:
         truth: restitution at the first impact, slope, drag [1/m], shape (3,).
@@ -39,7 +39,7 @@ class Found:
 
 
 def found_by(tuning: Tuning, drop: RecordedDrop) -> Found:
-    """What a tuning on a drop found."""
+    """Return what a tuning on a drop found."""
     record = record_of(tuning)
     values, ends = np.full(3, np.nan), np.full((3, 2), np.nan)
     for at, name in enumerate(PARAMETERS):
@@ -55,7 +55,7 @@ def found_by(tuning: Tuning, drop: RecordedDrop) -> Found:
 
 
 def off_path(tuning: Tuning, drop: RecordedDrop) -> Array | None:
-    """Where the tuned simulator has the ball less where it is, over the drop, shape (T,).
+    """Return the tuned simulator's position error over the drop, shape (T,).
 
     At the rollout's own samples, from the release to the last bounce in view. A film has no
     scale of its own: its rollout is in units of the drop that it simulates. None where nothing was
@@ -69,7 +69,7 @@ def off_path(tuning: Tuning, drop: RecordedDrop) -> Array | None:
 
 
 def off_motion(tuning: Tuning, drop: RecordedDrop) -> Array | None:
-    """As `off_path`, with a rollout that is long enough for a drop that was seen in part.
+    """Return `off_path` with a rollout long enough for a drop that was seen in part.
 
     None for a rejected log, too.
     """

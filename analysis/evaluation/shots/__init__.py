@@ -1,1 +1,1 @@
-"""The paper's third experiment in simulation: drop, tune, plan, and shoot in a hidden world."""
+"""Third experiment in simulation: drop, tune, plan, and shoot in a hidden world."""

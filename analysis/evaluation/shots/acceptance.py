@@ -1,4 +1,4 @@
-"""Verdicts of `tunenet-tune` on bad drops and on good ones: on their tracks, without pictures."""
+"""Collect verdicts of `tunenet-tune` on bad and good drops, on tracks without pictures."""
 
 from __future__ import annotations
 
@@ -18,19 +18,15 @@ from analysis.selection import Options, Selection
 from recorders.simulators.balls import Ball
 from tunenet_logs.terminal import Progress
 
-DROPS = 500
-"""Of each kind: a fraction of 1 % has a standard error of .45 %."""
+DROPS = 500  # of each kind: a fraction of 1 % has a standard error of .45 %
 VERDICTS = ("ok", "suspect", "rejected")
-_PORTION = 5
-"""Drops in a piece of work: few, so that the processes end together."""
-
-_WRONG = 0.02
-"""Of restitution: such an error uses up about what the hoop leaves a shot."""
+_PORTION = 5  # drops in a piece of work: few, so that the processes end together
+_WRONG = 0.02  # of restitution: such an error uses up about what the hoop leaves a shot
 
 
 @dataclass(frozen=True)
 class JudgedDrop:
-    """A drop.
+    """Drop and its verdict.
 
     Attributes:
         mishap: None for a good one.
@@ -46,7 +42,7 @@ class JudgedDrop:
 
 @dataclass(frozen=True)
 class AcceptanceRow:
-    """A line of the table: fractions of the drops.
+    """Line of the table: fractions of the drops.
 
     Attributes:
         label: which drops.
@@ -72,7 +68,7 @@ class _Portion:
 def judged_drops(
     seed: int, count: int, jobs: int | None, progress: Progress
 ) -> tuple[tuple[JudgedDrop, ...], tuple[JudgedDrop, ...]]:
-    """`count` drops that leave the table, and as many that do not."""
+    """Tune `count` drops that leave the table, and as many that do not."""
     pieces = [
         Piece(
             _Portion(seed, range(at, min(at + _PORTION, count)), is_good),
@@ -93,7 +89,7 @@ def judged_drops(
 def acceptance_rows(
     bad: Sequence[JudgedDrop], good: Sequence[JudgedDrop]
 ) -> tuple[AcceptanceRow, ...]:
-    """All that leave the table, each kind of them, and the good ones."""
+    """Return the rows of all that leave the table, of each kind, and of the good ones."""
     kinds = [(f"  {name}", [drop for drop in bad if drop.mishap == name]) for name in MISHAPS]
     return tuple(
         _row(label, drops)

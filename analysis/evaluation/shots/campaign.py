@@ -1,4 +1,4 @@
-"""Campaigns of the bounce shot in the hidden world: two policies on the same balls and drops.
+"""Run campaigns of the bounce shot in the hidden world: two policies on the same drops.
 
 A trial: the robot drops the ball before a camera, the film is recorded to a log, the log is tuned,
 the shot is planned and taken, its outcome is recorded. The paper's policy shoots whatever came out
@@ -37,12 +37,9 @@ from tunenet_logs.outcome import BOUNCE_SHOT, Outcome, write_outcome
 from tunenet_logs.terminal import Progress
 
 TRIALS = 60
-LEAVING = 22
-"""Of 60 first drops 22 leave the table or the picture, as in the paper."""
-
-MOST_DROPS = 4
-"""A trial's, of our policy: the first one and three more."""
-
+LEAVING = 22  # of 60 first drops 22 leave the table or the picture, as in the paper
+MAX_DROPS = 4  # a trial's, of our policy: the first one and three more
+# Restitution at 3 m/s.
 BALLS = {
     "red gel": 0.79,
     "racquetball": 0.74,
@@ -51,19 +48,16 @@ BALLS = {
     "lacrosse": 0.68,
     "super": 0.84,
 }
-"""Restitution at 3 m/s."""
 
-_SLOPES = (0.03, 0.12)
-"""p of e ~ v^-p, drawn evenly for each ball."""
-
+_SLOPES = (0.03, 0.12)  # p of e ~ v^-p, drawn evenly for each ball
 _OFF_ROUND = 2
+# So many of the six balls are out of round: their impacts' normals are off by about 2 degrees.
 _OFF_ROUND_DEG = 2.0
-"""So many of the six balls are out of round: their impacts' normals are off by about 2 degrees."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What is to be done, but for what chance brings.
+    """Specification of a trial.
 
     Attributes:
         seed: of the campaign.
@@ -106,7 +100,7 @@ class Taken:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What came of a trial.
+    """Result of a trial.
 
     Attributes:
         drops: of ours: mishap or None, and the verdict.
@@ -130,12 +124,12 @@ class TrialResult:
 
     @property
     def success(self) -> bool:
-        """Of our policy."""
+        """Whether our policy succeeded."""
         return self.ours is not None and self.ours.success
 
 
 def draw_trials(seed: int, count: int = TRIALS) -> tuple[Trial, ...]:
-    """The trials of a campaign, ball after ball; 22 of 60 first drops leave the table."""
+    """Draw the trials of a campaign, ball after ball; 22 of 60 first drops leave the table."""
     rng = np.random.default_rng([seed, 0xB0CE])
     off_round = set(rng.permutation(len(BALLS))[:_OFF_ROUND].tolist())
     balls = [
@@ -181,16 +175,7 @@ def run_campaign(
     folder: Path | None = None,
     effort: Effort | None = None,
 ) -> tuple[TrialResult, ...]:
-    """All trials of a campaign.
-
-    Args:
-        seed: of all that is drawn.
-        count: how many trials.
-        jobs: processes; None for all cores.
-        progress: shows how far it is.
-        folder: where our logs, tunings and outcomes are kept, if given.
-        effort: how much the paper's network is trained, where it is not as the paper says.
-    """
+    """Run all trials of a campaign; logs, tunings and outcomes are kept in `folder` if given."""
     model = train_papers(seed, progress, effort or Effort())
     pieces = [
         Piece(_Work(trial, model, folder), 1, f"seed {seed}, {trial.ball.name}")
@@ -215,7 +200,7 @@ def _trial(work: _Work, folder: Path, start: float) -> TrialResult:
     papers: Taken | None = None
     chosen: Path | None = None
     mishap = trial.mishap
-    for number in range(1, MOST_DROPS + 1):
+    for number in range(1, MAX_DROPS + 1):
         film = film_of(drop_of(trial.ball, mishap, rng), rng)
         if papers is None:
             papers = _papers_shot(work, film, rig)
@@ -236,7 +221,7 @@ def _trial(work: _Work, folder: Path, start: float) -> TrialResult:
 
 
 def _tuned(film: DropFilm, path: Path) -> tuple[str, Path]:
-    """Record a film, tune its log; the verdict, and the JSON."""
+    """Record a film and tune its log; return the verdict, and the JSON."""
     record_film(film, path)
     tuning = tune_log(path, Options())
     json_path = path.with_suffix(".json")
@@ -257,7 +242,7 @@ def _our_shot(trial: Trial, ball: KnownBall, rig: ShotRig) -> tuple[Taken, float
 
 
 def _take(trial: Trial, plan: Plan, rig: ShotRig, restitution: float) -> Taken:
-    """Both policies' shots have the same luck."""
+    """Take a shot with the trial's luck, the same for both policies."""
     index = plan.nearest if plan.best is None else plan.best.index
     height_m = float(plan.heights_m[index])
     luck = [trial.seed, trial.number, 0x50]
@@ -274,12 +259,12 @@ def _take(trial: Trial, plan: Plan, rig: ShotRig, restitution: float) -> Taken:
 
 
 def _log_name(trial: Trial, number: int) -> str:
-    """Of the log of one of its drops, from 1."""
+    """Name the log of one of its drops, from 1."""
     return f"drop_{trial.number + 1:03d}_{number}.mcap"
 
 
 def outcome_of(trial: Trial, ours: Taken | None, chosen: Path | None, last: str) -> Outcome:
-    """What is recorded: the drop that the shot was planned with, or the last that was tried."""
+    """Build the outcome to record: the drop that the shot was planned with, or the last tried."""
     reason = "" if ours is not None else "abandoned: no drop could be tuned"
     if ours is not None and not ours.success:
         reason = "missed the hoop"

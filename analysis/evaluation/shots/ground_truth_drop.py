@@ -1,4 +1,4 @@
-"""A drop on a table in the hidden world, and what becomes of those that leave it."""
+"""Simulate a drop on a table in the hidden world, and the mishaps of those that leave it."""
 
 from __future__ import annotations
 
@@ -21,37 +21,24 @@ from analysis.evaluation.shots.ground_truth_sim import (
 )
 from tunenet_logs.arrays import Array
 
-DROP_M = 0.5
-"""How far the robot lets balls fall: about as fast as they will hit the plane."""
-
-HELD_S, FILMED_S = 0.25, 2.6
-"""Filmed before and after the release: the fall takes 0.32 s."""
-
+DROP_M = 0.5  # how far the robot lets balls fall: about as fast as they will hit the plane
+HELD_S, FILMED_S = 0.25, 2.6  # filmed before and after the release: the fall takes 0.32 s
+# The ball hits the table's edge first; rolls off the table; or leaves the picture.
 MISHAPS = ("edge", "rolls off", "out of view")
-"""The ball hits the table's edge first; rolls off the table; or leaves the picture."""
 
-_FAR_M = 100.0
-"""To the edge of a table that no ball leaves."""
-
-_FLOOR_M = -0.75
-"""Below a table of common height."""
-
-_EDGE_DEG = (10.0, 45.0)
-"""Range of an edge's normal where the ball hits it, from the vertical."""
-
+_FAR_M = 100.0  # to the edge of a table that no ball leaves
+_FLOOR_M = -0.75  # below a table of common height
+_EDGE_DEG = (10.0, 45.0)  # range of an edge's normal where the ball hits it, from the vertical
+# Fraction of the first impact's speed at which a ball that will leave moves sideways.
 _SIDEWAYS = (0.05, 0.25)
-"""Fraction of the first impact's speed at which a ball that will leave moves sideways."""
 
-_AWAY_M_S = (0.25, 1.0)
-"""Sideways speed of a ball that goes out of view."""
-
-_ONE_CONTACT_S = 0.01
-"""Hits that follow each other faster are one contact."""
+_AWAY_M_S = (0.25, 1.0)  # sideways speed of a ball that goes out of view
+_ONE_CONTACT_S = 0.01  # hits that follow each other faster are one contact
 
 
 @dataclass(frozen=True, eq=False)
 class HiddenDrop:
-    """A drop.
+    """Drop in the hidden world.
 
     Attributes:
         mishap: one of `MISHAPS`; None where it stays on the table and in view.
@@ -67,11 +54,7 @@ class HiddenDrop:
     heading_rad: float = 0.0
 
     def centers_m(self, seconds: Array) -> Array:
-        """Positions of the ball's centre, shape (N, 3) [m], z over the table.
-
-        Args:
-            seconds: after the release, shape (N,).
-        """
+        """Return the ball's centre at times after the release, (N, 3) [m], z over the table."""
         return self.path.at(seconds)
 
     @property
@@ -81,7 +64,7 @@ class HiddenDrop:
 
 
 def drop_of(ball: HiddenBall, mishap: str | None, rng: np.random.Generator) -> HiddenDrop:
-    """Let a ball fall on the table, with or without a mishap."""
+    """Drop a ball on the table, with or without a mishap."""
     if mishap is None:
         return HiddenDrop(ball, None, _run(ball, _FAR_M, 0.0, rng))
     heading = float(rng.uniform(0.0, 2 * math.pi))
@@ -108,7 +91,7 @@ def drop_of(ball: HiddenBall, mishap: str | None, rng: np.random.Generator) -> H
 
 
 def impact_seconds(run: BallPath) -> Array:
-    """When the ball hit something [s], shape (N,); hits of one contact count once."""
+    """Return when the ball hit something [s], shape (N,); hits of one contact count once."""
     samples = np.array([sample for _, sample in run.hits])
     first = np.diff(samples, prepend=-100) > _ONE_CONTACT_S * RATE_HZ
     return samples[first] / RATE_HZ

@@ -1,4 +1,4 @@
-"""A hidden drop before a camera of unknown pose: as pictures in a log, or as a track alone."""
+"""Film a hidden drop with a camera of unknown pose: as pictures in a log, or as a track."""
 
 from __future__ import annotations
 
@@ -26,18 +26,16 @@ SIZE_PX = (640, 480)
 FRAME_HZ = 60.0
 EXPOSURE_S = 0.004
 NOISE = 4.0
-TRACK_NOISE_PX = 0.15
-"""Of a projected track: what the tracker has on such films."""
-
+TRACK_NOISE_PX = 0.15  # of a projected track: what the tracker has on such films
 _DISTANCE_M = (1.5, 3.0)
 _ELEVATION_DEG = (-5.0, 35.0)
 _FOV_DEG = (36.0, 62.0)
 _ROLL_DEG = 2.0
-_LEAST_SHARE = 0.35
+_MIN_SHARE = 0.35
 _MARGIN_PX = 20.0
 _SUBFRAMES = 6
 _QUALITY = 85
-_LEAST_CONTRAST = 35.0
+_MIN_CONTRAST = 35.0
 _COLOURS = {
     "red gel": (205, 40, 50),
     "racquetball": (40, 70, 190),
@@ -48,16 +46,14 @@ _COLOURS = {
 }
 _GREY = (128, 128, 128)
 _LOWEST_M = 0.1
-_TURNS = 4
-"""Until a camera is turned as it should: each gets nearer."""
-
+_TURNS = 4  # until a camera is turned as it should: each gets nearer
 _FALL_M = np.array([[0.0, 0.0, RADIUS_M], [0.0, 0.0, RADIUS_M + DROP_M]])
 _START_M = _FALL_M[1:]
 
 
 @dataclass(frozen=True, eq=False)
 class DropFilm:
-    """A drop and who looks at it.
+    """Drop and its camera.
 
     Attributes:
         drop: what happens.
@@ -71,12 +67,12 @@ class DropFilm:
 
     @property
     def seconds(self) -> Array:
-        """When each frame is taken, after the release, shape (T,)."""
+        """Frame times after the release, shape (T,)."""
         return np.arange(int((HELD_S + FILMED_S) * FRAME_HZ)) / FRAME_HZ - HELD_S
 
 
 def film_of(drop: HiddenDrop, rng: np.random.Generator) -> DropFilm:
-    """A camera that has the whole fall in its picture; of a ball that will leave it, most of it."""
+    """Draw a camera with the whole fall in view; of a ball that will leave it, most of it."""
     while True:
         view = random_view(rng)
         seed = int(rng.integers(2**31))
@@ -90,7 +86,7 @@ def film_of(drop: HiddenDrop, rng: np.random.Generator) -> DropFilm:
 
 
 def random_view(rng: np.random.Generator) -> View:
-    """A camera 1.5 to 3 m away that has the whole fall in its picture, at a fair size."""
+    """Draw a camera 1.5 to 3 m away with the whole fall in view, at a fair size."""
     while True:
         distance, elevation = rng.uniform(*_DISTANCE_M), np.radians(rng.uniform(*_ELEVATION_DEG))
         aim = DROP_M * rng.uniform(0.35, 0.6)
@@ -100,7 +96,7 @@ def random_view(rng: np.random.Generator) -> View:
         camera = PinholeCamera(position, target, SIZE_PX, float(rng.uniform(*_FOV_DEG)))
         view = View(camera, float(np.radians(rng.normal(0.0, _ROLL_DEG))))
         pixels = view.image_from_world(_FALL_M)
-        if _is_inside(pixels) and np.ptp(pixels[:, 1]) > _LEAST_SHARE * SIZE_PX[1]:
+        if _is_inside(pixels) and np.ptp(pixels[:, 1]) > _MIN_SHARE * SIZE_PX[1]:
             return view
 
 
@@ -125,7 +121,7 @@ def record_film(film: DropFilm, path: Path) -> None:
 
 
 def track_of(film: DropFilm) -> Track:
-    """What a tracker would make of it, without pictures."""
+    """Simulate the track that a tracker would find, without pictures."""
     rng = np.random.default_rng(film.seed)
     centers = film.drop.centers_m(film.seconds)
     places = film.view.image_from_world(centers)
@@ -153,7 +149,7 @@ def _is_inside(pixels: Array) -> bool:
 
 
 def _turned_away(view: View, drop: HiddenDrop) -> View:
-    """The camera so that the ball goes over its picture's edge when it is to leave."""
+    """Turn the camera so that a ball that is to leave crosses the image's edge."""
     assert drop.leaves_s is not None
     camera = view.camera
     at = drop.centers_m(np.array([drop.leaves_s]))
@@ -189,7 +185,7 @@ def _frames(film: DropFilm) -> Iterator[Picture]:
 
 
 def _room(film: DropFilm, rng: np.random.Generator) -> tuple[Stage, BallLook]:
-    """A room before which a person could follow the ball."""
+    """Draw a room before which a person could follow the ball."""
     heights = RADIUS_M + DROP_M * np.linspace(0.0, 1.0, 9)
     places = film.view.image_from_world(np.column_stack([np.zeros((9, 2)), heights]))
     far = np.array(SIZE_PX) - 1
@@ -211,5 +207,5 @@ def _room(film: DropFilm, rng: np.random.Generator) -> tuple[Stage, BallLook]:
         stage = draw_stage(film.view, DROP_M, rng)
         behind = stage.picture[rows, columns].astype(np.float64)
         mean = np.array(colour) * (look.ambient + 0.5 * (1 - look.ambient))
-        if np.quantile(np.abs(behind - mean).max(axis=1), 0.15) > _LEAST_CONTRAST:
+        if np.quantile(np.abs(behind - mean).max(axis=1), 0.15) > _MIN_CONTRAST:
             return stage, look

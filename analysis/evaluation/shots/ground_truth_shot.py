@@ -1,4 +1,4 @@
-"""A shot in the hidden world, on the rig as it stands there."""
+"""Simulate a shot in the hidden world, on the rig as it stands there."""
 
 from __future__ import annotations
 
@@ -18,19 +18,16 @@ from analysis.evaluation.shots.ground_truth_sim import (
 from recorders.simulators.shot.rig import ShotRig
 
 ACROSS_SD_M = 0.0015
+# Standard deviations of a robot's release, along each horizontal axis and in height.
 HEIGHT_SD_M = 0.002
-"""Standard deviations of a robot's release, along each horizontal axis and in height."""
 
-_RIM_RESTITUTION = 0.55
-"""Of any ball on the hoop's rim: less lively than on the plane."""
-
-_LONGEST_S = 4.0
-"""After which a shot is over: the ball is below the hoop long before."""
+_RIM_RESTITUTION = 0.55  # of any ball on the hoop's rim: less lively than on the plane
+_MAX_S = 4.0  # after which a shot is over: the ball is below the hoop long before
 
 
 @dataclass(frozen=True)
 class HiddenShot:
-    """What happened.
+    """Result of a shot.
 
     Attributes:
         is_through: the ball fell through the hoop.
@@ -47,7 +44,7 @@ class HiddenShot:
 def take_shot(
     ball: HiddenBall, rig: ShotRig, height_m: float, rng: np.random.Generator, *, errs: bool = True
 ) -> HiddenShot:
-    """Let a ball go above the plane, as exactly as a robot does, or exactly where not `errs`."""
+    """Drop a ball above the plane with a robot's release error, or none if not `errs`."""
     tilt = math.radians(rig.plane.incline_deg)
     off = rng.normal(0.0, 1.0, 3) * (ACROSS_SD_M, ACROSS_SD_M, HEIGHT_SD_M) * errs
     start: Vector = (
@@ -63,7 +60,7 @@ def take_shot(
         ring(middle, hoop.free_radius_m + rod_m, rod_m, _RIM_RESTITUTION),
     )
     low_m = hoop.up_m - 3 * RADIUS_M
-    run = run_ball(ball, start, obstacles, _LONGEST_S, rng, is_over=lambda at: at[2] < low_m)
+    run = run_ball(ball, start, obstacles, _MAX_S, rng, is_over=lambda at: at[2] < low_m)
     crossings = _down_through(run.positions_m, hoop.up_m)
     misses = [math.hypot(x - hoop.forward_m, y) for x, y in crossings]
     return HiddenShot(
@@ -74,7 +71,7 @@ def take_shot(
 
 
 def _down_through(positions_m: np.ndarray, level_m: float) -> list[tuple[float, float]]:
-    """Points (x, y) [m] where a path, shape (T, 3), comes down through a level."""
+    """Return points (x, y) [m] where a path, shape (T, 3), comes down through a level."""
     heights = positions_m[:, 2]
     found = []
     for row in np.flatnonzero((heights[:-1] >= level_m) & (heights[1:] < level_m)).tolist():

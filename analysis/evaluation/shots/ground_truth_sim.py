@@ -1,4 +1,4 @@
-"""The world in which the bounce-shot experiment happens; nothing that plans a shot knows it.
+"""Simulate the hidden world of the bounce-shot experiment, unknown to the planner.
 
 It shares no code with the planner's simulator (`recorders/simulators/shot`) nor with what tunes.
 A ball is stepped at 960 Hz (midpoint rule), one at a time, through quadratic drag; a step that
@@ -19,40 +19,29 @@ from tunenet_logs.arrays import Array
 
 Vector = tuple[float, float, float]
 
-RATE_HZ = 960.0
-"""Of steps: a ball at 5 m/s goes 5 mm in one, a sixth of its radius."""
-
+RATE_HZ = 960.0  # of steps: a ball at 5 m/s goes 5 mm in one, a sixth of its radius
 GRAVITY_M_S2 = 9.81
 RADIUS_M = 0.03
 MASS_KG = 0.040
+# Of every ball: about a racquetball's size and mass; Coulomb's coefficient at all that it hits.
 FRICTION = 0.25
-"""Of every ball: about a racquetball's size and mass; Coulomb's coefficient at all that it hits."""
 
 _AIR_KG_M3 = 1.2
 _DRAG_COEFFICIENT = 0.47
 DRAG_1_M = 0.5 * _AIR_KG_M3 * _DRAG_COEFFICIENT * math.pi * RADIUS_M**2 / MASS_KG
-_SPEED_M_S = 3.0
-"""Impact speed to which `HiddenBall.restitution` belongs."""
+_SPEED_M_S = 3.0  # impact speed to which `HiddenBall.restitution` belongs
+_LIVELIEST = 0.95  # restitution of the slowest impacts: the power law alone would pass 1
+_AT_REST_M_S = 0.03  # slower impacts give no rebound: a ball comes to rest
+# Along the normal after an impact, so that the next step does not start inside.
+_MIN_OUT_M_S = 0.003
 
-_LIVELIEST = 0.95
-"""Restitution of the slowest impacts: the power law alone would pass 1."""
-
-_AT_REST_M_S = 0.03
-"""Slower impacts give no rebound: a ball comes to rest."""
-
-_LEAST_OUT_M_S = 0.003
-"""Along the normal after an impact, so that the next step does not start inside."""
-
-_HALVINGS = 40
-"""Bisections of a step that find a contact: 1 / 960 s over 2^40 is 1e-15 s."""
-
-_MOST_IMPACTS = 8
-"""In one step; then the ball stays where it is until the next."""
+_HALVINGS = 40  # Bisections of a step that find a contact: 1 / 960 s over 2^40 is 1e-15 s
+_MAX_IMPACTS = 8  # in one step; then the ball stays where it is until the next
 
 
 @dataclass(frozen=True)
 class HiddenBall:
-    """A ball as it is.
+    """Ball as it is.
 
     Attributes:
         name: as on a label.
@@ -73,14 +62,14 @@ class HiddenBall:
         return self.off_round_deg == 0
 
     def restitution_at(self, speed_m_s: float) -> float:
-        """At an impact of this speed along the normal."""
+        """Return the restitution at an impact of this speed along the normal."""
         ratio = max(speed_m_s, _AT_REST_M_S) / _SPEED_M_S
         return min(self.restitution * ratio**-self.slope, _LIVELIEST)
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Something to hit.
+    """Obstacle for a ball.
 
     Attributes:
         gap: from a ball's skin to it, by the ball's centre.
@@ -95,7 +84,7 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class BallPath:
-    """What a ball did.
+    """Path of a ball.
 
     Attributes:
         positions_m: of its centre at 960 Hz, shape (T, 3).
@@ -106,7 +95,7 @@ class BallPath:
     hits: tuple[tuple[int, int], ...]
 
     def at(self, seconds: Array) -> Array:
-        """Positions at `seconds` after its release, shape (N, 3) [m]; where it started before."""
+        """Interpolate positions at `seconds` after the release, shape (N, 3) [m]."""
         clock = np.arange(len(self.positions_m)) / RATE_HZ
         return np.column_stack([np.interp(seconds, clock, axis) for axis in self.positions_m.T])
 
@@ -120,12 +109,12 @@ def run_ball(
     velocity_m_s: Vector = (0.0, 0.0, 0.0),
     is_over: Callable[[Vector], bool] | None = None,
 ) -> BallPath:
-    """Let a ball go and follow it for `seconds`, or until `is_over`."""
+    """Release a ball and step it for `seconds`, or until `is_over`."""
     position, velocity, spin = start_m, velocity_m_s, (0.0, 0.0, 0.0)
     positions, hits = [position], []
     for sample in range(1, int(seconds * RATE_HZ) + 1):
         remaining_s = 1 / RATE_HZ
-        for _ in range(_MOST_IMPACTS):
+        for _ in range(_MAX_IMPACTS):
             end, end_velocity = _flown(position, velocity, remaining_s)
             hit, used_s = _first_hit(position, velocity, remaining_s, end, obstacles)
             if hit < 0:
@@ -142,12 +131,12 @@ def run_ball(
 
 
 def ground(height_m: float) -> Obstacle:
-    """A level floor without end."""
+    """Make a level floor without end."""
     return Obstacle(lambda center: center[2] - height_m - RADIUS_M, lambda _: (0.0, 0.0, 1.0))
 
 
 def table(edge_m: float, heading_rad: float) -> Obstacle:
-    """A level table at height 0 that ends in a sharp edge, so far from the origin that way."""
+    """Make a level table at height 0 that ends in a sharp edge in that direction."""
     ahead, aside = math.cos(heading_rad), math.sin(heading_rad)
 
     def from_table(center: Vector) -> tuple[float, float]:
@@ -166,7 +155,7 @@ def table(edge_m: float, heading_rad: float) -> Obstacle:
 
 
 def incline(tilt_rad: float, reach_m: float) -> Obstacle:
-    """A plane through the origin, down along x, that ends `reach_m` down its slope."""
+    """Make a plane through the origin, down along x, that ends `reach_m` down its slope."""
     normal = (math.sin(tilt_rad), 0.0, math.cos(tilt_rad))
     down = (math.cos(tilt_rad), 0.0, -math.sin(tilt_rad))
 
@@ -180,7 +169,7 @@ def incline(tilt_rad: float, reach_m: float) -> Obstacle:
 
 
 def ring(center_m: Vector, ring_m: float, rod_m: float, restitution: float) -> Obstacle:
-    """A horizontal ring of a round rod: radius to the rod's middle, and of the rod."""
+    """Make a horizontal ring of a round rod: radius to the rod's middle, and of the rod."""
 
     def from_rod(center: Vector) -> tuple[float, float, float, float]:
         x, y = center[0] - center_m[0], center[1] - center_m[1]
@@ -201,7 +190,7 @@ def ring(center_m: Vector, ring_m: float, rod_m: float, restitution: float) -> O
 
 
 def _flown(position: Vector, velocity: Vector, seconds: float) -> tuple[Vector, Vector]:
-    """Position and velocity after one step of the midpoint rule (Runge-Kutta of second order)."""
+    """Return position and velocity after one step of the midpoint rule (Runge-Kutta 2)."""
     x, y, z = velocity
     slow = DRAG_1_M * math.sqrt(x * x + y * y + z * z)
     half = seconds / 2
@@ -223,7 +212,7 @@ def _first_hit(
     end: Vector,
     obstacles: Sequence[Obstacle],
 ) -> tuple[int, float]:
-    """Which obstacle a step ends in, and after how long it touches (bisection); -1 for none."""
+    """Find by bisection which obstacle a step ends in, and when it touches; -1 for none."""
     found, soonest = -1, math.inf
     for index, obstacle in enumerate(obstacles):
         if obstacle.gap(end) >= 0:
@@ -248,7 +237,7 @@ def _impact(
     spin: Vector,
     rng: np.random.Generator,
 ) -> tuple[Vector, Vector]:
-    """Velocity and spin after an impact with Coulomb friction, of a solid sphere."""
+    """Return velocity and spin of a solid sphere after an impact with Coulomb friction."""
     true_normal = obstacle.normal(position)
     normal = true_normal if ball.is_round else _tilted(true_normal, ball.off_round_deg, rng)
     arm = (-RADIUS_M * normal[0], -RADIUS_M * normal[1], -RADIUS_M * normal[2])
@@ -277,9 +266,9 @@ def _impact(
 
 
 def _kept_out(velocity: Vector, normal: Vector) -> Vector:
-    """No ball leaves into what it hit."""
+    """Keep a ball from leaving into what it hit."""
     x, y, z = velocity
-    more = _LEAST_OUT_M_S - _dot(velocity, normal)
+    more = _MIN_OUT_M_S - _dot(velocity, normal)
     if more <= 0:
         return velocity
     return x + more * normal[0], y + more * normal[1], z + more * normal[2]

@@ -1,4 +1,4 @@
-"""The paper's policy: its network, its observation, and a shot whatever came out.
+"""Run the paper's policy: its network, its observation, and a shot with any estimate.
 
 The paper's network knows falls of 4 to 5 m of balls of 1 m before its own cameras, so it is trained
 anew for this rig, by its authors' code: 800 pairs, both sides of a pair falling from one height
@@ -41,19 +41,15 @@ from tunenet_logs.terminal import Progress
 
 SAMPLES = 400
 ITERATIONS = 5
-_PAIRS = 800
-"""The paper's: frames of a drop, rollouts spent on a target (K), pairs learnt from."""
-
-RESTITUTIONS = (0.4, 0.95)
-"""Drawn evenly for training: those of the hidden balls are within."""
-
+_PAIRS = 800  # the paper's: frames of a drop, rollouts spent on a target (K), pairs learnt from
+RESTITUTIONS = (0.4, 0.95)  # drawn evenly for training: those of the hidden balls are within
+# Ends in a ratio of 4 to 5, as the paper's 4 to 5 m.
 _DROP_HEIGHTS_M = (DROP_M * 8 / 9, DROP_M * 10 / 9)
-"""Ends in a ratio of 4 to 5, as the paper's 4 to 5 m."""
 
 
 @dataclass(frozen=True)
 class _TrainingDrop:
-    """A drop to learn from; with a seed it is filmed by a camera that the seed draws."""
+    """Drop to learn from; with a seed it is filmed by a camera that the seed draws."""
 
     drop_height_m: float
     restitution: float
@@ -61,7 +57,7 @@ class _TrainingDrop:
 
 
 def train_papers(seed: int, progress: Progress, effort: Effort) -> Model:
-    """The paper's network for this rig."""
+    """Train the paper's network for this rig."""
     from analysis.tunenet.training import train
 
     rng = np.random.default_rng(seed)
@@ -80,12 +76,7 @@ def train_papers(seed: int, progress: Progress, effort: Effort) -> Model:
 
 
 def papers_restitution(model: Model, rows: Array) -> float:
-    """The restitution that the paper's policy plans with: K = 5, clipped to [0, 1].
-
-    Args:
-        model: its network.
-        rows: y of the ball [picture heights], shape (400,); see `seen_rows`.
-    """
+    """Estimate as the paper's policy: K = 5, clipped to [0, 1]; `rows` by `seen_rows`."""
     target = Observation(rows[:, None], _axis(), "time [s]", ("y [picture heights]",))
     problem = Problem(target, _AirDrop(DROP_M), _heights, np.array([RESTITUTION.initial]))
     trace = TuneNet(model).estimate(problem, ITERATIONS)
@@ -93,11 +84,7 @@ def papers_restitution(model: Model, rows: Array) -> float:
 
 
 def seen_rows(track: Track) -> Array:
-    """The ball's y [picture heights] from its release on; interpolated where it was not seen.
-
-    Returns:
-        Shape (400,).
-    """
+    """Return the ball's y [picture heights] from the release on, interpolated, shape (400,)."""
     seconds = track.stamps_ns * 1e-9 - HELD_S
     rows = track.places_px[:, 1] / SIZE_PX[1]
     known = np.isfinite(rows)
@@ -107,7 +94,7 @@ def seen_rows(track: Track) -> Array:
 
 
 def _observe(drops: Sequence[_TrainingDrop]) -> Array:
-    """Z of simulations [drop heights], y of filmed ones [picture heights], shape (N, 400, 1)."""
+    """Return z of simulations [drop heights], y of filmed ones [picture heights], (N, 400, 1)."""
     curves = []
     for drop in drops:
         episode = _AirDrop(drop.drop_height_m).rollout({RESTITUTION.name: drop.restitution})
@@ -124,7 +111,7 @@ def _observe(drops: Sequence[_TrainingDrop]) -> Array:
 
 
 class _AirDrop:
-    """A drop with the air's drag, in closed form; see `Simulator`."""
+    """Drop with air drag, in closed form; see `Simulator`."""
 
     parameters: tuple[Parameter, ...] = (RESTITUTION,)
     engine = "a bounce in closed form"
@@ -151,5 +138,5 @@ def _heights(episode: Episode) -> Observation:
 
 
 def _axis() -> Array:
-    """Of the observations [s], shape (400,)."""
+    """Return the times of the observations [s], shape (400,)."""
     return np.arange(SAMPLES) / FRAME_HZ

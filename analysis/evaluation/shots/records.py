@@ -1,4 +1,4 @@
-"""The bounce shot's figures for other programs: JSON and CSV."""
+"""Export the bounce shot's figures as JSON and CSV."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from analysis.evaluation.shots.tables import success_rates
 
 
 def trial_records(results: Sequence[TrialResult]) -> list[dict[str, Any]]:
-    """One flat record for each trial."""
+    """Return one flat record for each trial."""
     return [
         {
             "seed": one.trial.seed,
@@ -44,7 +44,7 @@ def trial_records(results: Sequence[TrialResult]) -> list[dict[str, Any]]:
 def shot_json(
     results: Sequence[TrialResult], bad: Sequence[JudgedDrop], good: Sequence[JudgedDrop]
 ) -> str:
-    """Everything: success rates (`shares`), `trials`, and what `drops` were taken for."""
+    """Serialise success rates (`shares`), `trials`, and the verdicts on `drops`."""
     content = {
         "shares": {
             name: {"count": one.count, "of": one.of}
@@ -57,6 +57,6 @@ def shot_json(
 
 
 def shot_csv(results: Sequence[TrialResult]) -> str:
-    """One row for each trial."""
+    """Format one row for each trial."""
     records = trial_records(results)
     return csv_text(list(records[0]) if records else ["trial"], records)

@@ -1,4 +1,4 @@
-"""The bounce shot's figures for a terminal, the paper's beside them."""
+"""Tabulate the bounce shot's results for a terminal, the paper's beside them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from analysis.evaluation.shots.acceptance import AcceptanceRow, JudgedDrop, acce
 from analysis.evaluation.shots.campaign import TrialResult
 from recorders.simulators.shot.rig import ShotRig
 
-_LABEL, _CELL = 46, 12
-"""Of the columns [characters]."""
+_LABEL, _CELL = 46, 12  # of the columns [characters]
 
 
 @dataclass(frozen=True)
 class SuccessRate:
-    """How many shots of how many went through the hoop."""
+    """Success rate: how many shots of how many went through the hoop."""
 
     count: int
     of: int
@@ -29,12 +28,12 @@ class SuccessRate:
 
     @property
     def words(self) -> str:
-        """Such as "87 % (33 of 38)"."""
+        """Words such as "87 % (33 of 38)"."""
         return f"{self.percent:.0f} % ({self.count} of {self.of})" if self.of else "-"
 
 
 def success_rates(results: Sequence[TrialResult]) -> dict[str, SuccessRate]:
-    """Success rates by policy and trials."""
+    """Compute success rates by policy and trials."""
 
     def rate(
         success: Callable[[TrialResult], bool], where: Callable[[TrialResult], bool]
@@ -66,16 +65,16 @@ def success_rates(results: Sequence[TrialResult]) -> dict[str, SuccessRate]:
     }
 
 
+# The paper's third experiment.
 _PUBLISHED = {
     "paper's, all": "62 %",
     "paper's, on the table": "87 %",
     "paper's, off the table": "18 %",
 }
-"""The paper's third experiment."""
 
 
 def relative_misses(results: Sequence[TrialResult]) -> np.ndarray:
-    """Misses of our shots of round balls without release error, over the hoop's free radius.
+    """Return misses of our shots of round balls, without release error, over the free radius.
 
     Shape (N,); infinite where the ball never came down at the hoop's height.
     """
@@ -90,7 +89,7 @@ def relative_misses(results: Sequence[TrialResult]) -> np.ndarray:
 
 
 def campaign_table(results: Sequence[TrialResult]) -> str:
-    """Success rates of both policies by seed and over all, then what else is to be shown."""
+    """Tabulate success rates of both policies by seed and over all, then further figures."""
     seeds = sorted({one.trial.seed for one in results})
     by_seed = [success_rates([one for one in results if one.trial.seed == seed]) for seed in seeds]
     heads = [f"seed {seed}" for seed in seeds]
@@ -134,7 +133,7 @@ def _further(results: Sequence[TrialResult]) -> list[str]:
 
 
 def acceptance_table(bad: Sequence[JudgedDrop], good: Sequence[JudgedDrop]) -> str:
-    """Verdicts on drops that leave the table and on good ones."""
+    """Tabulate verdicts on drops that leave the table and on good ones."""
     lines = [
         "What drops in the hidden world are taken for (tracks without pictures), in %.",
         "wrong: ok, and off by more than .02 at the first impact.",

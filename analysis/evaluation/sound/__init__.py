@@ -1,1 +1,1 @@
-"""Bounces as a microphone hears them, made by code, and what is told of them."""
+"""Synthesise bounces as a microphone hears them, and tune from them."""

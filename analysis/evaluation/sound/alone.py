@@ -1,4 +1,4 @@
-"""Sounds alone: what is told of bounces, by the product and by phyphox's way, and of no bounces."""
+"""Tune from sound alone: bounces, by the product and by phyphox's way, and no bounces."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from analysis.evaluation.sound.phyphox_way import best_reading
 from tunenet_logs.episode import Episode, EpisodeInfo
 
 SNRS_DB = (40.0, 30.0, 20.0, 10.0, 5.0)
-USUAL_JITTER_S = 0.0002
-"""Of an onset, where none was heard."""
+TYPICAL_JITTER_S = 0.0002  # of an onset, where none was heard
 
 
 @dataclass(frozen=True)
 class AloneTrial:
-    """One clip to be heard.
+    """Clip to be heard.
 
     Attributes:
         seed: of it.
@@ -37,7 +36,7 @@ class AloneTrial:
     uneven: float = 0.0
 
     def clip(self) -> SoundClip:
-        """It: every second one through AAC."""
+        """Synthesise the clip: every second one through AAC."""
         codec = "aac" if self.number % 2 else "pcm"
         return draw_sound(
             self.seed, self.number, snr_db=self.snr_db, codec=codec, uneven=self.uneven
@@ -46,7 +45,7 @@ class AloneTrial:
 
 @dataclass(frozen=True)
 class AloneOutcome:
-    """What came of a clip.
+    """Result for a clip.
 
     Attributes:
         trial: which.
@@ -80,7 +79,7 @@ class AloneOutcome:
 
 
 def alone_outcome(trial: AloneTrial) -> AloneOutcome:
-    """Both answers and phyphox's."""
+    """Tune a clip, with the ball named and not, and read it as phyphox does."""
     clip = trial.clip()
     scene = clip.scene
     episode = sound_alone(clip)
@@ -88,7 +87,7 @@ def alone_outcome(trial: AloneTrial) -> AloneOutcome:
     named, _ = answer_to(episode, scene.ball.told)
     off = onset_errors_s(times_s, clip.impacts_s)
     jitter_s = float(np.sqrt(np.mean(off**2))) if len(off) > 2 else np.nan
-    usual_s = USUAL_JITTER_S if not np.isfinite(jitter_s) else max(jitter_s, 1e-5)
+    usual_s = TYPICAL_JITTER_S if not np.isfinite(jitter_s) else max(jitter_s, 1e-5)
     heard = scene.audible
     bounds = tuple(bound_sd(scene.history, heard, usual_s, named=one) for one in (False, True))
     best = best_reading(clip)
@@ -109,13 +108,13 @@ def alone_outcome(trial: AloneTrial) -> AloneOutcome:
 
 
 def sound_alone(heard: SoundClip | NoBounce) -> Episode:
-    """A log that holds this sound and nothing else."""
+    """Build a log that holds this sound and nothing else."""
     return with_sound(Episode(EpisodeInfo(), {}), heard)
 
 
 @dataclass(frozen=True)
 class NegativeOutcome:
-    """What came of a sound that is no bounce.
+    """Result for a sound that is no bounce.
 
     Attributes:
         seed: of it.
@@ -131,6 +130,6 @@ class NegativeOutcome:
 
 
 def negative_outcome(asked: tuple[int, int]) -> NegativeOutcome:
-    """Of a seed and a number."""
+    """Tune the negative of a seed and a number."""
     heard = draw_negative(*asked)
     return NegativeOutcome(*asked, heard.kind, answer_to(sound_alone(heard))[0])

@@ -1,4 +1,4 @@
-"""What the product says of a sound, alone or beside pictures."""
+"""Collect the product's answers to a sound, alone or beside pictures."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tunenet_logs.episode import Episode
 
 @dataclass(frozen=True)
 class SoundAnswer:
-    """A tuning's answer; NaN where there is none.
+    """Answer of a tuning; NaN where there is none.
 
     Attributes:
         verdict: "ok", "suspect" or "rejected".
         reason: why it is not "ok"; "" where it is.
-        value: restitution, at the first impact that the log tells it of.
+        value: restitution, at the first impact that the log determines.
         low: lower end of its 95 % interval.
         high: upper end.
         slope: of the restitution's fall with speed.
@@ -46,21 +46,16 @@ class SoundAnswer:
 
     @property
     def width(self) -> float:
-        """Of the interval."""
+        """Width of the interval."""
         return self.high - self.low
 
     def covers(self, truth: float) -> bool:
-        """Whether the interval holds the truth."""
+        """Check whether the interval holds the truth."""
         return self.low <= truth <= self.high
 
 
 def answer_to(episode: Episode, ball: Ball = UNKNOWN_BALL) -> tuple[SoundAnswer, Array]:
-    """What `tunenet-tune` says, and the impact times that it heard [s], shape (N,).
-
-    Args:
-        episode: with or without sound.
-        ball: as a user names it.
-    """
+    """Tune an episode; return the answer, and the impact times heard [s], shape (N,)."""
     began_s = time.process_time()
     tuning = tune_episode(episode, Options(selection=Selection(ball=ball)))
     seconds = time.process_time() - began_s
@@ -68,7 +63,7 @@ def answer_to(episode: Episode, ball: Ball = UNKNOWN_BALL) -> tuple[SoundAnswer,
 
 
 def answer_of(record: Record, seconds: float) -> SoundAnswer:
-    """The answer in a record."""
+    """Extract the answer from a record."""
     found = record.estimate("restitution")
     slope = record.estimate("restitution_slope")
     low, high = np.nan, np.nan
@@ -87,12 +82,12 @@ def answer_of(record: Record, seconds: float) -> SoundAnswer:
 
 
 def _heard_s(tuning: Tuning) -> Array:
-    """Impact times that a sound alone was tuned by; none of a film."""
+    """Return the impact times that a sound alone was tuned by; none of a video."""
     times = getattr(tuning.detection, "times_s", None)
     return np.zeros(0) if times is None else np.asarray(times, dtype=np.float64)
 
 
 def without_sound(episode: Episode) -> Episode:
-    """The same, deaf."""
+    """Return the episode without sound."""
     channels = tuple(channel for channel in episode.channels if not channel.sounds)
     return replace(episode, channels=channels, open_sound=None)

@@ -1,4 +1,4 @@
-"""What else is heard: a quiet room, a fan, somebody who talks, music."""
+"""Synthesise background sound: a quiet room, a fan, speech, music."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BACKGROUNDS: tuple[Background, ...] = get_args(Background)
 def background_sound(
     kind: Background, seconds: float, rate_hz: float, rng: np.random.Generator
 ) -> Array:
-    """Sound of any loudness, shape (N,).
+    """Synthesise a background of any loudness, shape (N,).
 
     Args:
         kind: "quiet" has noise that falls with frequency, and hum; "noise" is white, pink or of a
@@ -44,14 +44,14 @@ def background_sound(
 
 
 def coloured_noise(count: int, rate_hz: float, fall: float, rng: np.random.Generator) -> Array:
-    """Noise whose amplitude goes as frequency to -`fall`: 0 is white, .5 pink, 1 brown."""
+    """Synthesise noise with amplitude f^-`fall`: 0 is white, .5 pink, 1 brown."""
     spectrum = np.fft.rfft(rng.standard_normal(count))
     hz = np.fft.rfftfreq(count, 1 / rate_hz)
     return np.fft.irfft(spectrum * np.maximum(hz, 30.0) ** -fall, count) * 30.0**fall
 
 
 def hum(count: int, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Of the mains, with harmonics, about as strong as 1."""
+    """Synthesise mains hum with harmonics, about as strong as 1."""
     time = np.arange(count) / rate_hz
     mains_hz = rng.choice([50.0, 60.0])
     turns = rng.uniform(0, 2 * np.pi, 6)

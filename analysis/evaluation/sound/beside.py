@@ -1,4 +1,4 @@
-"""Films and tracks with sound beside them: their own, another's, or none."""
+"""Tune videos and tracks with sound beside them: their own, another's, or none."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SEEDS = 4_000_000
 
 @dataclass(frozen=True)
 class BesideTrial:
-    """One film or track.
+    """One video or track.
 
     Attributes:
         kind: "film" or "track".
@@ -46,7 +46,7 @@ class BesideTrial:
 
 @dataclass(frozen=True)
 class BesideOutcome:
-    """What came of it.
+    """Result of a trial.
 
     Attributes:
         trial: which.
@@ -68,7 +68,7 @@ class BesideOutcome:
 
 
 def beside_outcome(trial: BesideTrial) -> BesideOutcome:
-    """Every answer, each to a log that was opened afresh."""
+    """Tune a trial with each sound, each from a log that was opened afresh."""
     if trial.kind == "track":
         track = track_with_sound(trial.seed, trial.number, FILM_SNR_DB)
         clip = track.clip
@@ -112,7 +112,7 @@ def _answered(
 
 
 def unrelated_sound(what: str, lasts_s: float, seed: int, number: int) -> NoBounce:
-    """Noise, speech, music or nothing as long as a film, through AAC."""
+    """Synthesise noise, speech, music or silence as long as a video, through AAC."""
     rng = np.random.default_rng([_SEEDS + seed, number, *what.encode()])
     samples = np.zeros(int(lasts_s * _RATE_HZ))
     if what != "silence":

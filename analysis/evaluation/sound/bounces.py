@@ -1,4 +1,4 @@
-"""When a ball touches, how fast, and how long it stays: the truth behind a sound.
+"""Compute touches, speeds and contact times of a bounce: the truth behind a sound.
 
 Between two contacts the ball flies in air that slows it by the square of its speed, k v². With the
 final speed V = sqrt(g / k), a rise from speed v takes V / g atan(v / V) and gets to the height
@@ -16,20 +16,16 @@ from tunenet_logs.arrays import Array
 
 GRAVITY_M_S2 = 9.81
 
-SLOWEST_M_S = 0.06
-"""A ball that touches more slowly is left lying: nobody hears it."""
-
-_MOST_IMPACTS = 60
-_MOST_RESTITUTION = 0.975
-_HERTZ = -0.2
-"""A contact lasts as the speed to this power (Hertz 1881)."""
-
-_LEAST_DRAG_1_M = 1e-7
+MIN_SPEED_M_S = 0.06  # a ball that touches more slowly is left lying: nobody hears it
+_MAX_IMPACTS = 60
+_MAX_RESTITUTION = 0.975
+_HERTZ = -0.2  # a contact lasts as the speed to this power (Hertz 1881)
+_MIN_DRAG_1_M = 1e-7
 
 
 @dataclass(frozen=True)
 class BounceOrder:
-    """What is dropped.
+    """Specification of a bounce.
 
     Attributes:
         height_m: of the fall.
@@ -52,7 +48,7 @@ class BounceOrder:
 
 @dataclass(frozen=True, eq=False)
 class BounceHistory:
-    """What it does, impact by impact, shape (N,) each.
+    """Impacts of a bounce, shape (N,) each.
 
     Attributes:
         order: what was dropped.
@@ -71,8 +67,8 @@ class BounceHistory:
     by_law: Array
 
     def heights_m(self, seconds: Array) -> Array:
-        """Over the table at times after the release, shape (T,); in a contact a little below 0."""
-        order, drag = self.order, max(self.order.drag_1_m, _LEAST_DRAG_1_M)
+        """Return heights over the table, shape (T,); in a contact a little below 0."""
+        order, drag = self.order, max(self.order.drag_1_m, _MIN_DRAG_1_M)
         heights = np.full(len(seconds), order.height_m)
         falling = (seconds > 0) & (seconds < self.touches_s[0])
         heights[falling] -= _fallen_m(seconds[falling], drag)
@@ -94,15 +90,15 @@ class BounceHistory:
 
 
 def bounced(order: BounceOrder) -> BounceHistory:
-    """Let a ball go and follow it until it is slow."""
-    drag = max(order.drag_1_m, _LEAST_DRAG_1_M)
+    """Drop a ball and compute its impacts until it is slow."""
+    drag = max(order.drag_1_m, _MIN_DRAG_1_M)
     clock, speed = fall_of(order.height_m, drag)
     first = speed
-    own = np.random.default_rng(order.seed).normal(0.0, order.uneven, _MOST_IMPACTS)
+    own = np.random.default_rng(order.seed).normal(0.0, order.uneven, _MAX_IMPACTS)
     rows: list[tuple[float, float, float, float, float]] = []
-    while speed > SLOWEST_M_S and len(rows) < _MOST_IMPACTS:
-        by_law = min(order.restitution * (speed / first) ** -order.slope, _MOST_RESTITUTION)
-        kept = min(by_law * float(np.exp(own[len(rows)])), _MOST_RESTITUTION)
+    while speed > MIN_SPEED_M_S and len(rows) < _MAX_IMPACTS:
+        by_law = min(order.restitution * (speed / first) ** -order.slope, _MAX_RESTITUTION)
+        kept = min(by_law * float(np.exp(own[len(rows)])), _MAX_RESTITUTION)
         contact = order.contact_s * speed**_HERTZ
         rows.append((clock, contact, speed, kept, by_law))
         rise_s, apex_m = rise_of(kept * speed, drag)
@@ -112,27 +108,27 @@ def bounced(order: BounceOrder) -> BounceHistory:
 
 
 def rise_of(speed_m_s: float, drag_1_m: float) -> tuple[float, float]:
-    """How long a ball rises that starts upward [s], and how high [m]."""
+    """Return the duration [s] and height [m] of a rise in drag."""
     final = np.sqrt(GRAVITY_M_S2 / drag_1_m)
     ratio = speed_m_s / final
     return float(final / GRAVITY_M_S2 * np.arctan(ratio)), float(np.log1p(ratio**2) / 2 / drag_1_m)
 
 
 def fall_of(height_m: float, drag_1_m: float) -> tuple[float, float]:
-    """How long a ball falls from rest [s], and how fast it then is [m/s]."""
+    """Return the duration [s] and final speed [m/s] of a fall from rest in drag."""
     final = np.sqrt(GRAVITY_M_S2 / drag_1_m)
     speed = final * np.sqrt(-np.expm1(-2 * drag_1_m * height_m))
     return float(final / GRAVITY_M_S2 * np.arctanh(speed / final)), float(speed)
 
 
 def _fallen_m(seconds: Array, drag_1_m: float) -> Array:
-    """How far a ball falls from rest."""
+    """Return how far a ball falls from rest."""
     final = np.sqrt(GRAVITY_M_S2 / drag_1_m)
     return np.log(np.cosh(GRAVITY_M_S2 * seconds / final)) / drag_1_m
 
 
 def _flight_m(seconds: Array, up_m_s: float, drag_1_m: float) -> Array:
-    """Height of a ball that left the table at this speed."""
+    """Return the height of a ball that left the table at this speed."""
     final = np.sqrt(GRAVITY_M_S2 / drag_1_m)
     rise_s, apex_m = rise_of(up_m_s, drag_1_m)
     left = np.clip(rise_s - seconds, 0.0, None)

@@ -1,4 +1,4 @@
-"""How well any fit could tell the second impact's restitution from onsets of a known jitter."""
+"""Bound how well onsets of a known jitter determine the second impact's restitution."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from analysis.evaluation.sound.bounces import BounceHistory, BounceOrder, bounced
 from tunenet_logs.arrays import Array
 
+# Of the differences: of slope and restitution as they are, of the others in their logarithm.
 _STEPS = {"height_m": 1e-3, "restitution": 1e-4, "slope": 1e-3, "drag_1_m": 1e-2, "contact_s": 2e-2}
-"""Of the differences: of slope and restitution as they are, of the others in their logarithm."""
 
 _PRIORS = {"height_m": 0.7, "restitution": 0.3, "slope": 0.09, "contact_s": 1.0}
+# Standard deviations of what is known before, in the same measure; of the drag where the ball is
+# not named, and where it is.
 _LOG_DRAG_SD, _KNOWN_DRAG_SD = 1.1, 0.1
-"""Standard deviations of what is known before, in the same measure; of the drag where the ball is
-not named, and where it is."""
 
+# Mean absolute error over standard deviation, of a normal distribution.
 MEAN_OF_SD = float(np.sqrt(2 / np.pi))
-"""Mean absolute error over standard deviation, of a normal distribution."""
 
 
 def bound_sd(history: BounceHistory, count: int, jitter_s: float, *, named: bool) -> float:
-    """Least standard deviation of an estimate of the restitution at the second impact.
+    """Return the Cramér-Rao bound on the second impact's restitution (standard deviation).
 
     The Cramér-Rao bound with priors: unknown are when the recording began, the fall, restitution,
     slope, drag, and how long a contact lasts.
@@ -56,9 +56,9 @@ def _moved(order: BounceOrder, name: str, step: float) -> BounceHistory:
 
 
 def onset_errors_s(times_s: Array, impacts_s: Array, within_s: float = 0.005) -> Array:
-    """How late onsets are that belong to an impact, less their median, shape (M,).
+    """Return the errors of onsets that belong to an impact, less their median, shape (M,).
 
-    Whatever clock they are on: the constant between the two is that with which most onsets are an
+    The clocks may differ: the constant between the two is that with which most onsets are an
     impact's.
 
     Args:

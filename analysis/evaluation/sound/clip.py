@@ -1,4 +1,4 @@
-"""A bounce drawn at random, as a phone hears it: the sound, and the truth behind it."""
+"""Draw a bounce at random, as a phone hears it, with the truth behind it."""
 
 from __future__ import annotations
 
@@ -31,33 +31,23 @@ Codec = Literal["pcm", "aac"]
 RESTITUTIONS = (0.5, 0.95)
 SLOPES = (0.0, 0.15)
 HEIGHTS_M = (0.3, 1.5)
-SNRS_DB = (20.0, 40.0)
-"""Drawn evenly, where no ratio is asked for."""
-
-FEWEST_IMPACTS = 5
-MOST_IMPACTS = 14
-"""Of the impacts that are loud enough, those that are recorded."""
-
-FAINTEST = 10**-1.5
-"""An impact counts as audible down to 30 dB below the loudest."""
-
-_SEEDS = 1_000_000
-"""Added to a seed: negative ones are for choosing, positive ones for reporting."""
-
+SNRS_DB = (20.0, 40.0)  # drawn evenly, where no ratio is asked for
+MIN_IMPACTS = 5
+MAX_IMPACTS = 14  # of the impacts that are loud enough, those that are recorded
+FAINTEST = 10**-1.5  # an impact counts as audible down to 30 dB below the loudest
+_SEEDS = 1_000_000  # added to a seed: negative ones are for choosing, positive ones for reporting
 RATES_HZ = (44_100, 48_000)
 SPEED_OF_SOUND_M_S = 343.0
 _LOUDNESS = (1.2, 1.8)
 _LEAD_S = (0.2, 1.2)
 _DISTANCE_M = (0.15, 1.5)
-_WALK_M_S = 0.03
-"""Standard deviation of the speed by which the ball comes nearer or goes away."""
-
-_LONGEST_S = 10.0
+_WALK_M_S = 0.03  # standard deviation of the speed by which the ball comes nearer or goes away
+_MAX_S = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class SoundScene:
-    """A bounce and where it is heard, before anything else is.
+    """Bounce and where it is heard, before any background.
 
     Attributes:
         ball: what bounces.
@@ -91,18 +81,18 @@ class SoundScene:
 
     @property
     def touches_s(self) -> Array:
-        """When each contact begins, after the first sample, to the end of the recording."""
+        """Start of each contact after the first sample, to the end of the recording."""
         touches = self.release_s + self.history.touches_s
         return touches[touches < self.lasts_s]
 
     @property
     def impacts_s(self) -> Array:
-        """When the sound of each contact gets to the microphone, after the first sample."""
+        """Arrival of each contact's sound at the microphone, after the first sample."""
         away_m = self.distance_m + self.walk_m_s * (self.touches_s - self.release_s)
         return self.touches_s + np.maximum(away_m, 0.05) / SPEED_OF_SOUND_M_S
 
     def foreground(self) -> Array:
-        """The ball alone, in its room, by the phone's microphone, shape (N,)."""
+        """Synthesise the ball alone, in its room, by the phone's microphone, shape (N,)."""
         samples = np.zeros(int(self.lasts_s * self.rate_hz))
         impacts = zip(self.impacts_s, self.history.speeds_m_s, strict=False)
         add_impacts(samples, self.rate_hz, self.voice, impacts, np.random.default_rng(self.seed))
@@ -111,7 +101,7 @@ class SoundScene:
 
 @dataclass(frozen=True, eq=False)
 class SoundClip:
-    """A recording, and what it is of.
+    """Recording and its truth.
 
     Attributes:
         samples: full scale 1, shape (N,).
@@ -131,40 +121,40 @@ class SoundClip:
 
     @property
     def impacts_s(self) -> Array:
-        """When the sound of each impact begins, after the first sample, shape (N,)."""
+        """Arrival of each impact's sound, after the first sample, shape (N,)."""
         return self.scene.impacts_s
 
     @property
     def restitutions(self) -> Array:
-        """Of each of them, shape (N,)."""
+        """Restitution of each impact, shape (N,)."""
         return self.scene.history.restitutions[: len(self.impacts_s)]
 
     @property
     def contacts_s(self) -> Array:
-        """How long each contact lasts, shape (N,)."""
+        """Duration of each contact, shape (N,)."""
         return self.scene.history.contacts_s[: len(self.impacts_s)]
 
     @property
     def ball_name(self) -> str:
-        """The kind of ball."""
+        """Kind of ball."""
         return self.scene.ball.kind
 
     @property
     def drag_1_m(self) -> float:
-        """Deceleration by the air over speed squared."""
+        """Drag deceleration over speed squared."""
         return self.scene.history.order.drag_1_m
 
     @property
     def height_m(self) -> float:
-        """Of the fall."""
+        """Height of the fall."""
         return self.scene.history.order.height_m
 
     def write(self, path: Path) -> None:
-        """As .wav or .m4a; the first as it is, the second encoded (once more, if it was)."""
+        """Write as .wav or .m4a; the first as it is, the second encoded (once more, if it was)."""
         write_sound(self.samples, self.rate_hz, path)
 
     def sound(self, name: str = "/audio", start_ns: int = 0) -> Sound:
-        """In memory, as a reader gives it."""
+        """Return the sound in memory, as a reader gives it."""
         return Sound(
             name=name,
             start_ns=start_ns,
@@ -184,16 +174,7 @@ def draw_sound(
     codec: Codec = "pcm",
     uneven: float = 0.0,
 ) -> SoundClip:
-    """Clip `number` of a seed: the same bounce whatever background, ratio and codec.
-
-    Args:
-        seed: of all that is drawn.
-        number: likewise.
-        background: None for any.
-        snr_db: see `loudness.impact_ratio`; None for 20 to 40.
-        codec: what the samples go through.
-        uneven: see `BounceOrder`.
-    """
+    """Draw clip `number` of a seed: the same bounce for any background, ratio and codec."""
     rng = np.random.default_rng([_SEEDS + seed, number, *b"bounce"])
     scene = draw_scene(rng, uneven=uneven)
     rng = np.random.default_rng([_SEEDS + seed, number, *b"background"])
@@ -211,7 +192,7 @@ def draw_sound(
 def recorded(
     scene: SoundScene, background: Background, snr_db: float, codec: Codec, seed: int
 ) -> SoundClip:
-    """What the phone makes of a bounce and of what else is heard."""
+    """Mix a bounce with a background, and record it by the phone."""
     rate_hz, lasts_s = scene.rate_hz, scene.lasts_s
     foreground = scene.foreground()
     other = background_sound(background, lasts_s, rate_hz, np.random.default_rng(seed))
@@ -229,7 +210,7 @@ def recorded(
 def draw_scene(
     rng: np.random.Generator, lasts_s: float | None = None, uneven: float = 0.0
 ) -> SoundScene:
-    """Any ball on any table that is heard at least five times.
+    """Draw any ball on any table that is heard at least five times.
 
     Args:
         rng: draws it.
@@ -254,7 +235,7 @@ def draw_scene(
         loud = history.speeds_m_s**loudness
         audible = int(np.count_nonzero(loud > FAINTEST * loud[0]))
         release_s = float(rng.uniform(*_LEAD_S))
-        most = int(rng.integers(FEWEST_IMPACTS, MOST_IMPACTS + 1))
+        most = int(rng.integers(MIN_IMPACTS, MAX_IMPACTS + 1))
         end_s = lasts_s or _end_s(history, min(audible, most), rng)
         audible = min(audible, int(np.count_nonzero(history.touches_s < end_s - 0.02)))
         scene = SoundScene(
@@ -272,14 +253,14 @@ def draw_scene(
             walk_m_s=float(rng.normal(0.0, _WALK_M_S)),
             seed=int(rng.integers(2**31)),
         )
-        if audible >= FEWEST_IMPACTS:
+        if audible >= MIN_IMPACTS:
             return scene
 
 
 def _end_s(history: BounceHistory, count: int, rng: np.random.Generator) -> float:
-    """When the recording ends, after the release: in the flight after so many impacts."""
+    """Draw the end of the recording after the release: in the flight after so many impacts."""
     touches = history.touches_s
     if count < len(touches):
         flight = touches[count] - touches[count - 1]
-        return float(min(touches[count - 1] + rng.uniform(0.4, 0.95) * flight, _LONGEST_S))
-    return float(min(touches[-1] + rng.uniform(0.3, 1.0), _LONGEST_S))
+        return float(min(touches[count - 1] + rng.uniform(0.4, 0.95) * flight, _MAX_S))
+    return float(min(touches[-1] + rng.uniform(0.3, 1.0), _MAX_S))

@@ -1,4 +1,4 @@
-"""The same bounce filmed and heard: a phone's mp4, its sound off by a constant."""
+"""Film and record the same bounce: a phone's mp4, its sound off by a constant."""
 
 from __future__ import annotations
 
@@ -21,16 +21,10 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
 
 FILM_HZ = 30.0
-OFFSET_S = 0.040
-"""Sound is early or late by up to this."""
-
-TRACK_NOISE_M = 0.002
-"""Standard deviation of a coordinate of a track of positions."""
-
+OFFSET_S = 0.040  # sound is early or late by up to this
+TRACK_NOISE_M = 0.002  # standard deviation of a coordinate of a track of positions
 _SMALL_PX = SIZES_PX[:5]
-_LONGEST_S = 4.0
-"""From the release to the end of a film."""
-
+_MAX_S = 4.0  # from the release to the end of a film
 _EXPOSURES_S = (0.0, 0.008)
 _TICKS_HZ = 90_000
 _SEEDS = 3_000_000
@@ -39,7 +33,7 @@ _START_NS = 1_700_000_000_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class FilmedSound:
-    """A film with its sound.
+    """Video with its sound.
 
     Attributes:
         order: the pictures.
@@ -53,11 +47,11 @@ class FilmedSound:
 
     @property
     def restitution(self) -> float:
-        """At the first impact."""
+        """Restitution at the first impact."""
         return self.clip.scene.history.order.restitution
 
     def write(self, path: Path, *, with_sound: bool = True) -> None:
-        """H.264 and AAC at 64 kbit/s, in an mp4."""
+        """Write H.264 and AAC at 64 kbit/s, in an mp4."""
         import av
 
         width, height = (side // 2 * 2 for side in self.order.view.size_px)
@@ -91,15 +85,7 @@ def film_with_sound(
     background: Background | None = None,
     uneven: float = 0.0,
 ) -> FilmedSound:
-    """Film `number` of a seed, 30 fps, pictures up to 640 by 360.
-
-    Args:
-        seed: of all that is drawn.
-        number: likewise.
-        snr_db: of the sound; see `loudness.impact_ratio`.
-        background: of the sound; None for any.
-        uneven: see `BounceOrder`.
-    """
+    """Draw video `number` of a seed, 30 fps, pictures up to 640 by 360."""
     rng = np.random.default_rng([_SEEDS + seed, number, *b"film"])
     scene = short_scene(rng, uneven)
     bounce = scene.history.order
@@ -118,11 +104,11 @@ def film_with_sound(
 
 
 def short_scene(rng: np.random.Generator, uneven: float = 0.0) -> SoundScene:
-    """A bounce that is recorded for four seconds after the release at most."""
+    """Draw a bounce that is recorded for four seconds after the release at most."""
     scene = draw_scene(rng, uneven=uneven)
-    if scene.lasts_s - scene.release_s <= _LONGEST_S:
+    if scene.lasts_s - scene.release_s <= _MAX_S:
         return scene
-    end_s = scene.release_s + _LONGEST_S
+    end_s = scene.release_s + _MAX_S
     audible = int(np.count_nonzero(scene.impacts_s[: scene.audible] < end_s - 0.02))
     return replace(scene, lasts_s=end_s, audible=audible)
 
@@ -138,7 +124,7 @@ def _heard(
 
 @dataclass(frozen=True, eq=False)
 class TrackedSound:
-    """A track of the ball's positions at 30 Hz, and its sound.
+    """Track of the ball's positions at 30 Hz, and its sound.
 
     Attributes:
         clip: the sound.
@@ -154,11 +140,11 @@ class TrackedSound:
 
     @property
     def restitution(self) -> float:
-        """At the first impact."""
+        """Restitution at the first impact."""
         return self.clip.scene.history.order.restitution
 
     def episode(self) -> Episode:
-        """In memory."""
+        """Build the log in memory."""
         stamps_ns = _START_NS + np.round(self.seconds * 1e9).astype(np.int64)
         signal = Signal("/ball/pose", stamps_ns, self.positions_m, ("x", "y", "z"), "m")
         return with_sound(Episode(EpisodeInfo(), {signal.name: signal}), self.clip, self.offset_s)
@@ -171,7 +157,7 @@ def track_with_sound(
     background: Background | None = None,
     uneven: float = 0.0,
 ) -> TrackedSound:
-    """Track `number` of a seed; see `film_with_sound`."""
+    """Draw track `number` of a seed; see `film_with_sound`."""
     rng = np.random.default_rng([_SEEDS + seed, number, *b"track"])
     scene = short_scene(rng, uneven)
     seconds = np.arange(0.0, scene.lasts_s, 1 / FILM_HZ)
@@ -183,7 +169,7 @@ def track_with_sound(
 
 
 def with_sound(episode: Episode, heard: SoundClip | NoBounce, offset_s: float = 0.0) -> Episode:
-    """The episode with this sound, which begins `offset_s` after its first sample or picture."""
+    """Add a sound that begins `offset_s` after the episode's first sample or picture."""
     stamps = [int(signal.stamps_ns[0]) for signal in episode.signals.values()]
     stamps += [int(channel.log_ns[0]) for channel in episode.channels if len(channel.log_ns)]
     start_ns = min(stamps, default=_START_NS) + round(offset_s * 1e9)

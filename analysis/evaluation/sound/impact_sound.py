@@ -1,4 +1,4 @@
-"""What impacts sound like before a room and a microphone: damped modes and the noise of a touch."""
+"""Synthesise impact sounds: damped modes and the noise of a touch."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ import numpy as np
 from analysis.evaluation.sound.sounding_balls import ImpactVoice
 from tunenet_logs.arrays import Array
 
+# A strike gets to its full strength in a time that goes as the speed to this power: fast impacts
+# are brighter.
 _BRIGHTER = -0.3
-"""A strike gets to its full strength in a time that goes as the speed to this power: fast impacts
-are brighter."""
 
-_LONGEST_S = 1.2
-_RINGS = 7.0
-"""A mode is followed for so many of its times, but no longer."""
+_MAX_S = 1.2
+_RINGS = 7.0  # a mode is followed for so many of its times, but no longer
 
 
 def add_impacts(
@@ -25,18 +24,10 @@ def add_impacts(
     impacts: Iterable[tuple[float, float]],
     rng: np.random.Generator,
 ) -> None:
-    """Add impacts to a sound, in place.
-
-    Args:
-        samples: of the sound, shape (N,).
-        rate_hz: of it.
-        voice: how the ball sounds.
-        impacts: when the sound of each begins [s after the first sample], and how fast it was.
-        rng: draws what differs from impact to impact.
-    """
+    """Add impacts, each (onset [s], speed [m/s]), to a sound in place, shape (N,)."""
     for begins_s, speed_m_s in impacts:
         first = int(np.ceil(begins_s * rate_hz))
-        last = min(len(samples), first + int(_LONGEST_S * rate_hz))
+        last = min(len(samples), first + int(_MAX_S * rate_hz))
         uneven = np.exp(rng.normal(0.0, voice.uneven, len(voice.gains)))
         overall = np.exp(rng.normal(0.0, 0.1))
         slap_seed = int(rng.integers(2**31))
@@ -55,7 +46,7 @@ def _one(
     uneven: Array,
     slap_seed: int,
 ) -> Array:
-    """One impact at times after its touch, shape (T,), without its loudness."""
+    """Synthesise one impact at times after its touch, shape (T,), without its loudness."""
     strike_s = voice.strike_s * speed_m_s**_BRIGHTER
     part = np.clip(seconds / strike_s, 0.0, 1.0)
     strength = part * part * (3 - 2 * part)

@@ -1,4 +1,4 @@
-"""How loud impacts are beside what else is heard."""
+"""Measure how loud impacts are beside the background."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-OCTAVES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
-"""Middles of bands an octave wide."""
-
+OCTAVES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)  # middles of bands an octave wide
 WINDOW_S = 0.02
 
 
 def impact_ratio(foreground: Array, background: Array, rate_hz: float, impacts_s: Array) -> float:
-    """Signal-to-noise ratio of a bounce [dB].
+    """Return the signal-to-noise ratio of a bounce [dB].
 
     Of the impacts, the one of median power in its first 20 ms is taken, and the octave in which it
     has most power in that time. The ratio is that power over the background's mean power in the
@@ -36,7 +34,7 @@ def impact_ratio(foreground: Array, background: Array, rate_hz: float, impacts_s
 
 
 def _power(samples: Array, rate_hz: float, middle_hz: float) -> float:
-    """Mean power in an octave (by Parseval's theorem)."""
+    """Return the mean power in an octave (by Parseval's theorem)."""
     power = np.abs(np.fft.rfft(samples)) ** 2
     hz = np.fft.rfftfreq(len(samples), 1 / rate_hz)
     inside = (hz >= middle_hz / np.sqrt(2)) & (hz < middle_hz * np.sqrt(2))

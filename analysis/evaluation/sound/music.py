@@ -1,4 +1,4 @@
-"""Music that nobody wrote: chords, a melody and drums on a beat."""
+"""Synthesise music that nobody wrote: chords, a melody and drums on a beat."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-_SCALE = (0, 2, 4, 5, 7, 9, 11)
-"""Semitones of a major scale."""
+_SCALE = (0, 2, 4, 5, 7, 9, 11)  # Semitones of a major scale
 
 
 def music(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
-    """A band, about as loud as 1 at the loudest."""
+    """Synthesise a band, about as loud as 1 at the loudest."""
     count = int(seconds * rate_hz)
     sound = np.zeros(count)
     beat_s = 60 / rng.uniform(70, 160)

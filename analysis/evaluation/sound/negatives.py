@@ -1,4 +1,4 @@
-"""Sounds that are no bounce of one ball, and must not be taken for one."""
+"""Synthesise sounds that are no bounce of one ball, and must not be taken for one."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ _KEY = SoundingBall(
     *("key", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
     *((0.0001, 0.0004), (1500.0, 7000.0), (0.001, 0.006), (0.3, 1.0)),
 )
+# What strikes, in place of a ball: only its modes and its slap count.
 _DROP = SoundingBall(
     *("drop", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
     *((0.0001, 0.0006), (800.0, 9000.0), (0.0005, 0.004), (0.5, 2.0)),
 )
-"""What strikes, in place of a ball: only its modes and its slap count."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoBounce:
-    """A recording of something else.
+    """Recording of something else.
 
     Attributes:
         kind: one of `NO_BOUNCES`.
@@ -67,17 +67,17 @@ class NoBounce:
     codec: str
 
     def write(self, path: Path) -> None:
-        """As .wav or .m4a."""
+        """Write as .wav or .m4a."""
         write_sound(self.samples, self.rate_hz, path)
 
     def sound(self, name: str = "/audio", start_ns: int = 0) -> Sound:
-        """In memory, as a reader gives it."""
+        """Return the sound in memory, as a reader gives it."""
         rate_hz = float(self.rate_hz)
         return Sound(name, start_ns, rate_hz, self.samples, rate_hz, codec=self.codec)
 
 
+# From the length [s] and random numbers, a sound before room and microphone.
 Maker = Callable[[float, np.random.Generator], Array]
-"""From the length [s] and random numbers, a sound before room and microphone."""
 
 
 def _struck(
@@ -86,7 +86,7 @@ def _struck(
     lasts_s: float,
     rng: np.random.Generator,
 ) -> Array:
-    """Strikes at these times [s] with these speeds [m/s]."""
+    """Synthesise strikes at these times [s] with these speeds [m/s]."""
     voice = _voice(striker, SOUNDING_TABLES[int(rng.integers(len(SOUNDING_TABLES)))], rng)
     samples = np.zeros(int(lasts_s * _RATE_HZ))
     add_impacts(samples, _RATE_HZ, voice, events, rng)
@@ -100,7 +100,7 @@ def _voice(striker: SoundingBall, table: SoundingTable, rng: np.random.Generator
 def _beats(
     lasts_s: float, period_s: float, jitter_s: float, uneven: float, rng: np.random.Generator
 ) -> list[tuple[float, float]]:
-    """Times about a period apart, and speeds."""
+    """Draw times about a period apart, and speeds."""
     events: list[tuple[float, float]] = []
     at_s = rng.uniform(0.2, 0.8)
     while at_s < lasts_s - 0.1:
@@ -110,7 +110,7 @@ def _beats(
 
 
 def _claps(lasts_s: float, rng: np.random.Generator) -> Array:
-    """Even, or faster and faster."""
+    """Synthesise claps, even, or faster and faster."""
     events = _beats(lasts_s, rng.uniform(0.25, 0.7), rng.uniform(0.003, 0.03), 0.2, rng)
     if rng.random() < 0.4:
         begins_s, shorter = events[0][0], rng.uniform(0.85, 0.97)
@@ -121,7 +121,7 @@ def _claps(lasts_s: float, rng: np.random.Generator) -> Array:
 
 
 def _dribble(lasts_s: float, rng: np.random.Generator) -> Array:
-    """A ball that a hand sends down again each time; the hand is heard, too, in some."""
+    """Synthesise a dribbled ball; the hand is heard, too, in some."""
     period_s = rng.uniform(0.35, 0.8)
     touches = _beats(lasts_s, period_s, rng.uniform(0.01, 0.05), 0.12, rng)
     kind = SOUNDING_BALLS[int(rng.choice([2, 3, 6, 8]))]
@@ -133,7 +133,7 @@ def _dribble(lasts_s: float, rng: np.random.Generator) -> Array:
 
 
 def _two_balls(lasts_s: float, rng: np.random.Generator) -> Array:
-    """Both let go within six tenths of a second, about as loud as each other."""
+    """Synthesise two balls, released within six tenths of a second, of similar loudness."""
     samples = np.zeros(int((lasts_s + 1.0) * _RATE_HZ))
     later_s = 0.0
     for _ in range(2):
@@ -153,7 +153,7 @@ def _metronome(lasts_s: float, rng: np.random.Generator) -> Array:
 
 
 def _footsteps(lasts_s: float, rng: np.random.Generator) -> Array:
-    """Each a heel and a sole; somebody comes or goes."""
+    """Synthesise steps, each a heel and a sole; somebody comes or goes."""
     steps = _beats(lasts_s, rng.uniform(0.4, 0.65), 0.015, 0.2, rng)
     nearer = rng.uniform(-0.4, 0.4)
     heels = [(at, hard * float(np.exp(nearer * (at - lasts_s / 2)))) for at, hard in steps]
@@ -162,7 +162,7 @@ def _footsteps(lasts_s: float, rng: np.random.Generator) -> Array:
 
 
 def _knocking(lasts_s: float, rng: np.random.Generator) -> Array:
-    """Groups of three to six knocks."""
+    """Synthesise groups of three to six knocks."""
     events: list[tuple[float, float]] = []
     at_s = rng.uniform(0.2, 1.0)
     while at_s < lasts_s - 0.2:
@@ -175,7 +175,7 @@ def _knocking(lasts_s: float, rng: np.random.Generator) -> Array:
 
 
 def _keyboard(lasts_s: float, rng: np.random.Generator) -> Array:
-    """Keys that go down and up."""
+    """Synthesise keys that go down and up."""
     events: list[tuple[float, float]] = []
     at_s = rng.uniform(0.1, 0.6)
     while at_s < lasts_s - 0.2:
@@ -186,7 +186,7 @@ def _keyboard(lasts_s: float, rng: np.random.Generator) -> Array:
 
 
 def _rain(lasts_s: float, rng: np.random.Generator) -> Array:
-    """Drops or clicks at random, few or many."""
+    """Synthesise drops or clicks at random, few or many."""
     count = rng.poisson(lasts_s * np.exp(rng.uniform(np.log(1.5), np.log(25.0))))
     times = np.sort(rng.uniform(0.1, lasts_s - 0.1, count))
     events = [(float(at), float(np.exp(rng.normal(0, 0.5)))) for at in times]
@@ -210,6 +210,7 @@ def _nothing(lasts_s: float, rng: np.random.Generator) -> Array:  # noqa: ARG001
     return np.zeros(int(lasts_s * _RATE_HZ))
 
 
+# By name, what is heard. Of "noise" only the background is, of "silence" nothing at all.
 NO_BOUNCES: dict[str, Maker] = {
     "speech": _speech,
     "music": _music,
@@ -225,17 +226,16 @@ NO_BOUNCES: dict[str, Maker] = {
     "noise": _nothing,
     "silence": _nothing,
 }
-"""By name, what is heard. Of "noise" only the background is, of "silence" nothing at all."""
 
 
 def draw_negatives(seed: int, count: int) -> Iterator[NoBounce]:
-    """`count` sounds, of each kind in turn; the same however many are drawn."""
+    """Yield `count` sounds, of each kind in turn; the same however many are drawn."""
     for number in range(count):
         yield draw_negative(seed, number)
 
 
 def draw_negative(seed: int, number: int) -> NoBounce:
-    """Sound `number` of a seed, in a room, by a phone, a third of them through AAC."""
+    """Draw sound `number` of a seed, in a room, by a phone, a third of them through AAC."""
     rng = np.random.default_rng([_SEEDS + seed, number, *b"no bounce"])
     kind = list(NO_BOUNCES)[number % len(NO_BOUNCES)]
     lasts_s = float(rng.uniform(*_LASTS_S))

@@ -1,4 +1,4 @@
-"""What `tunenet-eval sound` prints, and the files that it can write."""
+"""Print the results of `tunenet-eval sound`, and list the files it can write."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def print_sound(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Bounces by ear, alone and beside pictures; see `Experiment`."""
+    """Run bounces by ear, alone and beside pictures; see `Experiment`."""
     from analysis.evaluation.sound.records import sound_csv, sound_json
     from analysis.evaluation.sound.run import SoundOrder, SoundOutcome, sound_sections
     from analysis.evaluation.sound.tables import sound_table

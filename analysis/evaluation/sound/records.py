@@ -1,4 +1,4 @@
-"""Answers to sounds for other programs: JSON and CSV."""
+"""Export answers to sounds as JSON and CSV."""
 
 from __future__ import annotations
 
@@ -12,24 +12,23 @@ from analysis.evaluation.sound.answers import SoundAnswer
 from analysis.evaluation.sound.beside import BesideOutcome
 from analysis.evaluation.sound.run import SoundOrder, SoundOutcome
 
+# Of the CSV: one row for each answer.
 COLUMNS = (
     *("section", "seed", "number", "what", "background", "snr_db", "with", "truth"),
     *("verdict", "value", "low", "high", "slope", "seconds", "jitter_s", "bound", "reason"),
 )
-"""Of the CSV: one row for each answer."""
 
-Found = Sequence[tuple[str, SoundOutcome]]
-"""Outcomes with the names of their sections."""
+Found = Sequence[tuple[str, SoundOutcome]]  # outcomes with the names of their sections
 
 
 def sound_json(found: Found, order: SoundOrder) -> str:
-    """Every answer."""
+    """Serialise every answer."""
     head = {"experiment": "sound", "seeds": list(order.seeds), "count": order.count}
     return json_text({**head, "rows": list(_rows(found))})
 
 
 def sound_csv(found: Found) -> str:
-    """The same as a table."""
+    """Format every answer as a table."""
     return csv_text(COLUMNS, [_flat(row) for row in _rows(found)])
 
 

@@ -1,4 +1,4 @@
-"""What a room, a microphone and a phone's electronics make of a sound."""
+"""Simulate a room, a microphone and a phone's electronics."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-_BLOCK = 64
-"""Samples that automatic gain is the same for, before it is smoothed."""
+_BLOCK = 64  # samples that automatic gain is the same for, before it is smoothed
 
 
 @dataclass(frozen=True)
 class SoundRoom:
-    """A room and where the microphone stands in it.
+    """Room and where the microphone stands in it.
 
     Attributes:
         echo_s: time in which echoes fall by 60 dB.
@@ -29,7 +28,7 @@ class SoundRoom:
     seed: int
 
     def response(self, rate_hz: float) -> Array:
-        """Impulse response; the direct sound is its first sample, of 1."""
+        """Return the impulse response; the direct sound is its first sample, of 1."""
         rng = np.random.default_rng(self.seed)
         count = int(min(self.echo_s, 0.9) * rate_hz)
         seconds = np.arange(count) / rate_hz
@@ -49,14 +48,14 @@ class SoundRoom:
         return tail
 
     def heard(self, samples: Array, rate_hz: float) -> Array:
-        """The sound in this room, as long as before."""
+        """Convolve a sound with this room, as long as before."""
         from scipy.signal import fftconvolve
 
         return fftconvolve(samples, self.response(rate_hz))[: len(samples)]
 
 
 def draw_room(rng: np.random.Generator) -> SoundRoom:
-    """Any room, the phone up to a few steps from the ball."""
+    """Draw any room, the phone up to a few steps from the ball."""
     return SoundRoom(
         echo_s=float(rng.uniform(0.2, 0.8)),
         direct_db=float(rng.uniform(0.0, 15.0)),
@@ -67,7 +66,7 @@ def draw_room(rng: np.random.Generator) -> SoundRoom:
 
 @dataclass(frozen=True)
 class SoundPhone:
-    """A microphone and what follows it.
+    """Microphone and electronics of a phone.
 
     Attributes:
         low_hz: lower end of its band.
@@ -84,7 +83,7 @@ class SoundPhone:
     release_s: float = 0.5
 
     def band(self, samples: Array, rate_hz: float) -> Array:
-        """What its microphone lets through; causal, as every microphone."""
+        """Apply the microphone's band-pass filter; causal, as every microphone."""
         from scipy.signal import butter, sosfilt
 
         high = min(self.high_hz, 0.46 * rate_hz)
@@ -92,7 +91,7 @@ class SoundPhone:
         return np.asarray(sosfilt(sections, samples))
 
     def recorded(self, samples: Array, rate_hz: float) -> Array:
-        """Gain, full scale, 16 bits."""
+        """Apply gain, full scale and 16 bits."""
         if self.gain_ratio > 1:
             samples = samples * _automatic_gain(samples, rate_hz, self.gain_ratio, self.release_s)
         loudest = float(np.max(np.abs(samples), initial=1e-9))
@@ -101,7 +100,7 @@ class SoundPhone:
 
 
 def _automatic_gain(samples: Array, rate_hz: float, ratio: float, release_s: float) -> Array:
-    """A gain for each sample that falls within 5 ms of a loud sound and comes back slowly."""
+    """Return a gain for each sample that falls within 5 ms and comes back slowly."""
     count = -(-len(samples) // _BLOCK)
     padded = np.pad(np.abs(samples), (0, count * _BLOCK - len(samples)))
     peaks = padded.reshape(count, _BLOCK).max(axis=1)
@@ -119,7 +118,7 @@ def _automatic_gain(samples: Array, rate_hz: float, ratio: float, release_s: flo
 
 
 def draw_phone(rng: np.random.Generator) -> SoundPhone:
-    """Any phone: a fourth with automatic gain, a sixth of them overdriven."""
+    """Draw any phone: a fourth with automatic gain, a sixth of them overdriven."""
     clips = rng.random() < 1 / 6
     return SoundPhone(
         low_hz=float(rng.uniform(60.0, 200.0)),

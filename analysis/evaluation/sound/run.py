@@ -1,4 +1,4 @@
-"""Bounces that are heard, alone and beside pictures, and sounds that are no bounce."""
+"""Run bounces that are heard, alone and beside pictures, and sounds that are no bounce."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from analysis.evaluation.sound.beside import (
 from analysis.processes import Piece, parallel_map
 from tunenet_logs.terminal import Progress
 
+# Ratio from which on a sound is a good one; an uneven ball's, see `BounceOrder`.
 GOOD_DB, UNEVEN = 20.0, 0.003
-"""Ratio from which on a sound is a good one; an uneven ball's, see `BounceOrder`."""
 
 SoundOutcome = AloneOutcome | NegativeOutcome | BesideOutcome
 
 
 @dataclass(frozen=True)
 class SoundOrder:
-    """What to run.
+    """Settings of the experiment.
 
     Attributes:
         seeds: each with its own sounds.
@@ -48,7 +48,7 @@ class SoundOrder:
 def sound_sections(
     order: SoundOrder, progress: Progress
 ) -> Iterator[tuple[str, Sequence[SoundOutcome]]]:
-    """Section by section, all that came of it; "alone" and "phyphox" are about the same clips."""
+    """Yield all results section by section; "alone" and "phyphox" share their clips."""
     clips: list[AloneOutcome] = []
     for section in order.sections:
         pairs = [(seed, number) for seed in order.seeds for number in range(order.count)]
@@ -79,7 +79,7 @@ def sound_sections(
 
 
 def _beside(section: str, seed: int, number: int) -> BesideTrial:
-    """A film with one unrelated sound beside its own, or none; a track with all of them."""
+    """Pair a video with one unrelated sound beside its own, or none; a track with all."""
     if section == "uneven-films":
         return BesideTrial("film", seed, number, uneven=UNEVEN)
     if section == "films":

@@ -1,4 +1,4 @@
-"""A sound as a file that a user might have: PCM in WAV, or AAC in M4A."""
+"""Encode a sound as users have it: PCM in WAV, or AAC in M4A."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 AAC_BIT_S = 64_000
-_AAC_SAMPLES = 1024
-"""Of one packet."""
+_AAC_SAMPLES = 1024  # of one packet
 
 
 def write_sound(samples: NDArray[np.float32], rate_hz: int, path: Path) -> None:
@@ -21,7 +20,7 @@ def write_sound(samples: NDArray[np.float32], rate_hz: int, path: Path) -> None:
 
 
 def wav_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
-    """A WAV file of 16 bits, one channel."""
+    """Encode a WAV file of 16 bits, one channel."""
     import wave
 
     whole = np.clip(np.round(samples.astype(np.float64) * 32768), -32768, 32767).astype("<i2")
@@ -35,7 +34,7 @@ def wav_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
 
 
 def aac_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
-    """An M4A file; the encoder puts its priming before the first sample, as a phone's does."""
+    """Encode an M4A file, with the encoder's priming before the first sample, as phones do."""
     import av
 
     held = io.BytesIO()
@@ -50,15 +49,7 @@ def aac_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
 def add_sound(
     container: Any, stream: Any, samples: NDArray[np.float32], rate_hz: int, at: int = 0
 ) -> None:
-    """Encode a sound into an open container.
-
-    Args:
-        container: of PyAV.
-        stream: an AAC stream of it, mono.
-        samples: shape (N,).
-        rate_hz: of them.
-        at: number of the first sample on the container's clock.
-    """
+    """Encode a sound, shape (N,), into an open PyAV container."""
     import av
 
     for start in range(0, len(samples), _AAC_SAMPLES):
@@ -70,7 +61,7 @@ def add_sound(
 
 
 def through_aac(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float32]:
-    """What a player makes of it after it was encoded: as long as before, at the same times."""
+    """Pass a sound through AAC: as long as before, at the same times."""
     import av
 
     heard = np.zeros(len(samples), np.float32)

@@ -16,7 +16,7 @@ _AIR_KG_M3 = 1.2
 
 @dataclass(frozen=True)
 class SoundingBall:
-    """A kind of ball.
+    """Kind of ball.
 
     Attributes:
         name: in tables.
@@ -41,6 +41,7 @@ class SoundingBall:
     slap: Range
 
 
+# Contacts from .3 to 8 ms, drags from .0013 to .13 per m.
 SOUNDING_BALLS = (
     SoundingBall(
         *("table tennis", (0.0398, 0.0402), (79.0, 82.5), 0.47, (0.0008, 0.0013)),
@@ -79,12 +80,11 @@ SOUNDING_BALLS = (
         *((0.0002, 0.0006), (700.0, 4000.0), (0.002, 0.010), (0.3, 1.0)),
     ),
 )
-"""Contacts from .3 to 8 ms, drags from .0013 to .13 per m."""
 
 
 @dataclass(frozen=True)
 class SoundingTable:
-    """A kind of table or floor.
+    """Kind of table or floor.
 
     Attributes:
         name: for a reader.
@@ -110,7 +110,7 @@ SOUNDING_TABLES = (
 
 @dataclass(frozen=True, eq=False)
 class ImpactVoice:
-    """How one ball sounds on one table.
+    """Sound of one ball on one table.
 
     Attributes:
         modes_hz: frequencies, shape (M,).
@@ -152,12 +152,12 @@ class SampledBall:
     contact_s: float
 
 
+# By which a ball's drag differs from what its size and mass say (log, one sd): seams, nap, air.
 _DRAG_SD = 0.05
-"""By which a ball's drag differs from what its size and mass say (log, one sd): seams, nap, air."""
 
 
 def draw_ball(kind: SoundingBall, rng: np.random.Generator) -> SampledBall:
-    """A ball of this kind: a user weighs and measures it to 1 %."""
+    """Draw a ball of this kind: a user weighs and measures it to 1 %."""
     diameter_m = float(rng.uniform(*kind.diameter_m))
     mass_kg = float(rng.uniform(*kind.density_kg_m3)) * np.pi / 6 * diameter_m**3
     area_m2 = np.pi / 4 * diameter_m**2
@@ -171,7 +171,7 @@ def draw_ball(kind: SoundingBall, rng: np.random.Generator) -> SampledBall:
 def draw_voice(
     kind: SoundingBall, table: SoundingTable, loudness: float, rng: np.random.Generator
 ) -> ImpactVoice:
-    """How a ball of this kind sounds on such a table."""
+    """Draw the sound of a ball of this kind on such a table."""
     of_ball, of_table = int(rng.integers(3, 7)), int(rng.integers(*table.modes, endpoint=True))
     hz = np.concatenate(
         [_log_drawn(kind.ball_hz, of_ball, rng), _log_drawn(table.table_hz, of_table, rng)]

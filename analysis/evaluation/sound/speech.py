@@ -1,4 +1,4 @@
-"""A voice that says nothing: syllables of a pulsed throat through resonances, hisses, pauses."""
+"""Synthesise speech without words: a pulsed throat through resonances, hisses, pauses."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
+# First three formants of vowels (Peterson and Barney 1952, men).
 _VOWELS_HZ = (
     *((730, 1090, 2440), (270, 2290, 3010), (300, 870, 2240), (530, 1840, 2480)),
     *((570, 840, 2410), (660, 1720, 2410), (440, 1020, 2240), (490, 1350, 1690)),
 )
-"""First three formants of vowels (Peterson and Barney 1952, men)."""
 
 _WIDTHS_HZ = (70.0, 100.0, 150.0)
 
 
 def speech(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Somebody who talks, about as loud as 1 at the loudest."""
+    """Synthesise somebody who talks, about as loud as 1 at the loudest."""
     count = int(seconds * rate_hz)
     sound = np.zeros(count)
     pitch_hz, size = rng.uniform(90, 230), rng.uniform(0.95, 1.2)
@@ -37,7 +37,7 @@ def speech(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
 def _syllable(
     pitch_hz: float, size: float, rate_hz: float, rng: np.random.Generator
 ) -> list[Array]:
-    """A consonant, mostly, and a vowel."""
+    """Synthesise a consonant, mostly, and a vowel."""
     parts: list[Array] = []
     kind = rng.choice(["hiss", "burst", "none"], p=[0.35, 0.4, 0.25])
     if kind == "hiss":
@@ -87,7 +87,7 @@ def _hiss(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
 
 
 def _burst(rate_hz: float, rng: np.random.Generator) -> Array:
-    """P, t or k: starts at once."""
+    """Synthesise p, t or k, which start at once."""
     from scipy.signal import butter, sosfilt
 
     count = int(rng.uniform(0.012, 0.04) * rate_hz)

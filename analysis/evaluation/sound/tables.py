@@ -1,4 +1,4 @@
-"""Answers to sounds as tables for a terminal."""
+"""Tabulate answers to sounds for a terminal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _VERDICTS = ("ok", "suspect", "rejected")
 
 
 def sound_table(section: str, outcomes: Sequence[SoundOutcome], order: SoundOrder) -> str:
-    """The table of one section, its head first."""
+    """Tabulate one section, its head first."""
     makers: dict[str, Callable[[Sequence[SoundOutcome]], list[str]]] = {
         "alone": lambda found: _alone(cast("Sequence[AloneOutcome]", found)),
         "phyphox": lambda found: _phyphox(cast("Sequence[AloneOutcome]", found)),
@@ -51,7 +51,7 @@ _HEADS = {
 
 
 def _levels(outcomes: Sequence[AloneOutcome]) -> list[tuple[str, list[AloneOutcome]]]:
-    """Names of ratios, and the clips of each."""
+    """Return the names of ratios, and the clips of each."""
     good = [one for one in outcomes if one.trial.snr_db >= GOOD_DB]
     each = [
         (f"{snr:g} dB", [one for one in outcomes if one.trial.snr_db == snr]) for snr in SNRS_DB
@@ -189,14 +189,14 @@ def _unrelated(outcomes: Sequence[BesideOutcome]) -> list[str]:
 
 
 def _moved(deaf: SoundAnswer, heard: SoundAnswer) -> float:
-    """How far a value moves, in widths of the interval without sound; NaN without one."""
+    """Return how far a value moves, in widths of the interval without sound; NaN without one."""
     if not np.isfinite(deaf.width):
         return np.nan
     return abs(heard.value - deaf.value) / deaf.width if np.isfinite(heard.value) else np.inf
 
 
 def _covered(told: Sequence[tuple[SoundAnswer, float]]) -> list[str]:
-    """Coverage and median width of those that have an interval."""
+    """Return coverage and median width of those that have an interval."""
     sure = [(answer, truth) for answer, truth in told if np.isfinite(answer.width)]
     covered = sum(answer.covers(truth) for answer, truth in sure)
     widths = [answer.width for answer, _ in sure]

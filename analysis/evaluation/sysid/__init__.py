@@ -1,1 +1,1 @@
-"""Logs of machines that no engine simulated, and what MuJoCo models are tuned to by them."""
+"""Tune MuJoCo models to logs of machines that no engine simulated."""

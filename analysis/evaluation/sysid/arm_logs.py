@@ -1,4 +1,4 @@
-"""Logs of a planar arm under servos, and the model that its owner has."""
+"""Simulate logs of a planar arm under servos, with its owner's model."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def arm_model(
     held_rad: float | None = None,
     welded_rad: float | None = None,
 ) -> str:
-    """The text of an owner's model.
+    """Return the MJCF text of an owner's model.
 
     Args:
         gravity: three numbers [m/s²].
@@ -86,18 +86,13 @@ def arm_model(
 
 
 def arm_log(seed: int, noise: float = 1.0) -> ModelLog:
-    """A motion of 8 s, of which payload and delay are tuned.
-
-    Args:
-        seed: draws arm, commands, stamps and noise.
-        noise: how many times the usual noise there is.
-    """
+    """Simulate a motion of 8 s, of which payload and delay are tuned."""
     rng = np.random.default_rng((seed, 2))
     return _log(PlanarArm.drawn(rng), Commands.drawn(rng), noise, rng)
 
 
 def arm_with_a_brake(seed: int, noise: float = 1.0) -> ModelLog:
-    """The same with the elbow held, whose damping is tuned as well: nothing tells it."""
+    """Simulate the same with the elbow held, so that its damping is unidentifiable."""
     rng = np.random.default_rng((seed, 3))
     arm, drawn = PlanarArm.drawn(rng, elbow_is_held=True), Commands.drawn(rng)
     drawn.amplitudes[:, 1] = 0.0

@@ -1,4 +1,4 @@
-"""The same logs given to `mujoco.sysid`, MuJoCo's own toolbox, used as well as it can be.
+"""Tune the same logs with `mujoco.sysid`, MuJoCo's own toolbox, used as well as it can be.
 
 It needs absl-py, colorama, PyYAML and tabulate beside MuJoCo and SciPy; plotly and imageio, which
 draw its reports, may be missing.
@@ -23,36 +23,36 @@ from recorders.simulators.mujoco.library import mujoco
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import NotFoundError
 
+# Modules that `mujoco.sysid` imports; without one of them its names are missing.
 NEEDED = ("absl", "colorama", "tabulate", "yaml")
-"""Modules that `mujoco.sysid` imports; without one of them its names are missing."""
 
 _PLACE = re.compile(r"(?P<kind>[a-z]+)/(?P<name>.+)\.(?P<field>[a-z]+)(?P<index>\[\d\])?")
 _DELAY = "delay/commands"
 _START = "start"
+# Of finite differences, in place of 1.5e-8, at which the solver's own tolerance is seen.
 _STEP = 1e-6
-"""Of finite differences, in place of 1.5e-8, at which the solver's own tolerance is seen."""
 
+# In which a delay is tuned, so that its differences are over 2 ms, and not within a step.
 _DELAY_UNIT_S = 2000.0
-"""In which a delay is tuned, so that its differences are over 2 ms, and not within a step."""
 
-_LEAST_CHANGE = 1e-9
-"""Of the parameters, over all of them, at which it ends: 2 microseconds of a delay."""
+# Of the parameters, over all of them, at which it ends: 2 microseconds of a delay.
+_MIN_CHANGE = 1e-9
 
+# The same where a contact is simulated, whose small hops are other ones at any other value.
 _CONTACT_STEP = 5e-3
-"""The same where a contact is simulated, whose small hops are other ones at any other value."""
 
-_MOST_ITERATIONS = 100
+_MAX_ITERATIONS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class ToolboxAnswer:
-    """What `mujoco.sysid` makes of a log.
+    """Answer of `mujoco.sysid` to a log.
 
     Attributes:
         values: by address.
         intervals: of 95 %, by address; infinite where it says so.
         rollouts: simulated in all, those of finite differences too.
-        seconds: of one processor that it took, whatever else the machine does.
+        seconds: CPU time that it took.
     """
 
     values: Mapping[str, float]
@@ -62,7 +62,7 @@ class ToolboxAnswer:
 
 
 def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1) -> ToolboxAnswer:
-    """The log's parameters by `mujoco.sysid`.
+    """Estimate the log's parameters with `mujoco.sysid`.
 
     Residuals are over each signal's standard deviation, which the noise is in proportion to.
     Torques are left out where a delay is tuned: they jump with every command, so that least
@@ -116,9 +116,9 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
         residual,
         "mujoco",
         verbose=False,
-        max_iters=_MOST_ITERATIONS,
+        max_iters=_MAX_ITERATIONS,
         eps=_STEP if seen.weights is not None else _CONTACT_STEP,
-        xtol=_LEAST_CHANGE,
+        xtol=_MIN_CHANGE,
         x_scale="jac",
         output=io.StringIO(),
     )
@@ -141,7 +141,7 @@ def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1
 
 
 class _Rollouts:
-    """What the toolbox calls to simulate.
+    """Rollouts for the toolbox.
 
     It obeys commands late, starts where a parameter says, and puts sensors' samples at their times:
     MuJoCo takes them at a step's start, and the toolbox has them at its end.
@@ -196,7 +196,7 @@ def _toolbox() -> Any:
 
 
 def _full_state(sysid: Any, model: Any, start: Array) -> Array:
-    """The simulator's state: joints' positions and velocities, or those of a body in the plane."""
+    """Return the simulator's state: of joints, or of a body in the plane."""
     places, speeds = np.split(np.asarray(start), 2)
     positions, velocities = np.array(model.qpos0), np.zeros(model.nv)
     positions[: len(places)], velocities[: len(speeds)] = places, speeds
@@ -225,7 +225,7 @@ def _parameter(sysid: Any, spec: Any, text: str) -> Any:
 
 
 def _holder(spec: Any, kind: str, name: str) -> Any:
-    """The element that has the number; of a body without a mass of its own, its only geom."""
+    """Return the element with the number; of a body without its own mass, its only geom."""
     element = getattr(spec, kind)(name)
     return element.geoms[0] if kind == "body" and not element.mass > 0 else element
 

@@ -1,4 +1,4 @@
-"""A log as `mujoco.sysid` is given it: sensors of the model, their samples, and a first state."""
+"""Convert a log to the input of `mujoco.sysid`: model sensors, samples, and a first state."""
 
 from __future__ import annotations
 
@@ -14,11 +14,9 @@ from tunenet_logs.episode import Episode, Signal
 
 STATES, COMMANDS = "/joint_states", "/joint_commands.position"
 
-_START_S = 0.1
-"""The first samples, by which the first state is told."""
-
-_LEAST_SHARE = 0.05
-"""Of the largest standard deviation of a signal's columns, what each counts as having at least."""
+_START_S = 0.1  # the first samples, by which the first state is told
+# Of the largest standard deviation of a signal's columns, what each counts as having at least.
+_MIN_SHARE = 0.05
 
 _QUANTITIES = {
     "position": "mjSENS_JOINTPOS",
@@ -29,7 +27,7 @@ _QUANTITIES = {
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What is known of a log.
+    """Measurements of a log.
 
     Attributes:
         seconds: of the samples, after the first of all that are simulated, shape (T,).
@@ -48,18 +46,12 @@ class Measured:
     commands: HeldCommands | None
 
     def count(self, step_s: float) -> int:
-        """Steps until the last sample, and one more."""
+        """Return the number of steps until the last sample, and one more."""
         return int(np.ceil(self.seconds[-1] / step_s)) + 2
 
 
 def measured(episode: Episode, spec: Any, *, with_efforts: bool) -> Measured:
-    """The log's samples, with joints' torques or without.
-
-    Args:
-        episode: the log.
-        spec: of the model, which gets a sensor for each quantity of the joints that it has.
-        with_efforts: whether torques count.
-    """
+    """Convert the log's samples; `spec` gets a sensor for each quantity of the joints."""
     pose = next((one for one in episode.signals.values() if one.is_position), None)
     if pose is not None:
         return _posed(pose, spec)
@@ -71,7 +63,7 @@ def measured(episode: Episode, spec: Any, *, with_efforts: bool) -> Measured:
         if signal is None or (quantity == "effort" and not with_efforts):
             continue
         spread = np.std(signal.values, axis=0)
-        spread = np.maximum(spread, _LEAST_SHARE * np.max(spread))
+        spread = np.maximum(spread, _MIN_SHARE * np.max(spread))
         for joint in joints:
             at = signal.columns.index(joint)
             name = f"{quantity} of {joint}"
@@ -104,7 +96,7 @@ def _commands(episode: Episode, joints: list[str], begin_ns: int) -> HeldCommand
 
 
 def _state(positions: Signal, velocities: Signal, joint: str) -> tuple[float, float]:
-    """Position and velocity at the first sample by a parabola through the first ones of both."""
+    """Fit position and velocity at the first sample by a parabola through the first of both."""
     at = positions.columns.index(joint)
     first = positions.seconds <= _START_S
     seconds = positions.seconds[first]
@@ -122,12 +114,12 @@ def _state(positions: Signal, velocities: Signal, joint: str) -> tuple[float, fl
 def _reach(positions: Signal, velocities: Signal, joint: str) -> tuple[float, float]:
     at = positions.columns.index(joint)
     widest = (np.std(one.values, axis=0) for one in (positions, velocities))
-    place, speed = (max(float(one[at]), _LEAST_SHARE * float(np.max(one))) for one in widest)
+    place, speed = (max(float(one[at]), _MIN_SHARE * float(np.max(one))) for one in widest)
     return 0.3 * place, 0.5 * speed
 
 
 def _posed(pose: Signal, spec: Any) -> Measured:
-    """A free body's positions, of which the height and the turn at the start are the model's."""
+    """Convert a free body's positions; the height and the turn at the start are the model's."""
     body = pose.name.split("/")[1]
     frame, body_type = mujoco().mjtSensor.mjSENS_FRAMEPOS, mujoco().mjtObj.mjOBJ_BODY
     spec.add_sensor(name="place", type=frame, objtype=body_type, objname=body)

@@ -1,4 +1,4 @@
-"""Commands that are held until the next one is obeyed, as a simulator's steps see them."""
+"""Zero-order-hold commands, held until the next one is obeyed, as steps see them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class HeldCommands:
     values: Array
 
     def over_steps(self, step_s: float, count: int, delay_s: float) -> Array:
-        """Mean of what is obeyed in each step from 0 on, shape (count, C).
+        """Average what is obeyed in each step from 0 on, shape (count, C).
 
         A mean changes smoothly with the delay; what is held at the steps' starts would jump.
         """
@@ -30,7 +30,7 @@ class HeldCommands:
         return np.diff(self._integral(edges), axis=0) / step_s
 
     def _integral(self, seconds: Array) -> Array:
-        """From the first command on, shape (T, C); negative before it."""
+        """Integrate from the first command on, shape (T, C); negative before it."""
         lengths = np.diff(self.seconds)[:, None]
         sums = np.concatenate([np.zeros((1, self.values.shape[1])), self.values[:-1] * lengths])
         last = np.maximum(np.searchsorted(self.seconds, seconds, "right") - 1, 0)

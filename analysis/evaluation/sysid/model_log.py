@@ -1,4 +1,4 @@
-"""A log of a machine that no engine simulated, with the MuJoCo model that its owner has."""
+"""Simulate a log of a machine without an engine, with its owner's MuJoCo model."""
 
 from __future__ import annotations
 
@@ -10,35 +10,28 @@ import numpy as np
 from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
-START_NS = 1_700_000_000_123_456_789
-"""Of all logs, by their own clock."""
-
-NOISE = 0.02
-"""White noise of a sensor, over the standard deviation of what it measures."""
-
-GRAVITY_M_S2 = 9.81
-"""That MuJoCo assumes, and the machines feel."""
-
+START_NS = 1_700_000_000_123_456_789  # of all logs, by their own clock
+NOISE = 0.02  # white noise of a sensor, over the standard deviation of what it measures
+GRAVITY_M_S2 = 9.81  # that MuJoCo assumes, and the machines feel
 STATES_HZ, COMMANDS_HZ = 100.0, 50.0
 
+# Standard deviation of the times of samples about an even clock. Stamps say when samples were
+# taken.
 _JITTER_S = 2e-4
-"""Standard deviation of the times of samples about an even clock. Stamps say when samples were
-taken."""
 
-_STANDS_STILL = 1e-9
-"""Standard deviation up to which a column does."""
+_STANDS_STILL = 1e-9  # standard deviation up to which a column does
 
 
 @dataclass(frozen=True, eq=False)
 class ModelLog:
-    """What a user has, and the truth.
+    """A user's log and model, and the truth.
 
     Attributes:
         episode: the log, as it is read.
         truth: by the addresses of what is tuned.
         model: the text of the MJCF file, whose values are wrong where they are to be tuned.
         tune: what stands after `--tune`, with ranges.
-        untold: addresses of what this log cannot tell.
+        untold: addresses of what is unidentifiable from this log.
         clean: the signals without noise, by name, each of shape (T, C).
         noise: standard deviation of the noise of each column, by signal, each of shape (C,).
     """
@@ -54,7 +47,7 @@ class ModelLog:
 
 @dataclass(frozen=True, eq=False)
 class Sensed:
-    """A quantity as it is, before a sensor.
+    """Quantity before its sensor.
 
     Attributes:
         seconds: when it is sampled, after the log's start, shape (T,).
@@ -72,7 +65,7 @@ class Sensed:
 
 
 def sample_times(length_s: float, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Times of samples from 0 on, with jitter, shape (T,) [s]; whole nanoseconds."""
+    """Draw times of samples from 0 on, with jitter, shape (T,) [s]; whole nanoseconds."""
     seconds = np.arange(0.0, length_s, 1 / rate_hz)
     most_s = 0.4 / rate_hz
     seconds[1:] += np.clip(rng.normal(0.0, _JITTER_S, len(seconds) - 1), -most_s, most_s)
@@ -82,13 +75,7 @@ def sample_times(length_s: float, rate_hz: float, rng: np.random.Generator) -> A
 def recorded(
     sensed: Mapping[str, Sensed], noise: float, rng: np.random.Generator
 ) -> tuple[Episode, dict[str, Array], dict[str, Array]]:
-    """The log of these quantities, their values without noise, and the noise's size.
-
-    Args:
-        sensed: by the signal's name.
-        noise: how many times the usual noise there is.
-        rng: draws it.
-    """
+    """Record quantities at so many times the usual noise; return log, clean values, noise std."""
     signals: dict[str, Signal] = {}
     clean: dict[str, Array] = {}
     sizes: dict[str, Array] = {}
@@ -102,7 +89,7 @@ def recorded(
 
 
 def _usual_noise(sensed: Sensed) -> Array:
-    """Standard deviation of each column, shape (C,); a joint held still has the other's sensor."""
+    """Return each column's noise std, shape (C,); a joint held still has the other's sensor."""
     if sensed.noise is not None:
         return np.full(len(sensed.columns), sensed.noise)
     moved = np.std(sensed.values, axis=0)

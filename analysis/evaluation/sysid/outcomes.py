@@ -1,4 +1,4 @@
-"""What comes of a log of a machine: ours, the toolbox's, and the network's first step."""
+"""Tune a log of a machine: by ours, the toolbox, and the network's first step."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Section = Literal["tuned", "untold", "wrong", "toolbox", "network"]
 
 @dataclass(frozen=True)
 class MachineTrial:
-    """One log to be tuned.
+    """Log to be tuned.
 
     Attributes:
         section: what is asked of it.
@@ -41,7 +41,7 @@ class MachineTrial:
 
 @dataclass(frozen=True)
 class FoundValue:
-    """What was found of one parameter.
+    """Estimate of one parameter.
 
     Attributes:
         address: which.
@@ -50,8 +50,8 @@ class FoundValue:
         low: end of the 95 % interval; NaN without one.
         high: likewise.
         range: that it was looked for in, its width.
-        is_told: whether the result says that the log tells it.
-        can_be_told: whether the log does.
+        is_told: whether the result reports it as identifiable.
+        can_be_told: whether it is identifiable.
     """
 
     address: str
@@ -71,7 +71,7 @@ class FoundValue:
 
 @dataclass(frozen=True)
 class SysidOutcome:
-    """What came of one log.
+    """Result for one log.
 
     Attributes:
         trial: which.
@@ -91,7 +91,7 @@ class SysidOutcome:
 
 
 def outcomes_of(trial: MachineTrial) -> list[SysidOutcome]:
-    """All that comes of a trial."""
+    """Run a trial."""
     machine = MACHINES[trial.machine]
     if trial.section == "untold":
         return [_tuned(trial, machine.untold(trial.seed, trial.noise))]
@@ -150,12 +150,11 @@ def _by_toolbox(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
     return SysidOutcome(trial, "", "", found, answer.rollouts, answer.seconds)
 
 
-_STARTS = 20
-"""Random places in the ranges from which the network makes its first step."""
+_STARTS = 20  # random places in the ranges from which the network makes its first step
 
 
 def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
-    """One step of the network from each of many random starts: a row a start and parameter."""
+    """Take one step of the network from each of many random starts: a row a start and value."""
     from analysis.estimators.tunenet import residual_of
     from analysis.selection import Selection
     from analysis.sysid.network import ROLLOUTS
@@ -185,7 +184,7 @@ def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
 def trials(
     sections: Sequence[str], seeds: Sequence[int], logs: int, noises: Sequence[float]
 ) -> list[MachineTrial]:
-    """All of them.
+    """List all trials.
 
     Args:
         sections: which.

@@ -1,4 +1,4 @@
-"""A pendulum with friction, viscous and dry, integrated from reversal to reversal."""
+"""Integrate a pendulum with viscous and dry friction from reversal to reversal."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ from analysis.evaluation.sysid.model_log import (
 )
 from tunenet_logs.arrays import Array
 
-JOINT = "hinge"
-"""By the name of which log and model know it."""
-
+JOINT = "hinge"  # by the name of which log and model know it
 DAMPING, FRICTION, ARMATURE, MASS = (
     f"joint/{JOINT}.damping",
     f"joint/{JOINT}.frictionloss",
@@ -33,13 +31,13 @@ _TUNE = (f"{DAMPING}=0:0.2", f"{FRICTION}=0:0.3", f"{ARMATURE}=0:0.1")
 _LENGTH_S = 8.0
 _MASS_KG, _ARM_M, _INERTIA_KG_M2 = 1.0, 0.4, 0.005
 
-_MOST_REVERSALS = 200
+_MAX_REVERSALS = 200
 
-_LEAST_RAD_S = 1e-12
-"""Speed that the pendulum has just after a reversal."""
-
+_MIN_RAD_S = 1e-12  # speed that the pendulum has just after a reversal
 _TOLERANCE = 1e-11
 
+# Dry friction's rows work against the speed that a step would end with: with a damping of 1.9 over
+# the step (3800), friction turns over in the middle of a step in the mean, as dry friction does.
 PENDULUM = """\
 <mujoco model="pendulum">
   <option timestep="0.0005" integrator="implicitfast" gravity="{gravity}"/>
@@ -52,15 +50,13 @@ PENDULUM = """\
   </worldbody>
 </mujoco>
 """
-"""Dry friction's rows work against the speed that a step would end with: with a damping of 1.9 over
-the step (3800), friction turns over in the middle of a step in the mean, as dry friction does."""
 
 EARTH = f"0 0 -{GRAVITY_M_S2}"
 
 
 @dataclass(frozen=True)
 class Pendulum:
-    """A pendulum that is let go at rest.
+    """Pendulum released at rest.
 
     Attributes:
         damping: [N·m·s/rad].
@@ -81,25 +77,25 @@ class Pendulum:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Pendulum:
-        """One of the many."""
+        """Draw a pendulum."""
         damping = float(np.exp(rng.uniform(np.log(0.02), np.log(0.1))))
         friction, armature = float(rng.uniform(0.02, 0.12)), float(rng.uniform(0.01, 0.05))
         angle_rad = float(rng.uniform(1.2, 2.4) * rng.choice([-1.0, 1.0]))
         return cls(damping, friction, armature, angle_rad)
 
     def pull(self, angle_rad: float) -> float:
-        """Gravity's torque [N·m]."""
+        """Return gravity's torque [N·m]."""
         return -_MASS_KG * GRAVITY_M_S2 * _ARM_M * float(np.sin(angle_rad))
 
     def at(self, seconds: Array) -> Array:
-        """Angle [rad] and speed [rad/s] at increasing times from 0 on, shape (T, 2).
+        """Return angle [rad] and speed [rad/s] at increasing times from 0 on, shape (T, 2).
 
         Friction is exact: it has one sign from one reversal to the next, and holds the pendulum
         for good where gravity pulls less.
         """
         out = np.empty((len(seconds), 2))
         now_s, angle_rad, last_s = 0.0, self.angle_rad, float(seconds[-1])
-        for _ in range(_MOST_REVERSALS):
+        for _ in range(_MAX_REVERSALS):
             left = seconds >= now_s
             if abs(self.pull(angle_rad)) <= self.friction or now_s >= last_s:
                 out[left] = (angle_rad, 0.0)
@@ -125,7 +121,7 @@ class Pendulum:
         solved = solve_ivp(
             rates,
             (now_s, last_s + 1e-9),
-            [angle_rad, way * _LEAST_RAD_S],
+            [angle_rad, way * _MIN_RAD_S],
             "DOP853",
             dense_output=True,
             events=turns,
@@ -136,12 +132,7 @@ class Pendulum:
 
 
 def pendulum_log(seed: int, noise: float = 1.0) -> ModelLog:
-    """A swing of 8 s, of which three parameters are tuned.
-
-    Args:
-        seed: draws pendulum, stamps and noise.
-        noise: how many times the usual noise there is.
-    """
+    """Simulate a swing of 8 s, of which three parameters are tuned."""
     rng = np.random.default_rng((seed, 1))
     pendulum = Pendulum.drawn(rng)
     seconds = sample_times(_LENGTH_S, STATES_HZ, rng)
@@ -156,7 +147,7 @@ def pendulum_log(seed: int, noise: float = 1.0) -> ModelLog:
 
 
 def pendulum_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
-    """The same with the bob's mass tuned as well: a swing tells ratios alone."""
+    """Simulate the same with the bob's mass tuned as well: a swing determines ratios alone."""
     log = pendulum_log(seed, noise)
     truth = {**log.truth, MASS: _MASS_KG}
     model = pendulum_model(mass_kg=1.3)
@@ -165,5 +156,5 @@ def pendulum_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
 
 
 def pendulum_model(*, gravity: str = EARTH, mass_kg: float = _MASS_KG) -> str:
-    """The text of an owner's model; gravity of three numbers [m/s²]."""
+    """Return the MJCF text of an owner's model; gravity of three numbers [m/s²]."""
     return PENDULUM.format(gravity=gravity, mass=mass_kg)

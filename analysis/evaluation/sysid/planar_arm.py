@@ -1,4 +1,4 @@
-"""An arm of two links in a vertical plane that servos move, late, with a payload at its tip."""
+"""Simulate a planar two-link arm under delayed servos, with a payload at its tip."""
 
 from __future__ import annotations
 
@@ -14,18 +14,14 @@ from tunenet_logs.arrays import Array
 
 LINKS_M = (0.4, 0.3)
 LINKS_KG = (1.5, 1.0)
-LINKS_KG_M2 = (0.02, 0.008)
-"""About the links' centres, which are in their middles."""
-
+LINKS_KG_M2 = (0.02, 0.008)  # about the links' centres, which are in their middles
 ARMATURE_KG_M2, DAMPING = 0.02, 0.3
 KP, KV = np.array([120.0, 60.0]), np.array([12.0, 3.0])
 
-TIP_RADIUS_M = 0.02
-"""Of the payload, a ball."""
-
+TIP_RADIUS_M = 0.02  # of the payload, a ball
 _TERMS = 3
-_MOST_RAD = 0.6
-_LEAST_HZ, _MOST_HZ = 0.15, 1.2
+_MAX_RAD = 0.6
+_MIN_HZ, _MAX_HZ = 0.15, 1.2
 _EASING_S = 0.5
 _TOLERANCE = 1e-9
 
@@ -48,16 +44,16 @@ class Commands:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Commands:
-        """Commands of some 0.6 rad about some posture."""
+        """Draw commands of some 0.6 rad about some posture."""
         shape = (_TERMS, 2)
         middle = np.array([rng.uniform(0.3, 1.2), rng.uniform(-0.3, 1.0)])
         shares = rng.uniform(0.5, 1.0, shape)
-        amplitudes = _MOST_RAD * shares / np.sum(shares, axis=0)
-        rates = 2 * np.pi * rng.uniform(_LEAST_HZ, _MOST_HZ, shape)
+        amplitudes = _MAX_RAD * shares / np.sum(shares, axis=0)
+        rates = 2 * np.pi * rng.uniform(_MIN_HZ, _MAX_HZ, shape)
         return cls(middle, amplitudes, rates, rng.uniform(0, 2 * np.pi, shape))
 
     def at(self, seconds: Array) -> Array:
-        """Positions [rad] at times of shape (T,), shape (T, 2)."""
+        """Return positions [rad] at times of shape (T,), shape (T, 2)."""
         share = (seconds / _EASING_S).clip(0.0, 1.0)
         ease = (share**2 * (3 - 2 * share))[:, None]
         waves = self.rates * seconds[:, None, None] + self.phases
@@ -66,7 +62,7 @@ class Commands:
 
 @dataclass(frozen=True)
 class PlanarArm:
-    """The arm; angles are 0 where it hangs down, the elbow's against the first link.
+    """Planar arm; angles are 0 where it hangs down, the elbow's against the first link.
 
     Attributes:
         payload_kg: at the tip.
@@ -80,12 +76,12 @@ class PlanarArm:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, *, elbow_is_held: bool = False) -> PlanarArm:
-        """One of the many."""
+        """Draw an arm."""
         payload_kg = float(np.exp(rng.uniform(np.log(0.2), np.log(2.0))))
         return cls(payload_kg, float(rng.uniform(0.005, 0.06)), elbow_is_held)
 
     def weight(self, first_rad: float, second_rad: float) -> tuple[float, float]:
-        """Torques that gravity asks of the joints [N·m]."""
+        """Return the gravity torques of the joints [N·m]."""
         first_m, second_m = LINKS_M
         second = LINKS_KG[1] * second_m / 2 + self.payload_kg * second_m
         first = LINKS_KG[0] * first_m / 2 + (LINKS_KG[1] + self.payload_kg) * first_m
@@ -95,7 +91,7 @@ class PlanarArm:
     def accelerations(
         self, angles_rad: tuple[float, float], speeds: tuple[float, float], torques: Array
     ) -> tuple[float, float]:
-        """Of the joints [rad/s²] under the servos' torques [N·m], shape (2,)."""
+        """Return joint accelerations [rad/s²] under the servos' torques [N·m], shape (2,)."""
         first_m, second_m = LINKS_M
         tip_kg_m2 = 0.4 * self.payload_kg * TIP_RADIUS_M**2
         # moments of the second link and the payload about the elbow, first and second
@@ -118,7 +114,7 @@ class PlanarArm:
         return (elbow * first - both * second) / area, (shoulder * second - both * first) / area
 
     def moved(self, seconds: Array, told_s: Array, told_rad: Array) -> tuple[Array, Array, Array]:
-        """Angles [rad], speeds [rad/s] and servos' torques [N·m], each of shape (T, 2).
+        """Integrate angles [rad], speeds [rad/s] and servo torques [N·m], each (T, 2).
 
         Args:
             seconds: increasing, from 0 on, shape (T,).
@@ -156,7 +152,7 @@ class PlanarArm:
         return np.array([first, second, *pulls])
 
     def _rest(self, command: Array) -> Array:
-        """Where the servos hold the arm, shape (2,) [rad]."""
+        """Solve for where the servos hold the arm, shape (2,) [rad]."""
 
         def unheld(angles_rad: Array) -> Array:
             torques = KP * (command - angles_rad) - self.weight(*angles_rad.tolist())

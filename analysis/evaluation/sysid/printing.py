@@ -1,4 +1,4 @@
-"""What `tunenet-eval sysid` prints, and the files that it can write."""
+"""Print the results of `tunenet-eval sysid`, and list the files it can write."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def print_sysid(
     arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
 ) -> tuple[Iterable[str], Writers]:
-    """Users' models, tuned from logs of machines that no engine simulated; see `Experiment`."""
+    """Tune users' models from logs of machines that no engine simulated; see `Experiment`."""
     from analysis.evaluation.sysid.outcomes import SysidOutcome
     from analysis.evaluation.sysid.records import sysid_csv, sysid_json
     from analysis.evaluation.sysid.run import SysidOrder, sysid_sections

@@ -1,4 +1,4 @@
-"""Tunings of users' models for other programs: JSON and CSV."""
+"""Export tunings of users' models as JSON and CSV."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from analysis.evaluation.sysid.outcomes import SysidOutcome
 from analysis.evaluation.sysid.run import SysidOrder
 from analysis.evaluation.sysid.targets import MACHINES
 
+# Of the CSV: one row for each log and parameter.
 COLUMNS = (
     *("section", "machine", "seed", "noise", "what", "verdict", "rollouts", "seconds"),
     *("address", "truth", "value", "low", "high", "range", "is_told", "can_be_told"),
 )
-"""Of the CSV: one row for each log and parameter."""
 
 
 def sysid_json(outcomes: Sequence[SysidOutcome], order: SysidOrder) -> str:
-    """Every log and parameter."""
+    """Serialise every log and parameter."""
     head = {"experiment": "sysid", "seeds": list(order.seeds), "logs": order.logs}
     return json_text({**head, "rows": list(_rows(outcomes))})
 
 
 def sysid_csv(outcomes: Sequence[SysidOutcome]) -> str:
-    """The same as a table."""
+    """Format every log and parameter as a table."""
     return csv_text(COLUMNS, _rows(outcomes))
 
 

@@ -1,4 +1,4 @@
-"""Machines that no engine simulated, their logs tuned with their owners' models."""
+"""Tune logs of machines that no engine simulated with their owners' models."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from analysis.evaluation.sysid.targets import MACHINES
 from analysis.processes import Piece, parallel_map
 from tunenet_logs.terminal import Progress
 
-NOISES = (1.0, 0.5, 2.0)
-"""Times the noise that the logs usually have."""
+NOISES = (1.0, 0.5, 2.0)  # times the noise that the logs usually have
 
 
 @dataclass(frozen=True)
 class SysidOrder:
-    """What to run.
+    """Settings of the experiment.
 
     Attributes:
         seeds: each with its own logs.
@@ -34,7 +33,7 @@ class SysidOrder:
 def sysid_sections(
     order: SysidOrder, progress: Progress
 ) -> Iterator[tuple[str, list[SysidOutcome]]]:
-    """Section by section, all that came of it."""
+    """Yield all results section by section."""
     for section in order.sections:
         wanted = trials([section], order.seeds, order.logs, NOISES)
         pieces = [Piece(trial, name=_name(trial)) for trial in wanted]

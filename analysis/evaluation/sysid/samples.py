@@ -1,4 +1,4 @@
-"""Writes the sample logs of machines and their owners' models again.
+"""Write the sample logs of machines and their owners' models again.
 
 `python -m analysis.evaluation.sysid.samples` writes `sample_logs/models`, the same bytes each time.
 """
@@ -14,7 +14,7 @@ SEEDS = {"pendulum": 3, "arm": 5, "block": 2}
 
 
 def write_samples(folder: Path) -> None:
-    """A log, a model and what is tuned of it, for each machine."""
+    """Write a log, a model and what is tuned of it, for each machine."""
     folder.mkdir(parents=True, exist_ok=True)
     for machine in MACHINES:
         log = machine.log(SEEDS[machine.name], 1.0)

@@ -1,4 +1,4 @@
-"""A block that slides over the floor until friction has stopped it."""
+"""Simulate a block that slides over the floor until friction has stopped it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from tunenet_logs.arrays import Array
 FRICTION, MASS = "geom/block.friction[0]", "body/block.mass"
 POSE = "/block/pose"
 
-MOST_FRICTION = 1.2
-"""That is looked for."""
-
-_TUNE = (f"{FRICTION}=0.02:{MOST_FRICTION}",)
+MAX_FRICTION = 1.2  # that is looked for
+_TUNE = (f"{FRICTION}=0.02:{MAX_FRICTION}",)
 _NOISE_M = 1e-3
 _MASS_KG = 1.5
 _HALF_HEIGHT_M = 0.03
 _REST_S = 1.0
 
+# Of two geoms that touch, MuJoCo takes the larger friction. Its contacts push a sliding block off
+# the floor, by friction times speed times damping over stiffness, and let it creep before it stops,
+# by more the less they damp: this floor is stiff, damps little, and lets it creep by 0.15 mm at a
+# friction of 0.65. A long step and a high impratio make it hop.
 BLOCK = """\
 <mujoco model="block on a floor">
   <option timestep="0.00025" cone="elliptic" impratio="0.1" gravity="{gravity}"/>
@@ -44,15 +46,11 @@ BLOCK = """\
   </worldbody>
 </mujoco>
 """
-"""Of two geoms that touch, MuJoCo takes the larger friction. Its contacts push a sliding block
-off the floor, by friction times speed times damping over stiffness, and let it creep before it
-stops, by more the less they damp: this floor is stiff, damps little, and lets it creep by 0.15 mm
-at a friction of 0.65. A long step and a high impratio make it hop."""
 
 
 @dataclass(frozen=True, eq=False)
 class SlidingBlock:
-    """A block that slides without turning.
+    """Block that slides without turning.
 
     Attributes:
         friction: Coulomb's coefficient.
@@ -66,30 +64,25 @@ class SlidingBlock:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> SlidingBlock:
-        """One of the many."""
+        """Draw a block."""
         friction = float(np.exp(rng.uniform(np.log(0.1), np.log(0.7))))
         along, aside = rng.uniform(0.5, 2.5), rng.uniform(-0.1, 0.1)
         return cls(friction, rng.uniform(-0.5, 0.5, 2), along * np.array([1.0, aside]))
 
     @property
     def stops_s(self) -> float:
-        """When it has come to rest."""
+        """Time at which it has come to rest [s]."""
         return float(np.linalg.norm(self.velocity_m_s)) / (self.friction * GRAVITY_M_S2)
 
     def at(self, seconds: Array) -> Array:
-        """Positions of its centre at times of shape (T,), shape (T, 3) [m]; a closed form."""
+        """Return positions of its centre in closed form, shape (T, 3) [m]."""
         slid_s = np.minimum(seconds, self.stops_s)[:, None]
         flat_m = self.start_m + self.velocity_m_s * (slid_s - slid_s**2 / (2 * self.stops_s))
         return np.column_stack([flat_m, np.full(len(seconds), _HALF_HEIGHT_M)])
 
 
 def block_log(seed: int, noise: float = 1.0) -> ModelLog:
-    """A slide and a second of rest, of which friction is tuned.
-
-    Args:
-        seed: draws block, stamps and noise.
-        noise: how many times the usual noise there is.
-    """
+    """Simulate a slide and a second of rest, of which friction is tuned."""
     rng = np.random.default_rng((seed, 4))
     block = SlidingBlock.drawn(rng)
     seconds = sample_times(block.stops_s + _REST_S, STATES_HZ, rng)
@@ -100,7 +93,7 @@ def block_log(seed: int, noise: float = 1.0) -> ModelLog:
 
 
 def block_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
-    """The same with the mass tuned as well, which nothing tells."""
+    """Simulate the same with the mass tuned as well, which is unidentifiable."""
     log = block_log(seed, noise)
     truth = {**log.truth, MASS: _MASS_KG}
     tune = (*_TUNE, f"{MASS}=0.2:5")
@@ -109,5 +102,5 @@ def block_of_unknown_mass(seed: int, noise: float = 1.0) -> ModelLog:
 
 
 def block_model(*, gravity: str = EARTH, mass_kg: float = _MASS_KG) -> str:
-    """The text of an owner's model; gravity of three numbers [m/s²]."""
+    """Return the MJCF text of an owner's model; gravity of three numbers [m/s²]."""
     return BLOCK.format(gravity=gravity, mass=mass_kg)

@@ -1,4 +1,4 @@
-"""Tunings of users' models as tables for a terminal."""
+"""Tabulate tunings of users' models for a terminal."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HEADS = {
 
 
 def sysid_table(section: str, outcomes: Sequence[SysidOutcome], order: SysidOrder) -> str:
-    """The table of one section."""
+    """Tabulate one section."""
     what = f"{seeds_in_words(order.seeds)}, {order.logs} logs a machine"
     head = f"{section}: {_HEADS[section]} {what}."
     makers = {"wrong": _wrong, "untold": _untold, "network": _network}
@@ -33,7 +33,7 @@ def sysid_table(section: str, outcomes: Sequence[SysidOutcome], order: SysidOrde
 def groups(
     outcomes: Sequence[SysidOutcome],
 ) -> Iterable[tuple[str, float, str, list[SysidOutcome], list[FoundValue]]]:
-    """Machine, noise, address, the logs, and what was found of the parameter in each."""
+    """Yield machine, noise, address, the logs, and each log's estimate of the parameter."""
     keys = dict.fromkeys(
         (one.trial.machine, one.trial.noise, found.address)
         for one in outcomes
@@ -46,7 +46,7 @@ def groups(
 
 
 def errors_of(found: Sequence[FoundValue]) -> np.ndarray:
-    """Of the values, shape (N,)."""
+    """Return absolute errors, shape (N,)."""
     return np.array([abs(one.value - one.truth) for one in found])
 
 

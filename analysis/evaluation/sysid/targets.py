@@ -1,4 +1,4 @@
-"""Which machines there are: what is tuned of each, what a log cannot tell, and wrong models."""
+"""Machines: what is tuned of each, what is unidentifiable from a log, and wrong models."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from analysis.evaluation.sysid.wrong_models import wrong_arms, wrong_blocks, wro
 
 @dataclass(frozen=True)
 class Machine:
-    """A kind of machine.
+    """Kind of machine.
 
     Attributes:
         name: in words.
         log: of a seed and so many times the usual noise.
-        untold: the same with a parameter more, which such a log cannot tell.
+        untold: the same with one more parameter, which is unidentifiable.
         wrong: texts of models that are of another machine than a log's, by what is wrong.
     """
 
@@ -29,9 +29,9 @@ class Machine:
     wrong: Callable[[ModelLog], Mapping[str, str]]
 
 
+# `log` and `untold` give the same for the same seed and noise, whatever else is drawn.
 MACHINES = (
     Machine("pendulum", pendulum_log, pendulum_of_unknown_mass, wrong_pendulums),
     Machine("arm", arm_log, arm_with_a_brake, wrong_arms),
     Machine("block", block_log, block_of_unknown_mass, wrong_blocks),
 )
-"""`log` and `untold` give the same for the same seed and noise, whatever else is drawn."""

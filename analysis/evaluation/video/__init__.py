@@ -1,1 +1,1 @@
-"""How well tracks of filmed drops are tuned: rigs drawn at random, good tracks and faulty ones."""
+"""Measure the tuning of filmed drops' tracks: rigs drawn at random, good and faulty tracks."""

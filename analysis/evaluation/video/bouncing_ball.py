@@ -1,4 +1,4 @@
-"""A ball that falls and bounces, integrated from impact to impact: a truth that no fit shares.
+"""Integrate a bouncing ball from impact to impact: a truth that no fit shares.
 
 The fit has the bounce in closed form (`recorders/simulators/closed_form/bounce.py`). Here the
 equation of motion is stepped (classical Runge-Kutta, fourth order), and each impact is met within
@@ -15,16 +15,13 @@ from tunenet_logs.arrays import Array
 
 GRAVITY_M_S2 = 9.81
 
-_STEPS_A_FALL = 100
-"""In air. Without it one step is exact, however long."""
-
-_AT_REST = 1e-4
-"""Fraction of the first impact's speed below which the ball lies still."""
+_STEPS_A_FALL = 100  # in air. Without it one step is exact, however long.
+_AT_REST = 1e-4  # fraction of the first impact's speed below which the ball lies still
 
 
 @dataclass(frozen=True)
 class DroppedBall:
-    """What falls, from where.
+    """Ball and its drop.
 
     Attributes:
         drop_m: height over its contact at the start.
@@ -42,13 +39,13 @@ class DroppedBall:
 
     @property
     def fall_s(self) -> float:
-        """How long a fall from rest takes without air."""
+        """Duration of a fall from rest without air."""
         return float(np.sqrt(2 * self.drop_m / GRAVITY_M_S2))
 
 
 @dataclass(frozen=True, eq=False)
 class Fall:
-    """What it does.
+    """Motion of a dropped ball.
 
     Attributes:
         heights_m: over its contact, at the given times, shape (T,).
@@ -62,12 +59,7 @@ class Fall:
 
 
 def drop_ball(ball: DroppedBall, seconds: Array) -> Fall:
-    """The ball at `seconds` after its start; before, it is held where it starts.
-
-    Args:
-        ball: what falls.
-        seconds: increasing, shape (T,).
-    """
+    """Integrate the ball at increasing times after its start, shape (T,); held before."""
     heights = np.full(len(seconds), ball.drop_m)
     longest = ball.fall_s / _STEPS_A_FALL if ball.drag_1_m else np.inf
     clock, height, speed = 0.0, ball.drop_m, ball.speed_m_s
@@ -96,7 +88,7 @@ def _rebound(ball: DroppedBall, hit: float, first: float) -> float:
 
 
 def _step(height: float, speed: float, step: float, drag: float) -> tuple[float, float]:
-    """Height and upward speed one step later (Runge-Kutta-Nyström form of the fourth order)."""
+    """Return height and upward speed one step later (Runge-Kutta-Nyström, fourth order)."""
 
     def accelerated(velocity: float) -> float:
         return -GRAVITY_M_S2 - drag * velocity * abs(velocity)
@@ -112,7 +104,7 @@ def _step(height: float, speed: float, step: float, drag: float) -> tuple[float,
 
 
 def _contact(height: float, speed: float, most: float, drag: float) -> tuple[float, float]:
-    """How far into a step that ends below it the ball touches, and how fast (downward)."""
+    """Find by Newton's method when a step touches, and how fast (downward)."""
     step = (speed + np.sqrt(speed**2 + 2 * GRAVITY_M_S2 * height)) / GRAVITY_M_S2
     step = min(float(step), most)
     for _ in range(6):  # Newton; exact at once without air

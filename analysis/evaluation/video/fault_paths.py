@@ -1,4 +1,4 @@
-"""What balls do that spoils a drop: each a path in place of the good one's.
+"""Paths of balls that spoil a drop, each in place of the good one's.
 
 A path is a function of a scene and a random generator, and gives points [m], shape (T, 3), at the
 times of the scene's pictures: of one that lasts for six fall times at least.
@@ -12,24 +12,19 @@ from analysis.evaluation.video.bouncing_ball import GRAVITY_M_S2, DroppedBall, d
 from analysis.evaluation.video.tracks import TrackScene, upright
 from tunenet_logs.arrays import Array
 
+# Fraction of the first impact's speed at which a ball that will roll off moves sideways.
 _SIDEWAYS = (0.05, 0.25)
-"""Fraction of the first impact's speed at which a ball that will roll off moves sideways."""
 
-_BELOW = (0.3, 1.5)
-"""From the table down to the next thing that it hits [drop heights]."""
-
-_TILT_DEG = (10.0, 45.0)
-"""Of an edge's normal where the ball hits it, from the vertical."""
-
+_BELOW = (0.3, 1.5)  # from the table down to the next thing that it hits [drop heights]
+_TILT_DEG = (10.0, 45.0)  # of an edge's normal where the ball hits it, from the vertical
+# Fraction of the way to the camera that a drifting ball goes in a fall time.
 _TOWARDS = (0.05, 0.15)
-"""Fraction of the way to the camera that a drifting ball goes in a fall time."""
 
-_CATCH_FALLS = (0.05, 0.15)
-"""How long hands give way [fall times]."""
+_CATCH_FALLS = (0.05, 0.15)  # how long hands give way [fall times]
 
 
 def rolls_off(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """After its first or second bounce it goes over the edge, in flight or rolling, and falls."""
+    """Roll or fly over the edge after the first or second bounce, and fall."""
     fall = scene.fall()
     bounces = int(rng.integers(1, 3))
     landed_s, speed = fall.impacts_s[bounces], fall.impact_speeds_m_s[bounces]
@@ -43,17 +38,17 @@ def rolls_off(scene: TrackScene, rng: np.random.Generator) -> Array:
 
 
 def edge_first(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """Its first impact is on an edge."""
+    """Hit an edge at the first impact."""
     return _edge(scene, 0, rng)
 
 
 def edge_second(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """Its second impact is on an edge."""
+    """Hit an edge at the second impact."""
     return _edge(scene, 1, rng)
 
 
 def thrown(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """Thrown up and caught, once or twice; it hits nothing."""
+    """Throw up and catch, once or twice, without an impact."""
     heights = np.zeros(len(scene.seconds))
     start_s, top_m = 0.0, scene.ball.drop_m * rng.uniform(0.6, 1.0)
     for _ in range(int(rng.integers(1, 3))):
@@ -70,7 +65,7 @@ def thrown(scene: TrackScene, rng: np.random.Generator) -> Array:
 
 
 def held(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """A hand holds it, and is not still."""
+    """Hold in a hand that is not still."""
     drop_m, fall_s = scene.ball.drop_m, scene.ball.fall_s
     reach_m = drop_m * rng.uniform(0.02, 0.15)
     slow_s = fall_s * rng.uniform(0.3, 1.0)
@@ -80,7 +75,7 @@ def held(scene: TrackScene, rng: np.random.Generator) -> Array:
 
 
 def caught(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """Caught in the flight after its first bounce, and carried on."""
+    """Catch in the flight after the first bounce, and carry on."""
     fall, ball = scene.fall(), scene.ball
     up_m_s = ball.restitution * fall.impact_speeds_m_s[0]
     flown_s = 2 * up_m_s / GRAVITY_M_S2 * rng.uniform(0.3, 0.95)
@@ -93,7 +88,7 @@ def caught(scene: TrackScene, rng: np.random.Generator) -> Array:
 
 
 def drifts(scene: TrackScene, rng: np.random.Generator) -> Array:
-    """From its release on it moves towards the camera or away, so that it looks larger or less."""
+    """Drift towards the camera or away from the release on."""
     towards = np.array([*scene.view.position_m[:2], 0.0])
     rate = rng.choice([-1.0, 1.0]) * rng.uniform(*_TOWARDS)
     gone = np.maximum(scene.seconds, 0.0) / scene.ball.fall_s * rate
@@ -101,7 +96,7 @@ def drifts(scene: TrackScene, rng: np.random.Generator) -> Array:
 
 
 def smooth_noise(seconds: Array, slow_s: float, rng: np.random.Generator) -> Array:
-    """A random function of mean 0 and deviation 1 that changes over `slow_s`, shape (T,)."""
+    """Draw a random function of mean 0 and deviation 1 that changes over `slow_s`, (T,)."""
     waves = 40
     rates = rng.normal(0.0, 1.0, waves) / slow_s
     phases = rng.uniform(0.0, 2 * np.pi, waves)
@@ -109,7 +104,7 @@ def smooth_noise(seconds: Array, slow_s: float, rng: np.random.Generator) -> Arr
 
 
 def _edge(scene: TrackScene, hit: int, rng: np.random.Generator) -> Array:
-    """A rebound about a tilted normal: over the edge of a table, or of a tile, and on beside it."""
+    """Rebound about a tilted normal: over the edge of a table or tile, and on beside it."""
     fall = scene.fall()
     at_s, speed = fall.impacts_s[hit], fall.impact_speeds_m_s[hit]
     tilt = np.radians(rng.uniform(*_TILT_DEG))
@@ -123,7 +118,7 @@ def _edge(scene: TrackScene, hit: int, rng: np.random.Generator) -> Array:
 
 
 def _from_above(scene: TrackScene, start_s: float, below_m: float, up_m_s: float) -> Array:
-    """Heights over the table from `start_s` on, where what it hits next lies that far below it."""
+    """Return heights from `start_s` on, where what is hit next lies that far below."""
     ball = DroppedBall(below_m, scene.ball.restitution, speed_m_s=up_m_s)
     return drop_ball(ball, scene.seconds - start_s).heights_m - below_m
 
@@ -131,14 +126,14 @@ def _from_above(scene: TrackScene, start_s: float, below_m: float, up_m_s: float
 def _moving(
     scene: TrackScene, heights: Array, start_s: float, speed_m_s: float, rng: np.random.Generator
 ) -> Array:
-    """Sideways in any direction, from `start_s` on."""
+    """Move sideways in any direction, from `start_s` on."""
     way = rng.uniform(0.0, 2 * np.pi)
     gone = speed_m_s * np.maximum(scene.seconds - start_s, 0.0)
     return np.column_stack([gone * np.cos(way), gone * np.sin(way), heights])
 
 
 def _given_way(scene: TrackScene, since: Array, speed: float, rng: np.random.Generator) -> Array:
-    """How far a hand that catches at that upward speed goes with it."""
+    """Return how far a hand that catches at that upward speed goes with it."""
     slow_s = scene.ball.fall_s * rng.uniform(*_CATCH_FALLS)
     after = np.maximum(since, 0.0)
     return speed * after * np.exp(-after / slow_s)

@@ -1,4 +1,4 @@
-"""Faulty tracks, class by class: what goes wrong at drops, before cameras and in trackers.
+"""Make faulty tracks: what goes wrong at drops, before cameras and in trackers.
 
 Each class is a good scene with one thing changed. What must not happen is that its restitution is
 wrong and looks right.
@@ -20,27 +20,20 @@ from tunenet_logs.arrays import Array
 
 Maker = Callable[[TrackScene, np.random.Generator], Track]
 
+# As B, and long enough that what goes wrong is filmed.
 FAULT_SET = replace(B, name="bad", lasts=(6.0, 8.0))
-"""As B, and long enough that what goes wrong is filmed."""
 
 FAULT_BALLS = BallRanges((0.3, 0.9))
 
-_FRAMES = 20
-"""That a camera freezes for or loses."""
-
-_LOST_FRACTION = 0.1
-"""Of frames that are lost here and there."""
-
-_FAR_PX = 30.0
-"""From the ball to what a tracker jumps to: more than a ball's width."""
-
-_EDGE_PX = 8.0
-"""From the frame to where other objects are."""
+_FRAMES = 20  # that a camera freezes for or loses
+_LOST_FRACTION = 0.1  # of frames that are lost here and there
+_FAR_PX = 30.0  # from the ball to what a tracker jumps to: more than a ball's width
+_EDGE_PX = 8.0  # from the frame to where other objects are
 
 
 @dataclass(frozen=True)
 class TrackFault:
-    """One way in which a track is faulty.
+    """Kind of fault of a track.
 
     Attributes:
         name: for files.
@@ -56,7 +49,7 @@ class TrackFault:
     bounces: bool = True
 
     def track(self, scene: TrackScene) -> Track:
-        """The same for the same scene."""
+        """Make the faulty track, the same for the same scene."""
         return self.make(scene, np.random.default_rng([scene.seed, *self.name.encode()]))
 
 
@@ -65,12 +58,12 @@ def _path(points: Callable[[TrackScene, np.random.Generator], Array]) -> Maker:
 
 
 def _still(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """The tracker holds on to something that does not move."""
+    """Track something that does not move."""
     return _object(scene, np.tile(_anywhere(rng), (len(scene.seconds), 1)))
 
 
 def _wandering(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """The tracker follows something that wanders about, smoothly."""
+    """Track something that wanders about smoothly."""
     slow_s = rng.uniform(0.2, 1.0)
     period = scene.seconds[1] - scene.seconds[0]
     walk = [
@@ -84,14 +77,14 @@ def _wandering(scene: TrackScene, rng: np.random.Generator) -> Track:
 
 
 def _leaves(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """From mid-fall at the earliest, the end of the first flight at the latest, it is not seen."""
+    """Lose the ball between mid-fall and the end of the first flight."""
     first, second = scene.fall().impacts_s[:2]
     leaves_s = rng.uniform(first / 2, second)
     return film(replace(scene, lost=scene.lost | (scene.seconds > leaves_s)))
 
 
 def _freezes(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """The camera gives one picture 20 times, its stamps go on."""
+    """Repeat one picture 20 times while the stamps go on."""
     track = film(scene)
     start = _in_flight(scene, rng)
     numbers = np.arange(len(scene.seconds))
@@ -100,7 +93,7 @@ def _freezes(scene: TrackScene, rng: np.random.Generator) -> Track:
 
 
 def _loses_frames(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """20 frames are lost, and nothing tells."""
+    """Drop 20 frames silently."""
     start = _in_flight(scene, rng)
     kept = np.ones(len(scene.seconds), dtype=bool)
     kept[start : start + _FRAMES] = False
@@ -108,19 +101,19 @@ def _loses_frames(scene: TrackScene, rng: np.random.Generator) -> Track:
 
 
 def _loses_some(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """A tenth of all frames is lost, here and there, and nothing tells."""
+    """Drop a tenth of all frames silently, here and there."""
     return _closed_up(film(scene), rng.random(len(scene.seconds)) >= _LOST_FRACTION)
 
 
 def _slows_down(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """From some moment on the camera gives every second frame, and nothing tells."""
+    """Drop every second frame silently from some moment on."""
     numbers = np.arange(len(scene.seconds))
     since = numbers - _in_flight(scene, rng)
     return _closed_up(film(scene), (since < 0) | (since % 2 == 0))
 
 
 def _jumps(scene: TrackScene, rng: np.random.Generator) -> Track:
-    """For a part of the flight the tracker holds on to something else."""
+    """Track something else for a part of the flight."""
     ball = film(scene)
     start = _in_flight(scene, rng)
     lasts_s = scene.ball.fall_s * rng.uniform(0.2, 0.6)
@@ -140,7 +133,7 @@ def _jumps(scene: TrackScene, rng: np.random.Generator) -> Track:
 
 
 def _in_flight(scene: TrackScene, rng: np.random.Generator) -> int:
-    """A picture between the early fall and the end of the first flight."""
+    """Draw a picture between the early fall and the end of the first flight."""
     second_s = float(scene.fall().impacts_s[1])
     start_s = rng.uniform(0.3 * scene.ball.fall_s, second_s)
     return int(np.searchsorted(scene.seconds, start_s))
@@ -161,12 +154,13 @@ def _anywhere(rng: np.random.Generator) -> Array:
 
 
 def _object(scene: TrackScene, places_px: Array) -> Track:
-    """Something as large as the ball."""
+    """Make the track of something as large as the ball."""
     _, depth = scene.view.image_from_world(np.array([[0.0, 0.0, scene.ball.drop_m / 2]]))
     radii = np.full(len(places_px), scene.view.radius_px(depth, scene.radius_m)[0])
     return track_from_pixels(scene, places_px, radii, np.zeros(len(places_px), dtype=bool))
 
 
+# Those of docs/experiments.md, in its order.
 TRACK_FAULTS = (
     TrackFault("still", "something that lies still", _still, bounces=False),
     TrackFault("wandering", "something that wanders about", _wandering, bounces=False),
@@ -184,4 +178,3 @@ TRACK_FAULTS = (
     TrackFault("slows", "60 fps turn to 30, no stamps", _slows_down),
     TrackFault("jumps", "tracker on something else in flight", _jumps),
 )
-"""Those of docs/experiments.md, in its order."""

@@ -1,4 +1,4 @@
-"""The results of `tunenet-eval video` for other programs: one record a line of its tables."""
+"""Export the results of `tunenet-eval video`: one record a line of its tables."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from analysis.evaluation.clips.run import ClipResult, TransformedClip
 from analysis.evaluation.export import csv_text, json_text
 from analysis.evaluation.video.run import VideoFigures, VideoOrder, VideoRow
 
-COLUMNS = ("section", "tracks", *(field.name for field in fields(VideoFigures)))
-"""Of the CSV."""
+COLUMNS = ("section", "tracks", *(field.name for field in fields(VideoFigures)))  # of the CSV
 
 
 def video_records(rows: Sequence[VideoRow]) -> list[dict[str, Any]]:
-    """One for each line; see `COLUMNS`."""
+    """Return one record for each line; see `COLUMNS`."""
     return [{"section": row.section, "tracks": row.label, **asdict(row.figures)} for row in rows]
 
 
@@ -25,7 +24,7 @@ def video_json(
     clips: Sequence[ClipResult] = (),
     transformed: Sequence[TransformedClip] = (),
 ) -> str:
-    """Every figure, and what came of each clip; null where there is none."""
+    """Serialise every figure, and the result of each clip; null where there is none."""
     head = {"experiment": "video", "seeds": list(order.seeds), "targets": order.targets}
     tables = {
         "rows": video_records(rows),
@@ -36,5 +35,5 @@ def video_json(
 
 
 def video_csv(rows: Sequence[VideoRow]) -> str:
-    """`video_records` as a table; an empty field where there is no figure."""
+    """Format `video_records` as a table; an empty field where there is no figure."""
     return csv_text(COLUMNS, video_records(rows))

@@ -1,4 +1,4 @@
-"""How well tracks of filmed drops are tuned, how sure, and what bad ones are taken for."""
+"""Measure errors, coverage and verdicts on tracks of filmed drops."""
 
 from __future__ import annotations
 
@@ -20,16 +20,13 @@ from analysis.processes import Piece, parallel_map
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import Progress
 
-WRONG = 0.05
-"""Of restitution: a larger error is one that a user would mind."""
-
-_PORTION = 10
-"""Tracks in a portion: few, so that the processes end together."""
+WRONG = 0.05  # of restitution: a larger error is one that a user would mind
+_PORTION = 10  # tracks in a portion: few, so that the processes end together
 
 
 @dataclass(frozen=True)
 class VideoFigures:
-    """What came of tracks of one kind; of errors and intervals, None where there is none.
+    """Figures of tracks of one kind; of errors and intervals, None where there is none.
 
     Attributes:
         targets: how many there were.
@@ -65,7 +62,7 @@ class VideoFigures:
 
 @dataclass(frozen=True)
 class VideoRow:
-    """A line of a table.
+    """Line of a table.
 
     Attributes:
         section: name of the `Section`.
@@ -79,13 +76,13 @@ class VideoRow:
 
     @property
     def figures(self) -> VideoFigures:
-        """See `figures_of`."""
+        """Figures by `figures_of`."""
         return figures_of(self.outcomes)
 
 
 @dataclass(frozen=True)
 class VideoOrder:
-    """How the experiment is run.
+    """Settings of the experiment.
 
     Attributes:
         seeds: each draws its own tracks.
@@ -101,16 +98,13 @@ class VideoOrder:
 def track_sections(
     order: VideoOrder, progress: Progress, sections: tuple[Section, ...] = TRACK_SECTIONS
 ) -> Iterator[tuple[Section, tuple[VideoRow, ...]]]:
-    """Each section of tracks with its rows, as soon as it is done.
-
-    The same order gives the same figures, whatever its `jobs`.
-    """
+    """Yield each section with its rows, as soon as it is done; the same for any number of jobs."""
     for section in sections:
         yield section, _rows(section, order, progress)
 
 
 def figures_of(outcomes: Array) -> VideoFigures:
-    """The figures of outcomes: see `sections.COLUMNS`, shape (N, 6)."""
+    """Compute the figures of outcomes: see `sections.COLUMNS`, shape (N, 6)."""
     truth, value, low, high, is_shown, verdict = outcomes.T
     answered = np.isfinite(value)
     errors = (value - truth)[answered & np.isfinite(truth)]

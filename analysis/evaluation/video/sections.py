@@ -1,4 +1,4 @@
-"""The tables of `tunenet-eval video` on tracks: which are drawn, and what each is tuned to."""
+"""Tables of `tunenet-eval video` on tracks: which are drawn, and what each is tuned to."""
 
 from __future__ import annotations
 
@@ -26,12 +26,10 @@ from recorders.simulators.balls import BALLS
 from tunenet_logs.arrays import Array
 
 VERDICTS = ("ok", "suspect", "rejected")
+# Of a row of outcomes: `shown` is 1 where the tuning tells its interval.
 COLUMNS = ("truth", "value", "low", "high", "shown", "verdict")
-"""Of a row of outcomes: `shown` is 1 where the tuning tells its interval."""
 
-TABLE_TENNIS = "table-tennis"
-"""Its name among `recorders.simulators.balls.BALLS`."""
-
+TABLE_TENNIS = "table-tennis"  # its name among `recorders.simulators.balls.BALLS`
 _SLOPES = BallRanges((0.3, 0.9), slope=(0.05, 0.2))
 _LIGHT = BallRanges((0.3, 0.95), drag_1_m=TABLE_TENNIS_DRAG_1_M)
 _LIGHT_SET = TrackSet("light", (0.3, 2.0), TABLE_TENNIS_RADIUS_M)
@@ -83,7 +81,7 @@ class Portion:
 
 
 def outcomes_of(portion: Portion) -> Array:
-    """What `tunenet-tune` makes of each track: see `COLUMNS`, shape (N, 6).
+    """Tune each track: see `COLUMNS`, shape (N, 6).
 
     NaN stands for the truth of a track without a bounce, and for a value or an interval that the
     tuning does not give.
@@ -166,5 +164,4 @@ BAD = Section(
         for fault in TRACK_FAULTS
     ),
 )
-TRACK_SECTIONS = (*SETS, SLOPE, DRAG, BAD)
-"""In the order in which they are run and printed."""
+TRACK_SECTIONS = (*SETS, SLOPE, DRAG, BAD)  # in the order in which they are run and printed

@@ -1,4 +1,4 @@
-"""How filmed drops are tuned, in words: a table for each kind of track."""
+"""Tabulate the tuning of filmed drops: a table for each kind of track."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Column = tuple[str, int, Callable[[VideoFigures], str]]
 def video_blocks(
     order: VideoOrder, sections: Iterable[tuple[Section, Sequence[VideoRow]]]
 ) -> Iterator[str]:
-    """The protocol, a table for each section as soon as it is there, and figures over all sets."""
+    """Yield the protocol, each section's table as soon as it is there, and overall figures."""
     yield _protocol(order)
     good: dict[str, Sequence[VideoRow]] = {}
     for section, rows in sections:
@@ -28,7 +28,7 @@ def video_blocks(
 
 
 def section_table(section: Section, rows: Sequence[VideoRow]) -> str:
-    """One line for each kind of track."""
+    """Tabulate one line for each kind of track."""
     columns = _columns(section)
     lines = [section.title, _line(section, "", [name for name, _, _ in columns])]
     for row in rows:
@@ -38,7 +38,7 @@ def section_table(section: Section, rows: Sequence[VideoRow]) -> str:
 
 
 def overall(rows: Sequence[VideoRow]) -> str:
-    """Coverage and width over all good tracks of the sets, and the worst line's coverage."""
+    """Describe coverage and width over all good tracks, and the worst line's coverage."""
     figures = figures_of(np.concatenate([row.outcomes for row in rows]))
     text = f"A, B and C: {figures.targets} tracks, {_percent(figures.rejected)} % rejected."
     cells = [one.covered for one in (row.figures for row in rows) if one.covered is not None]

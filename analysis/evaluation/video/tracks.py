@@ -1,4 +1,4 @@
-"""Tracks of bouncing balls as uncalibrated cameras show them, to measure what is made of films.
+"""Simulate tracks of bouncing balls as uncalibrated cameras show them.
 
 The ball is integrated (`bouncing_ball`) and projected (`viewpoint`) by nothing that the fit uses.
 What a tracker adds is noise, whole pixels, gaps, and pictures before the ball is let go.
@@ -26,51 +26,38 @@ from tunenet_logs.arrays import Array
 Mask = NDArray[np.bool_]
 Range = tuple[float, float]
 
-NOISES_PX = (0.3, 1.0)
-"""Standard deviations of a coordinate: of a good tracker, and of a poor one."""
-
+NOISES_PX = (0.3, 1.0)  # standard deviations of a coordinate: of a good tracker, and of a poor one
 NARROW: Range = (0.3, 0.7)
-WIDE: Range = (0.1, 0.95)
-"""Restitutions: the paper's, and nearly all."""
-
+WIDE: Range = (0.1, 0.95)  # restitutions: the paper's, and nearly all
 TABLE_TENNIS_RADIUS_M = 0.020
+# Air of 1.2 kg/m3 on a ball of 2.7 g, Cd 0.47.
 TABLE_TENNIS_DRAG_1_M = 0.5 * 1.2 * 0.47 * np.pi * TABLE_TENNIS_RADIUS_M**2 / 0.0027
-"""Air of 1.2 kg/m3 on a ball of 2.7 g, Cd 0.47."""
 
-_RADII = (0.015, 0.06)
-"""Of balls, over the drop height."""
-
-_HELD_S = (0.0, 0.6)
-"""From the first picture to the release, where the rig is not free."""
-
+_RADII = (0.015, 0.06)  # of balls, over the drop height
+_HELD_S = (0.0, 0.6)  # from the first picture to the release, where the rig is not free
 _FROM_FALLS = (-0.6, 0.4)
+# Of free rigs, in fall times: the first picture is up to the one before the release or up to the
+# other after it; and how many pictures a fall has.
 _FRAMES_A_FALL = (6.0, 150.0)
-"""Of free rigs, in fall times: the first picture is up to the one before the release or up to the
-other after it; and how many pictures a fall has."""
 
-_MOST_LOST = 0.1
+_MAX_LOST = 0.1
 _GAPS = 0.3
+# Up to a tenth of the pictures lack the ball; 30 % of the tracks have a gap, of so many fall times.
 _GAP_FALLS = (0.05, 0.3)
-"""Up to a tenth of the pictures lack the ball; 30 % of the tracks have a gap, of so many fall
-times."""
 
 _EARLY_ENDS = 0.1
-_EARLY_FALLS = (2.0, 4.0)
-"""A tenth of the tracks end this many fall times after the release."""
-
+_EARLY_FALLS = (2.0, 4.0)  # a tenth of the tracks end this many fall times after the release
+# Least fraction of the first flight's pictures that show the ball: it is what is measured.
 _SEEN_OF_FLIGHT = 0.6
-"""Least fraction of the first flight's pictures that show the ball: it is what is measured."""
 
-_RADIUS_NOISE = 0.05
-"""Standard deviation of a radius, over it."""
-
+_RADIUS_NOISE = 0.05  # standard deviation of a radius, over it
+# Standard deviation of the vertical's direction: an arc shows it to about a degree.
 _PLUMB_DEG = 1.0
-"""Standard deviation of the vertical's direction: an arc shows it to about a degree."""
 
 
 @dataclass(frozen=True)
 class TrackSet:
-    """A kind of rig.
+    """Kind of rig.
 
     Attributes:
         name: in tables; what is drawn depends on it.
@@ -98,7 +85,7 @@ TRACK_SETS = (A, B, C)
 
 @dataclass(frozen=True)
 class BallRanges:
-    """What is dropped: each value is drawn evenly from its range.
+    """Ranges of the ball's parameters, each drawn uniformly.
 
     Attributes:
         restitution: at the first impact.
@@ -134,14 +121,14 @@ class TrackScene:
     seed: int
 
     def fall(self) -> Fall:
-        """What the ball does if nothing goes wrong."""
+        """Return the ball's motion if nothing goes wrong."""
         return drop_ball(self.ball, self.seconds)
 
 
 def draw_scene(
     which: TrackSet, balls: BallRanges, noise_px: float, seed: int, number: int
 ) -> TrackScene:
-    """Scene `number` of a seed: the same whatever the noise and however many are drawn.
+    """Draw scene `number` of a seed: the same for any noise and number drawn.
 
     Negative seeds are for choosing, positive ones for reporting.
     """
@@ -160,7 +147,7 @@ def draw_scene(
 
 
 def film(scene: TrackScene, points_m: Array | None = None) -> Track:
-    """The track of the ball, or of a ball that is at `points_m` (shape (T, 3)) instead.
+    """Simulate the track of the ball, or of one at `points_m` (shape (T, 3)) instead.
 
     It is lost where it is not wholly in the picture.
     """
@@ -174,7 +161,7 @@ def film(scene: TrackScene, points_m: Array | None = None) -> Track:
 
 
 def track_from_pixels(scene: TrackScene, centers_px: Array, radius_px: Array, lost: Mask) -> Track:
-    """The track of something at these pixels: with noise, rounded, its radius to halves.
+    """Make a track from pixels: with noise, rounded, its radius to halves.
 
     Args:
         scene: the stamps, the noise, the camera's vertical.
@@ -202,7 +189,7 @@ def track_from_pixels(scene: TrackScene, centers_px: Array, radius_px: Array, lo
 
 
 def upright(heights_m: Array) -> Array:
-    """Points straight over the contact, shape (T, 3) [m], of heights of shape (T,)."""
+    """Return points straight over the contact, shape (T, 3) [m], of heights, shape (T,)."""
     nothing = np.zeros_like(heights_m)
     return np.column_stack([nothing, nothing, heights_m])
 
@@ -218,11 +205,11 @@ def _seconds(which: TrackSet, ball: DroppedBall, rng: np.random.Generator) -> Ar
 
 
 def _lost(ball: DroppedBall, seconds: Array, rng: np.random.Generator) -> Mask:
-    """Single pictures, at times a gap too; but most of the first flight is seen."""
+    """Draw lost pictures, at times a gap too; most of the first flight is seen."""
     impacts = drop_ball(ball, np.append(seconds, 4 * ball.fall_s)).impacts_s
     flight = (seconds > impacts[0]) & (seconds < impacts[1])
     while True:
-        lost = rng.random(len(seconds)) < rng.uniform(0.0, _MOST_LOST)
+        lost = rng.random(len(seconds)) < rng.uniform(0.0, _MAX_LOST)
         if rng.random() < _GAPS:
             start = rng.uniform(-0.5, 3.0) * ball.fall_s
             end = start + rng.uniform(*_GAP_FALLS) * ball.fall_s

@@ -1,4 +1,4 @@
-"""Where people put cameras before a ball that falls: the paper's rig, and anywhere.
+"""Draw camera poses before a falling ball: the paper's rig, and anywhere.
 
 The world's origin is the middle of the ball where it touches the table, z is up.
 """
@@ -12,32 +12,25 @@ from numpy.typing import NDArray
 
 from tunenet_logs.arrays import Array
 
-SIZE_PX = (320, 240)
-"""Width and height of a picture: small, so that whole pixels matter."""
-
+SIZE_PX = (320, 240)  # width and height of a picture: small, so that whole pixels matter
 PAPER_RADIUS_M = 0.5
+# The paper's is 40 degrees, at which a fifth of its drops are cut off by the frame.
 PAPER_FOV_DEG = (40.0, 60.0)
-"""The paper's is 40 degrees, at which a fifth of its drops are cut off by the frame."""
 
 _PAPER_REACH_M = (5.0, 10.0)
 _PAPER_HEIGHT_M = (5.0, 8.0)
-_PAPER_AIM_M = 2.0
-"""Of its camera, from the plane that the ball hits; see `paper_viewpoint`."""
-
+_PAPER_AIM_M = 2.0  # of its camera, from the plane that the ball hits; see `paper_viewpoint`
 _FALLS_AWAY = (0.8, 4.0)
 _ELEVATION_DEG = (-25.0, 50.0)
 _ROLL_DEG = 4.0
 _DROP_IN_PICTURE = (0.4, 0.85)
-_FOV_DEG = (15.0, 90.0)
-"""Of any camera: see `any_viewpoint`."""
-
-_MARGIN_PX = 2.0
-"""Between a ball and the frame, at the start and at the contact."""
+_FOV_DEG = (15.0, 90.0)  # of any camera: see `any_viewpoint`
+_MARGIN_PX = 2.0  # between a ball and the frame, at the start and at the contact
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A camera without distortion.
+    """Pinhole camera without distortion.
 
     Attributes:
         position_m: where it stands.
@@ -52,14 +45,7 @@ class Viewpoint:
     roll_deg: float = 0.0
 
     def image_from_world(self, points_m: Array) -> tuple[Array, Array]:
-        """Pixels (x right, y down; the first pixel's centre is 0, 0), and distances ahead [m].
-
-        Args:
-            points_m: shape (N, 3).
-
-        Returns:
-            Shapes (N, 2), NaN for a point behind the camera, and (N,).
-        """
+        """Project points, (N, 3), to pixels, (N, 2), and depths, (N,); NaN behind."""
         ahead = np.subtract(self.aim_m, self.position_m)
         heading = np.arctan2(ahead[1], ahead[0])
         rise = np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))
@@ -76,24 +62,24 @@ class Viewpoint:
         return middle + np.column_stack([columns, rows]) * scale[:, None], depth
 
     def radius_px(self, depth_m: Array, radius_m: float) -> Array:
-        """About how large a ball looks at these distances [m], NaN behind, both of shape (N,)."""
+        """Return a ball's approximate image radius at these depths [m], NaN behind, (N,)."""
         return self.focal_px * radius_m / np.where(depth_m > 0, depth_m, np.nan)
 
     def shows(self, points_m: Array, radius_m: float) -> NDArray[np.bool_]:
-        """Whether a ball is wholly in the picture at these points, of shape (N, 3); shape (N,)."""
+        """Check whether a ball is wholly in view at these points, of shape (N, 3); shape (N,)."""
         pixels, depth = self.image_from_world(points_m)
         margin = self.radius_px(depth, radius_m)[:, None]
         far = np.array(SIZE_PX) - 1 - margin
         return np.all((pixels >= margin) & (pixels <= far), axis=1)  # NaN is not
 
     def plumb_px(self, drop_m: float) -> Array:
-        """From the start of a fall to the contact in the picture, shape (2,) [px]."""
+        """Return the image vector from the start of a fall to the contact, shape (2,) [px]."""
         (top, low), _ = self.image_from_world(np.array([[0.0, 0.0, drop_m], [0.0, 0.0, 0.0]]))
         return low - top
 
 
 def paper_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> Viewpoint:
-    """The paper's camera, all of the drop in its picture.
+    """Draw the paper's camera, with all of the drop in view.
 
     r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m, aimed at (0, 0, 2) m over the table (Allevato
     et al. 2019, experiment 3).
@@ -109,7 +95,7 @@ def paper_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) ->
 
 
 def any_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> Viewpoint:
-    """Anywhere from which a person films a drop, so that it takes U(.4, .85) of the picture.
+    """Draw a camera from which a person films a drop, so that it takes U(.4, .85) of the view.
 
     0.8 to 4 drop heights away (evenly in the logarithm), 25 degrees below to 50 above the middle of
     the drop but not below the table, turned by a few degrees, aimed at about that middle, with any

@@ -1,1 +1,1 @@
-"""The review of a payload."""
+"""Review of a payload in Rerun."""

@@ -1,4 +1,4 @@
-"""The 3D scene: the arm along its measured path, with what it holds."""
+"""3D scene of the arm along its measured path, with its payload."""
 
 from __future__ import annotations
 
@@ -22,51 +22,36 @@ _LINES = (52, 55, 64)
 _ARM = (150, 156, 170)
 _JOINT = (92, 98, 114)
 _GRIPPER = (205, 208, 214)
+# Greys, so that the payload alone has a colour; the base's axes x, y, z as usual.
 _AXES = ((230, 90, 90), (110, 200, 110), (100, 150, 255))
-"""Greys, so that the payload alone has a colour; the base's axes x, y, z as usual."""
 
+# Radii of the first link and of the last one, in reaches of the arm as all sizes here: an arm of
+# any size looks the same.
 _THICK, _THIN = 0.042, 0.026
-"""Radii of the first link and of the last one, in reaches of the arm as all sizes here: an arm of
-any size looks the same."""
 
-_PALM_FRACTION = 0.5
-"""Of the way from the last joint to the tool frame; the fingers are the rest."""
-
+_PALM_FRACTION = 0.5  # of the way from the last joint to the tool frame; the fingers are the rest
+# Half of the fingers' distance, in lengths of the gripper; their radius, in reaches.
 _GRIP, _FINGER = 0.3, 0.010
-"""Half of the fingers' distance, in lengths of the gripper; their radius, in reaches."""
 
-_SMALLEST, _LARGEST = 0.018, 0.15
-"""Radii of the payload, in reaches: it can be seen, and does not hide the arm."""
+# Radii of the payload, in reaches: it can be seen, and does not hide the arm.
+_MIN_SIZE, _MAX_SIZE = 0.018, 0.15
 
-_WATER_KG_M3 = 1000.0
-"""Density of the ball that is drawn: the payload's is unknown."""
-
+_WATER_KG_M3 = 1000.0  # density of the ball that is drawn: the payload's is unknown
+# Tiles of the ground along each side, the length of one and of the base's axes, in reaches.
 _TILES, _TILE, _AXIS = 5, 0.3, 0.28
-"""Tiles of the ground along each side, the length of one and of the base's axes, in reaches."""
 
-_TRAIL_S = 1.0
-"""Of the path behind the payload: shows which way it moves."""
-
-_LABEL = 0.055
-"""Of the mass above the ball, in reaches."""
-
-_ASIDE_RAD = 0.85
-"""Of the camera, from the path's front: links hide each other less."""
-
-_MARGIN = 0.04
-"""Around the arm and its payload, in reaches."""
-
-_MOST_HZ = 30.0
-"""Poses that are sent: a screen shows few more."""
-
-_LEVEL = 0.3
-"""A path's normal less horizontal than this: it is seen from the arm's side."""
+_TRAIL_S = 1.0  # of the path behind the payload: shows which way it moves
+_LABEL = 0.055  # of the mass above the ball, in reaches
+_ASIDE_RAD = 0.85  # of the camera, from the path's front: links hide each other less
+_MARGIN = 0.04  # around the arm and its payload, in reaches
+_MAX_HZ = 30.0  # poses that are sent: a screen shows few more
+_LEVEL = 0.3  # a path's normal less horizontal than this: it is seen from the arm's side
 
 
 def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
-    """The ground, the arm in its poses, and what it holds."""
+    """Log the ground, the arm in its poses, and its payload."""
     rate_hz = 1 / float(np.median(np.diff(data.seconds)))
-    kept = slice(None, None, max(1, round(rate_hz / _MOST_HZ)))
+    kept = slice(None, None, max(1, round(rate_hz / _MAX_HZ)))
     seconds, poses = data.seconds[kept], link_poses(data.arm, data.position_rad[kept])
     steps = [joint.origin_m for joint in data.arm.joints] + [data.arm.tool_from_last_m]
     reach_m = max(sum(math.hypot(*step) for step in steps), 1e-3)
@@ -101,7 +86,7 @@ def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
 
 
 def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
-    """The camera stands where the path is seen from its front, and all of the arm fits."""
+    """Place the camera in front of the path so that all of the arm fits."""
     points = poses.position_m.reshape(-1, 3)
     # Along the normal of the plane that the tool moves in, turned aside and up.
     tool = poses.position_m[:, -1]
@@ -124,13 +109,13 @@ def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
 
 
 def payload_radius_m(mass_kg: float, reach_m: float) -> float:
-    """Of a ball of water of that mass, as far as it can be seen beside the arm."""
+    """Return the radius of a ball of water of that mass, clipped to what is visible."""
     water_m = (3 * max(mass_kg, 0.0) / (4 * math.pi * _WATER_KG_M3)) ** (1 / 3)
-    return min(max(water_m, _SMALLEST * reach_m), _LARGEST * reach_m)
+    return min(max(water_m, _MIN_SIZE * reach_m), _MAX_SIZE * reach_m)
 
 
 def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
-    """Each link from its own joint to the next one, in its own frame; the gripper in the last."""
+    """Log each link from its own joint to the next one, in its own frame, and the gripper."""
     ends = [joint.origin_m for joint in arm.joints]
     radii = np.linspace(_THICK, _THIN, len(ends) + 1) * reach_m
     stream.log("scene/arm/base", _capsules([((0, 0, 0), ends[0])], [radii[0]], _ARM), static=True)
@@ -172,7 +157,7 @@ def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
 def _log_slides(
     stream: rr.RecordingStream, seconds: Array, poses: LinkPoses, reach_m: float
 ) -> None:
-    """What joins the links of an arm whose joints slide."""
+    """Log the connections of links with prismatic joints."""
     strips = poses.position_m.astype(np.float32)
     style = rr.LineStrips3D.from_fields(colors=[_JOINT], radii=[_FINGER * reach_m])
     stream.log("scene/slides", style, static=True)
@@ -188,16 +173,7 @@ def _log_payload(
     radius_m: float,
     label_m: float,
 ) -> None:
-    """A ball in the tool frame, its mass in words above it, and the way that it goes.
-
-    Args:
-        stream: of the review.
-        data: of the tuning.
-        seconds: of the poses [s], shape (T,).
-        poses: of the arm.
-        radius_m: of the ball.
-        label_m: of the words above the ball's centre.
-    """
+    """Log a ball in the tool frame, its mass `label_m` above it, and its path."""
     result, at_m = data.result, np.array(data.com_m)
     color = result.color if data.has_estimate else MUTED
     ball = rr.Ellipsoids3D(
@@ -231,13 +207,7 @@ def _capsules(
     radii: Sequence[float],
     color: tuple[int, int, int],
 ) -> rr.Capsules3D:
-    """From point to point.
-
-    Args:
-        bones: both ends of each [m].
-        radii: of each [m].
-        color: of all.
-    """
+    """Build capsules between pairs of points [m]."""
     starts = np.array([start for start, _ in bones], np.float64)
     along = np.array([end for _, end in bones], np.float64) - starts
     return rr.Capsules3D(
@@ -251,7 +221,7 @@ def _capsules(
 
 
 def _from_z(along: Array) -> Array:
-    """The shortest turn from z to a direction, as a quaternion x, y, z, w, shape (4,)."""
+    """Return the shortest rotation from z to a direction, a quaternion x, y, z, w, shape (4,)."""
     length = float(np.linalg.norm(along))
     if length == 0 or along[2] <= -length * (1 - 1e-9):
         return np.array([1.0, 0.0, 0.0, 0.0]) if length else np.array([0.0, 0.0, 0.0, 1.0])

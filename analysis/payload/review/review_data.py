@@ -1,4 +1,4 @@
-"""What a payload's review draws, taken from a tuning once: torques over the log's time."""
+"""Data that a payload's review draws: torques over the log's time."""
 
 from __future__ import annotations
 
@@ -14,14 +14,11 @@ from analysis.review.drawing import FITTED, Color, ramp
 from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 
-_MOST_JOINTS = 8
-"""That are drawn, those that feel the payload most: more would be too small to read."""
+_MAX_JOINTS = 8  # that are drawn, those that feel the payload most: more would be too small to read
+# Of one curve: more can neither be told apart nor be loaded soon.
+_MAX_HZ, _MAX_SAMPLES = 120.0, 3000
 
-_MOST_HZ, _MOST_SAMPLES = 120.0, 3000
-"""Of one curve: more can neither be told apart nor be loaded soon."""
-
-_BOLD, _THIN = 1.6, 0.8
-"""Widths of the result's curve and of the iterations before [points]."""
+_BOLD, _THIN = 1.6, 0.8  # widths of the result's curve and of the iterations before [points]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +27,10 @@ class TorqueCurve:
 
     Attributes:
         name: "k=3", "refined", "fit".
-        label: the same with its mass, for a legend.
-        color: of the line.
-        width: of the line [points].
-        mass_kg: that they were simulated with.
+        label: The same with its mass, for a legend.
+        color: Of the line.
+        width: Of the line [points].
+        mass_kg: That they were simulated with.
         effort_nm: [N·m], shape (T, J).
     """
 
@@ -47,23 +44,23 @@ class TorqueCurve:
 
 @dataclass(frozen=True, eq=False)
 class PayloadReviewData:
-    """The torques of one tuning, and the motion that they drive.
+    """Torques of one tuning, and the motion that they drive.
 
     Attributes:
-        arm: as it is without a payload.
-        seconds: since the log's first sample [s], shape (T,).
-        position_rad: of the joints [rad], shape (T, J).
-        observed_nm: torques with the joint's sign and the arm's weight in them [N·m], shape (T, J).
-        empty_nm: of the model with nothing in its gripper [N·m], shape (T, J).
-        felt_nm_per_kg: what a kilogram does to each joint (rms) [N·m/kg], shape (J,).
-        used: joints whose torques count, shape (J,).
-        order: joints that are drawn; those that feel the payload most first.
-        simulated: torques of the rigid model, one an iteration; the last is the result.
-        fitted: torques with friction, offsets and all that the fit finds; None without a fit.
-        fit: the fit itself; None without.
-        com_m: where the payload is, in the tool frame [m].
-        interval95: of the mass [kg]; None where none is honest.
-        has_estimate: whether there is a mass to report.
+        arm: Without a payload.
+        seconds: Since the log's first sample [s], shape (T,).
+        position_rad: Of the joints [rad], shape (T, J).
+        observed_nm: Torques with the joint's sign, the arm's weight included [N·m], shape (T, J).
+        empty_nm: Of the model with an empty gripper [N·m], shape (T, J).
+        felt_nm_per_kg: RMS torque per kilogram at each joint [N·m/kg], shape (J,).
+        used: Joints whose torques count, shape (J,).
+        order: Joints that are drawn; those that feel the payload most first.
+        simulated: Torques of the rigid model, one per iteration; the last is the result.
+        fitted: Torques with friction, offsets and all that the fit finds; None without a fit.
+        fit: The fit itself; None without.
+        com_m: Position of the payload in the tool frame [m].
+        interval95: Of the mass [kg]; None if no valid one exists.
+        has_estimate: Whether there is a mass to report.
     """
 
     arm: Arm
@@ -83,21 +80,21 @@ class PayloadReviewData:
 
     @property
     def result(self) -> TorqueCurve:
-        """The last iterate."""
+        """Torques of the last iterate."""
         return self.simulated[-1]
 
     def title(self, joint: int, what: str = "") -> str:
-        """A joint by its number, with the unit of its torque: "joint 2 [N·m]"."""
+        """Format a joint's number with the unit of its torque: "joint 2 [N·m]"."""
         unit = "N" if self.arm.joints[joint].is_prismatic else "N·m"
         return " ".join(filter(None, (f"joint {joint + 1}", what, f"[{unit}]")))
 
 
 def payload_review_data(tuning: Tuning) -> PayloadReviewData:
-    """From a tuning that found an arm's motion."""
+    """Collect the data from a tuning that found an arm's motion."""
     found: PayloadDetection = tuning.detection
     seconds = found.path.seconds
     rate_hz = 1 / float(np.median(np.diff(seconds)))
-    every = max(round(rate_hz / _MOST_HZ), -(-len(seconds) // _MOST_SAMPLES), 1)
+    every = max(round(rate_hz / _MAX_HZ), -(-len(seconds) // _MAX_SAMPLES), 1)
     kept = slice(None, None, every)
     felt = np.sqrt(np.mean(found.simulator.efforts_nm_per_kg**2, axis=0))
     fit = tuning.trace.fit.detail if tuning.trace and tuning.trace.fit else None
@@ -133,7 +130,7 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
         empty_nm=found.simulator.empty_efforts_nm[kept],
         felt_nm_per_kg=felt,
         used=found.fit.used,
-        order=tuple(np.argsort(-felt, kind="stable")[:_MOST_JOINTS].tolist()),
+        order=tuple(np.argsort(-felt, kind="stable")[:_MAX_JOINTS].tolist()),
         simulated=tuple(simulated),
         fitted=fitted,
         fit=fit,

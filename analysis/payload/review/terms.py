@@ -1,4 +1,4 @@
-"""What is in the torques beside the payload, and which joints feel the payload."""
+"""Charts of the nuisance terms, and of how much each joint feels the payload."""
 
 from __future__ import annotations
 
@@ -23,33 +23,22 @@ from analysis.review.drawing import (
 from analysis.statistics import TWO_SIDED
 from tunenet_logs.arrays import Array
 
-_PRIOR = (70, 74, 86)
-"""A grey behind the values: how large such terms usually are."""
-
-_CAP = 0.015
-"""Half the width of an interval's ends, in heights of a chart."""
-
-_HEADROOM = 1.1
-"""Of a chart's axis, over the largest value."""
-
-_MOST_MARKS = 16
-"""Numbers of joints below a chart: more would overlap."""
-
-_SMALLEST = 1e-3
-"""Of the highest bar: a lower one is none."""
-
-_BAR = 0.3
-"""Half a bar's width, of the width that a joint has."""
+_PRIOR = (70, 74, 86)  # a grey behind the values: how large such terms usually are
+_CAP = 0.015  # half the width of an interval's ends, in heights of a chart
+_HEADROOM = 1.1  # of a chart's axis, over the largest value
+_MAX_MARKS = 16  # numbers of joints below a chart: more would overlap
+_MIN_SIZE = 1e-3  # of the highest bar: a lower one is none
+_BAR = 0.3  # half a bar's width, of the width that a joint has
 
 
 @dataclass(frozen=True)
 class _Chart:
-    """Terms of one kind, one a joint or more.
+    """Chart of terms of one kind, one per joint or more.
 
     Attributes:
-        endings: of their names, before the joint's number.
-        title: with the unit.
-        scale: from the fit's unit to the chart's.
+        endings: Of their names, before the joint's number.
+        title: With the unit.
+        scale: From the fit's unit to the chart's.
     """
 
     endings: tuple[str, ...]
@@ -73,7 +62,7 @@ _CHARTS = (
 
 
 def log_terms(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.View]:
-    """A chart for each kind of term, by joint; first what a kilogram does to each joint."""
+    """Log a chart by joint of the torque per kilogram, and of each kind of term."""
     _log_felt(stream, data)
     felt = "what 1 kg does, dots: what is left [N·m]"
     if data.fitted is None:
@@ -97,7 +86,7 @@ def log_terms(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.V
 
 
 def _words(fit: PayloadFit) -> str:
-    """What no chart shows."""
+    """Describe what no chart shows."""
     whose = "the joint's own" if fit.convention.sign > 0 else "the load's (the sign is turned)"
     sentence = fit.identifiability[:1].upper() + fit.identifiability[1:]
     weight = "with" if fit.convention.has_gravity else "without"
@@ -123,14 +112,7 @@ def _words(fit: PayloadFit) -> str:
 def _log_chart(
     stream: rr.RecordingStream, sheet: str, chart: _Chart, terms: list[list[Nuisance]]
 ) -> None:
-    """Each term with its 95 % interval, before its prior's.
-
-    Args:
-        stream: of the review.
-        sheet: entity of the chart.
-        chart: its title and scale.
-        terms: of each ending, a list by joint.
-    """
+    """Log each term with its 95 % interval over that of its prior."""
     numbers = [[(term.value, term.sd, term.prior_sd) for term in row] for row in terms]
     values, sds, priors = chart.scale * np.moveaxis(np.array(numbers), -1, 0)
     ends = TWO_SIDED * np.array([-sds, sds]) + values
@@ -167,7 +149,7 @@ def _log_chart(
 
 
 def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
-    """What a kilogram does to each joint as bars, what the fit leaves of its torque as dots."""
+    """Log the torque per kilogram of each joint as bars, the fit's residual as dots."""
     felt = data.felt_nm_per_kg
     x, marks = _joint_marks(len(felt))
     top = _HEADROOM * max(float(felt.max()), 1e-9)
@@ -177,7 +159,7 @@ def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
     slabs = [
         filled(at - half, at + half, -value / top, 0.0)
         for at, value in zip(x, felt, strict=True)
-        if value > _SMALLEST * top
+        if value > _MIN_SIZE * top
     ]
     bars = rr.LineStrips2D(
         [strip for strips, _ in slabs for strip in strips],
@@ -198,7 +180,7 @@ def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
 
 
 def _joint_marks(count: int) -> tuple[Array, list[tuple[float, str]]]:
-    """Positions across a chart, shape (J,); and the marks below."""
+    """Return positions across a chart, shape (J,), and the marks below."""
     x = (np.arange(count) + 0.5) / count * WIDTH
-    every = -(-count // _MOST_MARKS)
+    every = -(-count // _MAX_MARKS)
     return x, [(float(x[index]), str(index + 1)) for index in range(0, count, every)]

@@ -1,8 +1,8 @@
-"""The review of a payload: torques, the arm in 3D, the mass, and what else is in the torques.
+"""Review of a payload: torques, the arm in 3D, the mass, and the nuisance terms.
 
-Over the log's time stand the torques of all iterations and what they differ by from the observed
-ones; on the iterations' timeline, what one iteration's payload adds to the empty arm's. The arm is
-in `arm_scene`, friction and what else is in the torques in `terms`.
+The log's timeline shows the torques of all iterations and their residuals; the iterations'
+timeline, what one iteration's payload adds to the empty arm's torques. The arm is in `arm_scene`,
+friction and other nuisance terms are in `terms`.
 """
 
 from __future__ import annotations
@@ -43,34 +43,25 @@ from analysis.review.key import KEY_SHARES, log_key
 from recorders.simulators.arm.payload import PAYLOAD_MASS
 from tunenet_logs.arrays import Array
 
-_MANY_SAMPLES = 150
-"""Above which dots of the usual size would hide the lines."""
+_MANY_SAMPLES = 150  # above which dots of the usual size would hide the lines
+# Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond.
+_TYPICAL_QUANTILE, _HEADROOM = 0.98, 1.3
 
-_USUAL_QUANTILE, _HEADROOM = 0.98, 1.3
-"""Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond."""
-
+# Joints that the first tab has room for, so that their axes have ticks; the others have a tab.
 _PLAYED = 4
-"""Joints that the first tab has room for, so that their axes have ticks; the others have a tab."""
 
-_COLUMNS = 3
-"""Of a tab of residuals: titles and ticks fit on a laptop's screen."""
+_COLUMNS = 3  # of a tab of residuals: titles and ticks fit on a laptop's screen
+# Of the axes of torques, of a payload's part of them, and of residuals (half of it): less would
+# make noise look like torque.
+_MIN_SPAN_NM, _MIN_SHEET_NM, _MIN_REACH_NM = 2.0, 0.5, 0.05
 
-_LEAST_SPAN_NM, _LEAST_SHEET_NM, _LEAST_REACH_NM = 2.0, 0.5, 0.05
-"""Of the axes of torques, of a payload's part of them, and of residuals (half of it): less would
-make noise look like torque."""
-
-_ROOM = 0.05
-"""Above and below the curves of a sheet, of what they span."""
-
-_ONE_COLUMN = 3
-"""Joints whose charts lie one over the other; more take two columns."""
-
-_LEAST_SPAN_KG = 0.02
-"""Of the mass's axis: less would make steps of a gram look large."""
+_ROOM = 0.05  # above and below the curves of a sheet, of what they span
+_ONE_COLUMN = 3  # joints whose charts lie one over the other; more take two columns
+_MIN_SPAN_KG = 0.02  # of the mass's axis: less would make steps of a gram look large
 
 
 def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
-    """Send all that is drawn of it: to play, to scrub, and what else is in the torques."""
+    """Log all views of a payload's review, and return their layout."""
     data = payload_review_data(tuning)
     masses_kg = [curve.mass_kg for curve in data.simulated]
     iterates = Iterates(
@@ -79,7 +70,7 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         names=tuple(curve.name for curve in data.simulated),
         values=tuple(masses_kg),
         colors=tuple(curve.color for curve in data.simulated),
-        span=span_of([*masses_kg, *(data.interval95 or ())], _LEAST_SPAN_KG),
+        span=span_of([*masses_kg, *(data.interval95 or ())], _MIN_SPAN_KG),
         interval95=data.interval95,
     )
     torques, residuals = _log_torques(stream, data)
@@ -114,9 +105,9 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
 def _log_torques(
     stream: rr.RecordingStream, data: PayloadReviewData
 ) -> tuple[list[rrb.View], list[rrb.View]]:
-    """Two charts a joint: observed dots under the lines of all iterations, and their residuals.
+    """Log two charts per joint: observed torques with those of all iterations, and the residuals.
 
-    A torque's axis shows what was observed and the result; guesses before it may run off. That of
+    A torque's axis fits the observed and the result; earlier iterates may run off. That of
     residuals has the scale of the result's of most joints.
     """
     size = 1.0 if len(data.seconds) > _MANY_SAMPLES else 1.5
@@ -124,8 +115,8 @@ def _log_torques(
     if data.fitted is not None:
         curves["fit"] = (data.fitted,)
     off = np.abs(data.result.effort_nm - data.observed_nm)
-    usual = np.quantile(off, _USUAL_QUANTILE, axis=0)
-    least = max(float(np.median(usual[data.used])), _LEAST_REACH_NM)
+    usual = np.quantile(off, _TYPICAL_QUANTILE, axis=0)
+    least = max(float(np.median(usual[data.used])), _MIN_REACH_NM)
     best = data.fitted or data.result
     torques: list[rrb.View] = []
     residuals: list[rrb.View] = []
@@ -143,7 +134,7 @@ def _log_torques(
         send_scalars(stream, f"{torque}/observed", data.seconds, observed)
         shown = np.concatenate([observed, best.effort_nm[:, joint]])
         low, high = float(shown.min()), float(shown.max())
-        more = max(0.0, _LEAST_SPAN_NM - (high - low)) / 2
+        more = max(0.0, _MIN_SPAN_NM - (high - low)) / 2
         reach = _HEADROOM * max(float(usual[joint]), least)
         unused = "" if data.used[joint] else ", not used"
         title = data.title(joint, "torque") + unused
@@ -154,7 +145,7 @@ def _log_torques(
 
 
 def _plot(entity: str, title: str, low: float, high: float) -> rrb.View:
-    """A plot whose axis shows these values and has ticks."""
+    """Build a plot whose axis shows these values and has ticks."""
     return rrb.TimeSeriesView(
         origin=f"/{entity}",
         name=title,
@@ -164,7 +155,7 @@ def _plot(entity: str, title: str, low: float, high: float) -> rrb.View:
 
 
 def _log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
-    """What the curves are."""
+    """Log the legend of the curves."""
     entries: list[tuple[str, list[Color]]] = [("observed", [OBSERVED])]
     entries.append(("rigid arm, by iteration", [curve.color for curve in data.simulated]))
     if data.fitted is not None:
@@ -179,7 +170,7 @@ def _log_lines(
     seconds: Array,
     values: Array,
 ) -> None:
-    """Several curves as one entity, values of shape (T, curves)."""
+    """Log several curves as one entity, values of shape (T, curves)."""
     style = rr.SeriesLines(
         colors=[curve.color for curve in curves],
         names=[curve.label for curve in curves],
@@ -191,9 +182,9 @@ def _log_lines(
 
 
 def _log_sheets(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.View]:
-    """Observed torques, and what the iteration's payload adds to the empty arm's, a chart a joint.
+    """Log per joint the observed torque and what the iteration's payload adds to the empty arm's.
 
-    The iteration in words is in the entity `step`.
+    The entity `step` describes the iteration.
     """
     indexes = by_iteration(len(data.simulated), float(data.seconds[0]))
     for joint in data.order:
@@ -214,14 +205,14 @@ def _log_sheet(
     joint: int,
     indexes: Sequence[tuple[rr.TimeColumn, range]],
 ) -> None:
-    """What payloads add to a joint's torque, over the observed torque, which stays."""
+    """Log what payloads add to a joint's torque, over the observed torque, which stays."""
     sheet = f"sheets/torque_{joint + 1}"
     empty = data.empty_nm[:, joint]
     observed = data.observed_nm[:, joint] - empty
     simulated = [curve.effort_nm[:, joint] - empty for curve in data.simulated]
     fitted = None if data.fitted is None else data.fitted.effort_nm[:, joint] - empty
     shown = np.concatenate([observed, *simulated, [0.0]])
-    reach = max(float(np.ptp(shown)), _LEAST_SHEET_NM) * (1 + 2 * _ROOM)
+    reach = max(float(np.ptp(shown)), _MIN_SHEET_NM) * (1 + 2 * _ROOM)
     low = float(shown.min() + shown.max() - reach) / 2
     start_s, width_s = data.seconds[0], data.seconds[-1] - data.seconds[0]
     x = (data.seconds - start_s) / width_s * WIDTH
@@ -253,7 +244,7 @@ def _log_sheet(
 
 
 def _words(data: PayloadReviewData, k: int) -> str:
-    """An iteration: its mass, and how far its torques are from the observed ones."""
+    """Describe an iteration: its mass, and the RMS residual of its torques."""
     curve = data.simulated[k]
     rms_nm = float(np.sqrt(np.mean((curve.effort_nm - data.observed_nm) ** 2)))
     lines = [

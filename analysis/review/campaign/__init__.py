@@ -1,4 +1,4 @@
-"""The Rerun recording of a campaign, with its blueprint: an overview that leads to each attempt."""
+"""Rerun recording of a campaign with its blueprint: an overview that leads to each attempt."""
 
 from __future__ import annotations
 
@@ -21,11 +21,8 @@ from analysis.review.campaign.words import campaign_words
 from analysis.review.drawing import application_id
 from tunenet_logs.terminal import short_name
 
-_LANES_SHARE = 0.36
-"""Of a tab's height: all lanes are in view on a small screen too."""
-
-_MOST_LETTERS = 40
-"""Of a campaign's name, in the titles of its views."""
+_LANES_SHARE = 0.36  # of a tab's height: all lanes are in view on a small screen too
+_MAX_LETTERS = 40  # of a campaign's name, in the titles of its views
 
 
 def write_campaign(campaign: Campaign, path: Path) -> None:
@@ -49,7 +46,7 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
     log_attempts(stream, slots)
     is_filmed = any(drop.film for attempt in campaign.attempts for drop in attempt.drops)
     stream.send_blueprint(
-        _blueprint(short_name(campaign.name, _MOST_LETTERS), charts, is_filmed=is_filmed)
+        _blueprint(short_name(campaign.name, _MAX_LETTERS), charts, is_filmed=is_filmed)
     )
     stream.log("summary", rr.TextDocument(words, media_type="text/markdown"), static=True)
     stream.flush()
@@ -82,7 +79,7 @@ def _blueprint(name: str, charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blu
 
 
 def _attempt(*, is_filmed: bool) -> rrb.Container:
-    """The attempt under the cursor; anew for each tab, as a view is shown in one place only."""
+    """Lay out the attempt under the cursor; anew for each tab, as a view has one place."""
     if not is_filmed:
         return rrb.Horizontal(overlay_view(), attempt_view(), column_shares=[5, 3])
     return rrb.Horizontal(overlay_view(), film_view(), attempt_view(), column_shares=[5, 3, 3])

@@ -1,4 +1,4 @@
-"""The attempt under the cursor: its drop's curves, its pictures, and what is known of it."""
+"""The attempt under the cursor: its drop's curves, its images, and facts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tunenet_logs.terminal import one_line
 
 
 def log_attempts(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Send the entities of `overlay_view`, `film_view` and `attempt_view`."""
+    """Log the entities of `overlay_view`, `film_view` and `attempt_view`."""
     log_overlays(stream, slots)
     log_films(stream, slots)
     style = rr.TextDocument.from_fields(media_type="text/markdown")
@@ -28,12 +28,12 @@ def log_attempts(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
 
 
 def attempt_view() -> rrb.View:
-    """What is known of the attempt, in words."""
+    """Return the view of the attempt's facts."""
     return rrb.TextDocumentView(origin="/attempt", name="the attempt")
 
 
 def attempt_words(attempt: Attempt) -> str:
-    """What is known of an attempt, as Markdown."""
+    """Describe an attempt in Markdown."""
     outcome, used = attempt.outcome, attempt.used
     end = "no outcome recorded" if outcome is None else outcome.word
     if outcome is not None and not attempt.was_shot:
@@ -57,7 +57,7 @@ def attempt_words(attempt: Attempt) -> str:
 
 
 def _other_words(known: Estimate) -> str:
-    """Another quantity that was tuned with the restitution, in one line."""
+    """Format another quantity that was tuned with the restitution."""
     assert isinstance(known.value, float)
     unit = "" if known.unit == "1" else f" {one_line(known.unit)}"
     words = f"{one_line(known.name).replace('_', ' ')} {known.value:.3f}{unit}"

@@ -1,4 +1,4 @@
-"""The charts of a whole campaign, a row a ball: success rates, and restitutions."""
+"""Charts of a whole campaign, a row per ball: success rates, and restitutions."""
 
 from __future__ import annotations
 
@@ -23,35 +23,24 @@ from analysis.review.drawing import (
 )
 from tunenet_logs.terminal import short_name
 
+# Of the chart in its heights, of the names left of it, and of the figures right of it.
 _WIDTH, _NAMES, _FIGURES = 0.85, 0.42, 0.56
-"""Of the chart in its heights, of the names left of it, and of the figures right of it."""
 
-_HANG = 0.03
-"""Chart heights: half a line, by which Rerun hangs a label from its point."""
-
-_MOST_LETTERS = 15
-"""Of a name, as many as fit left of the chart."""
-
-_MOST_ROWS = 12
-"""Names above one another that do not overlap on a small screen; the tables have all."""
-
+_HANG = 0.03  # chart heights: half a line, by which Rerun hangs a label from its point
+_MAX_LETTERS = 15  # of a name, as many as fit left of the chart
+_MAX_ROWS = 12  # names above one another that do not overlap on a small screen; the tables have all
 _TUNED: Color = (255, 165, 40)
 _PAPER: Color = (190, 150, 255)
 _LINES: Color = (60, 62, 70)
 
-_THICK = 0.16
-"""How high a bar is, as a fraction of its row."""
-
-_LEAST_SPAN = 0.1
-"""Of restitution: less would make noise look like a difference between balls."""
-
-_HALF_ROW = 0.3
-"""Half of what marks take up of a row, as its fraction: the rest keeps rows apart."""
+_THICK = 0.16  # how high a bar is, as a fraction of its row
+_MIN_SPAN = 0.1  # of restitution: less would make noise look like a difference between balls
+_HALF_ROW = 0.3  # half of what marks take up of a row, as its fraction: the rest keeps rows apart
 
 
 @dataclass(frozen=True)
 class _RowAxes:
-    """Where the rows of a chart are, from top to bottom, and what its axis spans."""
+    """Layout of a chart's rows, from top to bottom, and range of its axis."""
 
     count: int
     low: float
@@ -69,9 +58,9 @@ class _RowAxes:
 
 
 def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
-    """Draw each fraction of successes, its Wilson interval, and the paper's."""
+    """Log each success rate with its Wilson interval, and the paper's."""
     title = f"success rates{_cut(len(every))}, bars: 95 % (Wilson), violet: the paper's"
-    every = every[:_MOST_ROWS]
+    every = every[:_MAX_ROWS]
     rows = _RowAxes(len(every), 0.0, 1.0)
     sheet = "sheets/rates"
     _log_frame(
@@ -104,13 +93,13 @@ def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
 
 
 def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitutions]) -> rrb.View:
-    """Draw each attempt's restitution, and the mean and standard deviation of each ball's."""
+    """Log each attempt's restitution, and each ball's mean and standard deviation."""
     title = f"restitution by ball{_cut(len(balls))}: each attempt with its 95 %, band: mean ± sd"
-    balls = balls[:_MOST_ROWS]
+    balls = balls[:_MAX_ROWS]
     ends = [value for ball in balls for value in ball.values]
     ends += [end for ball in balls for pair in ball.intervals95 if pair for end in pair]
     low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
-    more = max(0.0, _LEAST_SPAN - (high - low)) / 2 + 0.05 * (high - low)
+    more = max(0.0, _MIN_SPAN - (high - low)) / 2 + 0.05 * (high - low)
     rows = _RowAxes(max(1, len(balls)), low - more, high + more)
     sheet = "sheets/spreads"
     marks = [(value, f"{value:.6g}") for value in ticks(rows.low, rows.high, 5)]
@@ -153,8 +142,8 @@ def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitution
 
 
 def _cut(count: int) -> str:
-    """How many rows of those there are the chart has, where it has not all."""
-    return "" if count <= _MOST_ROWS else f" (the first {_MOST_ROWS} of {count})"
+    """Say how many rows the chart has if not all."""
+    return "" if count <= _MAX_ROWS else f" (the first {_MAX_ROWS} of {count})"
 
 
 def _view(name: str, title: str) -> rrb.View:
@@ -184,13 +173,13 @@ def _log_frame(
     names: Sequence[str],
     figures: Sequence[str],
 ) -> None:
-    """Lines up from the marks, names on the left, figures on the right."""
+    """Log grid lines at the marks, names on the left, figures on the right."""
     grid = [[[rows.x(value), -1.0], [rows.x(value), 0.0]] for value, _ in marks]
     lines = rr.LineStrips2D(grid, colors=[_LINES], radii=screen_radius(0.5))
     stream.log(f"{sheet}/grid", lines, static=True)
     labels = [([rows.x(value), 0.02], text) for value, text in marks]
     for row, (name, figure) in enumerate(zip(names, figures, strict=True)):
-        labels.append(([-_NAMES / 2, rows.y(row) - _HANG], short_name(name, _MOST_LETTERS)))
+        labels.append(([-_NAMES / 2, rows.y(row) - _HANG], short_name(name, _MAX_LETTERS)))
         labels.append(([_WIDTH + _FIGURES / 2, rows.y(row) - _HANG], figure))
     colors = [MUTED] * len(marks) + [OBSERVED] * (2 * len(names))
     points = rr.Points2D(
@@ -210,7 +199,7 @@ def _log_bars(
     thick: float,
     color: Color,
 ) -> None:
-    """Filled bars, each as (y, left, right)."""
+    """Log filled bars, each as (y, left, right)."""
     strips: list[list[list[float]]] = []
     radii: list[float] = []
     for y, left, right in bars:

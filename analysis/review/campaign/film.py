@@ -1,4 +1,4 @@
-"""The pictures of the drop under the cursor; for an attempt that has none, a sheet that says so."""
+"""Images of the drop under the cursor; a blank one for an attempt without."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _ENTITY = "film/picture"
 
 
 def film_view() -> rrb.View:
-    """The pictures of the drop."""
+    """Return the view of the drop's images."""
     title = "its video (timeline film_s plays it)"
     return rrb.Spatial2DView(origin="/film", name=title, background=GROUND)
 
 
 def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Send the entities of `film_view`.
+    """Log the entities of `film_view`.
 
-    An attempt without pictures has a blank one: after an empty row, as after a `Clear`, Rerun 0.41
-    goes on showing the last picture wherever its chunk has more timelines than the row.
+    An attempt without images has a blank one: after an empty row, as after a `Clear`, Rerun 0.41
+    goes on showing the last image wherever its chunk has more timelines than the row.
     """
     films = [shown.drop.film for slot in slots for shown in slot.drops if shown.drop.film]
     if not films:
@@ -44,7 +44,7 @@ def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
 
 
 def _first(timeline: str, begun: Begun, blank: bytes) -> bytes:
-    """What a drop begins with: its first picture where they play, else all in one."""
+    """Return a drop's first image on timelines that play it, else its strobe image."""
     slot, shown = begun
     if shown is None or shown.drop.film is None:
         return blank

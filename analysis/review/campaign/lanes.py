@@ -1,4 +1,4 @@
-"""The lanes of a campaign: what was dropped and tuned at each attempt, and how its shot ended."""
+"""Lanes of a campaign: drop, tuning and outcome of each attempt as state timelines."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from analysis.review.campaign.times import ATTEMPT, FILM, Slot, wall_column
 from analysis.review.drawing import FAILURE, MUTED, SUCCESS, Color, mixed
 from tunenet_logs.terminal import one_line
 
+# Of balls, in turn: muted, so that the lanes of states stand out.
 _BALLS: tuple[Color, ...] = (
     (90, 130, 190),
     (190, 120, 90),
@@ -20,7 +21,6 @@ _BALLS: tuple[Color, ...] = (
     (180, 165, 90),
     (90, 170, 175),
 )
-"""Of balls, in turn: muted, so that the lanes of states stand out."""
 
 _AMBER: Color = (225, 165, 50)
 _STATES: dict[str, Color] = {
@@ -36,23 +36,23 @@ _STATES: dict[str, Color] = {
     "failure": FAILURE,
     "not told": MUTED,
 }
+# What Rerun writes over them, after a slash; it sorts them by the alphabet.
 BALL, DROP, RESTITUTION, SHOT = LANES = ("ball", "drop", "restitution", "shot")
-"""What Rerun writes over them, after a slash; it sorts them by the alphabet."""
 
+# Of its colour that a state has in every second attempt: so that neighbours are told apart.
 _SHADE = 0.78
-"""Of its colour that a state has in every second attempt: so that neighbours are told apart."""
 
 
 class _LaneChange(NamedTuple):
-    """From when on a lane is in a state.
+    """Change of a lane's state.
 
     Attributes:
-        lane: its name.
-        state: in words; what is drawn.
-        kind: what its colour is of.
-        attempt: its number.
-        film_s: where it begins on `FILM`.
-        wall_ns: where it begins on `WALL`; None where that is not known.
+        lane: Its name.
+        state: In words, as drawn.
+        kind: Key of its colour.
+        attempt: Its number.
+        film_s: Where it begins on `FILM`.
+        wall_ns: Where it begins on `WALL`; None if unknown.
     """
 
     lane: str
@@ -64,12 +64,12 @@ class _LaneChange(NamedTuple):
 
     @property
     def value(self) -> str:
-        """Its own in each attempt: Rerun draws equal neighbours as one."""
+        """Label that is unique in each attempt: Rerun merges equal neighbours."""
         return f"attempt {self.attempt}: {self.state}"
 
 
 def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Send the entities of `lane_view`."""
+    """Log the entities of `lane_view`."""
     changes = [change for slot in slots for change in _changes(slot)]
     for lane in LANES:
         own = [change for change in changes if change.lane == lane]
@@ -105,12 +105,12 @@ def _send_style(stream: rr.RecordingStream, lane: str, changes: Sequence[_LaneCh
 
 
 def lane_view(name: str) -> rrb.View:
-    """All lanes, over the whole of the active timeline."""
+    """Return the view of all lanes, over the whole active timeline."""
     return rrb.StateTimelineView(contents=[f"+ /{lane}" for lane in LANES], name=name)
 
 
 def _ball_colors(changes: Sequence[_LaneChange]) -> dict[str, Color]:
-    """One for each ball, none beside one like it."""
+    """Assign a colour to each ball, unlike its neighbours'."""
     balls = list(dict.fromkeys(change.kind for change in changes))
     return {ball: mixed(_BALLS[index % len(_BALLS)], 0.75) for index, ball in enumerate(balls)}
 
@@ -138,7 +138,7 @@ def _changes(slot: Slot) -> Iterator[_LaneChange]:
 def _send(
     stream: rr.RecordingStream, entity: str, index: rr.TimeColumn, states: Sequence[str | None]
 ) -> None:
-    """A state from each time on; None for none."""
+    """Send the state from each time on; None for none."""
     known = [state for state in states if state is not None]
     columns = rr.StateChange.columns(state=known).partition([state is not None for state in states])
     stream.send_columns(entity, indexes=[index], columns=columns)

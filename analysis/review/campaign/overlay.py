@@ -1,4 +1,4 @@
-"""The curves of the drop under the cursor: observed and tuned; or in words why it has none."""
+"""Curves of the drop under the cursor, observed and tuned, or why it has none."""
 
 from __future__ import annotations
 
@@ -23,29 +23,27 @@ from analysis.review.drawing import (
 )
 from tunenet_logs.arrays import Array
 
-_WIDTH = 1.9
-"""Of the chart of curves, in its heights: about the shape of its view."""
-
+_WIDTH = 1.9  # of the chart of curves, in its heights: about the shape of its view
 _SIMULATED: Color = (255, 165, 40)
 
+# The moving dot is at every third sample: it still goes smoothly, and the file stays small.
 _EVERY = 3
-"""The moving dot is at every third sample: it still goes smoothly, and the file stays small."""
 
 
 def overlay_view() -> rrb.View:
-    """Observed and simulated height of the drop of the attempt."""
+    """Return the view of the drop's observed and simulated height."""
     title = "its drop: height above the table, observed (dots), tuned (line)"
     return chart_view("overlay", title, _WIDTH)
 
 
 class _Axes(NamedTuple):
-    """What the chart of curves spans: seconds from a drop's beginning, and height [m]."""
+    """Range of the chart: seconds from a drop's beginning, and height [m]."""
 
     span_s: float
     top_m: float
 
     def points(self, drop: TunedDrop, heights_m: Array) -> Array:
-        """Points of a curve in the chart, shape (T, 2), from heights of shape (T,)."""
+        """Map a curve's heights, shape (T,), to points in the chart, shape (T, 2)."""
         assert drop.overlay is not None
         seconds = drop.overlay.seconds - drop.overlay.seconds[0]
         return np.column_stack([seconds / self.span_s * _WIDTH, -heights_m / self.top_m])
@@ -66,7 +64,7 @@ def _axes(slots: Sequence[Slot]) -> _Axes:
 
 
 def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Send the entities of `overlay_view`."""
+    """Log the entities of `overlay_view`."""
     axes = _axes(slots)
     rows = [(-height / axes.top_m, f"{height:g} m") for height in ticks(0.0, axes.top_m)]
     marks = [(second / axes.span_s * _WIDTH, f"{second:g} s") for second in ticks(0.0, axes.span_s)]
@@ -89,7 +87,7 @@ def _send_overlays(
     drops: Sequence[TunedDrop | None],
     axes: _Axes,
 ) -> None:
-    """One row a drop; an empty one where there is no curve, so that no other's stays."""
+    """Send a row per drop; an empty one clears the last drop's curve."""
     observed = [_observed(drop, axes) for drop in drops]
     colors = [
         FAILURE if drop is not None and drop.verdict == "rejected" else OBSERVED
@@ -117,7 +115,7 @@ def _send_overlays(
 
 
 def _observed(drop: TunedDrop | None, axes: _Axes) -> Array:
-    """Of the samples that are known, shape (T, 2)."""
+    """Return points of the known samples, shape (T, 2)."""
     if drop is None or drop.overlay is None:
         return np.zeros((0, 2))
     points = axes.points(drop, drop.overlay.observed_m)
@@ -125,7 +123,7 @@ def _observed(drop: TunedDrop | None, axes: _Axes) -> Array:
 
 
 def _simulated(drop: TunedDrop | None, axes: _Axes) -> Iterator[Array]:
-    """The stretches of the line that are known, each of shape (T, 2)."""
+    """Yield the contiguous segments of the line, each of shape (T, 2)."""
     if drop is None or drop.overlay is None:
         return
     points = axes.points(drop, drop.overlay.simulated_m)
@@ -136,7 +134,7 @@ def _simulated(drop: TunedDrop | None, axes: _Axes) -> Iterator[Array]:
 
 
 def _log_words(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Why there is no curve, in the middle of the chart; nothing where there is one."""
+    """Log why there is no curve, in the middle of the chart; nothing if there is one."""
     entity = "sheets/overlay/words"
     style = rr.Points2D.from_fields(colors=[MUTED], radii=screen_radius(0.1), show_labels=True)
     stream.log(entity, style, static=True)
@@ -149,7 +147,7 @@ def _log_words(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
 
 
 def _words(drop: TunedDrop | None) -> str:
-    """Why a drop has no curve, shortly: the attempt's words say more. "" where it has one."""
+    """Say shortly why a drop has no curve; "" if it has one."""
     if drop is None:
         return "no drop was recorded for this attempt"
     if drop.overlay is not None:
@@ -159,7 +157,7 @@ def _words(drop: TunedDrop | None) -> str:
 
 
 def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _Axes) -> None:
-    """A dot that goes along the curves while the drops play; none until a drop has curves."""
+    """Log a dot that moves along the curves while the drops play."""
     entity = "sheets/overlay/now"
     style = rr.Points2D.from_fields(colors=[OBSERVED], radii=screen_radius(5.0), draw_order=30.0)
     stream.log(entity, style, static=True)

@@ -1,4 +1,4 @@
-"""When each part of a campaign is shown: by attempt, as one film of all drops, by the clock."""
+"""Timelines of a campaign: by attempt, as one film of all drops, by wall clock."""
 
 from __future__ import annotations
 
@@ -11,20 +11,14 @@ import rerun as rr
 from analysis.campaign.attempts import Attempt
 from analysis.campaign.tuned_drop import TunedDrop
 
-ATTEMPT = "attempt"
-"""The timeline that is stepped through: 1, 2, ..."""
-
-FILM = "film_s"
-"""The timeline that plays: all drops one after the other [s]."""
-
+ATTEMPT = "attempt"  # the timeline that is stepped through: 1, 2, ..
+FILM = "film_s"  # the timeline that plays: all drops one after the other [s]
+# The timeline of when it was recorded; attempts of which that is not known are not on it.
 WALL = "wall_clock"
-"""The timeline of when it was recorded; attempts of which that is not known are not on it."""
 
-_UNSEEN_S = 1.0
-"""On `FILM`, of a drop without curves and pictures: long enough to read what it was."""
-
+_UNSEEN_S = 1.0  # on `FILM`, of a drop without curves and pictures: long enough to read what it was
+# On `FILM`, of a tuning, a shot and an outcome, one after the other: each can be followed.
 _STEP_S = 0.5
-"""On `FILM`, of a tuning, a shot and an outcome, one after the other: each can be followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +26,9 @@ class Shown:
     """One drop in the film.
 
     Attributes:
-        start_s: where it begins on `FILM`.
-        zero_s: the first time of its own clock that is shown.
-        end_s: where it ends on `FILM`.
+        start_s: Where it begins on `FILM`.
+        zero_s: First time of its own clock that is shown.
+        end_s: Where it ends on `FILM`.
     """
 
     attempt: Attempt
@@ -44,17 +38,17 @@ class Shown:
     end_s: float
 
     def film_s(self, second: float) -> float:
-        """A time of the drop's own clock on `FILM`."""
+        """Convert a time of the drop's own clock to `FILM`."""
         return self.start_s + second - self.zero_s
 
     def wall_ns(self, second: float) -> int:
-        """A time of the drop's own clock on `WALL`; only where that clock is a wall clock's."""
+        """Convert a time of the drop's own clock, if a wall clock's, to `WALL`."""
         assert self.drop.wall_ns is not None
         return self.drop.wall_ns + round(second * 1e9)
 
     @property
     def begin_ns(self) -> int | None:
-        """Where it begins on `WALL`; None where its clock does not tell."""
+        """Where it begins on `WALL`; None if its clock is no wall clock."""
         return None if self.drop.wall_ns is None else self.wall_ns(self.zero_s)
 
 
@@ -63,10 +57,10 @@ class Slot:
     """One attempt in the film.
 
     Attributes:
-        drops: in their order.
-        start_s: where it begins on `FILM`.
-        tuned_s: where its drops are over, on `FILM`.
-        begin_ns: where it begins on `WALL`; None where nothing of it has a wall clock.
+        drops: In their order.
+        start_s: Where it begins on `FILM`.
+        tuned_s: Where its drops end on `FILM`.
+        begin_ns: Where it begins on `WALL`; None if nothing of it has a wall clock.
     """
 
     attempt: Attempt
@@ -77,12 +71,12 @@ class Slot:
 
     @property
     def shot_s(self) -> float:
-        """Where the shot stands on `FILM`."""
+        """Where the shot is on `FILM`."""
         return self.tuned_s + _STEP_S
 
     @property
     def outcome_s(self) -> float:
-        """Where the outcome stands on `FILM`."""
+        """Where the outcome is on `FILM`."""
         return self.tuned_s + 2 * _STEP_S
 
     @property
@@ -96,18 +90,18 @@ class Slot:
         return self.drops[-1] if self.drops else None
 
     def is_on_wall(self, shown: Shown) -> bool:
-        """Whether one of its drops happened on `WALL` within this attempt."""
+        """Return whether one of its drops happened on `WALL` within this attempt."""
         if shown.begin_ns is None or self.begin_ns is None:
             return False
         return shown.begin_ns >= self.begin_ns
 
     def drop_ns(self, shown: Shown | None) -> int | None:
-        """Where one of its drops stands on `WALL`: where it happened, else where this begins."""
+        """Return where one of its drops is on `WALL`: where it happened, else where this begins."""
         return shown.begin_ns if shown and self.is_on_wall(shown) else self.begin_ns
 
     @property
     def end_ns(self) -> int | None:
-        """Where shot and outcome stand on `WALL`."""
+        """Where shot and outcome are on `WALL`."""
         outcome = self.attempt.outcome
         if self.begin_ns is None or outcome is None:
             return self.begin_ns
@@ -115,7 +109,7 @@ class Slot:
 
 
 def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
-    """The attempts one after the other."""
+    """Lay out the attempts one after the other."""
     slots: list[Slot] = []
     begun: set[int] = set()
     at_s = 0.0
@@ -134,7 +128,7 @@ def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
 
 
 def _begin_ns(attempt: Attempt, drops: Sequence[Shown], begun: set[int]) -> int | None:
-    """That of its first drop; of a drop that another attempt was begun with, that of its end."""
+    """Return its first drop's beginning; its end if another attempt began with that drop."""
     known = [shown.begin_ns for shown in drops if shown.begin_ns is not None]
     ended_ns = (attempt.outcome and attempt.outcome.stamp_ns) or None
     if known and (min(known) not in begun or ended_ns is None):
@@ -142,16 +136,16 @@ def _begin_ns(attempt: Attempt, drops: Sequence[Shown], begun: set[int]) -> int 
     return ended_ns
 
 
+# What is shown from a moment on: an attempt, and which of its drops; None where it has none.
 Begun = tuple[Slot, Shown | None]
-"""What is shown from a moment on: an attempt, and which of its drops; None where it has none."""
 
 
 def beginnings(slots: Sequence[Slot]) -> list[tuple[str, rr.TimeColumn, list[Begun]]]:
-    """Of each timeline its name, its moments, and what each of them begins.
+    """Return each timeline's name, its index, and what begins at each row.
 
     On `ATTEMPT` these are the attempts, each with its last drop; on the others every drop. A view
-    that has a row, maybe an empty one, at each of them never shows what is another's. `WALL` is
-    left out where nothing has a wall clock.
+    with a row, maybe an empty one, at each of them never shows another's data. `WALL` is left out
+    without a wall clock.
     """
     steps: dict[int, Begun] = {slot.attempt.number: (slot, slot.used) for slot in slots}
     played: dict[float, Begun] = {}
@@ -171,7 +165,7 @@ def beginnings(slots: Sequence[Slot]) -> list[tuple[str, rr.TimeColumn, list[Beg
 
 
 def moments(slot: Slot, shown: Shown, seconds: Sequence[float]) -> list[rr.TimeColumn]:
-    """The indexes of rows at these times of a drop's own clock, on each timeline that plays it."""
+    """Return indexes at times of a drop's own clock, on each timeline that plays it."""
     found = [rr.TimeColumn(FILM, duration=[shown.film_s(second) for second in seconds])]
     if slot.is_on_wall(shown):
         found.append(wall_column([shown.wall_ns(second) for second in seconds]))
@@ -179,12 +173,12 @@ def moments(slot: Slot, shown: Shown, seconds: Sequence[float]) -> list[rr.TimeC
 
 
 def wall_column(stamps_ns: Sequence[int]) -> rr.TimeColumn:
-    """The index of rows at these times on `WALL`."""
+    """Return the index of rows at these times on `WALL`."""
     return rr.TimeColumn(WALL, timestamp=np.array(stamps_ns, "datetime64[ns]"))
 
 
 def _span(drop: TunedDrop) -> tuple[float, float]:
-    """First and last time of what is to be seen of a drop, on its own clock [s]."""
+    """Return first and last time of a drop's visible data, on its own clock [s]."""
     times: list[float] = []
     for part in (drop.overlay, drop.film):
         if part is not None:

@@ -1,4 +1,4 @@
-"""A campaign in words: rates beside the paper's, restitutions by ball."""
+"""Summarise a campaign: rates beside the paper's, restitutions by ball."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tunenet_logs.terminal import one_line
 
 
 def campaign_words(campaign: Campaign) -> str:
-    """The campaign's tables as Markdown."""
+    """Format the campaign's tables as Markdown."""
     attempts = campaign.attempts
     drops = {id(drop): drop for attempt in attempts for drop in attempt.drops}
     rejected = sum(drop.verdict == "rejected" for drop in drops.values())

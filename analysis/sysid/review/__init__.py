@@ -1,1 +1,1 @@
-"""The review of a simulator that was tuned."""
+"""Review of a tuned simulator in Rerun."""

@@ -1,4 +1,4 @@
-"""Curves over the log's time: observed under simulated ones, and a line where a part begins."""
+"""Curves over the log's time: observed under simulated ones, and vertical lines."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ import rerun.blueprint as rrb
 from analysis.review.drawing import MUTED, OBSERVED, Color, send_scalars, ticked
 from tunenet_logs.arrays import Array
 
-_BROAD = 3.2
-"""Width of what was observed [points]: it is seen beside a line that lies upon it."""
-
+_BROAD = 3.2  # width of what was observed [points]: it is seen beside a line that lies upon it
+# What an upright line lasts: a plot has no such thing as an instant with two values.
 _INSTANT_S = 1e-6
-"""What an upright line lasts: a plot has no such thing as an instant with two values."""
 
 
 def log_lines(
@@ -25,14 +23,14 @@ def log_lines(
     values: Array,
     style: Sequence[tuple[str, Color, float]],
 ) -> None:
-    """Several curves as one entity.
+    """Log several curves as one entity.
 
     Args:
-        stream: of the review.
-        entity: of the curves.
-        seconds: shape (T,).
-        values: shape (T, C).
-        style: name, colour and width [points] of each.
+        stream: Of the review.
+        entity: Of the curves.
+        seconds: Shape (T,).
+        values: Shape (T, C).
+        style: Name, colour and width [points] of each.
     """
     names, colors, widths = zip(*style, strict=True)
     lines = rr.SeriesLines(colors=colors, names=names, widths=widths, aggregation_policy="Off")
@@ -41,7 +39,7 @@ def log_lines(
 
 
 def log_observed(stream: rr.RecordingStream, entity: str, seconds: Array, values: Array) -> None:
-    """What was recorded, as a broad line: plots draw entities by name, so that it lies lowest."""
+    """Log observations as a broad line, lowest as plots draw entities by name."""
     style: list[tuple[str, Color, float]] = [("observed", OBSERVED, _BROAD)]
     log_lines(stream, f"{entity}/as_observed", seconds, values[:, None], style)
 
@@ -49,13 +47,13 @@ def log_observed(stream: rr.RecordingStream, entity: str, seconds: Array, values
 def log_upright(
     stream: rr.RecordingStream, entity: str, second: float, span: tuple[float, float]
 ) -> None:
-    """An upright line across a plot that shows `span`."""
+    """Log a vertical line across a plot that shows `span`."""
     values = np.array(ticked(*span))[:, None]
     log_lines(stream, entity, second + np.array([0.0, _INSTANT_S]), values, [("", MUTED, 1.0)])
 
 
 def plot(entity: str, title: str, span: tuple[float, float]) -> rrb.View:
-    """A plot of an entity's curves whose axis shows `span` and has ticks."""
+    """Build a plot of an entity's curves whose axis shows `span` and has ticks."""
     return rrb.TimeSeriesView(
         origin=f"/{entity}",
         name=title,

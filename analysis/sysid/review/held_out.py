@@ -1,4 +1,4 @@
-"""What a fit to the first part of a log predicts of the rest, beside the simulator as it was."""
+"""Hold-out views: prediction of a log's end by a fit to its beginning."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from analysis.sysid.review.curves import log_lines, log_observed, log_upright, p
 from analysis.sysid.review.review_data import ShownColumn, SimulatorReviewData
 from analysis.terminal_table import markdown_table
 
-_GIVEN, _PREDICTED = ramp(1, 6), ramp(5, 6)
-"""Cold, as the first iteration, and warm, as the result."""
-
+_GIVEN, _PREDICTED = ramp(1, 6), ramp(5, 6)  # cold, as the first iteration, and warm, as the result
 _ONE_COLUMN = 3
 
 
 def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Container:
-    """The main columns, and in words how far off the prediction is."""
+    """Log the hold-out predictions of the main columns, and their errors in words."""
     assert data.held_out_s is not None
     views = [_log_column(stream, data, number) for number in range(len(data.main))]
     entries: list[tuple[str, list[Color]]] = [
@@ -62,7 +60,7 @@ def _log_column(stream: rr.RecordingStream, data: SimulatorReviewData, number: i
 
 
 def _words(data: SimulatorReviewData) -> str:
-    """How far off the prediction is, column by column."""
+    """Describe the hold-out errors, column by column."""
     rows = [_row(column) for column in data.columns if column.held_out_rms is not None]
     head = ("rms", "predicted", "as given", "noise")
     return "\n\n".join(

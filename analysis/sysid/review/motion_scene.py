@@ -1,4 +1,4 @@
-"""The 3D scene: a model as it was observed, and as the tuned simulator moves."""
+"""3D scene of a model as observed, and as simulated after tuning."""
 
 from __future__ import annotations
 
@@ -25,45 +25,28 @@ from recorders.simulators.mujoco.model_simulator import ModelSimulator
 from tunenet_logs.arrays import Array
 
 _FIXED: Color = (92, 98, 114)
-_FLOOR: Color = (40, 43, 52)
-"""Greys: what does not move."""
-
-_MOST_HZ, _MOST_MOMENTS = 30.0, 3000
-"""Poses that are sent: a screen shows few more."""
-
-_MOST_POSES = 300_000
-"""Of all bodies together."""
-
-_ASIDE_RAD = 0.5
-"""Of the camera, from the front of what moves."""
-
-_LEVEL = 0.3
-"""A normal less horizontal than this: it is seen from the front."""
-
-_THIN = 0.002
-"""Half the thickness of a plane, of the scene's size."""
-
-_MARGIN = 0.08
-"""Around what moves, of its size."""
-
+_FLOOR: Color = (40, 43, 52)  # Greys: what does not move
+_MAX_HZ, _MAX_MOMENTS = 30.0, 3000  # poses that are sent: a screen shows few more
+_MAX_POSES = 300_000  # of all bodies together
+_ASIDE_RAD = 0.5  # of the camera, from the front of what moves
+_LEVEL = 0.3  # a normal less horizontal than this: it is seen from the front
+_THIN = 0.002  # half the thickness of a plane, of the scene's size
+_MARGIN = 0.08  # around what moves, of its size
+# How far around what was observed the simulated model is still looked at, of its size.
 _BEYOND = 0.3
-"""How far around what was observed the simulated model is still looked at, of its size."""
 
-_LOOKS = 60
-"""Moments that a camera is placed by."""
-
-_FLOOR_REACH = 0.8
-"""Half the side of a plane without an end, of the scene's size."""
+_LOOKS = 60  # moments that a camera is placed by
+_FLOOR_REACH = 0.8  # half the side of a plane without an end, of the scene's size
 
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """How all B bodies move.
+    """Motion of all B bodies.
 
     Attributes:
-        seconds: since the log's first sample, shape (T,).
-        positions_m: shape (T, B, 3).
-        rotations: shape (T, B, 3, 3).
+        seconds: Since the log's first sample, shape (T,).
+        positions_m: Shape (T, B, 3).
+        rotations: Shape (T, B, 3, 3).
     """
 
     seconds: Array
@@ -74,7 +57,7 @@ class _Motion:
 def log_scene(
     stream: rr.RecordingStream, tuning: Tuning, data: SimulatorReviewData
 ) -> rrb.View | None:
-    """Send the model, white as observed and warm as simulated; None of what is no MuJoCo model."""
+    """Log the model, white as observed and warm as simulated; None if it is no MuJoCo model."""
     found: SimulatorDetection = tuning.detection
     simulator = found.connected.simulator
     if not isinstance(simulator, ModelSimulator):
@@ -123,25 +106,25 @@ def _title(is_observed: bool, is_whole: bool) -> str:
 
 
 def _moments(end_s: float, bodies: int) -> Array:
-    """When poses are sent, shape (T,) [s]."""
-    most = min(_MOST_MOMENTS, max(_MOST_POSES // max(bodies, 1), 2))
-    return np.linspace(0.0, end_s, int(np.clip(math.ceil(end_s * _MOST_HZ) + 1, 2, most)))
+    """Return the stamps of the poses, shape (T,) [s]."""
+    most = min(_MAX_MOMENTS, max(_MAX_POSES // max(bodies, 1), 2))
+    return np.linspace(0.0, end_s, int(np.clip(math.ceil(end_s * _MAX_HZ) + 1, 2, most)))
 
 
 def _observed(
     model: Any, sensed: Sequence[SensedSignal], moments: Array, start_ns: int, simulated: Array
 ) -> tuple[Array | None, bool]:
-    """Coordinates by what the log shows of them, and as simulated where it does not.
+    """Return coordinates as observed, or as simulated where the log does not show them.
 
     Args:
-        model: compiled.
-        sensed: what the log shows.
-        moments: since `start_ns`, shape (T,) [s].
-        start_ns: of the rollout.
-        simulated: shape (T, nq).
+        model: Compiled.
+        sensed: What the log shows.
+        moments: Since `start_ns`, shape (T,) [s].
+        start_ns: Of the rollout.
+        simulated: Shape (T, nq).
 
     Returns:
-        Shape (T, nq); None where the log shows no coordinate. And whether it shows all.
+        Shape (T, nq); None if the log shows no coordinate. And whether it shows all.
     """
     qpos = simulated.copy()
     shown = np.zeros(model.nq, dtype=bool)
@@ -163,7 +146,7 @@ def _observed(
 
 
 def _track(sensed: SensedSignal, column: str, moments: Array, start_ns: int) -> Array | None:
-    """A column between its samples, shape (T,)."""
+    """Interpolate a column, shape (T,)."""
     values = sensed.signal.values[:, sensed.signal.columns.index(column)]
     good = np.isfinite(values)
     if not good.any():
@@ -173,7 +156,7 @@ def _track(sensed: SensedSignal, column: str, moments: Array, start_ns: int) -> 
 
 
 def _corners(scene: ModelScene, motion: _Motion) -> Array:
-    """Points around all shapes but planes, at some moments, shape (P, 3)."""
+    """Return bounding points of all shapes but planes, at some stamps, shape (P, 3)."""
     signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
     some = np.unique(np.linspace(0, len(motion.seconds) - 1, _LOOKS).round().astype(int))
     found: list[Array] = []
@@ -188,7 +171,7 @@ def _corners(scene: ModelScene, motion: _Motion) -> Array:
 
 
 def _azimuth_rad(points_m: Array) -> float:
-    """Where the camera stands: across what moves, on the side of -y where that is open."""
+    """Choose the camera's azimuth: across the motion, by default on the side of -y."""
     normal = np.linalg.svd(np.cov(points_m.T))[2][2]
     flat = normal[:2] if np.linalg.norm(normal[:2]) >= _LEVEL else np.array([0.0, -1.0])
     if flat[1] > 0 or (flat[1] == 0 and flat[0] < 0):
@@ -199,7 +182,7 @@ def _azimuth_rad(points_m: Array) -> float:
 def _log_fixed(
     stream: rr.RecordingStream, scene: ModelScene, motion: _Motion, corners: Array, size_m: float
 ) -> None:
-    """What does not move, with planes as thin boxes."""
+    """Log fixed bodies, with planes as thin boxes."""
     moving = set(scene.moving)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     fixed: dict[int, list[Shape]] = defaultdict(list)
@@ -222,7 +205,7 @@ def _log_fixed(
 
 
 def _slab(plane: Shape, middle_m: Array, size_m: float) -> Shape:
-    """A plane as a thin box just below it; one without an end lies under the scene."""
+    """Convert a plane to a thin box just below it; an infinite one is put under the scene."""
     reach = _FLOOR_REACH * size_m
     has_end = plane.size_m[:2] > 0
     half = np.where(has_end, np.minimum(plane.size_m[:2], 4 * reach), reach)
@@ -243,7 +226,7 @@ def _log_motion(
     *,
     is_solid: bool,
 ) -> None:
-    """All bodies that move and have a shape."""
+    """Log all moving bodies that have a shape."""
     by_body: dict[int, list[Shape]] = defaultdict(list)
     for shape in scene.shapes:
         by_body[shape.body].append(shape)
@@ -267,7 +250,7 @@ def _log_points(
     start_ns: int,
     at_s: Array,
 ) -> None:
-    """Positions of bodies as they were observed, a dot each."""
+    """Log observed positions of bodies, a dot each."""
     for number, one in enumerate(sensed):
         axes = [sensor.axis for sensor in one.sensors]
         if axes != [0, 1, 2] or any(sensor.kind != "framepos" for sensor in one.sensors):

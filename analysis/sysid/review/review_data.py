@@ -1,4 +1,4 @@
-"""What a simulator's review draws, taken from a tuning once: columns over the log's time."""
+"""Data that a simulator's review draws: columns over the log's time."""
 
 from __future__ import annotations
 
@@ -16,26 +16,15 @@ from recorders.simulators.base import Parameter
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import short_name
 
-MAIN = 4
-"""Columns of the first tab: as many have axes with ticks; the others have a tab."""
+MAIN = 4  # columns of the first tab: as many have axes with ticks; the others have a tab
+_MAX_COLUMNS = 16  # that are drawn, those that vary most: more would be too small to read
+# Of one curve: more can neither be told apart nor be loaded soon.
+_MAX_HZ, _MAX_SAMPLES = 120.0, 3000
 
-_MOST_COLUMNS = 16
-"""That are drawn, those that vary most: more would be too small to read."""
-
-_MOST_HZ, _MOST_SAMPLES = 120.0, 3000
-"""Of one curve: more can neither be told apart nor be loaded soon."""
-
-_MOST_LINES = 8
-"""Iterations over the log's time; all of them can be scrubbed."""
-
-_LONGEST_NAME = 34
-"""Of a column, in letters: a title's room in a laptop's view."""
-
-_BOLD, _THIN = 1.6, 0.8
-"""Widths of the result's curve and of the iterations before [points]."""
-
-_LEAST_NOISE = 1e-9
-"""Of a column, as a share of its spread."""
+_MAX_LINES = 8  # iterations over the log's time; all of them can be scrubbed
+_MAX_NAME = 34  # of a column, in letters: a title's room in a laptop's view
+_BOLD, _THIN = 1.6, 0.8  # widths of the result's curve and of the iterations before [points]
+_MIN_NOISE = 1e-9  # of a column, as a share of its spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +33,10 @@ class Iterate:
 
     Attributes:
         name: "k=3", "refined".
-        color: of its line.
-        width: of its line [points].
-        values: of the tuned parameters, shape (P,).
-        started: of all parameters, those of the initial state, too, by name; as it was simulated.
+        color: Of its line.
+        width: Of its line [points].
+        values: Of the tuned parameters, shape (P,).
+        started: All parameters by name as simulated, those of the initial state, too.
     """
 
     name: str
@@ -59,20 +48,20 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class ShownColumn:
-    """One column of the log with what all iterations show of it.
+    """One column of the log with those of all iterations.
 
     Attributes:
-        name: short, with no unit.
-        unit: of its values.
-        noise: standard deviation.
-        seconds: since the log's first sample, shape (T,).
-        observed: shape (T,).
-        simulated: of each iteration, shape (T, K); NaN where it shows nothing.
-        fitted: of a fit to the first part of the log, shape (T,); None where there is none.
-        given: of the simulator as it was given, likewise.
-        rms: what each iteration leaves, shape (K,).
-        held_out_rms: of the fit to the first part in what comes after, and of the simulator as it
-            was given; None where there is none.
+        name: Short, without unit.
+        unit: Of its values.
+        noise: Standard deviation.
+        seconds: Since the log's first sample, shape (T,).
+        observed: Shape (T,).
+        simulated: Of each iteration, shape (T, K); NaN where it shows nothing.
+        fitted: Of a fit to the first part of the log, shape (T,); None if there is none.
+        given: Of the simulator as given, likewise.
+        rms: Residual of each iteration, shape (K,).
+        held_out_rms: Hold-out residual of the fit to the first part, and of the simulator as
+            given; None if there is none.
     """
 
     name: str
@@ -87,12 +76,12 @@ class ShownColumn:
     held_out_rms: tuple[float, float] | None
 
     def title(self, what: str = "") -> str:
-        """With the unit: "position elbow [rad]"."""
+        """Format the name with its unit: "position elbow [rad]"."""
         unit = "" if self.unit in ("", "1") else f"[{short_name(self.unit, 12)}]"
         return " ".join(filter(None, (self.name, what, unit)))
 
     def shown(self, *curves: Array) -> tuple[float, float]:
-        """The least and greatest value of what was observed and of these curves."""
+        """Return the range of the observation and of these curves."""
         values = np.concatenate([self.observed, *(curve[np.isfinite(curve)] for curve in curves)])
         low, high = float(values.min()), float(values.max())
         least = max(6 * self.noise, 1e-6 * max(abs(low), abs(high)), 1e-9)
@@ -102,17 +91,17 @@ class ShownColumn:
 
 @dataclass(frozen=True, eq=False)
 class SimulatorReviewData:
-    """All that one tuning's review shows, but for the scene.
+    """Data of one tuning's review, but for the scene.
 
     Attributes:
-        columns: those that vary most, relative to their noise, first.
-        left_out: how many more there are.
-        iterates: the last is the result.
-        drawn: numbers of the iterates that lie over the log's time.
-        parameters: that were tuned, P of them.
-        interval95: of the result, shape (P, 2); None where none is honest.
-        held_out_s: when the part begins that a second fit predicts; None where there is none.
-        first_s: the first moment [s since the log's first sample].
+        columns: Those that vary most, relative to their noise, first.
+        left_out: How many more there are.
+        iterates: The last is the result.
+        drawn: Indices of the iterates that are drawn over the log's time.
+        parameters: That were tuned, P of them.
+        interval95: Of the result, shape (P, 2); None if no valid one exists.
+        held_out_s: Start of the hold-out; None if there is none.
+        first_s: First stamp [s since the log's first sample].
     """
 
     columns: tuple[ShownColumn, ...]
@@ -126,17 +115,17 @@ class SimulatorReviewData:
 
     @property
     def main(self) -> tuple[ShownColumn, ...]:
-        """Those that the first tab has room for."""
+        """Columns of the first tab."""
         return self.columns[:MAIN]
 
     @property
     def others(self) -> tuple[ShownColumn, ...]:
-        """The rest."""
+        """Remaining columns."""
         return self.columns[MAIN:]
 
 
 def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
-    """From a tuning that compared a log with a simulator."""
+    """Collect the data from a tuning that compared a log with a simulator."""
     found: SimulatorDetection = tuning.detection
     target = found.connected.target
     assert tuning.trace is not None
@@ -159,12 +148,12 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
             )
         )
     varying = [
-        -one.spread / max(one.noise, _LEAST_NOISE * one.spread, 1e-300) for one in target.columns
+        -one.spread / max(one.noise, _MIN_NOISE * one.spread, 1e-300) for one in target.columns
     ]
-    order = np.argsort(varying, kind="stable")[:_MOST_COLUMNS]
+    order = np.argsort(varying, kind="stable")[:_MAX_COLUMNS]
     names = _names(target.columns)
     columns = [_shown(number, names[number], found, seen, fit, held) for number in order.tolist()]
-    lines = np.unique(np.linspace(0, count - 1, min(count, _MOST_LINES)).round().astype(int))
+    lines = np.unique(np.linspace(0, count - 1, min(count, _MAX_LINES)).round().astype(int))
     interval = tuning.interval95
     return SimulatorReviewData(
         tuple(columns),
@@ -207,24 +196,24 @@ def _shown(
 
 
 def _every(seconds: Array) -> int:
-    """Each how many samples one is drawn."""
+    """Return the decimation of samples for drawing."""
     gap_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
     return max(
-        round(1 / (gap_s * _MOST_HZ)) if gap_s > 0 else 1, -(-len(seconds) // _MOST_SAMPLES), 1
+        round(1 / (gap_s * _MAX_HZ)) if gap_s > 0 else 1, -(-len(seconds) // _MAX_SAMPLES), 1
     )
 
 
 def _names(columns: tuple[Column, ...]) -> list[str]:
-    """Short ones: "position elbow" of /joint_states.position elbow; longer where two are equal."""
+    """Shorten names to "position elbow"; longer if two are equal."""
     short = [f"{_last(one.signal)} {one.name}" for one in columns]
     counts = Counter(short)
     chosen = [
         name if counts[name] == 1 else one.label for name, one in zip(short, columns, strict=True)
     ]
-    return [short_name(name, _LONGEST_NAME) for name in chosen]
+    return [short_name(name, _MAX_NAME) for name in chosen]
 
 
 def _last(signal: str) -> str:
-    """The quantity of joints, else the end of a topic's name: "tool/pose" of /robot/tool/pose."""
+    """Return the joint quantity, else the end of a topic: "tool/pose" of /robot/tool/pose."""
     topic, _, quantity = signal.rpartition(".")
     return quantity if topic else "/".join(signal.strip("/").split("/")[-2:])

@@ -1,4 +1,4 @@
-"""One iteration at a time: its curves over what was observed, its values, and all of them."""
+"""Views of one iteration at a time: its curves over the observed ones, and its values."""
 
 from __future__ import annotations
 
@@ -26,30 +26,21 @@ from analysis.terminal_table import markdown_table, quantity
 from tunenet_logs.arrays import Array
 from tunenet_logs.terminal import short_name
 
-_MOST_PARAMETERS = 6
-"""That have a chart: more would be too small to read; the table has all."""
-
+_MAX_PARAMETERS = 6  # that have a chart: more would be too small to read; the table has all
+# Charts that lie one over the other; more take two columns, so wide in their heights.
 _STACKED, _NARROW = 3, 1.4
-"""Charts that lie one over the other; more take two columns, so wide in their heights."""
 
-_MOST_ROWS = 20
-"""Of tables."""
-
-_ROOM = 0.05
-"""Above and below the curves of a sheet, of what they span."""
-
-_BEYOND = 0.5
-"""How far guesses widen a chart, of what was observed; they are cut there."""
-
+_MAX_ROWS = 20  # of tables
+_ROOM = 0.05  # above and below the curves of a sheet, of what they span
+_BEYOND = 0.5  # how far guesses widen a chart, of what was observed; they are cut there
+# What a number takes up across, in heights of a chart: the smaller this is, the more.
 _STACKED_FIGURE, _SMALL_FIGURE = 1.0, 1.4
-"""What a number takes up across, in heights of a chart: the smaller this is, the more."""
 
-_LEAST_SHARE = 0.02
-"""Of a parameter's range: less is drawn as still."""
+_MIN_SHARE = 0.02  # of a parameter's range: less is drawn as still
 
 
 def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Container:
-    """Send what one iteration shows, and each parameter by iteration."""
+    """Log the views of one iteration, and each parameter by iteration."""
     width = WIDTH if len(data.main) <= _STACKED else _NARROW
     sheets: list[rrb.View] = []
     for number, column in enumerate(data.main):
@@ -57,7 +48,7 @@ def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Cont
         sheets.append(chart_view(f"signal_{number}", column.title(), width))
     charts = [
         _log_parameter(stream, data, number)
-        for number in range(min(len(data.parameters), _MOST_PARAMETERS))
+        for number in range(min(len(data.parameters), _MAX_PARAMETERS))
     ]
     stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
     for index, chosen in by_iteration(len(data.iterates), data.first_s):
@@ -81,7 +72,7 @@ def _log_sheet(
     column: ShownColumn,
     width: float,
 ) -> None:
-    """An iteration's curve over the observed one, which stays."""
+    """Log an iteration's curve over the observed one, which stays."""
     sheet = f"sheets/{name}"
     low, high = column.shown(column.simulated[:, -1])
     beyond = _BEYOND * (high - low)
@@ -116,7 +107,7 @@ def _log_sheet(
 
 
 def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
-    """One parameter by iteration, and the result's interval."""
+    """Log one parameter by iteration, and the result's interval."""
     parameter = data.parameters[number]
     is_narrow = len(data.parameters) <= _STACKED
     values = [float(one.values[number]) for one in data.iterates]
@@ -124,7 +115,7 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
     if data.interval95 is not None:
         interval = (float(data.interval95[number, 0]), float(data.interval95[number, 1]))
     low, high = parameter.training_range
-    least = _LEAST_SHARE * max(high - low, 1e-9)
+    least = _MIN_SHARE * max(high - low, 1e-9)
     iterates = Iterates(
         parameter=parameter.name,
         unit=parameter.unit,
@@ -146,7 +137,7 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
 
 
 def _words(data: SimulatorReviewData, k: int) -> str:
-    """An iteration: its values, and what it leaves."""
+    """Describe an iteration: its values, and its residuals."""
     iterate = data.iterates[k]
     said = said_names(one.name for one in data.parameters)
     values = [
@@ -158,7 +149,7 @@ def _words(data: SimulatorReviewData, k: int) -> str:
     ]
     lines = [
         f"# {iterate.name}",
-        markdown_table(("parameter", "value", "unit"), values[:_MOST_ROWS]),
-        markdown_table(("signal", "rms off", "noise"), left[:_MOST_ROWS]),
+        markdown_table(("parameter", "value", "unit"), values[:_MAX_ROWS]),
+        markdown_table(("signal", "rms off", "noise"), left[:_MAX_ROWS]),
     ]
     return "\n\n".join(lines)

@@ -1,4 +1,4 @@
-"""Shapes of a model's bodies, each in its body's frame."""
+"""Log shapes of a model's bodies, each in its body's frame."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from recorders.simulators.mujoco.library import mujoco
 from recorders.simulators.mujoco.model_scene import Shape
 from tunenet_logs.arrays import Array
 
-_HALF = 128
-"""Opacity of what is not solid."""
+_HALF = 128  # Opacity of what is not solid
 
 
 def log_shapes(
@@ -26,7 +25,7 @@ def log_shapes(
     *,
     is_solid: bool,
 ) -> None:
-    """In the frame of the body that they belong to."""
+    """Log shapes in the frame of the body that they belong to."""
     by_kind: dict[str, list[Shape]] = defaultdict(list)
     for shape in shapes:
         by_kind["box" if shape.kind == "plane" else shape.kind].append(shape)
@@ -75,7 +74,7 @@ def _log_mesh(
 
 
 def _xyzw(rotation: Array) -> Array:
-    """A rotation as a quaternion, shape (4,)."""
+    """Convert a rotation to a quaternion x, y, z, w, shape (4,)."""
     found = np.empty(4)
     mujoco().mju_mat2Quat(found, np.ascontiguousarray(rotation).ravel())
     return found[[1, 2, 3, 0]]

@@ -1,8 +1,8 @@
-"""The review of a simulator: how it moves beside the log, what is left, and what it predicts.
+"""Review of a simulator: its motion beside the log, residuals, and hold-out prediction.
 
-Over the log's time stand what was observed and all iterations, in 3D where the simulator is a
-MuJoCo model (`motion_scene`); on the iterations' timeline, one of them with its values (`scrub`);
-and what a fit to the first part of the log predicts of the rest (`held_out`).
+The log's timeline shows the observation and all iterations, in 3D for a MuJoCo model
+(`motion_scene`); the iterations' timeline, one of them with its values (`scrub`). A fit to the
+first part of the log predicts the rest (`held_out`).
 """
 
 from __future__ import annotations
@@ -25,18 +25,15 @@ from analysis.sysid.review.review_data import (
 from analysis.sysid.review.scrub import log_scrub
 from tunenet_logs.terminal import one_line
 
-_ONE_COLUMN = 3
-"""Charts that lie one over the other; more take two columns."""
+_ONE_COLUMN = 3  # charts that lie one over the other; more take two columns
+# Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond.
+_TYPICAL_QUANTILE, _HEADROOM = 0.98, 1.3
 
-_USUAL_QUANTILE, _HEADROOM = 0.98, 1.3
-"""Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond."""
-
-_BAND = 2.0
-"""Standard deviations of the noise that are drawn around no residual."""
+_BAND = 2.0  # standard deviations of the noise that are drawn around no residual
 
 
 def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
-    """Send all that is drawn of it: to play, to scrub, what is left, and what it predicts."""
+    """Log all views of a simulator's review, and return their layout."""
     data = simulator_review_data(tuning)
     curves = [_log_curves(stream, data, number) for number in range(len(data.columns))]
     residuals = [_log_residuals(stream, data, number) for number in range(len(data.columns))]
@@ -64,7 +61,7 @@ def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
 
 
 def _across(count: int) -> int:
-    """Columns of a grid of so many charts."""
+    """Return the columns of a grid of so many charts."""
     return int(np.ceil(np.sqrt(count * 0.8)))
 
 
@@ -73,7 +70,7 @@ def _grid(views: list[rrb.View]) -> rrb.Container:
 
 
 def _lines(data: SimulatorReviewData, column: ShownColumn) -> list[tuple[str, Color, float]]:
-    """How the iterations are drawn."""
+    """Return the style of each iteration's line."""
     unit = "" if column.unit in ("", "1") else f" {one_line(column.unit)}"
     return [
         (f"{one.name}  {column.rms[k]:.3g}{unit} rms", one.color, one.width)
@@ -83,7 +80,7 @@ def _lines(data: SimulatorReviewData, column: ShownColumn) -> list[tuple[str, Co
 
 
 def _log_curves(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
-    """What was observed under the iterations; guesses before the result may run off."""
+    """Log observed under simulated curves; iterates before the result may run off."""
     column, entity = data.columns[number], f"signal/{number}"
     span = column.shown(column.simulated[:, -1])
     values = column.simulated[:, data.drawn]
@@ -95,7 +92,7 @@ def _log_curves(stream: rr.RecordingStream, data: SimulatorReviewData, number: i
 
 
 def _log_residuals(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
-    """What the iterations differ by from what was observed, and how much of that is noise."""
+    """Log the residuals of the iterations, and the band of noise."""
     column, entity = data.columns[number], f"residual/{number}"
     off = column.simulated[:, data.drawn] - column.observed[:, None]
     log_lines(stream, f"{entity}/iterations", column.seconds, off, _lines(data, column))
@@ -106,7 +103,7 @@ def _log_residuals(stream: rr.RecordingStream, data: SimulatorReviewData, number
     log_lines(stream, f"{entity}/noise", ends, values, style)
     last = np.abs(off[:, -1])
     last = last[np.isfinite(last)]
-    usual = float(np.quantile(last, _USUAL_QUANTILE)) if len(last) else 0.0
+    usual = float(np.quantile(last, _TYPICAL_QUANTILE)) if len(last) else 0.0
     least = max(1e-6 * float(np.abs(column.observed).max()), 1e-9)
     reach = _HEADROOM * max(usual, band, least)
     return plot(entity, column.title("simulated - observed"), (-reach, reach))

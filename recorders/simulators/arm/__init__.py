@@ -1,1 +1,1 @@
-"""A serial arm that holds a payload: what it is, how it moves, which torques that takes."""
+"""A serial arm that holds a payload: its description, motion and joint torques."""

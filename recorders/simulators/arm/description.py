@@ -1,4 +1,4 @@
-"""A serial arm: its joints, the links that they carry, and the tool frame that holds a payload."""
+"""A serial arm: joints, links with their inertias, and the tool frame that holds a payload."""
 
 from __future__ import annotations
 
@@ -20,32 +20,31 @@ from recorders.simulators.arm.urdf_reading import FileJoint, FileRobot, read_urd
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import listed, short_name
 
+# Of the solid ball that stands for a payload: torques do not identify its own inertia.
 PAYLOAD_RADIUS_M = 0.04
-"""Of the solid ball that stands for a payload: torques do not identify its own inertia."""
 
 JACO_URDF = Path(__file__).with_name("known") / "jaco7-robotiq85.urdf"
 JACO_TOOL_LINK = "tool_mount"
 
-_MOST_JOINTS, _MOST_PAYLOAD_KG, _MOST_OFFSET_M = 32, 1000.0, 10.0
-"""More than any arm has: what is beyond is in other units, or no arm."""
+# More than any arm has: what is beyond is in other units, or no arm.
+_MAX_JOINTS, _MAX_PAYLOAD_KG, _MAX_OFFSET_M = 32, 1000.0, 10.0
 
-_UNLIMITED = 1e9
-"""Stands for infinity in a URDF [rad, rad/s or N·m]: engines read no "inf"."""
+_UNLIMITED = 1e9  # stands for infinity in a URDF [rad, rad/s or N·m]: engines read no "inf"
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint that moves, with all that it carries up to the next one.
+    """A moving joint with the link that it carries.
 
     Attributes:
         is_prismatic: it slides: rad, rad/s and N·m are then m, m/s and N.
         origin_m: the joint's frame in the one before it, at 0.
         origin_rpy: likewise, roll, pitch and yaw.
         axis: unit, in the joint's frame.
-        limits_rad: -inf, inf where it turns without end.
+        limits_rad: -inf, inf for a continuous joint.
         max_velocity_rad_s: inf where none is known.
         max_effort_nm: likewise.
-        link: fixed parts and fingers lumped in.
+        link: inertia up to the next moving joint, fixed parts and fingers lumped in.
     """
 
     name: str
@@ -61,7 +60,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Payload:
-    """What the arm holds.
+    """The payload that the arm holds.
 
     Attributes:
         mass_kg: 0 for nothing.
@@ -75,9 +74,9 @@ class Payload:
     com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.mass_kg <= _MOST_PAYLOAD_KG:
+        if not 0 <= self.mass_kg <= _MAX_PAYLOAD_KG:
             raise UsageError(f"payload mass {self.mass_kg:g} is not from 0 to 1000 kg")
-        if len(self.com_m) != 3 or not all(abs(value) <= _MOST_OFFSET_M for value in self.com_m):
+        if len(self.com_m) != 3 or not all(abs(value) <= _MAX_OFFSET_M for value in self.com_m):
             raise UsageError(f"payload centre {self.com_m} is not three numbers within 10 m")
 
 
@@ -89,7 +88,7 @@ class Arm:
         joints: from the base to the tool.
         tool_from_last_m: the tool frame, where a payload sits, in the last joint's frame.
         tool_from_last_rpy: likewise, roll, pitch and yaw.
-        remarks: what was doubtful in its description, and how it was taken.
+        remarks: doubts about its description, and how they were resolved.
     """
 
     name: str
@@ -100,22 +99,22 @@ class Arm:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """From the base to the tool."""
+        """Joint names, from the base to the tool."""
         return tuple(joint.name for joint in self.joints)
 
     def without_limits(self) -> Arm:
-        """The same arm for measured positions: these may be beyond its description's limits."""
+        """Copy the arm without joint limits: measured positions may exceed a description's."""
         endless = (-math.inf, math.inf)
         joints = (replace(joint, limits_rad=endless) for joint in self.joints)
         return replace(self, joints=tuple(joints))
 
     def urdf(self, payload: Payload | None = None) -> str:
-        """The arm for a physics engine: joints and inertias, no shapes.
+        """Write the arm as a URDF for a physics engine: joints and inertias, no shapes.
 
         Every link has an inertia, along its principal axes (PyBullet gives 1 kg to a link that has
-        none). A joint without end is a revolute one with far limits, so that it has one coordinate
-        everywhere. Names are ours, `joint_1` and `link_1` for the first: engines end where a name
-        is there twice. A payload that weighs anything is a link `payload` on a fixed joint.
+        none). A continuous joint is a revolute one with far limits, so that it has one coordinate
+        everywhere. Names are ours, `joint_1` and `link_1` for the first: engines end at a duplicate
+        name. A payload with mass is a link `payload` on a fixed joint.
         """
         robot = ET.Element("robot", name="arm")
         _link(robot, "base", solid_sphere(1.0, 0.1))
@@ -146,18 +145,18 @@ class Arm:
 
 
 def read_arm(path: Path, tool_link: str) -> Arm:
-    """The chain of a URDF from its base to a link, the tool frame.
+    """Read the chain of a URDF from its base to a link, the tool frame.
 
     Parts that are fixed to the chain, and what moves beside it (fingers), are lumped into the
-    chain's links as they are with their joints at 0.
+    chain's links with their joints at 0.
 
     Args:
         path: the URDF of any serial arm; of what hangs on its base, only the chain counts.
         tool_link: the link in whose frame the payload is.
 
     Raises:
-        UsageError: the file, a value in it or the chain makes no sense; names the remedy. What a
-            link weighs that no joint of the chain moves may be anything.
+        UsageError: the file, a value in it or the chain is invalid; names the remedy. The mass of
+            a link that no joint of the chain moves may be anything.
     """
     robot = read_urdf(path)
     chain = _chain(path, robot, tool_link)
@@ -198,7 +197,7 @@ def read_arm(path: Path, tool_link: str) -> Arm:
 
 
 def jaco() -> Arm:
-    """Kinova's Jaco with 7 joints and a spherical wrist (j2s7s300), with a Robotiq 85.
+    """Load Kinova's Jaco with 7 joints and a spherical wrist (j2s7s300), with a Robotiq 85.
 
     The tool frame is 0.15 m from the gripper's base: x along the gripper, y as its fingers open.
     """
@@ -206,7 +205,7 @@ def jaco() -> Arm:
 
 
 def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
-    """The joints from the base to the tool.
+    """Return the joints from the base to the tool.
 
     Raises:
         UsageError: no such link, a loop, or joints that are not an arm's.
@@ -232,10 +231,10 @@ def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
             "no arm; add a fixed joint from the arm's last link to it, or name that link with "
             "--tool-link"
         )
-    if not 1 <= len(movers) <= _MOST_JOINTS:
+    if not 1 <= len(movers) <= _MAX_JOINTS:
         raise UsageError(
             f"{path}: {len(movers)} joints move link {short_name(tool_link)}, an arm has 1 to "
-            f"{_MOST_JOINTS}; name the link that holds the payload with --tool-link"
+            f"{_MAX_JOINTS}; name the link that holds the payload with --tool-link"
         )
     for joint in movers:
         name = short_name(joint.name)
@@ -253,10 +252,10 @@ def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
 
 
 def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, dict[str, Inertial]]:
-    """The links that each of the chain's moving links carries, in its frame.
+    """Return the links that each of the chain's moving links carries, in its frame.
 
     Raises:
-        UsageError: it is no body's, or hangs on itself.
+        UsageError: an inertia is invalid, or a link hangs on itself.
     """
     carried: dict[str, dict[str, Inertial]] = {child: {} for child in movers}
     placed: dict[str, tuple[str, Transform]] = {}

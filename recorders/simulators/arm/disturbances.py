@@ -1,4 +1,4 @@
-"""Everything between ideal torques and a driver's messages: errors of sensors, model and time."""
+"""Errors of sensors, model and timing between ideal torques and a driver's messages."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from recorders.simulators.arm.description import Arm
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
-_MOST = 1e6
-"""Of any size, in its own unit: what is larger is not a disturbance but infinite."""
-
+_MAX = 1e6  # of any size, in its own unit: what is larger is not a disturbance but infinite
 _NEVER_NEGATIVE = (
     "torque_noise_nm",
     "lag_s",
@@ -26,7 +24,7 @@ _NEVER_NEGATIVE = (
 
 @dataclass(frozen=True)
 class FieldClock:
-    """How often each field of a message is new [Hz]; infinite: in every message."""
+    """Update rate of each field of a message [Hz]; inf: new in every message."""
 
     position_hz: float = math.inf
     velocity_hz: float = math.inf
@@ -38,35 +36,35 @@ class FieldClock:
                 raise UsageError(f"{item.name} is over 0, not {getattr(self, item.name):g}")
 
 
+# Measured in a log of 65 messages a second: between new values the old ones are repeated.
 KINOVA_CLOCK = FieldClock(position_hz=30.0, velocity_hz=16.0, effort_hz=58.0)
-"""Measured in a log of 65 messages a second: between new values the old ones are repeated."""
 
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Everything between ideal torques and a driver's messages; the default is nothing.
+    """Errors between ideal torques and a driver's messages; none by default.
 
     What is drawn for each joint is a tuple, base to tool; empty for none.
 
     Attributes:
         torque_noise_nm: standard deviation, white.
         offset_nm: added to each joint's torque.
-        viscous_nm_s: N·m for each rad/s.
-        coulomb_nm: N·m against the motion, whatever its speed.
+        viscous_nm_s: viscous friction [N·m s/rad].
+        coulomb_nm: Coulomb friction.
         gain_error: 0.03 for a torque read 3 % too large.
-        lag_s: torques are those of so long ago.
+        lag_s: delay of the torques.
         link_mass_error: 0.05 for a link 5 % heavier than the description says.
-        link_com_error_m: its centre of mass, (x, y, z) off.
+        link_com_error_m: offset of its centre of mass, (x, y, z).
         rate_hz: messages a second; None for one at each of the path's samples.
         jitter_s: standard deviation of a message's time.
-        clock: how often fields are new.
+        clock: update rates of the fields.
         position_noise_rad: standard deviation, white.
-        position_step_rad: positions are rounded to multiples of this; 0 for none.
+        position_step_rad: quantisation step of positions; 0 for none.
         velocity_noise_rad_s: standard deviation, white.
         noise_seed: of what is drawn anew for each sample.
 
     Raises:
-        UsageError: a value that is not finite or out of range.
+        UsageError: a value is not finite or out of range.
     """
 
     torque_noise_nm: float = 0.0
@@ -90,7 +88,7 @@ class Disturbances:
             values = np.ravel(getattr(self, item.name))
             if item.name in ("rate_hz", "clock", "noise_seed"):
                 continue
-            if not np.all(np.abs(values.astype(np.float64)) <= _MOST):
+            if not np.all(np.abs(values.astype(np.float64)) <= _MAX):
                 raise UsageError(f"{item.name} {getattr(self, item.name)} is not finite")
         for name in _NEVER_NEGATIVE:
             if getattr(self, name) < 0:
@@ -100,17 +98,17 @@ class Disturbances:
 
     @property
     def lead_s(self) -> float:
-        """How long a run lasts before all that its first message shows has happened [s]."""
+        """Duration of the path that precedes the first message [s]."""
         clock = self.clock
         slowest_hz = min(clock.position_hz, clock.velocity_hz, clock.effort_hz)
         return self.lag_s + 1 / slowest_hz + 4 * self.jitter_s
 
     def another_run(self) -> Disturbances:
-        """The same arm and driver, noise drawn anew: such as a run with an empty gripper (tare)."""
+        """Copy with the noise redrawn, as for another run of the same arm (tare)."""
         return replace(self, noise_seed=self.noise_seed + 1)
 
     def in_words(self) -> dict[str, str]:
-        """What there is of them, for a log's notes."""
+        """Describe the disturbances for a log's notes."""
         words: dict[str, str] = {}
         for item in fields(self):
             value = getattr(self, item.name)
@@ -126,11 +124,11 @@ class Disturbances:
 
 @dataclass(frozen=True)
 class DisturbanceScales:
-    """Standard deviations from which disturbances are drawn, 0 for none; the default: a real arm.
+    """Standard deviations of the disturbances, 0 for none; by default a real arm's.
 
     Attributes:
         friction_nm: of viscous friction [N·m s/rad] and of Coulomb friction [N·m].
-        most_lag_s: lags are drawn evenly from 0 to this.
+        most_lag_s: lags are drawn uniformly from 0 to this.
         friction_opposes: friction is drawn against the motion; else of either sign.
     """
 
@@ -149,9 +147,9 @@ NO_ERRORS = DisturbanceScales(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def drawn(seed: int, arm: Arm, sizes: DisturbanceScales = REAL_ARM) -> Disturbances:
-    """Disturbances of one arm, drawn from a seed: of torques, and of the arm's description.
+    """Draw one arm's disturbances from a seed: of torques, and of the arm's description.
 
-    The same seed draws the same for every mixture of sizes, scaled.
+    The same seed draws the same for every combination of sizes, scaled.
     """
     rng = np.random.default_rng([seed, 0xD217])
     count = len(arm.joints)
@@ -178,7 +176,7 @@ def drawn(seed: int, arm: Arm, sizes: DisturbanceScales = REAL_ARM) -> Disturban
 
 
 def through_kinovas_driver(disturbances: Disturbances, rate_hz: float = 65.0) -> Disturbances:
-    """The same in the messages of a Kinova driver: jitter, stale fields, quantised positions.
+    """Add a Kinova driver's jitter, stale fields and quantised positions.
 
     At 20 messages a second and fewer every field is new in each.
     """
@@ -194,5 +192,5 @@ def through_kinovas_driver(disturbances: Disturbances, rate_hz: float = 65.0) ->
 
 
 def real_driver(seed: int, arm: Arm, rate_hz: float = 65.0) -> Disturbances:
-    """All disturbances together, as in a real driver."""
+    """Draw all disturbances of a real driver."""
     return through_kinovas_driver(drawn(seed, arm), rate_hz)

@@ -1,4 +1,4 @@
-"""An arm's run as its driver publishes it."""
+"""Simulate an arm's run as its driver publishes it."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
 
-STICKING_RAD_S = 0.01
-"""Coulomb friction changes its sign over about this speed, by a tanh."""
+STICKING_RAD_S = 0.01  # Coulomb friction changes its sign over about this speed, by a tanh
 
 
 def perturbed(arm: Arm, disturbances: Disturbances) -> Arm:
-    """The arm as it is, where the description is a little wrong."""
+    """Apply the link mass and centre-of-mass errors to an arm's description."""
     joints = list(arm.joints)
     for index, error in enumerate(_per_joint(arm, disturbances, "link_mass_error").tolist()):
         link = joints[index].link
@@ -41,20 +40,19 @@ def perturbed(arm: Arm, disturbances: Disturbances) -> Arm:
 def driver_episode(
     arm: Arm, path: JointPath, payload: Payload | None, disturbances: Disturbances
 ) -> Episode:
-    """An arm's run along a path as its driver publishes it. The same arguments give the same bits.
+    """Simulate a run along a path as the driver publishes it, deterministically.
 
     Args:
         arm: as its description says; the one that moves is `perturbed`.
-        path: where the arm really is; 100 samples a second or more where messages are at times
-            of their own.
+        path: the true motion; at 100 Hz or more where messages have times of their own.
         payload: None for an empty gripper.
-        disturbances: what comes between.
+        disturbances: errors of sensors, model and timing.
 
     Returns:
         `/joint_states` signals; it begins a little after the path where torques lag or are stale.
 
     Raises:
-        UsageError: the path is none of this arm, or shorter than what the driver needs.
+        UsageError: the path does not fit the arm, or is shorter than what the driver needs.
     """
     rng = np.random.default_rng([disturbances.noise_seed, 0x4015])
     true_arm = perturbed(arm, disturbances)
@@ -86,7 +84,7 @@ def driver_episode(
 
 
 def _with_errors(arm: Arm, path: JointPath, ideal_nm: Array, disturbances: Disturbances) -> Array:
-    """Friction, then what the sensors make of it."""
+    """Add friction, sensor gain and offset to ideal torques, shape (T, J) [N·m]."""
     speed = path.velocity_rad_s
     friction = _per_joint(arm, disturbances, "viscous_nm_s") * speed
     friction += _per_joint(arm, disturbances, "coulomb_nm") * np.tanh(speed / STICKING_RAD_S)
@@ -95,7 +93,7 @@ def _with_errors(arm: Arm, path: JointPath, ideal_nm: Array, disturbances: Distu
 
 
 def _per_joint(arm: Arm, disturbances: Disturbances, name: str) -> Array:
-    """A disturbance of all joints, shape (J,); zeros where there is none."""
+    """Return a disturbance of all joints, shape (J,); zeros where there is none."""
     values = getattr(disturbances, name)
     if len(values) not in (0, len(arm.joints)):
         raise UsageError(f"{name} has {len(values)} values for {len(arm.joints)} joints")
@@ -103,7 +101,7 @@ def _per_joint(arm: Arm, disturbances: Disturbances, name: str) -> Array:
 
 
 def _message_times(path: JointPath, disturbances: Disturbances, rng: np.random.Generator) -> Array:
-    """When messages are stamped [s], shape (T,)."""
+    """Draw the message stamps [s], shape (T,)."""
     start_s, end_s = float(path.seconds[0]) + disturbances.lead_s, float(path.seconds[-1])
     if disturbances.rate_hz is None:
         times = path.seconds[path.seconds >= start_s - 1e-12]
@@ -119,7 +117,7 @@ def _message_times(path: JointPath, disturbances: Disturbances, rng: np.random.G
 
 @dataclass(frozen=True, eq=False)
 class _Fresh:
-    """When a field was new [s], shape (F,), and which of these each message shows, shape (T,)."""
+    """Update times of a field [s], shape (F,), and the one each message shows, shape (T,)."""
 
     fresh: Array
     shown: NDArray[np.int64]
@@ -135,7 +133,7 @@ def _fresh_times(times: Array, rate_hz: float, rng: np.random.Generator) -> _Fre
 
 
 def _at(seconds: Array, values: Array, wanted: Array) -> Array:
-    """Sampled values between their samples, shape (len(wanted), J)."""
+    """Interpolate samples by a cubic spline, shape (len(wanted), J)."""
     if np.array_equal(seconds, wanted):
         return np.array(values)
     from scipy.interpolate import CubicSpline

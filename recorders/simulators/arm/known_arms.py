@@ -1,4 +1,4 @@
-"""Arms that people have, by name: what describes each, and what its drivers call its joints."""
+"""Common arms by name: their URDFs, and the joint names of their drivers."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).with_name("known")
 
+# The paper's arm: what is taken where neither a user nor a log says which one it is.
 DEFAULT = "jaco7-robotiq85"
-"""The paper's arm: what is taken where neither a user nor a log says which one it is."""
 
-_NEAR = 0.5
-"""Likeness of a name to a known one, of 0 to 1, from which on it may be a slip."""
+_NEAR = 0.5  # Likeness of a name to a known one, of 0 to 1, from which on it may be a slip
 
 
 @dataclass(frozen=True)
@@ -30,13 +29,13 @@ class KnownArm:
 
     Attributes:
         name: as `--arm` takes it, and the stem of its URDF.
-        words: what it is, with what is on its flange.
+        words: its make and model, with what is on its flange.
         tool_link: where a payload sits.
         tool_words: that link's frame, for people.
-        joint_names: what its usual drivers call its joints, base to tool; each driver's names.
+        joint_names: joint names of its usual drivers, base to tool, one tuple a driver.
         is_said_by_names: whether a log with such names is of this arm or a variant of it, and of no
             other make.
-        doubt: what is not known of it, that a user should; "" for nothing.
+        doubt: what a user should know is uncertain; "" for nothing.
     """
 
     name: str
@@ -49,11 +48,11 @@ class KnownArm:
 
     @property
     def urdf(self) -> Path:
-        """Its description."""
+        """Path of its URDF."""
         return FOLDER / f"{self.name}.urdf"
 
     def arm(self, columns: Sequence[str] = ()) -> Arm:
-        """The arm, its joints called as one of its drivers does that gives these columns."""
+        """Read the arm, its joints named as by the driver that gives these columns."""
         from recorders.simulators.arm.description import read_arm  # needs numpy, help does not
 
         arm = read_arm(self.urdf, self.tool_link)
@@ -64,7 +63,7 @@ class KnownArm:
         return replace(arm, joints=tuple(replace(joint, name=name) for joint, name in pairs))
 
     def names_in(self, columns: Sequence[str]) -> tuple[str, ...] | None:
-        """The first driver's names that are all there, whole or behind a prefix; None for none."""
+        """Return the first driver's names found in the columns, prefixed or not, or None."""
         for names in self.joint_names:
             if all(any(_is_called(name, column) for column in columns) for name in names):
                 return names
@@ -197,15 +196,15 @@ _ARMS = (
     ),
 )
 
+# By name; of those with the same drivers' names, the usual one first.
 ARMS = {known.name: known for known in _ARMS}
-"""By name; of those with the same drivers' names, the usual one first."""
 
 
 def known_arm(name: str) -> KnownArm:
-    """The arm of that name.
+    """Look up an arm by name.
 
     Raises:
-        UsageError: none has it; the message has those that are nearest.
+        UsageError: none has it; the message lists the nearest.
     """
     found = ARMS.get(name.lower())
     if found is None:
@@ -219,10 +218,10 @@ def known_arm(name: str) -> KnownArm:
 
 
 def name_alone(name: str, urdf: Path | None, tool_link: str | None) -> str:
-    """A known arm's name, as `ARMS` has it.
+    """Check a known arm's name; return it as `ARMS` has it.
 
     Raises:
-        UsageError: there is no such arm, or a URDF or link says another one.
+        UsageError: there is no such arm, or a URDF or link is given as well.
     """
     for option, value in (("--urdf", urdf), ("--tool-link", tool_link)):
         if value is not None:
@@ -231,14 +230,14 @@ def name_alone(name: str, urdf: Path | None, tool_link: str | None) -> str:
 
 
 def arms_called(columns: Sequence[str]) -> tuple[KnownArm, ...]:
-    """The arms whose drivers give these columns, the usual one first.
+    """Find the arms whose drivers give these columns, the usual one first.
 
-    Names that only one make has go before those that many have, such as `joint_1`.
+    Names that only one make has take precedence over common ones, such as `joint_1`.
     """
     found = tuple(known for known in _ARMS if known.names_in(columns) is not None)
     return tuple(known for known in found if known.is_said_by_names) or found
 
 
 def in_words(arms: Iterable[KnownArm]) -> str:
-    """Their names, as `--arm` takes them."""
+    """List the arms as `--arm` options."""
     return " or ".join(f"--arm {known.name}" for known in arms)

@@ -1,4 +1,4 @@
-"""How an arm moves: the paper's circle, random smooth motions, a user's own; forward kinematics."""
+"""Joint paths (the paper's circle, random smooth ones, the user's) and forward kinematics."""
 
 from __future__ import annotations
 
@@ -17,31 +17,26 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
 CIRCLE_CSV = Path(__file__).with_name("circle.csv")
+# The paper's: (-0.4, 0.2 cos(1.2 t), 0.2 sin(1.2 t)) m, here 0.3 m over the arm's base.
 CIRCLE_RAD_S = 1.2
-"""The paper's: (-0.4, 0.2 cos(1.2 t), 0.2 sin(1.2 t)) m, here 0.3 m over the arm's base."""
 
-_SPEED_FRACTION = 0.7
-"""Of a joint's greatest speed: a driver refuses a path that is at its limits."""
-
+_SPEED_FRACTION = 0.7  # of a joint's greatest speed: a driver refuses a path that is at its limits
+# Greatest speed of a joint whose own is unknown, and of any: random motions are for real arms.
 _UNKNOWN_SPEED_RAD_S = 1.0
-"""Greatest speed of a joint whose own is unknown, and of any: random motions are for real arms."""
 
-_FREE_RAD = math.pi
-"""A joint without limits stays within one turn, as cables allow."""
-
-_TRIES = 2000
-"""Draws after which an arm is said to leave no room; they take some seconds."""
+_FREE_RAD = math.pi  # a joint without limits stays within one turn, as cables allow
+_TRIES = 2000  # draws after which an arm is said to leave no room; they take some seconds
 
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """A motion, sampled; arrays are read-only.
+    """A sampled joint path; its arrays are read-only.
 
     Attributes:
         seconds: increasing, shape (T,).
-        position_rad: shape (T, J), as all that follow; m, m/s and m/s² of a joint that slides.
+        position_rad: shape (T, J), as all that follow; m, m/s and m/s² of a prismatic joint.
         velocity_rad_s: its derivative.
-        acceleration_rad_s2: and that one's.
+        acceleration_rad_s2: its second derivative.
 
     Raises:
         UsageError: shapes disagree, or a value is not finite.
@@ -68,11 +63,11 @@ class JointPath:
             raise UsageError("a path's times do not increase")
 
     def part(self, kept: slice) -> JointPath:
-        """Some of its samples."""
+        """Slice the samples."""
         return JointPath(*(getattr(self, item.name)[kept] for item in fields(self)))
 
     def checked(self, arm: Arm) -> JointPath:
-        """Itself, if it has the arm's number of joints and stays within their limits.
+        """Return the path if it fits the arm's joints and their limits.
 
         Raises:
             UsageError: another number of joints, or a position beyond a joint's limits.
@@ -96,8 +91,8 @@ class LinkPoses:
     """Frames of an arm's base, of each joint's link and of its tool, in that order.
 
     Attributes:
-        position_m: origins in the base's frame, shape (T, J + 2, 3).
-        rotation: axes as columns, shape (T, J + 2, 3, 3).
+        position_m: origins in the base frame, shape (T, J + 2, 3).
+        rotation: rotations to the base frame (axes as columns), shape (T, J + 2, 3, 3).
     """
 
     position_m: Array
@@ -105,7 +100,7 @@ class LinkPoses:
 
 
 def link_poses(arm: Arm, position_rad: ArrayLike) -> LinkPoses:
-    """Forward kinematics; `position_rad` has shape (T, J)."""
+    """Compute forward kinematics; `position_rad` has shape (T, J)."""
     angles = np.asarray(position_rad, np.float64)
     samples = len(angles)
     origin = np.zeros((samples, 3))
@@ -133,22 +128,22 @@ def link_poses(arm: Arm, position_rad: ArrayLike) -> LinkPoses:
 
 
 def link_positions_m(arm: Arm, position_rad: ArrayLike) -> Array:
-    """Origins of base, joints' links and tool in the base's frame, shape (T, J + 2, 3)."""
+    """Compute origins of base, links and tool in the base frame, shape (T, J + 2, 3)."""
     return link_poses(arm, position_rad).position_m
 
 
 def sample_times(rate_hz: float, seconds: float) -> Array:
-    """Times from 0 at a rate, as many as fit before `seconds`, shape (T,) [s]."""
+    """Return times from 0 at a uniform rate that fit before `seconds`, shape (T,) [s]."""
     return np.arange(max(round(seconds * rate_hz), 2)) / rate_hz
 
 
 def circle(rate_hz: float = 60.0, seconds: float = 5.0) -> JointPath:
-    """The paper's circle by the shipped Jaco, from its first point on, at full speed throughout."""
+    """Trace the paper's circle by the shipped Jaco, at full speed throughout."""
     return circle_at(sample_times(rate_hz, seconds))
 
 
 def circle_at(seconds: Array) -> JointPath:
-    """The paper's circle at any times [s], shape (T,)."""
+    """Evaluate the paper's circle at any times [s], shape (T,), by its Fourier series."""
     coefficients = _circle_coefficients()
     harmonics = 1j * CIRCLE_RAD_S * np.arange(len(coefficients))
     waves = np.exp(np.asarray(seconds, np.float64)[:, None] * harmonics)
@@ -161,7 +156,7 @@ def circle_at(seconds: Array) -> JointPath:
 
 @cache
 def _circle_coefficients() -> NDArray[np.complex128]:
-    """Fourier coefficients of the shipped turn, shape (harmonics, 7)."""
+    """Compute Fourier coefficients of the shipped turn, shape (harmonics, 7)."""
     _, _, position_rad = read_path_file(CIRCLE_CSV)
     turn = position_rad[:-1]
     spectrum = np.fft.rfft(turn, axis=0)[:32] / len(turn)
@@ -170,10 +165,10 @@ def _circle_coefficients() -> NDArray[np.complex128]:
 
 
 def random_path(arm: Arm, seed: int, rate_hz: float = 60.0, seconds: float = 5.0) -> JointPath:
-    """A smooth motion of all joints within their limits and 70 % of their speeds.
+    """Draw a smooth motion of all joints within their limits and 70 % of their speeds.
 
-    Each joint follows a few slow waves about a posture. Tool and wrist stay over the base's plane
-    and out of its column.
+    Each joint follows a few slow sine waves about a posture. Tool and wrist stay above the base
+    plane and out of the base's column.
 
     Raises:
         UsageError: the arm leaves no room for one.
@@ -188,7 +183,7 @@ def random_path(arm: Arm, seed: int, rate_hz: float = 60.0, seconds: float = 5.0
 
 
 def _waves(arm: Arm, rng: np.random.Generator, times: Array) -> JointPath | None:
-    """Sums of three waves of 0.1 to 0.5 Hz; None where one joint's limits leave no room."""
+    """Sum three sine waves of 0.1 to 0.5 Hz; None where one joint's limits leave no room."""
     columns: list[tuple[Array, Array, Array]] = []
     for joint in arm.joints:
         rad_s = 2 * np.pi * rng.uniform(0.1, 0.5, 3)
@@ -209,7 +204,7 @@ def _waves(arm: Arm, rng: np.random.Generator, times: Array) -> JointPath | None
 
 
 def _is_clear(arm: Arm, position_rad: Array) -> bool:
-    """Whether the outer half of the arm stays over the base's plane and out of its column."""
+    """Return whether the arm's outer half stays above the base plane and out of its column."""
     outer_m = link_positions_m(arm, position_rad)[:, -1 - len(arm.joints) // 2 :]
     beside_m = np.hypot(outer_m[..., 0], outer_m[..., 1])
     reach_m = sum(math.hypot(*joint.origin_m) for joint in arm.joints)
@@ -217,10 +212,10 @@ def _is_clear(arm: Arm, position_rad: Array) -> bool:
 
 
 def eased(path: JointPath, ease_s: float, rate_hz: float) -> JointPath:
-    """The same way from rest to rest: time scaling that begins and ends smoothly over `ease_s`.
+    """Time-scale a path to go from rest to rest, with smoothsteps of `ease_s` at both ends.
 
-    The path's time runs at 0 first, at 1 after `ease_s` (a smoothstep), and at 0 at the end. It
-    takes `ease_s` and up to one row longer than the path, and is nowhere faster.
+    The path's time runs at 0 first, at 1 after `ease_s`, and at 0 at the end. It takes `ease_s`
+    and up to one row longer than the path, and is nowhere faster.
     """
     from scipy.interpolate import CubicHermiteSpline
 
@@ -248,7 +243,7 @@ def eased(path: JointPath, ease_s: float, rate_hz: float) -> JointPath:
 
 
 def path_from_file(arm: Arm, file: Path, rate_hz: float = 60.0) -> JointPath:
-    """A user's motion (time_s and the joints' positions [rad]) as a quintic spline through it.
+    """Read a user's path (time_s, joint positions [rad]) and fit a quintic spline to it.
 
     Raises:
         UsageError: the file is no such table, or the arm cannot move so.
@@ -269,7 +264,7 @@ def path_from_file(arm: Arm, file: Path, rate_hz: float = 60.0) -> JointPath:
 
 
 def _columns(arm: Arm, file: Path, names: tuple[str, ...]) -> list[int]:
-    """Where the arm's joints are among the file's columns."""
+    """Return the arm's joints' indices among the file's columns."""
     missing = [name for name in arm.joint_names if name not in names]
     if missing:
         raise UsageError(

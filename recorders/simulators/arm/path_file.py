@@ -1,4 +1,4 @@
-"""Joint paths as tables: time_s, then a column of radians for each joint."""
+"""Read and write joint paths as tables: time_s, then a column of radians per joint."""
 
 from __future__ import annotations
 
@@ -16,22 +16,21 @@ from tunenet_logs.output.owned_file import OutputPlace, begins_with
 from tunenet_logs.regular_file import open_regular_text
 from tunenet_logs.terminal import short_name
 
-_MOST_ROWS, _MOST_COLUMNS, _MOST_RAD, _MOST_S = 200_000, 100, 1000.0, 3600.0
-"""An hour at 50 Hz, more joints and turns than an arm has: beyond it, a file is no path."""
+# An hour at 50 Hz, more joints and turns than an arm has: beyond it, a file is no path.
+_MAX_ROWS, _MAX_COLUMNS, _MAX_RAD, _MAX_S = 200_000, 100, 1000.0, 3600.0
 
-_MOST_CHARACTERS = 10_000
-"""Of a line: a file without line ends must not fill the memory."""
+_MAX_CHARACTERS = 10_000  # of a line: a file without line ends must not fill the memory
 
 
 def read_path_file(file: Path) -> tuple[tuple[str, ...], Array, Array]:
-    """Names of the J joints, times [s], shape (T,), and positions [rad], shape (T, J).
+    """Read joint names (J), times [s], shape (T,), and positions [rad], shape (T, J).
 
     Raises:
         UsageError: no such table; with the line and what is wrong there.
     """
     try:
         with open_regular_text(file, "utf-8-sig", newline="") as stream:
-            lines = iter(lambda: stream.readline(_MOST_CHARACTERS), "")
+            lines = iter(lambda: stream.readline(_MAX_CHARACTERS), "")
             return _read(file, csv.reader(lines))
     except OSError as error:
         raise UsageError(f"{file}: {error.strerror}; a path is a CSV with time_s first") from error
@@ -50,8 +49,8 @@ def _read(file: Path, lines: Iterable[list[str]]) -> tuple[tuple[str, ...], Arra
             _check_header(file, header)
             continue
         rows.append(_row(file, number, cells, header))
-        if len(rows) > _MOST_ROWS:
-            raise UsageError(f"{file}: over {_MOST_ROWS} rows; give fewer samples a second")
+        if len(rows) > _MAX_ROWS:
+            raise UsageError(f"{file}: over {_MAX_ROWS} rows; give fewer samples a second")
         if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
             raise UsageError(f"{file}: line {number}: time_s does not increase")
     if len(rows) < 2:
@@ -61,7 +60,7 @@ def _read(file: Path, lines: Iterable[list[str]]) -> tuple[tuple[str, ...], Arra
 
 
 def _check_header(file: Path, header: list[str]) -> None:
-    if header[0] != "time_s" or not 2 <= len(header) <= _MOST_COLUMNS:
+    if header[0] != "time_s" or not 2 <= len(header) <= _MAX_COLUMNS:
         raise UsageError(
             f"{file}: begins with {short_name(','.join(header))}; a path begins with time_s and "
             "the joints' names"
@@ -79,7 +78,7 @@ def _row(file: Path, number: int, cells: list[str], header: list[str]) -> list[f
             value = float(cell)
         except ValueError:
             value = math.nan
-        most = _MOST_S if name == "time_s" else _MOST_RAD
+        most = _MAX_S if name == "time_s" else _MAX_RAD
         if not abs(value) <= most:
             raise UsageError(
                 f"{file}: line {number}: {short_name(name)} is {short_name(cell)!r}, not a number "
@@ -94,12 +93,7 @@ def write_path_file(
 ) -> None:
     """Write a path; the counterpart of `read_path_file`.
 
-    Args:
-        file: where to.
-        names: of the J joints.
-        seconds: shape (T,).
-        position_rad: shape (T, J).
-        overwrite: replace a path of the same joints that is there.
+    Replaces only a path of the same joints, and only with `overwrite`.
 
     Raises:
         LogError: something is there already, or it cannot be written.

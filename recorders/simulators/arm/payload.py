@@ -1,4 +1,4 @@
-"""The payload task: an arm moves along a path and holds something of unknown mass."""
+"""Simulate the payload task: an arm moves along a path with an unknown mass."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PAYLOAD_MASS = Parameter(
 class PayloadSimulator:
     """Torques along a path by inverse dynamics.
 
-    They are linear in the mass, whose inertia is in proportion to it, so two runs of the engine
+    They are linear in the mass, to which its inertia is proportional, so two runs of the engine
     serve all masses.
     """
 
@@ -53,13 +53,13 @@ class PayloadSimulator:
 
     @cached_property
     def efforts_nm_per_kg(self) -> Array:
-        """What each kilogram adds [N·m/kg], shape (T, J)."""
+        """Torques added by each kilogram [N·m/kg], shape (T, J)."""
         one = Payload(1.0, self.com_m)
         loaded = joint_efforts_nm(self.arm, self.path, one, self.gravity_m_s2)
         return loaded - self.empty_efforts_nm
 
     def efforts_nm(self, mass_kg: float) -> Array:
-        """Torques with a payload [N·m], shape (T, J).
+        """Compute the torques with a payload [N·m], shape (T, J).
 
         Raises:
             UsageError: a mass that no arm holds.
@@ -74,14 +74,13 @@ class PayloadSimulator:
 
 
 class PayloadRollout:
-    """Torques that motors applied in a rollout of the engine, as the paper's authors made them.
+    """Motor torques of a rollout in the engine, as the paper's authors made them.
 
     Args:
-        arm: that follows the path.
         path: at `settings.times()`.
         com_m: the payload's centre of mass in the tool frame.
         settings: of engine and motors.
-        keep_every: which of the steps become samples: 4 makes 60 Hz of 240.
+        keep_every: decimation of the steps: 4 makes 60 Hz of 240.
     """
 
     parameters = (PAYLOAD_MASS,)
@@ -113,7 +112,7 @@ class PayloadRollout:
 
 
 def joint_signals(arm: Arm, path: JointPath, effort_nm: Array) -> dict[str, Signal]:
-    """Positions, velocities and torques of a path, as a log's `/joint_states` gives them."""
+    """Make a path's position, velocity and effort signals, named as in `/joint_states`."""
     stamps_ns = np.round((path.seconds - path.seconds[0]) * 1e9).astype(np.int64)
     return {
         f"{TOPIC}.{part}": Signal(f"{TOPIC}.{part}", stamps_ns, values, arm.joint_names, unit)
@@ -128,7 +127,7 @@ def joint_signals(arm: Arm, path: JointPath, effort_nm: Array) -> dict[str, Sign
 def payload_info(
     payload: Payload, source: str, preset: str, notes: Mapping[str, str] | None = None
 ) -> EpisodeInfo:
-    """What a log says of a simulated payload."""
+    """Make the log info of a simulated payload."""
     truth = {PAYLOAD_MASS.name: payload.mass_kg}
     truth |= {
         f"payload_com_{axis}": value for axis, value in zip("xyz", payload.com_m, strict=True)

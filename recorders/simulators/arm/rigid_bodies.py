@@ -1,4 +1,4 @@
-"""Rigid bodies: transforms between their frames; their inertias moved, combined, diagonalised."""
+"""Rigid-body transforms and inertias: moved, combined, diagonalised."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tunenet_logs.arrays import Array
 
 
 def rotation_from_rpy(rpy: Sequence[float]) -> Array:
-    """R = Rz(yaw) Ry(pitch) Rx(roll) [rad], URDF's convention, shape (3, 3)."""
+    """Compute R = Rz(yaw) Ry(pitch) Rx(roll) [rad], URDF's convention, shape (3, 3)."""
     (cr, cp, cy), (sr, sp, sy) = zip(*((cos(angle), sin(angle)) for angle in rpy), strict=True)
     return np.array(
         [
@@ -24,7 +24,7 @@ def rotation_from_rpy(rpy: Sequence[float]) -> Array:
 
 
 def rpy_from_rotation(rotation: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw [rad] of a rotation, shape (3, 3); in gimbal lock, yaw is 0."""
+    """Compute roll, pitch, yaw [rad] of a (3, 3) rotation; in gimbal lock, yaw is 0."""
     level = hypot(rotation[0, 0], rotation[1, 0])
     pitch = atan2(-rotation[2, 0], level)
     if level < 1e-9:  # pitch is 90 degrees: roll and yaw turn about the same axis
@@ -38,7 +38,7 @@ def rpy_from_rotation(rotation: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """A rigid transform: where a frame is in another one, its parent.
+    """A rigid transform: the pose of a frame in its parent.
 
     Attributes:
         origin_m: the frame's origin in the parent, shape (3,).
@@ -50,11 +50,11 @@ class Transform:
 
     @classmethod
     def at(cls, origin_m: Sequence[float], rpy: Sequence[float]) -> Transform:
-        """From an origin [m], and roll, pitch and yaw [rad]."""
+        """Make a transform from an origin [m], and roll, pitch and yaw [rad]."""
         return cls(np.array(origin_m, np.float64), rotation_from_rpy(rpy))
 
     def __matmul__(self, inner: Transform) -> Transform:
-        """`inner`, which is given in this frame, as it is in this frame's parent."""
+        """Compose: map `inner`, given in this frame, to this frame's parent."""
         return Transform(
             self.origin_m + self.rotation @ inner.origin_m, self.rotation @ inner.rotation
         )
@@ -65,7 +65,7 @@ IDENTITY = Transform.at((0, 0, 0), (0, 0, 0))
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass, centre of mass and inertia of a link, as a URDF's `<inertial>` has them.
+    """Mass, centre of mass and inertia of a link, as in a URDF's `<inertial>`.
 
     Attributes:
         mass_kg: over 0 where a joint moves it.
@@ -79,20 +79,20 @@ class Inertial:
     inertia_kg_m2: tuple[float, float, float, float, float, float]
 
     def tensor(self) -> Array:
-        """The inertia as a matrix, shape (3, 3) [kg m²]."""
+        """Return the inertia tensor, shape (3, 3) [kg m²]."""
         xx, xy, xz, yy, yz, zz = self.inertia_kg_m2
         return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
     def seen_from(self, frame: Transform) -> Inertial:
-        """The same in the parent of `frame`, the link's."""
+        """Transform to the parent of `frame`, the link's."""
         com_m = frame.origin_m + frame.rotation @ np.array(self.com_m)
         return inertial(self.mass_kg, com_m, frame.rotation @ self.tensor() @ frame.rotation.T)
 
     def principal(self) -> tuple[Array, Array]:
-        """Principal moments [kg m²], shape (3,), and their axes as columns of a rotation, (3, 3).
+        """Diagonalise: principal moments [kg m²], shape (3,), and axes as columns, (3, 3).
 
-        A tensor that is no body's, with one moment over the sum of the others (files round theirs),
-        has that one lowered to the sum: PyBullet would take all of it for 0.
+        Where rounding in a file breaks the triangle inequality of the moments, the largest is
+        lowered to the sum of the others: PyBullet would take all of them for 0.
         """
         tensor = self.tensor()
         if np.any(tensor - np.diag(np.diag(tensor))):
@@ -104,19 +104,18 @@ class Inertial:
         return np.minimum(moments, most), axes
 
 
-NOTHING = Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-"""A link without mass."""
+NOTHING = Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))  # a link without mass
 
 
 def inertial(mass_kg: float, com_m: Array, tensor: Array) -> Inertial:
-    """From arrays: the centre of mass [m], shape (3,), and the inertia [kg m²], shape (3, 3)."""
+    """Make from arrays: centre of mass [m], shape (3,), and inertia [kg m²], shape (3, 3)."""
     x, y, z = (float(value) for value in com_m)
     xx, xy, xz, yy, yz, zz = (float(value) for value in tensor[np.triu_indices(3)])
     return Inertial(mass_kg, (x, y, z), (xx, xy, xz, yy, yz, zz))
 
 
 def combined(parts: Iterable[Inertial]) -> Inertial:
-    """Bodies in one frame, fixed to each other, as one (parallel axis theorem).
+    """Combine bodies fixed to each other (parallel axis theorem); `NOTHING` if massless.
 
     Returns:
         `NOTHING` if they weigh nothing.
@@ -136,6 +135,6 @@ def combined(parts: Iterable[Inertial]) -> Inertial:
 
 
 def solid_sphere(mass_kg: float, radius_m: float) -> Inertial:
-    """A ball about its own centre."""
+    """Return the inertia of a solid sphere about its centre."""
     moment = 0.4 * mass_kg * radius_m**2
     return Inertial(mass_kg, (0.0, 0.0, 0.0), (moment, 0.0, 0.0, moment, 0.0, moment))

@@ -1,4 +1,4 @@
-"""The paper's first experiment: an arm in the engine follows a path by position control."""
+"""Roll out the paper's first experiment: an arm follows a path by position control."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _LIMITS = (
 
 @dataclass(frozen=True)
 class RolloutSettings:
-    """How the engine is set up and the arm controlled.
+    """Settings of the engine and the arm's position control.
 
     Attributes:
         name: the preset these belong to.
         gravity_m_s2: of an arm that stands upright.
         step_hz: of the simulation.
-        burn_in: steps before the first sample, while the arm gets on its path.
+        burn_in: steps before the first sample, while the arm converges to its path.
         samples: steps that are recorded.
-        force_nm: the most that a joint's motor gives.
+        force_nm: effort limit of a joint's motor.
         position_gain: share of a position error that a step takes away.
         velocity_gain: share of a velocity error likewise.
         solver_iterations: with 50, the engine's default, an arm lags by up to 0.004 rad at the
@@ -42,7 +42,7 @@ class RolloutSettings:
         is_damped: with the engine's default damping, which takes 0.007 N·m rms on the circle.
 
     Raises:
-        UsageError: a value that is not finite or out of range.
+        UsageError: a value is not finite or out of range.
     """
 
     name: str
@@ -63,13 +63,14 @@ class RolloutSettings:
                 raise UsageError(f"{name} {value:g} is not from {low:g} to {high:g}")
 
     def times(self) -> Array:
-        """When the path is to be known [s], from its start on, shape (burn_in + samples + 1,)."""
+        """Return the times [s] the path is needed at, shape (burn_in + samples + 1,)."""
         return np.arange(self.burn_in + self.samples + 1) / self.step_hz
 
 
+# The torques are those of rigid links: inverse dynamics along the path gives them too.
 CALIBRATED = RolloutSettings("default")
-"""The torques are those of rigid links: inverse dynamics along the path gives them too."""
 
+# Gains and gravity of the paper's authors, the rest as PyBullet comes.
 PAPER = RolloutSettings(
     "paper",
     gravity_m_s2=(0.0, 0.0, -10.0),
@@ -77,18 +78,17 @@ PAPER = RolloutSettings(
     solver_iterations=50,
     is_damped=True,
 )
-"""Gains and gravity of the paper's authors, the rest as PyBullet comes."""
 
 PRESETS = {settings.name: settings for settings in (CALIBRATED, PAPER)}
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What one rollout recorded.
+    """Recording of one rollout.
 
     Attributes:
-        path: where the arm was before each recorded step; accelerations are what the step did.
-        effort_nm: torques that its motors applied in that step, shape (samples, J).
+        path: states before each recorded step; accelerations are those of the step.
+        effort_nm: motor torques in that step, shape (samples, J).
     """
 
     path: JointPath
@@ -101,7 +101,7 @@ def roll_out(
     payload: Payload | None = None,
     settings: RolloutSettings = CALIBRATED,
 ) -> Rollout:
-    """Follow a path and record the motors' torques. The same arguments give the same bits.
+    """Follow a path and record the motors' torques, deterministically.
 
     Args:
         arm: with limits that the path keeps: motors would fight them.
@@ -110,7 +110,7 @@ def roll_out(
         settings: of engine and motors.
 
     Raises:
-        UsageError: the path is none of this arm.
+        UsageError: the path does not fit the arm.
         ValueError: the path has other times.
     """
     path.checked(arm)

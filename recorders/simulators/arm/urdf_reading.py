@@ -1,4 +1,4 @@
-"""A URDF file as its links and joints: strangers' XML, read strictly and with bounds."""
+"""Read the links and joints of a URDF: untrusted XML, read strictly and within bounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recorders.simulators.arm.rigid_bodies import NOTHING, Inertial, Transform, inertial
-from recorders.simulators.strangers_xml import MOST_XML_BYTES, parse_xml, refuse_xacro
+from recorders.simulators.strangers_xml import MAX_XML_BYTES, parse_xml, refuse_xacro
 from tunenet_logs.errors import UsageError
 from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import short_name
@@ -19,17 +19,13 @@ from tunenet_logs.terminal import short_name
 if TYPE_CHECKING:
     import xml.etree.ElementTree as ET
 
-_MOST_PARTS = 1000
-"""Links of a file: more than any arm's; what has more is refused before it costs."""
+_MAX_PARTS = 1000  # links of a file: more than any arm's; what has more is refused before it costs
+# More than any arm has: a larger value is in other units.
+_MAX_M, _MAX_RAD, _MAX_KG, _MAX_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
 
-_MOST_M, _MOST_RAD, _MOST_KG, _MOST_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
-"""More than any arm has: a larger value is in other units."""
-
-_MOST_LIMIT = 1e9
-"""Of a joint's position [rad or m]: files write large numbers for "none"."""
-
-_LEAST_SHARE = 1e-3
-"""Of a link's largest moment of inertia, that stands for one below 0: engines take 0 for none."""
+_MAX_LIMIT = 1e9  # of a joint's position [rad or m]: files write large numbers for "none"
+# Of a link's largest moment of inertia, that stands for one below 0: engines take 0 for none.
+_MIN_SHARE = 1e-3
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -37,7 +33,7 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 @dataclass(frozen=True, eq=False)
 class FileJoint:
-    """A joint as the file has it.
+    """A joint as in the file.
 
     Attributes:
         origin: the child's frame in the parent's, at 0.
@@ -60,12 +56,12 @@ class FileJoint:
 
 @dataclass(frozen=True)
 class FileRobot:
-    """A robot as the file has it.
+    """A robot as in the file.
 
     Attributes:
-        links: what each weighs; nothing where that is one of `faults`.
+        links: inertia of each; `NOTHING` where it is one of `faults`.
         joints: by the child's name.
-        faults: links whose `<inertial>` makes no sense: of a base, which never moves, it does not
+        faults: links whose `<inertial>` is invalid: of a base, which never moves, it does not
             count.
         mended: links with a moment of inertia below 0, and what was done, in words.
     """
@@ -81,8 +77,8 @@ def read_urdf(path: Path) -> FileRobot:
     """Read links and joints; shapes, materials and extensions are left out.
 
     Raises:
-        UsageError: not a URDF, or something in it that no robot has; with file, element and value.
-            Where it is only what a link weighs, that is in `faults` instead.
+        UsageError: not a URDF, or something in it is invalid; with file, element and value. Where
+            it is only a link's inertia, that is in `faults` instead.
     """
     root = _root(path)
     links: dict[str, Inertial] = {}
@@ -117,7 +113,7 @@ def read_urdf(path: Path) -> FileRobot:
 
 def _root(path: Path) -> ET.Element:
     try:
-        data = read_small_file(path, MOST_XML_BYTES)
+        data = read_small_file(path, MAX_XML_BYTES)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; --urdf takes a robot's URDF file") from error
     except ValueError as error:
@@ -126,13 +122,13 @@ def _root(path: Path) -> ET.Element:
     if root.tag != "robot":
         raise UsageError(f"{path}: begins with <{short_name(root.tag)}>, a URDF with <robot>")
     refuse_xacro(root, path)
-    if len(root) > 10 * _MOST_PARTS or len(root.findall("link")) > _MOST_PARTS:
-        raise UsageError(f"{path}: over {_MOST_PARTS} links, so no URDF of an arm")
+    if len(root) > 10 * _MAX_PARTS or len(root.findall("link")) > _MAX_PARTS:
+        raise UsageError(f"{path}: over {_MAX_PARTS} links, so no URDF of an arm")
     return root
 
 
 class _Place:
-    """A link or joint in the file, to read from and to name in errors."""
+    """A link or joint element, to read from and to name in errors."""
 
     def __init__(self, path: Path, element: ET.Element) -> None:
         self.path = path
@@ -142,13 +138,13 @@ class _Place:
             raise UsageError(f"{path}: a <{element.tag}> has no name of 1 to 200 characters")
 
     def wrong(self, what: str) -> UsageError:
-        """The error that something is wrong here."""
+        """Make the error that something is wrong here."""
         return UsageError(f"{self.path}: {self.element.tag} {short_name(self.name)} {what}")
 
     def numbers(
         self, tag: str, key: str, count: int, most: float, default: str | None = None
     ) -> tuple[float, ...]:
-        """`count` numbers in an attribute of the child `tag`, e.g. "inertial/origin"."""
+        """Parse `count` numbers in an attribute of the child `tag`, e.g. "inertial/origin"."""
         child = self.element.find(tag)
         text = default if child is None else child.get(key, default)
         if text is None:
@@ -168,27 +164,27 @@ class _Place:
         return values
 
     def frame(self, tag: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Origin [m], and roll, pitch and yaw [rad], of the child `tag`."""
-        x, y, z = self.numbers(tag, "xyz", 3, _MOST_M, "0 0 0")
-        roll, pitch, yaw = self.numbers(tag, "rpy", 3, _MOST_RAD, "0 0 0")
+        """Parse origin [m], and roll, pitch and yaw [rad], of the child `tag`."""
+        x, y, z = self.numbers(tag, "xyz", 3, _MAX_M, "0 0 0")
+        roll, pitch, yaw = self.numbers(tag, "rpy", 3, _MAX_RAD, "0 0 0")
         return (x, y, z), (roll, pitch, yaw)
 
 
 def _inertial(place: _Place) -> tuple[Inertial, str]:
-    """What a link weighs; and words on a moment below 0, which an identification may give."""
+    """Read a link's inertia; raise a moment below 0, as identified ones may have, with words."""
     if place.element.find("inertial") is None:
         return NOTHING, ""
-    (mass_kg,) = place.numbers("inertial/mass", "value", 1, _MOST_KG)
+    (mass_kg,) = place.numbers("inertial/mass", "value", 1, _MAX_KG)
     if mass_kg < 0:
         raise place.wrong(f"weighs {mass_kg:g} kg; give its mass, or 0")
-    moments = [place.numbers("inertial/inertia", key, 1, _MOST_KG_M2, "0")[0] for key in _MOMENTS]
+    moments = [place.numbers("inertial/inertia", key, 1, _MAX_KG_M2, "0")[0] for key in _MOMENTS]
     own = Inertial(mass_kg, (0.0, 0.0, 0.0), tuple(moments))  # pyright: ignore[reportArgumentType]
     frame = Transform.at(*place.frame("inertial/origin"))
     principal, axes = np.linalg.eigh(own.tensor())
     least = float(principal[0])
     if least >= -1e-9 * max(map(abs, moments)):
         return own.seen_from(frame), ""
-    raised = np.maximum(principal, _LEAST_SHARE * np.abs(principal).max())
+    raised = np.maximum(principal, _MIN_SHARE * np.abs(principal).max())
     nearest = inertial(mass_kg, np.zeros(3), axes @ np.diag(raised) @ axes.T)
     fault = place.wrong(
         f"has a principal moment of inertia of {least:.3g} kg m²; none is below 0: "
@@ -215,8 +211,8 @@ def _joint(place: _Place, links: Mapping[str, Inertial]) -> FileJoint:
     x, y, z = (float(value) for value in axis / max(length, 1e-6))
     limits = (-math.inf, math.inf)
     if kind in ("revolute", "prismatic") and place.element.find("limit") is not None:
-        (low,) = place.numbers("limit", "lower", 1, _MOST_LIMIT, "0")
-        (high,) = place.numbers("limit", "upper", 1, _MOST_LIMIT, "0")
+        (low,) = place.numbers("limit", "lower", 1, _MAX_LIMIT, "0")
+        (high,) = place.numbers("limit", "upper", 1, _MAX_LIMIT, "0")
         if low > high:
             raise place.wrong(f"has a lower limit of {low:g} and an upper one of {high:g}")
         limits = (low, high)

@@ -1,1 +1,1 @@
-"""Motion that has a formula, without an engine."""
+"""Motion in closed form, without an engine."""

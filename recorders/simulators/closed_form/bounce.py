@@ -1,4 +1,4 @@
-"""A bounce in closed form: a restitution, how it falls with speed, and the air's drag.
+"""Compute bounces in closed form: speed-dependent restitution and quadratic air drag.
 
 Time s in sqrt(2 H / g) after the first impact, height u above contact in drop heights H, so that
 u'' = -2 - drag u' |u'|. Without drag the ball falls from u = 1 at s = -1, and n impacts later
@@ -14,22 +14,20 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-_MOST_FLIGHTS = 400
-"""More than any log has impacts: it ends the flights of a restitution of almost 1."""
+# More than any log has impacts: it ends the flights of a restitution of almost 1.
+_MAX_FLIGHTS = 400
 
-_SLOWEST = 1e-5
-"""Speed [drop heights, sqrt(2 H / g)] below which the ball is at rest: it would rise 2.5e-11 H."""
+# Speed [drop heights, sqrt(2 H / g)] below which the ball is at rest: it would rise 2.5e-11 H.
+_MIN_SPEED = 1e-5
 
-_STEEPEST = 1.5
-"""Angle of a rise beyond which the ball would have come from infinitely fast."""
-
+_STEEPEST = 1.5  # angle of a rise beyond which the ball would have come from infinitely fast
+# Drag below which the ball flies on a parabola: logarithms over it lose half their digits.
 _NO_DRAG = 1e-7
-"""Drag below which the ball flies on a parabola: logarithms over it lose half their digits."""
 
 
 @dataclass(frozen=True)
 class Bounce:
-    """A ball's bounces, each number without a unit.
+    """A ball's bounces, in dimensionless numbers.
 
     Attributes:
         restitution: at the first impact, e_1.
@@ -40,7 +38,7 @@ class Bounce:
             changes with speed: a power law has no bound.
         flies_in: whether the ball flies before the top of the fall, too: it was thrown, or bounced
             before. Else it is held there.
-        contact: for how long each impact keeps it on the table [sqrt(2 H / g)].
+        contact: duration of each impact's contact [sqrt(2 H / g)].
     """
 
     restitution: float
@@ -52,7 +50,7 @@ class Bounce:
     contact: float = 0.0
 
     def heights(self, places: Array) -> Array:
-        """Heights u over contact.
+        """Compute heights u over contact.
 
         Args:
             places: times s [sqrt(2 H / g)] after the first impact, shape (T,).
@@ -93,7 +91,7 @@ class Bounce:
         return heights
 
     def flights(self, last: float) -> tuple[Array, Array]:
-        """The flights that start up to a time.
+        """Compute start times and speeds of the flights up to a time.
 
         Args:
             last: time s [sqrt(2 H / g)].
@@ -108,7 +106,7 @@ class Bounce:
         slowest = self.constant_below
         start, speed = self.contact, (each[0] if each else min(usual, 1.0)) * first
         starts, speeds, count = [start], [speed], 1
-        while start <= last and count < _MOST_FLIGHTS and speed > _SLOWEST:
+        while start <= last and count < _MAX_FLIGHTS and speed > _MIN_SPEED:
             lasted = impact = speed
             if has_drag:  # as in `flight`
                 reach = speed * per_speed
@@ -125,30 +123,30 @@ class Bounce:
             starts.append(start)
             speeds.append(speed)
             count += 1
-        if speed <= _SLOWEST:
+        if speed <= _MIN_SPEED:
             speeds[-1] = 0.0
         return np.array(starts), np.array(speeds)
 
     def arrivals(self, speeds: Array) -> Array:
-        """Speeds of the impacts that flights begin with, shape (N,), of `flights`' speeds (N,)."""
+        """Compute the speeds of the impacts before flights of these speeds, shape (N,)."""
         return np.array([self.impact_speed, *(self.flight(one)[1] for one in speeds[:-1].tolist())])
 
     @property
     def impact_speed(self) -> float:
-        """At the end of the fall [drop heights, sqrt(2 H / g)]."""
+        """Speed of the first impact [drop heights, sqrt(2 H / g)]."""
         if self.drag < _NO_DRAG:
             return 2.0
         return math.sqrt(-2.0 * math.expm1(-2.0 * self.drag) / self.drag)
 
     @property
     def fall_time(self) -> float:
-        """Of the fall; with drag: arccosh(e^drag) / sqrt(2 drag), exact for a small one too."""
+        """Duration of the fall: arccosh(e^drag) / sqrt(2 drag), exact for small drag, too."""
         if self.drag < _NO_DRAG:
             return 1.0
         return math.asinh(math.sqrt(math.expm1(2.0 * self.drag))) / math.sqrt(2.0 * self.drag)
 
     def flight(self, speed: float) -> tuple[float, float]:
-        """How long a flight lasts that begins with `speed`, and the speed at its end.
+        """Compute duration and final speed of a flight that begins with `speed`.
 
         Up: v' = -2 - drag v^2 gives an arctan; down: the same with +, an asinh.
         """

@@ -1,4 +1,4 @@
-"""A body that moves straight up and down in air, in closed form: where it is, and when it lands.
+"""Compute vertical flight in air in closed form: position, speed, and time of landing.
 
 dv/dt = -g - k v |v| with the drag k [1/m]. Upward that is a tangent of time, downward a hyperbolic
 one; without drag it is a parabola.
@@ -12,14 +12,14 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
+# Drag [1/m] below which a flight is a parabola: over 100 m the air changes it by 1e-7.
 _NO_DRAG = 1e-9
-"""Drag [1/m] below which a flight is a parabola: over 100 m the air changes it by 1e-7."""
 
 
 def flown(
     height_m: float, speed_m_s: float, seconds: float, gravity_m_s2: float, drag_1_m: float
 ) -> tuple[float, float]:
-    """Height [m] and upward speed [m/s] after a time of free flight."""
+    """Compute height [m] and upward speed [m/s] after a time of free flight."""
     if drag_1_m < _NO_DRAG:
         after = speed_m_s - gravity_m_s2 * seconds
         return height_m + (speed_m_s + after) / 2 * seconds, after
@@ -39,7 +39,7 @@ def flown(
 def flown_heights_m(
     height_m: float, speed_m_s: float, seconds: Array, gravity_m_s2: float, drag_1_m: float
 ) -> Array:
-    """Heights [m] after times of free flight; see `flown`.
+    """Compute heights [m] after times of free flight; see `flown`.
 
     Args:
         height_m: at the start [m].
@@ -65,7 +65,7 @@ def flown_heights_m(
         top_m += math.log(math.hypot(1.0, speed_m_s / terminal)) / drag_1_m
     else:
         speed = -speed_m_s
-    since = math.atanh(min(speed / terminal, _FASTEST))
+    since = math.atanh(min(speed / terminal, _MAX_SPEED))
     until = since + rate * (seconds[rising:] - rises_s)
     log_cosh = np.where(
         until < 1,
@@ -77,7 +77,7 @@ def flown_heights_m(
 
 
 def lands_after_s(height_m: float, speed_m_s: float, gravity_m_s2: float, drag_1_m: float) -> float:
-    """Time until a body at this height [m] and upward speed [m/s] is at height 0."""
+    """Compute the time to reach height 0 from this height [m] and upward speed [m/s]."""
     if drag_1_m < _NO_DRAG:
         reach = math.sqrt(speed_m_s**2 + 2 * gravity_m_s2 * height_m)
         return (speed_m_s + reach) / gravity_m_s2
@@ -87,17 +87,17 @@ def lands_after_s(height_m: float, speed_m_s: float, gravity_m_s2: float, drag_1
         before_s = math.atan(speed_m_s / terminal) / rate
         height_m += math.log(math.hypot(1.0, speed_m_s / terminal)) / drag_1_m
         speed_m_s = 0.0
-    fallen_s = math.atanh(min(-speed_m_s / terminal, _FASTEST)) / rate
+    fallen_s = math.atanh(min(-speed_m_s / terminal, _MAX_SPEED)) / rate
     fallen_m = _log_cosh(rate * fallen_s) / drag_1_m
     return before_s + _arccosh_exp(drag_1_m * (height_m + fallen_m)) / rate - fallen_s
 
 
-_FASTEST = 1 - 1e-12
-"""Of the terminal speed: a fall from rest comes no nearer in double precision."""
+# Of the terminal speed: a fall from rest comes no nearer in double precision.
+_MAX_SPEED = 1 - 1e-12
 
 
 def _scales(gravity_m_s2: float, drag_1_m: float) -> tuple[float, float]:
-    """Rate [1/s] and terminal speed [m/s] of a fall."""
+    """Return rate [1/s] and terminal speed [m/s] of a fall."""
     return math.sqrt(gravity_m_s2 * drag_1_m), math.sqrt(gravity_m_s2 / drag_1_m)
 
 
@@ -109,22 +109,22 @@ def _fallen(
     terminal: float,
     drag_1_m: float,
 ) -> tuple[float, float]:
-    """The downward part of a flight: a later part of a fall from rest."""
-    since = math.atanh(min(-speed_m_s / terminal, _FASTEST))
+    """Compute the downward part of a flight: a later part of a fall from rest."""
+    since = math.atanh(min(-speed_m_s / terminal, _MAX_SPEED))
     until = since + rate * seconds
     fall_m = (_log_cosh(until) - _log_cosh(since)) / drag_1_m
     return height_m - fall_m, -terminal * math.tanh(until)
 
 
 def _log_cosh(value: float) -> float:
-    """log(cosh(value)), also of values whose cosh is too large, or too near to 1."""
+    """Compute log(cosh(value)), also where cosh is too large, or too near to 1."""
     if value < 1:
         return math.log1p(2 * math.sinh(value / 2) ** 2)
     return value + math.log1p(math.exp(-2 * value)) - math.log(2)
 
 
 def _arccosh_exp(value: float) -> float:
-    """arccosh(e^value), exact for a small one too."""
+    """Compute arccosh(e^value), exact for small values, too."""
     if value > 20:
         return value + math.log(2)
     return math.asinh(math.sqrt(math.expm1(2 * value)))

@@ -1,1 +1,1 @@
-"""MuJoCo as an engine."""
+"""MuJoCo as a physics engine."""

@@ -1,4 +1,4 @@
-"""An arm in MuJoCo: inverse dynamics along a path, and motors that follow one."""
+"""Simulate an arm in MuJoCo: inverse dynamics along a path, and position control."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from recorders.simulators.arm.path import JointPath
     from recorders.simulators.arm.rollout import RolloutSettings
 
-_LEAST_MOMENT_KG_M2 = 1e-12
-"""MuJoCo takes no body without inertia; this one moves no torque by 1e-9 N·m."""
+# MuJoCo takes no body without inertia; this one moves no torque by 1e-9 N·m.
+_MIN_MOMENT_KG_M2 = 1e-12
 
 
 def inverse_dynamics(
@@ -29,7 +29,7 @@ def inverse_dynamics(
     payload: Payload | None,
     gravity_m_s2: tuple[float, float, float],
 ) -> Array:
-    """Torques along a path, shape (T, J) [N·m]; see `Engine`."""
+    """Compute the torques along a path, shape (T, J) [N·m]; see `Engine`."""
     model, data = _model(arm, payload, gravity_m_s2)
     solve = mujoco().mj_inverse
     efforts_nm = np.empty_like(path.position_rad)
@@ -44,13 +44,13 @@ def inverse_dynamics(
 def position_control(
     arm: Arm, path: JointPath, payload: Payload | None, settings: RolloutSettings
 ) -> Array:
-    """States after each step of a rollout, shape (steps, J, 3); see `Engine`.
+    """Simulate the states after each step, shape (steps, J, 3); see `Engine`.
 
     A motor gives the torque with which the step ends at the speed that PyBullet's position control
     aims at: the joint's own, with a share of the errors of speed and position taken away.
 
     Raises:
-        UsageError: settings that are another engine's own behaviour.
+        UsageError: settings that only another engine can reproduce.
     """
     if settings.is_damped:
         raise UsageError(
@@ -76,7 +76,7 @@ def position_control(
 
 
 def _model(arm: Arm, payload: Payload | None, gravity_m_s2: Sequence[float]) -> tuple[Any, Any]:
-    """The arm on a fixed base, without limits, contacts or damping, and a state of it."""
+    """Compile the arm on a fixed base, without limits, contacts or damping; with its data."""
     spec = mujoco().MjSpec()
     spec.option.gravity = gravity_m_s2
     spec.option.disableflags = int(mujoco().mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -102,12 +102,12 @@ def _body(parent: Any, origin_m: Sequence[float], rpy: Sequence[float], weight: 
         mass=weight.mass_kg,
         ipos=weight.com_m,
         iquat=_quaternion(axes),
-        inertia=np.maximum(moments, _LEAST_MOMENT_KG_M2),
+        inertia=np.maximum(moments, _MIN_MOMENT_KG_M2),
     )
 
 
 def _quaternion(rotation: Array) -> Array:
-    """Of a rotation, shape (3, 3): w, x, y, z."""
+    """Convert a rotation, shape (3, 3), to w, x, y, z."""
     quaternion = np.zeros(4)
     mujoco().mju_mat2Quat(quaternion, rotation.ravel())
     return quaternion

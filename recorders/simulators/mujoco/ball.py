@@ -1,4 +1,4 @@
-"""A ball over a plane in MuJoCo, whose contacts have no restitution but stiffness and damping.
+"""Simulate a ball over a plane in MuJoCo, with restitution by contact stiffness and damping.
 
 A contact's reference acceleration is -b v, with b the damping and v the speed of the surfaces
 towards each other. With no stiffness, an impedance near 1 and b = (1 + e) / h, one step of length
@@ -17,8 +17,8 @@ from recorders.simulators.mujoco.library import mujoco
 from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 
+# `solimp` of a contact that is as hard as MuJoCo makes one, at every depth.
 IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""`solimp` of a contact that is as hard as MuJoCo makes one, at every depth."""
 
 _MODEL = """
 <mujoco>
@@ -38,10 +38,10 @@ _MODEL = """
 
 
 class MujocoBallWorld:
-    """One model of a plane and a ball; see `recorders.simulators.base.BallWorld`.
+    """A MuJoCo model of a plane and a ball; see `recorders.simulators.base.BallWorld`.
 
     Raises:
-        UsageError: contacts that are another engine's own behaviour.
+        UsageError: contacts that only another engine can reproduce.
     """
 
     def __init__(self, radius_m: float, contact: ContactSettings) -> None:

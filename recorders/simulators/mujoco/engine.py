@@ -1,4 +1,4 @@
-"""What MuJoCo offers as an engine; see `recorders.simulators.base.Engine`."""
+"""MuJoCo's implementation of `recorders.simulators.base.Engine`."""
 
 from __future__ import annotations
 

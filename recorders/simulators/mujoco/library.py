@@ -1,4 +1,4 @@
-"""MuJoCo's module, imported when first needed: that takes most of a second."""
+"""Import MuJoCo when first needed: that takes most of a second."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from types import ModuleType
 
 @cache
 def mujoco() -> ModuleType:
-    """The library's module, whose names its own type stubs leave out."""
+    """Import the library's module, untyped: its stubs leave names out."""
     import mujoco as module
 
     # what a stranger's model says in an old way, MuJoCo says at each compilation

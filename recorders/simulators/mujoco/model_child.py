@@ -1,4 +1,4 @@
-"""Compiles and runs a model in a process of its own, with little memory and time.
+"""Compile and run a model in a process of its own, with limited memory and time.
 
 MuJoCo believes the counts in a file: some make it allocate all memory there is, or work for hours
 on one step. Here the system ends that, and a crash stays here. Run as a script: it reads requests,
@@ -24,22 +24,22 @@ from typing import Any
 
 import numpy as np
 
-MEMORY_BYTES, MOST_MEMORY_BYTES = 400_000_000, 3_000_000_000  # beyond what the libraries have
+MEMORY_BYTES, MAX_MEMORY_BYTES = 400_000_000, 3_000_000_000  # beyond what the libraries have
 MEMORY_PER_BYTE = 16  # of the model's files: what compiling an honest mesh takes
 
+# CPU time: of reading and compiling; and of the next few steps, less than 0.2 s as a rule.
 COMPILING_S, PIECE_S = 10, 5
-"""CPU time: of reading and compiling; and of the next few steps, less than 0.2 s as a rule."""
 
 MAX_ROLLOUT_S = 60.0  # CPU time of one, told by its first `_JUDGED_S`
 _JUDGED_S = 5.0
 
-MOST_DOF, MOST_BODIES, MOST_GEOMS, MOST_OTHERS = 200, 2000, 10_000, 2000
-MOST_MODEL_MB, MOST_MODEL_MB_PER_MB = 30, 12  # compiled; and of each MB of its files
-MOST_WORKING_MB = 300  # <size memory>, of which each rollout takes as much as its contacts need
+MAX_DOF, MAX_BODIES, MAX_GEOMS, MAX_OTHERS = 200, 2000, 10_000, 2000
+MAX_MODEL_MB, MAX_MODEL_MB_PER_MB = 30, 12  # compiled; and of each MB of its files
+MAX_WORKING_MB = 300  # <size memory>, of which each rollout takes as much as its contacts need
 
-_MOST_THREADS, _STACK_BYTES = 16, 2 << 20
+_MAX_THREADS, _STACK_BYTES = 16, 2 << 20
+# Of a rollout, which is made in pieces, so that its end can be foreseen.
 _FIRST_STEPS, _PIECE_S, _PIECE_BYTES = 16, 0.1, 4_000_000
-"""Of a rollout, which is made in pieces, so that its end can be foreseen."""
 
 
 class _TooSlowError(Exception):
@@ -47,7 +47,7 @@ class _TooSlowError(Exception):
 
 
 def main() -> None:
-    """Serves one parent; see the module."""
+    """Serve one parent's requests; see the module."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # MuJoCo prints what it likes
     mujoco: Any = import_module("mujoco")
@@ -76,7 +76,7 @@ def main() -> None:
 
 
 class _Serving:
-    """Requests, by name; each returns what its line of JSON says, and arrays."""
+    """Requests by name; each returns the fields of its line of JSON, and arrays."""
 
     def __init__(self, mujoco: Any) -> None:
         self._mujoco = mujoco
@@ -86,9 +86,9 @@ class _Serving:
     def compile(
         self, xml: bytes, models: Mapping[str, bytes], files: Mapping[str, bytes]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Whether it compiles, and what it then has; it is stepped once."""
+        """Compile a model, describe it, and step it once."""
         file_bytes = sum(map(len, files.values()))
-        _limit_memory(min(MEMORY_BYTES + MEMORY_PER_BYTE * file_bytes, MOST_MEMORY_BYTES))
+        _limit_memory(min(MEMORY_BYTES + MEMORY_PER_BYTE * file_bytes, MAX_MEMORY_BYTES))
         spec = self._mujoco.MjSpec.from_string(xml.decode(), include=models, assets=files)
         model = spec.compile()
         found = _described(self._mujoco, model, file_bytes)
@@ -98,17 +98,16 @@ class _Serving:
         return found, {}
 
     def load(self, model: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The compiled model that is run from here on."""
+        """Take the compiled model to run from here on."""
         self._model = model
         return {}, {}
 
     def run(
         self, rows: list[Any], controls: list[Any], wants_qpos: bool, **settings: Any
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Rollouts, one a row: values of the model's arrays, qpos, qvel, and the control's number.
+        """Roll out each row: values of the model's arrays, qpos, qvel, and the control's index.
 
-        What is from where a rollout stops is NaN; it says how many steps were made, and why it
-        stopped.
+        Values are NaN from where a rollout stops; its number of steps and the reason are returned.
         """
         mujoco, model = self._mujoco, self._model
         steps = settings["steps"]
@@ -116,7 +115,7 @@ class _Serving:
         sensed = np.empty((len(rows), steps, model.nsensordata))
         qpos = np.empty((len(rows) if wants_qpos else 0, steps + 1, model.nq))
         each_bytes = mujoco.mj_sizeModel(model) + model.narena + mujoco.MjData(model).nbuffer
-        count = int(np.clip(MEMORY_BYTES // each_bytes, 1, _MOST_THREADS))
+        count = int(np.clip(MEMORY_BYTES // each_bytes, 1, _MAX_THREADS))
         count = min(count, os.cpu_count() or 1, len(rows))
         _limit_memory(2 * MEMORY_BYTES)
 
@@ -138,7 +137,7 @@ class _Serving:
         return {"kept": kept, "why": why}, found
 
     def _begun(self, row: Any, step_s: float, is_late: bool) -> tuple[Any, Any, Any]:
-        """The model with a row's values, data for it, and the state that it begins with."""
+        """Prepare a row's model, its data, and the initial state."""
         mujoco = self._mujoco
         values, qpos, qvel, _ = row
         model = copy(self._model)
@@ -170,7 +169,7 @@ class _Serving:
         is_late: bool,
         columns: Any,
     ) -> tuple[int, str]:
-        """Steps that were made, and what stopped it: a warning of MuJoCo's, or its last words."""
+        """Roll out one row; return its steps, and the MuJoCo warning or error that stopped it."""
         rollout = import_module("mujoco.rollout")
         mujoco, began_s = self._mujoco, time.thread_time()
         try:
@@ -218,7 +217,7 @@ class _Serving:
         return done, why
 
     def _foresee(self, spent_s: float, done: int, steps: int) -> None:
-        """End what would last too long, and a process whose parent is gone."""
+        """Abort a rollout that would last too long, and exit if the parent is gone."""
         if os.getppid() != self._parent:
             os._exit(0)
         needed_s = spent_s * steps / max(done, 1)
@@ -228,7 +227,7 @@ class _Serving:
 
 
 def put_array(model: Any, name: str, value: Any) -> None:
-    """Set an array of a model in place, or a number; `opt.` stands before the options' names."""
+    """Set a model's array in place, or a scalar; options are prefixed by `opt.`."""
     owner = model.opt if name.startswith("opt.") else model
     name = name.removeprefix("opt.")
     if isinstance(getattr(owner, name), np.ndarray):
@@ -238,20 +237,20 @@ def put_array(model: Any, name: str, value: Any) -> None:
 
 
 def _good_steps(times_s: Any, done: int, step_s: float) -> int:
-    """How many of the times after steps are as they should be: from a warning on, all are one."""
+    """Count the steps before time stops advancing: after a warning, all times are one."""
     expected_s = step_s * np.arange(done + 1, done + len(times_s) + 1)
     good = np.isclose(times_s, expected_s, rtol=0, atol=step_s / 2)
     return len(times_s) if good.all() else int(np.argmin(good))
 
 
 def _warnings(mujoco: Any, data: Any) -> str:
-    """MuJoCo's names of what it warned of in the last piece."""
+    """Return the names of MuJoCo's warnings in the last piece."""
     kinds = [one for one in mujoco.mjtWarning.__members__.values() if one.name != "mjNWARNING"]
     return ", ".join(one.name for one in kinds if data.warning[int(one)].number)
 
 
 def _limit_memory(more_bytes: int) -> None:
-    """No more than that, where /proc tells what is used, whatever the file claims."""
+    """Limit the address space beyond what is in use, where /proc tells that."""
     with suppress(OSError), open("/proc/self/statm") as file:
         used = int(file.read().split()[0]) * resource.getpagesize()
         hard = resource.getrlimit(resource.RLIMIT_AS)[1]
@@ -259,7 +258,7 @@ def _limit_memory(more_bytes: int) -> None:
 
 
 def _more_time(more_s: int) -> None:
-    """The system ends this process when it has worked for so long, unless this is called again."""
+    """Let the system end this process after so much more CPU time, unless called again."""
     spent = resource.getrusage(resource.RUSAGE_SELF)
     seconds = int(spent.ru_utime + spent.ru_stime) + 1 + more_s
     hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
@@ -268,21 +267,21 @@ def _more_time(more_s: int) -> None:
 
 
 def _described(mujoco: Any, model: Any, file_bytes: int) -> dict[str, Any]:
-    """What is beyond the bounds, in words; arrays that are not finite; and the step [s]."""
-    most_mb = MOST_MODEL_MB + MOST_MODEL_MB_PER_MB * file_bytes // 1_000_000
+    """Describe what exceeds the bounds, non-finite arrays, and the time step [s]."""
+    most_mb = MAX_MODEL_MB + MAX_MODEL_MB_PER_MB * file_bytes // 1_000_000
     bounds = {
-        "degrees of freedom": (int(model.nv), MOST_DOF),
-        "bodies": (int(model.nbody), MOST_BODIES),
-        "geoms": (int(model.ngeom), MOST_GEOMS),
-        "actuators": (int(model.nu), MOST_OTHERS),
-        "tendons": (int(model.ntendon), MOST_OTHERS),
-        "equality constraints": (int(model.neq), MOST_OTHERS),
-        "MB of working memory": (int(model.narena) // 1_000_000, MOST_WORKING_MB),
+        "degrees of freedom": (int(model.nv), MAX_DOF),
+        "bodies": (int(model.nbody), MAX_BODIES),
+        "geoms": (int(model.ngeom), MAX_GEOMS),
+        "actuators": (int(model.nu), MAX_OTHERS),
+        "tendons": (int(model.ntendon), MAX_OTHERS),
+        "equality constraints": (int(model.neq), MAX_OTHERS),
+        "MB of working memory": (int(model.narena) // 1_000_000, MAX_WORKING_MB),
         "MB when compiled": (int(mujoco.mj_sizeModel(model)) // 1_000_000, most_mb),
     }
     if all(count <= most for count, most in bounds.values()):
         state_mb = int(mujoco.MjData(model).nbuffer) // 1_000_000
-        bounds["MB of state"] = (state_mb, MOST_MODEL_MB)
+        bounds["MB of state"] = (state_mb, MAX_MODEL_MB)
     arrays = {name: getattr(model, name) for name in dir(model) if name[0] != "_"}
     arrays |= {f"option {name}": getattr(model.opt, name) for name in dir(model.opt)}
     return {

@@ -1,4 +1,4 @@
-"""What the elements of a model's XML may be: no code of others, finite numbers, few copies."""
+"""Check and normalise a model's XML: no foreign code, finite numbers, few copies."""
 
 from __future__ import annotations
 
@@ -12,14 +12,10 @@ from recorders.simulators.strangers_xml import check_depth
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import short_name
 
-_MOST_COPIES = 100_000
-"""Elements of a model after <replicate> and <flexcomp>."""
-
-_MOST_VALUES = 100_000
-"""Of each counter in <size>: user values and keyframes."""
-
+_MAX_COPIES = 100_000  # elements of a model after <replicate> and <flexcomp>
+_MAX_VALUES = 100_000  # of each counter in <size>: user values and keyframes
+# Of a model's working memory: a thousand contacts fit.
 _OLD_SIZES, _MEMORY = ("njmax", "nconmax", "nstack"), "100M"
-"""Of a model's working memory: a thousand contacts fit."""
 
 _CODE = ("plugin", "extension")
 _NAMES = ("name", "class", "childclass", "prefix")
@@ -27,7 +23,7 @@ _NOT_FINITE = re.compile(r"nan|inf|e\+?\d{3}", re.IGNORECASE)
 
 
 def check_elements(root: ET.Element, path: Path) -> None:
-    """Refuse what runs code, is not finite, or makes a model large beyond all use.
+    """Refuse elements that run code, are not finite, or make a model excessively large.
 
     Raises:
         UsageError: there is such an element; `path` stands first.
@@ -45,16 +41,16 @@ def check_elements(root: ET.Element, path: Path) -> None:
         _check_values(element, path)
         own = copies * _copies(element, tag)
         total += own
-        if total > _MOST_COPIES:
+        if total > _MAX_COPIES:
             raise UsageError(
-                f"{path}: has over {_MOST_COPIES} elements, copies of <{tag}> counted",
+                f"{path}: has over {_MAX_COPIES} elements, copies of <{tag}> counted",
                 "lower the count in <replicate> or <flexcomp>",
             )
         stack += [(child, own) for child in element]
 
 
 def give_memory(root: ET.Element) -> None:
-    """Say in one word what older models say in three, by which some would take GBs."""
+    """Replace the three legacy memory sizes, some of which take GBs, by `memory`."""
     for size in root.iter("size"):
         old = [size.attrib.pop(key) for key in _OLD_SIZES if key in size.attrib]
         if old:
@@ -62,7 +58,7 @@ def give_memory(root: ET.Element) -> None:
 
 
 def without_namespace(root: ET.Element) -> None:
-    """Take the outermost element's namespace from all that have it."""
+    """Strip the root element's XML namespace from all elements."""
     if root.tag.startswith("{"):
         space = root.tag[: root.tag.index("}") + 1]
         for element in root.iter():
@@ -70,7 +66,7 @@ def without_namespace(root: ET.Element) -> None:
 
 
 def keep_physics(robot: ET.Element) -> None:
-    """Leave out of a URDF what moves no link: visual shapes, and words for other programs."""
+    """Remove from a URDF what moves no link: visual shapes, and extensions."""
     robot[:] = [part for part in robot if part.tag in ("link", "joint", "mujoco")]
     for part in robot:
         if part.tag == "link":
@@ -80,7 +76,7 @@ def keep_physics(robot: ET.Element) -> None:
 
 
 def make_plain(texture: ET.Element) -> None:
-    """A texture of one colour in the place of one that is in files: physics sees none."""
+    """Replace a texture's files by one colour: physics sees none."""
     files = [value for key, value in texture.attrib.items() if key.startswith("file")]
     if files:
         said, kept = dict(texture.attrib), {"name", "type", "class"} & texture.attrib.keys()
@@ -90,7 +86,7 @@ def make_plain(texture: ET.Element) -> None:
 
 
 def file_stem(reference: str) -> str:
-    """What MuJoCo calls an element that has a file and no name."""
+    """Return MuJoCo's name for an element that has a file and no name."""
     return PureWindowsPath(reference).stem
 
 
@@ -100,18 +96,18 @@ def _check_values(element: ET.Element, path: Path) -> None:
         if key not in _NAMES and _NOT_FINITE.search(value) and not _is_finite(value):
             raise UsageError(f"{what} is not finite", "give a finite number")
         is_counter = element.tag == "size" and key.startswith(("nuser", "nkey"))
-        if is_counter and (_number(value) or 0) > _MOST_VALUES:
-            raise UsageError(f"{what} is over the limit of {_MOST_VALUES}", "lower it")
+        if is_counter and (_number(value) or 0) > _MAX_VALUES:
+            raise UsageError(f"{what} is over the limit of {_MAX_VALUES}", "lower it")
 
 
 def _is_finite(text: str) -> bool:
-    """Whether a text is no list of numbers, or one of finite ones."""
+    """Return whether a text is no list of numbers, or one of finite ones."""
     numbers = [_number(word) for word in text.split()]
     return None in numbers or all(map(math.isfinite, numbers))  # pyright: ignore[reportArgumentType]
 
 
 def _copies(element: ET.Element, tag: str) -> int:
-    """How many of an element and of all in it there are."""
+    """Count the copies of an element and all in it."""
     if tag not in ("replicate", "flexcomp"):
         return 1
     counts = [_number(word) or 1.0 for word in element.get("count", "1").split()]

@@ -1,4 +1,4 @@
-"""What of a MuJoCo model can be tuned: the fields of its elements, by kind."""
+"""Tunable fields of a MuJoCo model's elements, by kind."""
 
 from __future__ import annotations
 
@@ -8,25 +8,24 @@ from dataclasses import dataclass, field
 
 _Limits = tuple[float, float]
 
-_MOST = 1e9
-"""Of any value."""
+_MAX = 1e9  # of any value
 
 
 @dataclass(frozen=True)
 class ModelField:
-    """A quantity that elements of one kind have.
+    """A tunable quantity of one kind of element.
 
     Attributes:
         array: of the compiled model, by the element's number or that of its first degree of
             freedom.
         unit: of its values, in SI.
-        least: that physics allows.
-        size: values of one element; 1 for a number.
+        least: smallest value that physics allows.
+        size: values of one element; 1 for a scalar.
         by_dof: whether the array is by degree of freedom.
-        usual: where to look, if the model's value is there; else a fifth to five times that.
-        within: smallest and largest value by index, where not all of them have the same.
-        laws: by index, what a value is above 0, and what below, where that is not one law; empty
-            where it is.
+        usual: search range, if the model's value is in it; else a fifth to five times that.
+        within: smallest and largest value by index, where they differ.
+        laws: by index, the quantity's meaning above 0, and below, where these differ; empty where
+            they do not.
     """
 
     array: str
@@ -41,8 +40,8 @@ class ModelField:
     laws: tuple[tuple[str, str], ...] = ()
 
     def bounds(self, index: int) -> _Limits:
-        """Of the value with an index."""
-        return self.within.get(index, (max(self.least, -_MOST), _MOST))
+        """Return the bounds of the value at an index."""
+        return self.within.get(index, (max(self.least, -_MAX), _MAX))
 
 
 _ANY = -math.inf
@@ -94,6 +93,7 @@ FIELDS: Mapping[str, Mapping[str, ModelField]] = {
     },
 }
 
+# All that a parameter may change in a compiled model.
 TUNED_ARRAYS = sorted(
     {
         f"opt.{one.array}" if kind == "option" else one.array
@@ -101,8 +101,8 @@ TUNED_ARRAYS = sorted(
         for one in fields.values()
     }
 )
-"""All that a parameter may change in a compiled model."""
 
+# Of a joint that slides, in place of those of one that turns.
 SLIDING_UNITS = {
     "N·m·s/rad": "N·s/m",
     "N·m": "N",
@@ -110,4 +110,3 @@ SLIDING_UNITS = {
     "N·m/rad": "N/m",
     "rad": "m",
 }
-"""Of a joint that slides, in place of those of one that turns."""

@@ -1,4 +1,4 @@
-"""A MuJoCo model or a URDF that others made, read strictly: MuJoCo itself opens no file."""
+"""Read an untrusted MuJoCo model or URDF strictly: MuJoCo itself opens no file."""
 
 from __future__ import annotations
 
@@ -26,15 +26,13 @@ from tunenet_logs.terminal import short_name
 _WANTED = "--model takes a MuJoCo model (MJCF) or a URDF"
 _KIND = "MuJoCo model or URDF"
 
-_DEEPEST = 16
-"""Files that include or attach each other."""
-
+_MAX_DEPTH = 16  # files that include or attach each other
 _WITH_FILE = ("mesh", "flexcomp", "hfield", "skin")
 _MESHES = (".stl", ".obj", ".msh")
 
 
 def read_model(path: Path, home: Path | None = None, process: ModelProcess | None = None) -> Any:
-    """A model, ready to compile; textures are plain, and a URDF's visual shapes are left out.
+    """Read a model, ready to compile; textures are plain, a URDF's visual shapes left out.
 
     Args:
         path: an MJCF or a URDF.
@@ -46,7 +44,7 @@ def read_model(path: Path, home: Path | None = None, process: ModelProcess | Non
         A `mujoco.MjSpec`, with its meshes in it.
 
     Raises:
-        UsageError: it cannot be read, names files outside its folder, runs code of others, or
+        UsageError: it cannot be read, names files outside its folder, runs foreign code, or
             MuJoCo does not compile it within bounds of time, memory and size; with the path first.
     """
     folder = ModelFolder(path, home)
@@ -61,7 +59,7 @@ def read_model(path: Path, home: Path | None = None, process: ModelProcess | Non
 
 
 class _ModelReader:
-    """Gathers the files of a model, and writes its XML with names that MuJoCo finds there."""
+    """Gathers the files of a model, and renames them in its XML."""
 
     def __init__(self, folder: ModelFolder) -> None:
         self.folder = folder
@@ -70,7 +68,7 @@ class _ModelReader:
         self._names: dict[Path, str] = {}
 
     def prepared(self, path: Path, data: bytes, above: tuple[Path, ...]) -> str:
-        """A model's XML, with what it includes; `above` are the models that attach it."""
+        """Return a model's XML, includes resolved; `above` are the models that attach it."""
         named = path if above else self.folder.named
         root = parse_xml(data, named, _KIND, _WANTED)
         without_namespace(root)
@@ -88,13 +86,13 @@ class _ModelReader:
         return ET.tostring(root, encoding="unicode")
 
     def _include(self, root: ET.Element, folders: list[Path], seen: set[Path], depth: int) -> None:
-        """Put into the place of each <include> what its file holds."""
+        """Replace each <include> by its file's content."""
         for parent in list(root.iter()):
             for child in [one for one in parent if one.tag.lower() == "include"]:
                 reference = child.get("file", "")
                 path = self.folder.find([reference], folders, "include")
-                if path in seen or depth >= _DEEPEST:
-                    why = "twice, or in itself" if path in seen else f"over {_DEEPEST} deep"
+                if path in seen or depth >= _MAX_DEPTH:
+                    why = "twice, or in itself" if path in seen else f"over {_MAX_DEPTH} deep"
                     raise UsageError(
                         f"{self.folder.named}: includes {short_name(reference)} {why}",
                         "include each file once",
@@ -114,7 +112,7 @@ class _ModelReader:
                 parent[index : index + 1] = list(part)
 
     def _gather(self, root: ET.Element, folders: list[Path], above: tuple[Path, ...]) -> None:
-        """Read the files that elements name, and name them anew."""
+        """Read the files that elements name, and rename them."""
         is_urdf = root.tag == "robot"
         options = _compiler(root)
         folder = options.get("meshdir", options.get("assetdir", "")).replace("\\", "/")
@@ -141,8 +139,8 @@ class _ModelReader:
 
     def _attached(self, reference: str, folders: list[Path], above: tuple[Path, ...]) -> str:
         path = self.folder.find([reference], folders, "model")
-        if path in above or len(above) >= _DEEPEST:
-            why = "itself" if path in above else f"models over {_DEEPEST} deep"
+        if path in above or len(above) >= _MAX_DEPTH:
+            why = "itself" if path in above else f"models over {_MAX_DEPTH} deep"
             raise UsageError(
                 f"{self.folder.named}: attaches {why} by {short_name(reference)}",
                 "attach another model",
@@ -167,7 +165,7 @@ class _ModelReader:
         return self._names[path]
 
     def _new_name(self, path: Path) -> str:
-        """A name without a folder, and so that no two differ in case alone."""
+        """Make a unique name without a folder, not differing in case alone."""
         stem = re.sub(r"[^\w-]", "_", path.stem)[:60]
         taken = {name.lower() for name in self._names.values()}
         name = f"{stem}{path.suffix.lower()}"
@@ -178,7 +176,7 @@ class _ModelReader:
 
 
 def _compiler(root: ET.Element) -> Mapping[str, str]:
-    """The settings of all <compiler>s, the last one's first; those of files are taken out."""
+    """Merge the settings of all <compiler>s, the last first, and drop those of files."""
     found: dict[str, str] = {}
     for element in root.iter("compiler"):
         found |= element.attrib
@@ -188,7 +186,7 @@ def _compiler(root: ET.Element) -> Mapping[str, str]:
 
 
 def _references(reference: str, strippath: str | None, *, is_urdf: bool) -> list[str]:
-    """The ways to look for a file: MuJoCo takes folders away where `strippath` says so."""
+    """Return the paths to try for a file: MuJoCo strips folders if `strippath` is set."""
     bare = PureWindowsPath(reference).name
     if strippath == "true":
         return [bare, reference]

@@ -1,4 +1,4 @@
-"""The files that a model may read: those of its own folder, within bounds of size and number."""
+"""Find and read a model's files, only in its own folder, bounded in size and number."""
 
 from __future__ import annotations
 
@@ -6,50 +6,49 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
-from recorders.simulators.strangers_xml import MOST_XML_BYTES
+from recorders.simulators.strangers_xml import MAX_XML_BYTES
 from tunenet_logs.errors import CHECK_DISK, LogError, UsageError
 from tunenet_logs.regular_file import real_path
 from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import short_name
 
-_MOST_FILE_BYTES, _MOST_BYTES, _MOST_XML = 64_000_000, 256_000_000, 16_000_000
-"""Of a mesh or height field, of all files together, and of all XML."""
+# Of a mesh or height field, of all files together, and of all XML.
+_MAX_FILE_BYTES, _MAX_BYTES, _MAX_XML = 64_000_000, 256_000_000, 16_000_000
 
-_MOST_FILES = 2000
-_MOST_PARENTS = 32
+_MAX_FILES = 2000
+_MAX_PARENTS = 32
 
 _SCHEME = re.compile(r"(package|model|file)://+(.*)", re.DOTALL)
 
 
 class ModelFolder:
-    """Finds and reads a model's files; none outside its folder, or its package, is opened.
+    """A reader of a model's files that opens none outside its folder or its package.
 
     Args:
-        path: the model's file.
         home: the folder that its files may come from; by default its own, and the package that it
             lies in (the nearest folder above with a package.xml).
 
     Attributes:
-        path: the model's file, links followed.
-        folder: of it.
+        path: the model's file, links resolved.
+        folder: its folder.
     """
 
     def __init__(self, path: Path, home: Path | None) -> None:
         self.named = path
         self.path = real_path(path)
         self.folder = self.path.parent
-        parents = [self.folder, *self.folder.parents][:_MOST_PARENTS]
+        parents = [self.folder, *self.folder.parents][:_MAX_PARENTS]
         package = next((one for one in parents if (one / "package.xml").is_file()), self.folder)
         self._homes = [self.folder, package, *([real_path(home)] if home else [])]
         self._parents = parents
         self._bytes = self._xml_bytes = self._files = 0
 
     def names(self, tag: str, reference: str) -> str:
-        """How a sentence on a file begins that `<tag>` names."""
+        """Begin an error message on a file that `<tag>` names."""
         return f'{self.named}: <{tag}> names "{short_name(reference)}", which'
 
     def find(self, references: Sequence[str], places: Sequence[Path], tag: str) -> Path:
-        """The real path of a file that `<tag>` names.
+        """Resolve a file that `<tag>` names to its real path.
 
         Args:
             references: ways to name it, the model's own among them: a path, or package://NAME/PATH.
@@ -76,18 +75,13 @@ class ModelFolder:
         raise UsageError(f"{named} is not there", "copy it beside the model, or correct the name")
 
     def read(self, path: Path, named: str, *, is_xml: bool = False) -> bytes:
-        """The bytes of a file that was found.
-
-        Args:
-            path: as `find` returns it.
-            named: how a sentence on it begins.
-            is_xml: of XML there may be less.
+        """Read a file that `find` returned, with tighter limits for XML.
 
         Raises:
-            UsageError: it is no regular file, cannot be read, or is too large.
+            UsageError: it is no regular file, cannot be read, or is too large; `named` begins it.
         """
         try:
-            data = read_small_file(path, MOST_XML_BYTES if is_xml else _MOST_FILE_BYTES)
+            data = read_small_file(path, MAX_XML_BYTES if is_xml else _MAX_FILE_BYTES)
         except LogError as error:
             raise UsageError(f"{named} is no regular file", "copy it to one") from error
         except OSError as error:
@@ -97,10 +91,10 @@ class ModelFolder:
         self._files += 1
         self._bytes += len(data)
         self._xml_bytes += len(data) if is_xml else 0
-        if self._files > _MOST_FILES:
-            raise UsageError(f"{self.named}: names over {_MOST_FILES} files", "remove some")
-        if self._bytes > _MOST_BYTES or self._xml_bytes > _MOST_XML:
-            limit = "256 MB" if self._bytes > _MOST_BYTES else "16 MB of XML"
+        if self._files > _MAX_FILES:
+            raise UsageError(f"{self.named}: names over {_MAX_FILES} files", "remove some")
+        if self._bytes > _MAX_BYTES or self._xml_bytes > _MAX_XML:
+            limit = "256 MB" if self._bytes > _MAX_BYTES else "16 MB of XML"
             raise UsageError(f"{self.named}: its files have over {limit}", "make meshes smaller")
         return data
 
@@ -115,7 +109,7 @@ class ModelFolder:
             yield from self._in_package(package, _posix(rest))
 
     def _in_package(self, package: str, rest: PurePosixPath) -> Iterator[Path]:
-        """Where a package's file may lie: from the model's folder up to the package's, or below."""
+        """Yield a package file's candidates, from the model's folder up to the package's."""
         names = [one.name for one in self._parents]
         if package in names:
             inside = self._parents[: names.index(package) + 1]
@@ -137,7 +131,7 @@ def _is_there(path: Path) -> bool:
 
 
 def _is_a_project(folder: Path) -> bool:
-    """Whether a folder may be a package: not one of the system, or one that holds a user's home."""
+    """Return whether a folder may be a package: no system folder, nor above a home."""
     return len(folder.parts) > 2 and not real_path(Path.home()).is_relative_to(folder)
 
 

@@ -1,4 +1,4 @@
-"""What a log shows of bodies, in a model's world frame."""
+"""Transform a log's body poses to a model's world frame."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tunenet_logs.arrays import Array
 
 
 def free_joint(model: Any, body: str) -> int | None:
-    """The joint that lets a body move freely; None where it hangs on another."""
+    """Find a body's free joint; None where it has none."""
     number = model.body(body).id
     first = int(model.body_jntadr[number])
     free = mujoco().mjtJoint.mjJNT_FREE
@@ -22,7 +22,7 @@ def free_joint(model: Any, body: str) -> int | None:
 
 
 def rotation_in(model: Any, qpos: Array, body: str, reference: str) -> Array:
-    """The rotation of a body as another sees it, shape (3, 3).
+    """Compute a body's rotation in another's frame ("": the world) at `qpos`, shape (3, 3).
 
     Args:
         model: compiled.
@@ -38,7 +38,7 @@ def rotation_in(model: Any, qpos: Array, body: str, reference: str) -> Array:
 
 
 def seen_in_world(model: Any, sensed: Sequence[SensedSignal]) -> list[SensedSignal]:
-    """Signals with all that is seen from bodies that stand still as the world sees it.
+    """Transform signals in frames of static bodies to the world; omit moving frames.
 
     Those that are seen from a body that moves are left out.
     """
@@ -53,7 +53,7 @@ def seen_in_world(model: Any, sensed: Sequence[SensedSignal]) -> list[SensedSign
 
 
 def _in_world(model: Any, sensed: SensedSignal, reference: str) -> SensedSignal:
-    """A signal of triples of numbers, as the world sees them."""
+    """Transform a signal of 3-vectors to the world frame."""
     data = mujoco().MjData(model)
     mujoco().mj_kinematics(model, data)
     frame = data.body(reference)

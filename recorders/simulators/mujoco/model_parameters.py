@@ -1,7 +1,7 @@
-"""Parameters of a user's MuJoCo model by name: `joint/elbow.damping`, `option.gravity[2]`.
+"""Tunable parameters of a user's MuJoCo model: `joint/elbow.damping`, `option.gravity[2]`.
 
-What an address names is looked up in the compiled model, and set there: no file is written, and a
-model is compiled once.
+An address is looked up in the compiled model, and set there: no file is written, and a model is
+compiled once.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import listed, short_name
 
+# The address of what lies between a command and its effect; the simulator's, not the model's.
 DELAY = "delay/commands"
-"""The address of what lies between a command and its effect; the simulator's, not the model's."""
 
 _ADDRESS = re.compile(
     r"(?P<kind>[a-z]+)(?:/(?P<name>.+))?\.(?P<field>[a-z_]+)(?:\[(?P<index>\d{1,9})\])?", re.DOTALL
 )
 _RANGE = re.compile(r"(?P<address>.*?)(?:=(?P<low>[^:=]+):(?P<high>[^:=]+))?", re.DOTALL)
+# An address with something else than a range behind it.
 _NO_RANGE = re.compile(r".+\.[a-z_]+(\[\d+\])?\s*=[^/\]]*", re.DOTALL)
-"""An address with something else than a range behind it."""
 
-_MOST_DELAY_S = 1.0
-_MOST_WORDS = 8
+_MAX_DELAY_S = 1.0
+_MAX_WORDS = 8
+# Kinds of joints, free and ball, whose position is no number (mjJNT_FREE, mjJNT_BALL).
 _MANY_SIDED = (0, 1)
-"""Kinds of joints, free and ball, whose position is no number (mjJNT_FREE, mjJNT_BALL)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelParameter:
-    """A number of a compiled model that can be tuned.
+    """A tunable scalar of a compiled model.
 
     Attributes:
-        parameter: its name is the address, its training range where it is looked for.
-        put: gives a compiled model this value, all that follows from it but `mj_setConst`'s; the
-            model is one that `movable` gave.
-        field: what it is, e.g. "damping".
+        parameter: its name is the address, its training range the search range.
+        put: sets the value in a compiled model, with all that follows but `mj_setConst`'s; the
+            model is one that `movable` returned.
+        field: its field, e.g. "damping".
         owner: kind and name of the element, e.g. "joint/elbow".
     """
 
@@ -62,10 +62,10 @@ class ModelParameter:
 
 
 def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter, ...]:
-    """The parameters of a compiled model that texts such as `joint/elbow.damping=0:5` name.
+    """Parse texts such as `joint/elbow.damping=0:5` into a model's parameters.
 
     Raises:
-        UsageError: no such element or field, or no range; with the nearest that there are.
+        UsageError: no such element or field, or no range; lists the nearest.
     """
     found = [_model_parameter(model, text) for text in wanted]
     names = [one.parameter.name for one in found]
@@ -85,7 +85,7 @@ def _model_parameter(model: Any, text: str) -> ModelParameter:
     if address == DELAY:
         low, high = _told(text, match) or (0.0, 0.2)
         initial = (low + high) / 2
-        delay = Parameter(DELAY, "s", (0.0, _MOST_DELAY_S), (low, high), initial)
+        delay = Parameter(DELAY, "s", (0.0, _MAX_DELAY_S), (low, high), initial)
         check_inside(text, delay)
         return ModelParameter(delay, _nothing, "delay", DELAY)
     parts = _ADDRESS.fullmatch(address)
@@ -131,12 +131,12 @@ def _model_parameter(model: Any, text: str) -> ModelParameter:
 
 
 def _told(text: str, match: re.Match[str]) -> tuple[float, float] | None:
-    """The range that a text names; None where it names none."""
+    """Parse the range in a text; None where there is none."""
     return None if match["low"] is None else told_range(text, match["low"], match["high"])
 
 
 def movable(spec: Any, tuned: Iterable[ModelParameter]) -> Any:
-    """A copy of a model, not compiled, in which centres of mass that are tuned may move.
+    """Copy a model spec so that tuned centres of mass may move.
 
     A body whose centre of mass is at its origin may be compiled as a simple one, which has to stay
     one.
@@ -149,7 +149,7 @@ def movable(spec: Any, tuned: Iterable[ModelParameter]) -> Any:
 
 
 def _number(model: Any, kind: str, name: str | None, text: str) -> int:
-    """Of the element in the model; 0 of the options, which are there once."""
+    """Return the element's index in the model; 0 for the options, which are there once."""
     if kind == "option":
         if name is not None:
             raise UsageError(
@@ -159,16 +159,14 @@ def _number(model: Any, kind: str, name: str | None, text: str) -> int:
     names = element_names(model, kind)
     if name not in names:
         known = [one for one in names if one]
-        near = get_close_matches(name or "", known, _MOST_WORDS, 0.5) or known
-        remedy = (
-            f"nearest: {listed(near, _MOST_WORDS)}" if near else f"name the {kind} in the model"
-        )
+        near = get_close_matches(name or "", known, _MAX_WORDS, 0.5) or known
+        remedy = f"nearest: {listed(near, _MAX_WORDS)}" if near else f"name the {kind} in the model"
         raise UsageError(f"--tune {short_name(text)}: the model has no such {kind}", remedy)
     return names.index(name)
 
 
 def element_names(model: Any, kind: str) -> list[str]:
-    """Names of all elements of a kind, by their number; "" where there is none."""
+    """Return the names of all elements of a kind, by index; "" where unnamed."""
     counts = {
         "joint": "njnt",
         "body": "nbody",
@@ -183,7 +181,7 @@ def element_names(model: Any, kind: str) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class _ModelPlace:
-    """Where a number stands in a compiled model."""
+    """Accessors of a scalar in a compiled model."""
 
     get: Callable[[Any], float]
     put: Callable[[Any, float], None]
@@ -216,7 +214,7 @@ def _place(
 
 
 def _dofs(model: Any, joint: int) -> slice:
-    """All degrees of freedom of a joint."""
+    """Return the slice of a joint's degrees of freedom."""
     first = int(model.jnt_dofadr[joint])
     joints_of = np.flatnonzero(model.dof_jntid == joint)
     return slice(first, first + len(joints_of))
@@ -236,7 +234,7 @@ def _option_place(field: ModelField, index: int) -> _ModelPlace:
 
 
 def _servo_place(model: Any, field_name: str, number: int) -> _ModelPlace:
-    """A servo's gain on position (kp) or damping on speed (kv), in its gain and its bias."""
+    """Access a servo's position gain (kp) or damping (kv), in its gain and its bias."""
     _, on_position, on_speed = model.actuator_biasprm[number, :3]
     is_of_speed = bool(on_speed and not on_position)
 
@@ -259,7 +257,7 @@ def _servo_place(model: Any, field_name: str, number: int) -> _ModelPlace:
 
 
 def _check_matters(model: Any, kind: str, field_name: str, number: int, text: str) -> None:
-    """Whether anything depends on the field of this element.
+    """Check that anything depends on the field of this element.
 
     Raises:
         UsageError: nothing does, or MuJoCo cannot change it.
@@ -278,7 +276,7 @@ def _check_matters(model: Any, kind: str, field_name: str, number: int, text: st
 
 
 def _no_servo(model: Any, field_name: str, number: int) -> tuple[str, str]:
-    """Why an actuator has no such gain, and what to do; two empty texts where it has one."""
+    """Explain why an actuator lacks such a gain, with a remedy; two "" where it has one."""
     library = mujoco()
     _, on_position, on_speed = model.actuator_biasprm[number, :3]
     has_gain = model.actuator_gaintype[number] == library.mjtGain.mjGAIN_FIXED
@@ -291,7 +289,7 @@ def _no_servo(model: Any, field_name: str, number: int) -> tuple[str, str]:
 
 
 def _mass_put(number: int) -> Callable[[Any, float], None]:
-    """A body's mass, and its moments of inertia with it: its shape stays as it is."""
+    """Make a setter of a body's mass that scales its inertia: its shape stays as it is."""
 
     def put(one: Any, value: float) -> None:
         if one.body_mass[number] > 0:
@@ -302,7 +300,7 @@ def _mass_put(number: int) -> Callable[[Any, float], None]:
 
 
 def _check_solref(model: Any, tuned: ModelParameter, others: Iterable[ModelParameter]) -> None:
-    """Whether a solref keeps one law: MuJoCo takes two numbers of two signs for its default.
+    """Check that a solref keeps one law: MuJoCo takes mixed signs for its default.
 
     Raises:
         UsageError: the other number, tuned or the model's, has another sign.
@@ -321,4 +319,4 @@ def _check_solref(model: Any, tuned: ModelParameter, others: Iterable[ModelParam
 
 
 def _nothing(model: Any, value: float) -> None:
-    """Of the model, nothing changes."""
+    """Change nothing in the model."""

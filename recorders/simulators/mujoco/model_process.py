@@ -1,4 +1,4 @@
-"""A model compiled and run where it can do no harm, and what MuJoCo says of it as one line."""
+"""Run a model in a sandboxed process, and report MuJoCo's errors on one line."""
 
 from __future__ import annotations
 
@@ -34,27 +34,23 @@ from tunenet_logs.terminal import one_line, short_name
 
 _CHILD = Path(__file__).with_name("model_child.py")
 
-_LONGEST_ANSWER = 1_000_000
-"""Of the line that comes first [bytes]."""
+_MAX_ANSWER = 1_000_000  # of the line that comes first [bytes]
+_MIN_STEP_S, _MAX_STEP_S = 1e-5, 0.1
 
-_LEAST_STEP_S, _MOST_STEP_S = 1e-5, 0.1
-
-_MOST_WORDS = 240
-"""Characters of what MuJoCo says."""
-
+_MAX_WORDS = 240  # characters of what MuJoCo says
+# Of the text that MuJoCo was given, which is not the user's file; and numbers of elements.
 _LINES = re.compile(r",? \(?line \d+\)?|, id \d+")
-"""Of the text that MuJoCo was given, which is not the user's file; and numbers of elements."""
 
+# Begins of lines that name nothing in the file.
 _WORTHLESS = ("Element name ''", "The static bodies of the spec were fused")
-"""Begins of lines that name nothing in the file."""
 
+# By what MuJoCo says.
 _REMEDIES = {
     "mass and inertia": "give that body or link a mass and inertias",
     "inertia must": "correct its <inertia>; in a URDF, "
     '<mujoco><compiler balanceinertia="true"/></mujoco> raises what is too small',
     "global coordinates": "save it with MuJoCo 2.3.3 first",
 }
-"""By what MuJoCo says."""
 
 _FEWER = (
     "take fewer copies (<replicate>, <flexcomp>), smaller meshes, height fields or textures, fewer "
@@ -64,7 +60,7 @@ _FEWER = (
 
 @dataclass(frozen=True)
 class ModelText:
-    """A model as MuJoCo is given it: all its files beside it, by the names in it.
+    """A model as passed to MuJoCo, with all its files by name.
 
     Attributes:
         xml: the model's.
@@ -78,15 +74,12 @@ class ModelText:
 
 
 class ModelProcess:
-    """Compiles a model and runs it in a process of its own, which limits of memory and time end.
+    """A process, limited in memory and time, that compiles and runs a model.
 
     It is started when first asked, and ends with this object, an error, or a signal.
 
-    Args:
-        path: the model's file in errors.
-
     Attributes:
-        path: likewise.
+        path: the model's file in errors.
     """
 
     def __init__(self, path: Path) -> None:
@@ -100,7 +93,7 @@ class ModelProcess:
 
         Raises:
             UsageError: MuJoCo does not compile it within 10 s and 400 MB, more with large files, or
-                it is beyond what is simulated.
+                it exceeds the size limits.
         """
         path, xml = self.path, text.xml.encode()
         found, _ = self._ask("compile", xml=xml, models=text.models, files=text.files)
@@ -115,18 +108,18 @@ class ModelProcess:
                 "look for sizes and masses that are too large for it",
             )
         step_s = found["timestep_s"]
-        if not _LEAST_STEP_S <= step_s <= _MOST_STEP_S:
+        if not _MIN_STEP_S <= step_s <= _MAX_STEP_S:
             raise UsageError(
                 f"{path}: has a timestep of {step_s:g} s",
-                f"give one of {_LEAST_STEP_S:g} to {_MOST_STEP_S:g} s in <option timestep=...>",
+                f"give one of {_MIN_STEP_S:g} to {_MAX_STEP_S:g} s in <option timestep=...>",
             )
 
     def run(self, model: Any, **wishes: Any) -> tuple[list[int], list[str], dict[str, Array]]:
-        """Rollouts of a compiled model; see `model_child`.
+        """Roll out a compiled model; see `model_child`.
 
         Returns:
-            Of each, the steps that it made, and what stopped it before its end: "" or MuJoCo's name
-            of it; and arrays of all.
+            Of each rollout, the number of steps, and what stopped it early: "" or MuJoCo's name of
+            it; and arrays of all.
 
         Raises:
             LogError: one of them takes too much time or memory, or crashes.
@@ -141,7 +134,7 @@ class ModelProcess:
         return found["kept"], found["why"], arrays
 
     def _ask(self, kind: str, **arguments: Any) -> tuple[dict[str, Any], dict[str, Array]]:
-        """What the child answers."""
+        """Send a request to the child; return its answer."""
         try:
             child = self._child or self._started()
             assert child.stdin is not None
@@ -149,7 +142,7 @@ class ModelProcess:
             with suppress(BrokenPipeError):  # how it ended says why
                 pickle.dump((kind, arguments), child.stdin, pickle.HIGHEST_PROTOCOL)
                 child.stdin.flush()
-            line = child.stdout.readline(_LONGEST_ANSWER)
+            line = child.stdout.readline(_MAX_ANSWER)
             if not line.endswith(b"\n"):
                 raise self._ended(child.wait())
             found, arrays = json.loads(line), {}
@@ -181,13 +174,13 @@ class ModelProcess:
         return child
 
     def close(self) -> None:
-        """End the process; the next question starts another."""
+        """End the process; the next request starts another."""
         if self._end is not None:
             self._end()
         self._child = self._end = self._loaded = None
 
     def _ended(self, code: int) -> UsageError:
-        """The error of a process that is gone."""
+        """Make the error of a process that ended."""
         if -code in (signal.SIGKILL, signal.SIGXCPU):  # the limits
             limit = COMPILING_S if self._loaded is None else PIECE_S
             return UsageError(f"{self.path}: takes MuJoCo over {limit} s at once", _FEWER)
@@ -203,7 +196,7 @@ def _end(child: subprocess.Popen[bytes], folder: TemporaryDirectory[str]) -> Non
 
 
 def _refused(path: Path, said: str) -> UsageError:
-    """The error for what MuJoCo says, its lines made one."""
+    """Make the error for what MuJoCo says, on one line."""
     if "ould not allocate" in said or "unknown exception" in said:
         return UsageError(
             f"{path}: takes MuJoCo over {MEMORY_BYTES // 1_000_000} MB",
@@ -222,6 +215,6 @@ def _refused(path: Path, said: str) -> UsageError:
     remedies = (remedy for words, remedy in _REMEDIES.items() if words in why)
     return UsageError(
         f"{path}: MuJoCo {mujoco().__version__} does not take it: "
-        f"{short_name(one_line(why), _MOST_WORDS)}",
+        f"{short_name(one_line(why), _MAX_WORDS)}",
         next(remedies, "correct that in the file"),
     )

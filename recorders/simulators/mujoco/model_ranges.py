@@ -1,4 +1,4 @@
-"""Where a model's parameter is looked for: the range that is told, or one about its value."""
+"""Choose a parameter's search range: the user's, or one about the model's value."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from tunenet_logs.terminal import short_name
 
 Limits = tuple[float, float]
 
-_LEAST = 1e-9
-"""Of a value whose sign is a law: 0 belongs to neither."""
+_MIN = 1e-9  # of a value whose sign is a law: 0 belongs to neither
 
 
 def told_range(text: str, low: str, high: str) -> Limits:
-    """The range that a text names.
+    """Parse the user's range.
 
     Raises:
         UsageError: its ends are no numbers, or not in their order; `text` stands first.
@@ -31,10 +30,10 @@ def told_range(text: str, low: str, high: str) -> Limits:
 
 
 def usual_range(text: str, field: ModelField, now: float, bounds: Limits) -> Limits:
-    """Where to look for a parameter of which the model alone says what it may be.
+    """Choose a search range by the model's value `now`.
 
     Raises:
-        UsageError: its value tells no range; `text` stands first.
+        UsageError: the value implies no range; `text` stands first.
     """
     if field.usual is not None and field.usual[0] <= now <= field.usual[1]:
         return field.usual
@@ -48,11 +47,11 @@ def usual_range(text: str, field: ModelField, now: float, bounds: Limits) -> Lim
 
 
 def one_sided(text: str, laws: tuple[str, str], span: Limits, bounds: Limits) -> Limits:
-    """The bounds on that side of 0 on which a range lies: beyond it, another law begins.
+    """Restrict bounds to the range's side of 0, where the sign selects the law.
 
     Args:
         text: as the user wrote it.
-        laws: what the value is above 0, and below.
+        laws: the quantity's meaning above 0, and below.
         span: the range.
         bounds: of the value on both sides.
 
@@ -60,9 +59,9 @@ def one_sided(text: str, laws: tuple[str, str], span: Limits, bounds: Limits) ->
         UsageError: the range reaches 0.
     """
     if span[0] > 0:
-        return (_LEAST, bounds[1])
+        return (_MIN, bounds[1])
     if span[1] < 0:
-        return (bounds[0], -_LEAST)
+        return (bounds[0], -_MIN)
     raise UsageError(
         f"--tune {short_name(text)}: above 0 it is {laws[0]}, below 0 {laws[1]}: two laws",
         "choose a range that ends before 0",
@@ -70,7 +69,7 @@ def one_sided(text: str, laws: tuple[str, str], span: Limits, bounds: Limits) ->
 
 
 def check_inside(text: str, parameter: Parameter) -> None:
-    """Whether a range is one of values that physics allows.
+    """Check that a search range is within physical bounds.
 
     Raises:
         UsageError: it reaches beyond them; `text` stands first.

@@ -1,4 +1,4 @@
-"""What a MuJoCo model looks like, and where its bodies are as it moves: for whoever draws it."""
+"""Shapes and body poses of a MuJoCo model, for drawing."""
 
 from __future__ import annotations
 
@@ -12,16 +12,12 @@ from numpy.typing import NDArray
 from recorders.simulators.mujoco.library import mujoco
 from tunenet_logs.arrays import Array
 
-_SHOWN_GROUPS = 3
-"""The first groups of geoms are those that MuJoCo's own viewer shows, too."""
-
-_MOST_TRIANGLES = 100_000
-"""Of all meshes that are drawn as they are; of larger ones the box is."""
-
+_SHOWN_GROUPS = 3  # the first groups of geoms are those that MuJoCo's own viewer shows, too
+_MAX_TRIANGLES = 100_000  # of all meshes that are drawn as they are; of larger ones the box is
+# Half the thickness of what stands for a body without a shape, of its distance from its joint.
 _BONE = 0.12
-"""Half the thickness of what stands for a body without a shape, of its distance from its joint."""
 
-_LEAST_ALPHA = 0.02
+_MIN_ALPHA = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +26,11 @@ class Shape:
 
     Attributes:
         kind: of a capsule and a cylinder the axis is z, of a plane the normal.
-        body: its number.
-        position_m: of its middle, shape (3,).
+        body: its index.
+        position_m: of its centre, shape (3,).
         rotation: from its own frame, shape (3, 3).
         size_m: half sizes along its axes, shape (3,); of a capsule and a cylinder the radius twice
-            and half the length, without caps. 0 of a plane that has no end.
+            and half the length, without caps. 0 of an infinite plane.
         vertices_m: of a mesh, shape (V, 3).
         triangles: of a mesh, shape (F, 3).
     """
@@ -60,18 +56,18 @@ class ModelScene:
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
-        """Bodies that are not fixed to the world."""
+        """Indices of bodies that are not fixed to the world."""
         return tuple(int(body) for body in np.flatnonzero(self.model.body_weldid != 0))
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
-        """All that is seen; of a model without any, what stands for its masses."""
+        """All visible shapes; stand-ins for the masses if no moving body has one."""
         model = self.model
         seen = [int(geom) for geom in np.flatnonzero(self._has_alpha)]
         shown = [geom for geom in seen if model.geom_group[geom] < _SHOWN_GROUPS]
         if not any(model.body_weldid[model.geom_bodyid[geom]] for geom in shown):
             shown = seen
-        left = _MOST_TRIANGLES
+        left = _MAX_TRIANGLES
         found: list[Shape] = []
         for geom in sorted(shown, key=self._triangles):
             triangles = self._triangles(geom)
@@ -82,7 +78,7 @@ class ModelScene:
         return tuple(found)
 
     def poses(self, qpos: Array) -> tuple[Array, Array]:
-        """Where all B bodies are.
+        """Compute the poses of all B bodies.
 
         Args:
             qpos: shape (T, nq).
@@ -102,11 +98,11 @@ class ModelScene:
 
     @property
     def _has_alpha(self) -> NDArray[np.bool_]:
-        """By geom."""
-        return self.model.geom_rgba[:, 3] > _LEAST_ALPHA
+        """Whether each geom is visible."""
+        return self.model.geom_rgba[:, 3] > _MIN_ALPHA
 
     def _triangles(self, geom: int) -> int:
-        """How many a geom's mesh has."""
+        """Count the triangles of a geom's mesh."""
         mesh = self.model.geom_dataid[geom]
         kinds = mujoco().mjtGeom
         is_mesh = int(self.model.geom_type[geom]) in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF)
@@ -128,7 +124,7 @@ class ModelScene:
         )
 
     def _plain(self, geom: int) -> Shape:
-        """A shape of MuJoCo's own, or the box around what is none."""
+        """Make a primitive shape, or the bounding box of another."""
         kinds, model = mujoco().mjtGeom, self.model
         body, size = int(model.geom_bodyid[geom]), model.geom_size[geom]
         rotation, position = _rotation(model.geom_quat[geom]), model.geom_pos[geom].copy()
@@ -147,7 +143,7 @@ class ModelScene:
         return Shape("box", body, position + rotation @ middle, rotation, half.copy())
 
     def _masses(self, body: int) -> list[Shape]:
-        """What stands for a body without a shape: a rod from its joint, and its mass as a ball."""
+        """Make stand-ins of a body without a shape: a rod from its joint, its mass as a ball."""
         model = self.model
         middle = model.body_ipos[body].copy()
         joint = model.body_jntadr[body]
@@ -168,14 +164,14 @@ class ModelScene:
 
 
 def _rotation(quaternion: Array) -> Array:
-    """Of w, x, y, z, shape (3, 3)."""
+    """Convert w, x, y, z to a rotation, shape (3, 3)."""
     found = np.empty(9)
     mujoco().mju_quat2Mat(found, quaternion)
     return found.reshape(3, 3)
 
 
 def _towards(direction: Array) -> Array:
-    """A rotation that turns z into a direction of length 1, shape (3, 3)."""
+    """Return a rotation that turns z into a unit direction, shape (3, 3)."""
     quaternion = np.empty(4)
     mujoco().mju_quatZ2Vec(quaternion, direction)
     return _rotation(quaternion)

@@ -1,4 +1,4 @@
-"""What a log sees of a model, as MuJoCo's sensors."""
+"""Map a log's signals to MuJoCo sensors."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 from recorders.simulators.mujoco.library import mujoco
 from tunenet_logs.episode import Signal
 
+# Of joints; of bodies; of sites.
 Kind = Literal[
     "jointpos",
     "jointvel",
@@ -19,20 +20,18 @@ Kind = Literal[
     "force",
     "torque",
 ]
-"""Of joints; of bodies; of sites."""
 
-_TYPES = {"jointactuatorfrc": "mjSENS_JOINTACTFRC"}
-"""What MuJoCo calls otherwise."""
+_TYPES = {"jointactuatorfrc": "mjSENS_JOINTACTFRC"}  # what MuJoCo calls otherwise
 
 
 class Sensor(NamedTuple):
-    """What one column of a signal is in the model.
+    """One column of a signal as a sensor in the model.
 
     Attributes:
-        kind: of MuJoCo's sensors. Forces and torques are those of a parent on its child.
+        kind: MuJoCo's sensor type. Forces and torques are those of a parent on its child.
         name: of the joint, body or site.
-        axis: of what has three numbers.
-        reference: the body that a body is seen from; "" for the world.
+        axis: component of a vector sensor.
+        reference: the body whose frame a pose is in; "" for the world.
         is_at_body: whether a force or torque is that at the origin of the body of that name.
         sign: 1.0, or -1.0 of a log with forces of the child on its parent.
     """
@@ -46,18 +45,17 @@ class Sensor(NamedTuple):
 
     @property
     def whole(self) -> Sensor:
-        """The model's sensor that this is a number of."""
+        """The model's vector sensor that this is a component of."""
         return self._replace(axis=0, sign=1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class SensedSignal:
-    """A signal of the log that the model has, too.
+    """A signal of the log that the model reproduces.
 
     Attributes:
-        signal: of the log.
         columns: those of its columns that the model has.
-        sensors: what they are there.
+        sensors: their sensors.
     """
 
     signal: Signal
@@ -66,7 +64,7 @@ class SensedSignal:
 
 
 def put_sensors(spec: Any, sensors: Sequence[Sensor]) -> None:
-    """Give a model these sensors in place of its own, in their order."""
+    """Replace a model's sensors by these, in their order."""
     kinds = mujoco().mjtObj
     for sensor in list(spec.sensors):
         spec.delete(sensor)

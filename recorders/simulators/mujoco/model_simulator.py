@@ -1,4 +1,4 @@
-"""A user's MuJoCo model as a simulator: driven as a log was, and seen as the log saw the robot."""
+"""Simulate a user's MuJoCo model, driven by a log's commands and sensed as the log was."""
 
 from __future__ import annotations
 
@@ -23,38 +23,33 @@ from tunenet_logs.arrays import Array
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import LogError, UsageError
 
-MOST_STEPS = 300_000
-"""Of one rollout: five minutes at 1 ms."""
-
-STOPPED = "stopped"
-"""In a rollout's notes: what stopped it before its end; "" where nothing did."""
-
+MAX_STEPS = 300_000  # of one rollout: five minutes at 1 ms
+STOPPED = "stopped"  # in a rollout's notes: what stopped it before its end; "" where nothing did
 _MEMORY_IS_FULL = "its working memory is full"
+# By how MuJoCo's names of what stops a rollout begin; what else there is, is of memory.
 _STOPS = {
     "mjWARN_INERTIA": "a mass or inertia is next to nothing",
     "mjWARN_BAD": "it moves beyond all bounds",
     "time": "it stops",
 }
-"""By how MuJoCo's names of what stops a rollout begin; what else there is, is of memory."""
 
-_MOST_BATCH_BYTES = 50_000_000
-_MOST_BATCH = 64
+_MAX_BATCH_BYTES = 50_000_000
+_MAX_BATCH = 64
 
+# Integrators that step speeds first, then positions with them: their speeds are those of half a
+# step before, to second order.
 _LATE_BY_HALF_A_STEP = ("mjINT_EULER", "mjINT_IMPLICIT", "mjINT_IMPLICITFAST")
-"""Integrators that step speeds first, then positions with them: their speeds are those of half a
-step before, to second order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What moves the model.
+    """A signal that drives the model.
 
     Attributes:
-        signal: of the log.
-        columns: numbers of its columns that drive something, shape (C,).
+        columns: indices of its columns that drive something, shape (C,).
         targets: the actuator or degree of freedom that each drives, shape (C,).
-        is_effort: whether its values are measured efforts, applied at joints as they are between
-            two samples; else commands to actuators, each of which holds until the next one.
+        is_effort: whether its values are measured efforts, interpolated and applied at joints; else
+            commands to actuators, each of which holds until the next one (zero-order hold).
     """
 
     signal: Signal
@@ -65,14 +60,13 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """Where a rollout begins, and how well that is known.
+    """The initial state of a rollout, and its uncertainty.
 
     Attributes:
-        stamp_ns: when.
         qpos: shape (nq,).
         qvel: shape (nv,).
-        unsure: parameters of what the log leaves unsure, each with its prior.
-        places: where each goes: whether it is a speed, and its number in `qpos` or `qvel`.
+        unsure: parameters of what the log leaves uncertain, each with its prior.
+        places: where each goes: whether it is a speed, and its index in `qpos` or `qvel`.
     """
 
     stamp_ns: int
@@ -84,15 +78,13 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class ModelSimulator:
-    """A compiled model that is driven and seen as a log was.
+    """A compiled model, driven and sensed as in a log.
 
     Attributes:
         spec: the model; not compiled with `sensed` yet.
-        tuned: its parameters that are looked for.
-        sensed: what is compared.
-        drives: what moves it.
-        initial: where it begins.
-        end_ns: when it ends.
+        tuned: its tuned parameters.
+        sensed: signals to compare.
+        drives: signals that drive it.
         process: where it is run.
         step_s: of its integrator; None for the model's own.
     """
@@ -118,17 +110,17 @@ class ModelSimulator:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those that are tuned, and what of the initial state is unsure."""
+        """Tuned parameters, and uncertain ones of the initial state."""
         return (*(one.parameter for one in self.tuned), *self.initial.unsure)
 
     def finer(self) -> ModelSimulator:
-        """The same with half the step: what its step does to its answer can be told by it."""
+        """Copy with half the step, to measure the discretisation error."""
         half = replace(self, step_s=self._step_s / 2)
         half.__dict__["_model"] = self._model  # compiled once
         return half
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
-        """One episode with the signals of `sensed`, at their own stamps; see `Simulator`."""
+        """Roll out one episode: signals of `sensed` at their stamps; see `Simulator`."""
         row = [one.checked(values.get(one.name, one.initial)) for one in self.parameters]
         found = self.rollouts(np.array([row]))[0]
         if found.info.notes[STOPPED].startswith(_MEMORY_IS_FULL):
@@ -139,7 +131,7 @@ class ModelSimulator:
         return found
 
     def rollouts(self, values: Array) -> list[Episode]:
-        """Several episodes at once, on all cores.
+        """Roll out several episodes at once, on all cores.
 
         Args:
             values: of all parameters, shape (N, P).
@@ -149,14 +141,14 @@ class ModelSimulator:
             notes says why.
         """
         each_bytes = 8 * self._steps * (self._model.nsensordata + len(self._driven))
-        count = int(np.clip(_MOST_BATCH_BYTES // each_bytes, 1, _MOST_BATCH))
+        count = int(np.clip(_MAX_BATCH_BYTES // each_bytes, 1, _MAX_BATCH))
         found: list[Episode] = []
         for first in range(0, len(values), count):
             found += self._batch(values[first : first + count])
         return found
 
     def coordinates(self, values: Array) -> tuple[Array, Array]:
-        """How a rollout at `values` of shape (P,) moves, step by step.
+        """Roll out at `values` of shape (P,); return the coordinates after each step.
 
         Returns:
             Seconds since the initial stamp, shape (T,); qpos then, shape (T, nq), which stays as it
@@ -169,7 +161,7 @@ class ModelSimulator:
 
     @cached_property
     def _model(self) -> Any:
-        """The compiled model, with sensors of what is compared alone."""
+        """Compiled model, with sensors of the compared signals alone."""
         spec = self.spec.copy()
         put_sensors(spec, self._distinct)
         return spec.compile()
@@ -180,7 +172,7 @@ class ModelSimulator:
 
     @cached_property
     def _distinct(self) -> list[Sensor]:
-        """Each sensor once, without its axis."""
+        """Each vector sensor once."""
         return list(
             dict.fromkeys(sensor.whole for sensed in self.sensed for sensor in sensed.sensors)
         )
@@ -188,16 +180,16 @@ class ModelSimulator:
     @cached_property
     def _steps(self) -> int:
         seconds, step_s = (self.end_ns - self.initial.stamp_ns) * 1e-9, self._step_s
-        if seconds / step_s > MOST_STEPS:
+        if seconds / step_s > MAX_STEPS:
             raise UsageError(
-                f"the log is longer than {MOST_STEPS} steps of {step_s:g} s",
-                f"choose a part of at most {MOST_STEPS * step_s:.0f} s with --start and --end",
+                f"the log is longer than {MAX_STEPS} steps of {step_s:g} s",
+                f"choose a part of at most {MAX_STEPS * step_s:.0f} s with --start and --end",
             )
         return int(np.ceil(seconds / step_s)) + 2
 
     @cached_property
     def _driven(self) -> NDArray[np.intp]:
-        """Numbers of what is driven, among controls and then the efforts of joints."""
+        """Indices of what is driven, among controls and then the efforts of joints."""
         targets = [one.targets + self._model.nu * one.is_effort for one in self.drives]
         return np.unique(np.concatenate([np.zeros(0, np.intp), *targets]))
 
@@ -212,7 +204,7 @@ class ModelSimulator:
     def _rolled(
         self, values: Array, *, wants_qpos: bool = False
     ) -> tuple[list[int], list[str], dict[str, Array]]:
-        """Steps that each makes, what stops it, and what is seen after the steps."""
+        """Roll out rows; return the steps of each, what stopped it, and sensor values."""
         delays = [self._delay_s(row) for row in values]
         known = sorted(set(delays))
         rows = [
@@ -231,7 +223,7 @@ class ModelSimulator:
         )
 
     def _changed(self, row: Array) -> list[tuple[str, Array]]:
-        """Those of the model's arrays that these values change, by name."""
+        """Return the model's arrays that these values change, by name."""
         model = self._model
         before = {name: np.array(attrgetter(name)(model)) for name in TUNED_ARRAYS}
         for one, value in zip(self.tuned, row, strict=False):
@@ -242,7 +234,7 @@ class ModelSimulator:
         return [(name, after[name]) for name in before if (after[name] != before[name]).any()]
 
     def _state(self, row: Array) -> tuple[Array, Array]:
-        """Where it begins: qpos and qvel."""
+        """Return the initial qpos and qvel."""
         qpos, qvel = self.initial.qpos.copy(), self.initial.qvel.copy()
         unsure = row[len(self.tuned) :]
         for value, (is_speed, place) in zip(unsure, self.initial.places, strict=True):
@@ -254,7 +246,7 @@ class ModelSimulator:
         return next((float(value) for one, value in named if one.parameter.name == DELAY), 0.0)
 
     def _control(self, delay_s: float) -> Array:
-        """What drives each step, shape (steps, `_driven`)."""
+        """Compute the controls of each step, shape (steps, `_driven`)."""
         step_s = self._step_s
         # a step kicks speeds of half a step before to those of half a step after its begin
         edges_s = np.arange(self._steps + 1, dtype=np.float64)
@@ -281,7 +273,7 @@ class ModelSimulator:
         return self._model.opt.integrator in [getattr(kinds, one) for one in _LATE_BY_HALF_A_STEP]
 
     def _episode(self, seen: Array, row: Array, stopped: str) -> Episode:
-        """Sensor values after each step, shape (steps, S), as the log's signals."""
+        """Resample sensor values, shape (steps, S), as the log's signals."""
         step_s = self._step_s
         at_s = step_s * np.arange(self._steps)  # sensors see the state that a step begins with
         signals: dict[str, Signal] = {}
@@ -304,7 +296,7 @@ class ModelSimulator:
 
 
 def held_means(at_s: Array, values: Array, edges_s: Array) -> Array:
-    """Means between edges of a signal that holds each value until the next one.
+    """Average a zero-order-hold signal between edges.
 
     Args:
         at_s: when each value begins, shape (T,), increasing; the first holds before it, too.
@@ -312,7 +304,7 @@ def held_means(at_s: Array, values: Array, edges_s: Array) -> Array:
         edges_s: shape (N + 1,), increasing.
 
     Returns:
-        Shape (N,): it depends on a shift of the edges without jumps.
+        Shape (N,), continuous in a shift of the edges.
     """
     if not len(at_s):
         return np.zeros(len(edges_s) - 1)
@@ -323,7 +315,7 @@ def held_means(at_s: Array, values: Array, edges_s: Array) -> Array:
 
 
 def _in_words(stop: str, at_s: float) -> str:
-    """Why a rollout stops; "" where it does not."""
+    """Describe why a rollout stopped; "" where it did not."""
     if not stop:
         return ""
     words = (said for begin, said in _STOPS.items() if stop.startswith(begin))
@@ -333,5 +325,5 @@ def _in_words(stop: str, at_s: float) -> str:
 
 
 def _more_memory(now_bytes: int) -> str:
-    """For <size memory>."""
+    """Suggest a <size memory>."""
     return f"{max(now_bytes * 4 // 1_000_000, 10)}M"

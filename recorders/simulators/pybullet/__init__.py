@@ -1,1 +1,1 @@
-"""PyBullet as one of the engines: all that imports it, or speaks its keywords, is here."""
+"""PyBullet as a physics engine: all that imports it, or names its keywords, is here."""

@@ -1,4 +1,4 @@
-"""What PyBullet offers as an engine; see `recorders.simulators.base.Engine`.
+"""PyBullet's implementation of `recorders.simulators.base.Engine`.
 
 It is imported when first needed, and without its greeting on standard error.
 """
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
 
 name = named_version("pybullet", "pybullet-arm64")
 
-_USUAL_CONTACT_DISTANCE_M = 0.02
-"""Bullet's default. It is one global of the process, so it must be set even to its default."""
+# Bullet's default. It is one global of the process, so it must be set even to its default.
+_TYPICAL_CONTACT_DISTANCE_M = 0.02
 
+# Fields of `ContactSettings` as keywords of `setPhysicsEngineParameter`.
 _WORLD_KEYWORDS: Mapping[str, tuple[str, ...]] = {
     "contact_slop_m": ("contactSlop",),
     "error_reduction": ("erp", "contactERP"),
     "inelastic_below_m_s": ("restitutionVelocityThreshold",),
 }
-"""Fields of `ContactSettings` as keywords of `setPhysicsEngineParameter`."""
 
+# Fields of `ContactSettings` as keywords of `changeDynamics`.
 _BODY_KEYWORDS: Mapping[str, tuple[str, ...]] = {
     "solver_distance_m": ("contactProcessingThreshold",),
     "linear_damping": ("linearDamping",),
     "angular_damping": ("angularDamping",),
 }
-"""Fields of `ContactSettings` as keywords of `changeDynamics`."""
 
 
 @cache
 def pybullet() -> ModuleType:
-    """The library's module."""
+    """Import the library's module, without its greeting on standard error."""
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
@@ -61,7 +61,7 @@ def pybullet() -> ModuleType:
 
 
 class BulletBallWorld:
-    """One physics client with a plane and a ball; see `recorders.simulators.base.BallWorld`."""
+    """A physics client with a plane and a ball; see `recorders.simulators.base.BallWorld`."""
 
     engine = name
 
@@ -88,13 +88,13 @@ class BulletBallWorld:
         self._fresh = bullet.saveState(physicsClientId=client)
 
     def place(self, gap_m: float, restitution: float) -> None:
-        """Contacts that Bullet keeps from one rollout would change the next: they are dropped."""
+        """Place the ball, dropping cached contacts that would change the next rollout."""
         bullet, client = self._bullet, self._client
         distance_m = self.contact.contact_distance_m
         bullet.restoreState(self._fresh, physicsClientId=client)
         bullet.setPhysicsEngineParameter(
             contactBreakingThreshold=(
-                _USUAL_CONTACT_DISTANCE_M if distance_m is None else distance_m
+                _TYPICAL_CONTACT_DISTANCE_M if distance_m is None else distance_m
             ),
             physicsClientId=client,
         )
@@ -171,7 +171,7 @@ ball_world = BulletBallWorld
 
 
 def _keywords(contact: ContactSettings, table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
-    """PyBullet's keywords of the settings that differ from its defaults."""
+    """Return PyBullet's keywords of the settings that differ from its defaults."""
     return {
         keyword: value
         for field, keywords in table.items()
@@ -186,7 +186,7 @@ def inverse_dynamics(
     payload: Payload | None,
     gravity_m_s2: tuple[float, float, float],
 ) -> Array:
-    """Torques along a path, shape (T, J) [N·m]; see `Engine`.
+    """Compute the torques along a path, shape (T, J) [N·m]; see `Engine`.
 
     Bullet caches what it has computed for a body, even when its masses change; so every call
     begins with an empty world.
@@ -208,7 +208,7 @@ def inverse_dynamics(
 def position_control(
     arm: Arm, path: JointPath, payload: Payload | None, settings: RolloutSettings
 ) -> Array:
-    """States after each step of a rollout, shape (steps, J, 3); see `Engine`."""
+    """Simulate the states after each step, shape (steps, J, 3); see `Engine`."""
     bullet, client = pybullet(), _arm_client("rollout")
     bullet.resetSimulation(physicsClientId=client)
     bullet.setPhysicsEngineParameter(
@@ -243,7 +243,7 @@ def position_control(
 
 
 def _load_arm(client: int, arm: Arm, payload: Payload | None, *, is_damped: bool) -> int:
-    """The arm as a body of a world, fixed to it; with Bullet's default damping or with none."""
+    """Load the arm with a fixed base; with Bullet's default damping or with none."""
     bullet = pybullet()
     bullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=client)
     with tempfile.NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
@@ -270,6 +270,6 @@ def _load_arm(client: int, arm: Arm, payload: Payload | None, *, is_damped: bool
 
 @cache
 def _arm_client(_purpose: str) -> int:
-    """One world for all calls of one purpose in the process."""
+    """Connect one client for all calls of one purpose in the process."""
     bullet = pybullet()
     return bullet.connect(bullet.DIRECT)

@@ -1,1 +1,1 @@
-"""A ball that is let go above an inclined plane and is to fall through a hoop."""
+"""The bounce shot: a ball released above an inclined plane is to fall through a hoop."""

@@ -1,4 +1,4 @@
-"""What balls can touch, and what an impact does: a rebound, and Coulomb friction on the slip."""
+"""Contact of balls with plane and rim: Newton restitution and Coulomb friction."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from recorders.simulators.shot.rig import ShotRig
 from tunenet_logs.arrays import Array
 
-LEAST_REBOUND_M_S = 0.01
-"""A ball that would stay is thrown up by this (5 um high), so that it goes on rolling from impact
-to impact."""
+# A ball that would stay is thrown up by this (5 um high), so that it goes on rolling from impact to
+# impact.
+MIN_REBOUND_M_S = 0.01
 
-_SMALLEST_M = 1e-9
-"""Below any length here: it only keeps a direction from being divided by 0."""
+_MIN_M = 1e-9  # below any length here: it only keeps a direction from being divided by 0
 
 
 @dataclass
@@ -44,7 +43,7 @@ def collide(
     radius_m: float,
     inertia_share: float,
 ) -> None:
-    """Give balls the impulse of an impact, in place.
+    """Apply the impulse of an impact to balls, in place.
 
     Along the normal the speed is reversed times the restitution (Newton's law of impact); across it
     friction takes the slip of the touching point, at most all of it, and at most the friction
@@ -64,7 +63,7 @@ def collide(
     slip = velocity + np.cross(spin, -radius_m * normals)
     inward = -np.sum(slip * normals, axis=1)
     slip += inward[:, None] * normals
-    outward = np.maximum(restitution * inward, LEAST_REBOUND_M_S)
+    outward = np.maximum(restitution * inward, MIN_REBOUND_M_S)
     pushed = inward + outward
     slipping = np.linalg.norm(slip, axis=1)
     held = np.minimum(slipping / (1 + 1 / inertia_share), friction * pushed)
@@ -74,24 +73,24 @@ def collide(
     balls.spin_rad_s[which] = spin + torque / (inertia_share * radius_m)
 
 
+# What `collide` does.
 Collide = Callable[[BallStates, NDArray[np.int64], Array, Array, float, float, float], None]
-"""What `collide` does."""
 
 
 class Surface(Protocol):
-    """Something fixed."""
+    """A fixed surface."""
 
     def gaps_m(self, positions_m: Array) -> Array:
-        """From the ball's skin to it; negative inside. (N, 3) -> (N,)."""
+        """Compute signed gaps from the ball to the surface, (N, 3) -> (N,) [m]."""
         ...
 
     def normals(self, positions_m: Array) -> Array:
-        """Unit vectors from it to the ball's centre. (N, 3) -> (N, 3)."""
+        """Compute unit normals from the surface to the ball's centre, (N, 3) -> (N, 3)."""
         ...
 
 
 class Board:
-    """The inclined plane, without end; `holds` says where there is one."""
+    """The inclined plane, taken as infinite; `holds` says where it ends."""
 
     def __init__(self, rig: ShotRig) -> None:
         self._normal, self._downhill = rig.plane.normal, rig.plane.downhill
@@ -106,7 +105,7 @@ class Board:
         return np.broadcast_to(self._normal, positions_m.shape)
 
     def holds(self, positions_m: Array) -> NDArray[np.bool_]:
-        """Whether the board reaches as far down as the balls are, shape (N,)."""
+        """Return whether the board reaches as far down as the balls are, shape (N,)."""
         return positions_m @ self._downhill <= self._end_m
 
 
@@ -126,16 +125,16 @@ class Rim:
         """See `Surface`."""
         offset = positions_m - self._center_m
         out, up = self._from_ring(positions_m)
-        across = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), _SMALLEST_M)
-        away = np.maximum(np.hypot(out, up), _SMALLEST_M)
+        across = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), _MIN_M)
+        away = np.maximum(np.hypot(out, up), _MIN_M)
         flat = offset[:, :2] * (out / across / away)[:, None]
         return np.column_stack([flat, up / away])
 
     def is_within(self, positions_m: Array) -> NDArray[np.bool_]:
-        """Whether centres lie nearer to the hoop's axis than the rim does, shape (N,)."""
+        """Return whether centres are nearer to the hoop's axis than the rim, shape (N,)."""
         return self._from_ring(positions_m)[0] < 0
 
     def _from_ring(self, positions_m: Array) -> tuple[Array, Array]:
-        """From the rim's middle line: outwards and up, each of shape (N,)."""
+        """Return offsets from the rim's centre line, outwards and up, each of shape (N,)."""
         offset = positions_m - self._center_m
         return np.hypot(offset[:, 0], offset[:, 1]) - self._ring_m, offset[:, 2]

@@ -1,4 +1,4 @@
-"""Many shots at once, event-driven: each step ends at the first impact in it.
+"""Simulate many shots at once, event-driven: each step ends at the first impact in it.
 
 Between impacts a ball flies on a parabola, exactly, or with the air's drag by the classical
 Runge-Kutta method (RK4), whose error at these steps is below 1e-10 m. The time of a contact is
@@ -19,35 +19,28 @@ from tunenet_logs.arrays import Array
 
 Mask = NDArray[np.bool_]
 
-STEP_S = 0.002
-"""Between positions that are kept."""
-
+STEP_S = 0.002  # between positions that are kept
+# Step where no position is kept: it moves where a ball passes by less than 0.02 mm.
 COARSE_S = 0.004
-"""Step where no position is kept: it moves where a ball passes by less than 0.02 mm."""
 
-_LONGEST_FALLS = 8
-_LEAST_LONGEST_S = 4.0
-"""A flight ends after 8 times its fall, but not before 4 s: a ball may roll for ever."""
+_MAX_FALLS = 8
+# A flight ends after 8 times its fall, but not before 4 s: a ball may roll for ever.
+_MIN_LONGEST_S = 4.0
 
-_ROUNDS = 14
-"""Iterations for the time of a contact."""
-
-_OFF_M = 1e-9
-"""Gap that a ball is left with after an impact: rounding must not leave it inside."""
-
-_BELOW_RADII = 3.0
-"""Ball radii below the hoop from where none comes back."""
+_ROUNDS = 14  # iterations for the time of a contact
+_OFF_M = 1e-9  # gap that a ball is left with after an impact: rounding must not leave it inside
+_BELOW_RADII = 3.0  # ball radii below the hoop from where none comes back
 
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """What became of N shots.
+    """Results of N shots.
 
     Attributes:
         offset_m: of the centre from the hoop's, forward and left, where it last came down through
             the hoop's plane after an impact; NaN where it never did; shape (N, 2).
-        gap_m: how near its skin came to the rim on the way, inside or outside of the hoop;
-            negative where ball and rim overlap; shape (N,).
+        gap_m: smallest gap from ball to rim on the way, inside or outside of the hoop; negative
+            where ball and rim overlap; shape (N,).
         is_through: whether that was inside of the rim, shape (N,).
         has_touched: whether it hit the rim, shape (N,).
         impact_m_s: speed along the plane's normal at the first impact, shape (N,).
@@ -74,14 +67,14 @@ def fly(
     keep: bool = False,
     impacts: Collide = collide,
 ) -> Flights:
-    """Let balls go and follow each until it is below the hoop.
+    """Release balls and simulate each until it is below the hoop.
 
     Args:
         rig: plane, hoop and ball.
         law: restitution of the balls on the plane, by speed.
         released: N balls at time 0; changed in place.
         shifts: added to each ball's restitution, shape (N,).
-        has_rim: whether the rim is in the way.
+        has_rim: whether the rim is an obstacle.
         drags_1_m: of each ball, shape (N,); the rig's ball's if None.
         step_s: between positions.
         keep: whether to return the positions.
@@ -108,7 +101,7 @@ def fly(
 
 
 def _longest_s(rig: ShotRig, released: BallStates, drags_1_m: Array) -> float:
-    """How long a ball may take: by the fall, with the air, from the highest start."""
+    """Bound a flight's duration by the fall, with drag, from the highest start."""
     low_m = min(_floor_m(rig), float(rig.touch_m[2]))
     fall_m = float(released.position_m[:, 2].max(initial=low_m)) - low_m
     drag = float(drags_1_m.max(initial=0.0))
@@ -117,7 +110,7 @@ def _longest_s(rig: ShotRig, released: BallStates, drags_1_m: Array) -> float:
         lost = drag * fall_m
         still_s = 1 / np.sqrt(drag * rig.gravity_m_s2)
         fall_s = still_s * (lost + np.log1p(np.sqrt(-np.expm1(-2 * lost))))
-    return max(_LEAST_LONGEST_S, _LONGEST_FALLS * float(fall_s))
+    return max(_MIN_LONGEST_S, _MAX_FALLS * float(fall_s))
 
 
 def _floor_m(rig: ShotRig) -> float:
@@ -125,7 +118,7 @@ def _floor_m(rig: ShotRig) -> float:
 
 
 class _Run:
-    """The shots under way."""
+    """State of the shots under way."""
 
     def __init__(
         self,
@@ -151,7 +144,7 @@ class _Run:
         self.impact_m_s = np.full(count, np.nan)
 
     def step(self, step_s: float) -> None:
-        """All balls that are not over, by one step, through all impacts in it."""
+        """Advance all unfinished balls by one step, through all impacts in it."""
         going = np.flatnonzero(~self.is_over)
         left = np.full(len(going), step_s)
         while len(going):
@@ -160,7 +153,7 @@ class _Run:
         self._end()
 
     def _advance(self, going: NDArray[np.int64], left: Array) -> Array:
-        """To the end of the step or the first impact in it; what is left then."""
+        """Advance to the end of the step or its first impact; return the time left."""
         balls, rig = self._balls, self._rig
         start, speed = balls.position_m[going], balls.velocity_m_s[going]
         end, faster = self.flown(going, start, speed, left)
@@ -191,7 +184,7 @@ class _Run:
     def flown(
         self, which: NDArray[np.int64], position: Array, velocity: Array, seconds: Array
     ) -> tuple[Array, Array]:
-        """Positions and velocities of these balls after a free flight, each of shape (N, 3)."""
+        """Integrate free flight exactly, or with drag by RK4; positions and velocities, (N, 3)."""
         drag, after = self._drags_1_m[which, None], seconds[:, None]
         gravity = np.array([0.0, 0.0, -self._rig.gravity_m_s2])
         if not self._has_air:
@@ -216,7 +209,7 @@ class _Run:
         speed: Array,
         most: Array,
     ) -> Array:
-        """When balls touch that are outside at 0 and inside at `most` (false position, halved)."""
+        """Find contact times in (0, `most`] by regula falsi, every third iteration a bisection."""
         low, high = np.zeros(len(most)), most.copy()
         above = np.maximum(surface.gaps_m(start), _OFF_M / 2)
         below = surface.gaps_m(self.flown(which, start, speed, most)[0])
@@ -262,7 +255,7 @@ class _Run:
         faster: Array,
         used: Array,
     ) -> None:
-        """How near to the rim, and where through the hoop's plane."""
+        """Record the gap to the rim, and the crossing of the hoop's plane."""
         gaps = self._rim.gaps_m(start), self._rim.gaps_m(end)
         nearest = np.minimum(*gaps)
         closing = [
@@ -285,7 +278,7 @@ class _Run:
             self.is_through[going[rows]] = self._rim.is_within(at)
 
     def _end(self) -> None:
-        """Those are over that fall below the hoop and have had their impact."""
+        """Finish the balls that fall below the hoop after their impact."""
         falls = self._balls.velocity_m_s[:, 2] < 0
         is_low = self._balls.position_m[:, 2] < _floor_m(self._rig)
         has_bounced = self._is_past_board | ~np.isnan(self.impact_m_s)

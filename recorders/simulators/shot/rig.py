@@ -1,4 +1,4 @@
-"""What a bounce shot is set up with: ball, inclined plane, hoop, and how high the robot reaches.
+"""The rig of a bounce shot: ball, inclined plane, hoop, and the robot's reach.
 
 The origin is where the ball touches the plane. x points horizontally towards the hoop, down the
 plane, y to the left, z up.
@@ -18,9 +18,7 @@ from tunenet_logs.errors import UsageError
 
 Range = tuple[float, float]
 
-NULLABLE = ("ball.mass_kg", "ball.drag_1_m")
-"""What need not be known."""
-
+NULLABLE = ("ball.mass_kg", "ball.drag_1_m")  # what need not be known
 _LIMITS: dict[str, dict[str, Range]] = {
     "ball": {
         "radius_m": (0.002, 0.5),
@@ -55,7 +53,6 @@ class ShotBall:
     """The ball.
 
     Attributes:
-        radius_m: of the ball.
         mass_kg: for the air's drag; None to leave the air out, unless `drag_1_m` is known.
         drag_coefficient: Cd; .47 is a smooth sphere's at these speeds.
         inertia_share: moment of inertia over m r^2: 2/5 if it is solid, 2/3 if it is a thin shell.
@@ -71,12 +68,12 @@ class ShotBall:
 
     @property
     def air_drag_1_m(self) -> float:
-        """Deceleration by the air over speed squared [1/m], measured or not; 0 without a mass."""
+        """Quadratic drag [1/m], measured or computed; 0 without a mass."""
         return self.body.drag_1_m or 0.0 if self.drag_1_m is None else self.drag_1_m
 
     @property
     def body(self) -> Ball:
-        """Size and mass."""
+        """The ball's size, mass and drag coefficient."""
         return Ball(2 * self.radius_m, self.mass_kg, self.drag_coefficient)
 
 
@@ -115,7 +112,7 @@ class Hoop:
         forward_m: its centre from the impact point, horizontally.
         up_m: likewise, vertically; negative where it is below.
         free_radius_m: of the opening.
-        rim_m: how thick the rim is.
+        rim_m: thickness of the rim.
         restitution: of the ball on the rim.
         friction: likewise.
     """
@@ -129,18 +126,18 @@ class Hoop:
 
     @property
     def center_m(self) -> Array:
-        """Shape (3,)."""
+        """Centre of the hoop, shape (3,)."""
         return np.array([self.forward_m, 0.0, self.up_m])
 
     @property
     def ring_radius_m(self) -> float:
-        """To the middle of the rim."""
+        """Radius to the rim's centre line."""
         return self.free_radius_m + self.rim_m / 2
 
 
 @dataclass(frozen=True)
 class Release:
-    """From where the ball can be let go.
+    """Heights from which the ball can be released.
 
     A height is how far the ball falls until it touches the plane: 0 where the gripper holds it
     against the impact point.
@@ -148,7 +145,7 @@ class Release:
     Attributes:
         lowest_m: smallest height.
         highest_m: largest height.
-        height_sd_m: how well the robot keeps a height, standard deviation.
+        height_sd_m: standard deviation of the robot's heights.
     """
 
     lowest_m: float = 0.25
@@ -158,10 +155,10 @@ class Release:
 
 @dataclass(frozen=True)
 class ShotRig:
-    """All of it.
+    """The complete rig.
 
     Raises:
-        UsageError: a value that is not finite, out of range, or fits no other; names it as the
+        UsageError: a value is not finite, out of range, or contradicts another; names it as the
             rig's file does ("hoop.forward_m").
     """
 
@@ -195,12 +192,12 @@ class ShotRig:
             raise UsageError(f"ball.mass_kg: {error}") from error
 
     def with_drag(self, drag_1_m: float) -> ShotRig:
-        """The same with this drag of the air on its ball [1/m]."""
+        """Copy the rig with another air drag on its ball [1/m]."""
         return replace(self, ball=replace(self.ball, drag_1_m=drag_1_m))
 
     @property
     def touch_m(self) -> Array:
-        """The ball's centre where it touches the plane first, shape (3,)."""
+        """The ball's centre where it first touches the plane, shape (3,)."""
         return self.ball.radius_m * self.plane.normal
 
 
@@ -214,7 +211,7 @@ def _check(name: str, value: float | None, limits: Range) -> None:
 
 
 def _check_apart(rig: ShotRig) -> None:
-    """The ball must fit where it falls, from as high as the robot reaches down to the plane."""
+    """Check that the hoop is clear of the ball's fall, from the highest release."""
     hoop, ball = rig.hoop, rig.ball
     across = abs(hoop.forward_m - float(rig.touch_m[0]))
     highest_m = float(rig.touch_m[2]) + rig.release.highest_m

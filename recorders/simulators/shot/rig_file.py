@@ -1,4 +1,4 @@
-"""The rig of a bounce shot as a small YAML file that a person edits."""
+"""Read and write a bounce shot's rig as a small YAML file that a person edits."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.small_files import read_small_file
 from tunenet_logs.terminal import one_line, short_name
 
-_LARGEST_BYTES, _MOST_BRACKETS = 20_000, 64
-"""Ten times what a rig takes, and more than it has: YAML reads nested ones in quadratic time."""
+# Ten times what a rig takes, and more than it has: YAML reads nested ones in quadratic time.
+_MAX_BYTES, _MAX_BRACKETS = 20_000, 64
 
 _PARTS: Mapping[str, type] = {"ball": ShotBall, "plane": Plane, "hoop": Hoop, "release": Release}
 _GRAVITY = "gravity_m_s2"
@@ -48,20 +48,20 @@ gravity_m_s2: {gravity_m_s2}
 
 
 def rig_text(rig: ShotRig) -> str:
-    """The rig as a file, with a word on each value."""
+    """Format the rig as a commented file."""
     told = asdict(rig)
     told["ball"] = {key: "null" if one is None else one for key, one in told["ball"].items()}
     return _TEXT.format(**told)
 
 
 def read_rig(path: Path) -> ShotRig:
-    """The rig of a file; what it leaves out is the default rig's.
+    """Read a rig from a file; the default rig's values replace missing ones.
 
     Raises:
-        UsageError: cannot be read, is no YAML, or holds what no rig has; names file and value.
+        UsageError: cannot be read, is no YAML, or holds an invalid value; names file and value.
     """
     try:
-        data = read_small_file(path, _LARGEST_BYTES)
+        data = read_small_file(path, _MAX_BYTES)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); give --rig a file") from error
     except ValueError as error:
@@ -75,13 +75,13 @@ def read_rig(path: Path) -> ShotRig:
 
 
 def _loaded(data: bytes) -> Any:
-    """What the YAML holds; the safe loader makes plain values only."""
+    """Load the YAML; the safe loader makes plain values only."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     told = b"".join(line.partition(b"#")[0] for line in data.split(b"\n"))
-    if sum(map(told.count, (b"[", b"{"))) > _MOST_BRACKETS:
-        raise UsageError(f"over {_MOST_BRACKETS} brackets; see tunenet-plan --save-rig for a rig")
+    if sum(map(told.count, (b"[", b"{"))) > _MAX_BRACKETS:
+        raise UsageError(f"over {_MAX_BRACKETS} brackets; see tunenet-plan --save-rig for a rig")
     if any(mark in told for mark in (b"&", b"*", b"!")):
         raise UsageError("holds &, * or !, which a rig's YAML does without; remove them")
     try:

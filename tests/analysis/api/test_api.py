@@ -21,8 +21,8 @@ _OF_THE_TERMINAL = {"help", "version", "debug", "quiet", "preview", "print_compl
 _OF_THE_TERMINAL |= {"verbose", "json", "dry_run"}
 """Options without a meaning for a function."""
 
+# Those that `tune_all` has by other names, or as they are; `csv` is the table that it returns.
 _OF_MANY = {"logs", "output", "jobs", "overwrite", "resume", "ray", "no_review", "review_only"}
-"""Those that `tune_all` has by other names, or as they are; `csv` is the table that it returns."""
 
 _RENAMED = {
     "start": "start_s",

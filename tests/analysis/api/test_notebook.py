@@ -9,8 +9,7 @@ from tests.conftest import ROOT
 
 NOTEBOOK = ROOT / "docs" / "notebook.ipynb"
 
-_OF_ONE_CELL_S = 300
-"""A bound, not an expectation."""
+_OF_ONE_CELL_S = 300  # a bound, not an expectation
 
 
 def _said(notebook: nbformat.NotebookNode) -> list[str]:

@@ -20,8 +20,7 @@ pytestmark = pytest.mark.live
 
 _COUNT = 24
 
-_OURS = "TUNENET_TEST_RAY"
-"""A variable that marks what the command starts."""
+_OURS = "TUNENET_TEST_RAY"  # a variable that marks what the command starts
 
 
 def is_loopback(text: str) -> bool:

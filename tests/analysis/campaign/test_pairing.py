@@ -24,7 +24,7 @@ from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.test_campaign import QUIET, attempts, drop, outcome
 from tests.conftest import Command, film
 from tunenet_logs.errors import LogError
-from tunenet_logs.outcome import MOST_ATTEMPTS, write_outcome
+from tunenet_logs.outcome import MAX_ATTEMPTS, write_outcome
 from tunenet_logs.reader import read_episode
 
 TRACK = "t,x,y,z\n"
@@ -129,8 +129,8 @@ def test_a_table_beside_recorded_outcomes_keeps_both(tmp_path: Path):
 
 
 def test_no_number_is_left(tmp_path: Path):
-    campaigns.outcome(tmp_path, MOST_ATTEMPTS)
-    table = f"ball,success,attempt\ngel,yes,{MOST_ATTEMPTS - 1}\ngel,no,\n"
+    campaigns.outcome(tmp_path, MAX_ATTEMPTS)
+    table = f"ball,success,attempt\ngel,yes,{MAX_ATTEMPTS - 1}\ngel,no,\n"
     (tmp_path / "a.csv").write_text(table)
     with pytest.raises(LogError, match="write their numbers down"):
         material_of([tmp_path], pytest.fail)

@@ -50,8 +50,8 @@ def begins(timeline: str, slot: Slot, shown: Shown | None) -> int | None:
     return round(1e9 * (slot.start_s if shown is None else shown.start_s))
 
 
+# A timeline, a time on it, and whose turn it is then: the last that has begun.
 Stop = tuple[str, int, Slot, TunedDrop | None]
-"""A timeline, a time on it, and whose turn it is then: the last that has begun."""
 
 
 def stops(campaign: Campaign, stored: Stored) -> Iterator[Stop]:

@@ -86,7 +86,7 @@ def test_a_folder_may_be_deeper_than_python_calls(tmp_path: Path):
 
 
 def test_a_folder_of_folders_has_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("analysis.campaign.files._MOST_ENTRIES", 50)
+    monkeypatch.setattr("analysis.campaign.files._MAX_ENTRIES", 50)
     for number in range(60):
         (tmp_path / str(number)).mkdir()
     told: list[str] = []

@@ -34,8 +34,7 @@ from tunenet_logs.episode import FRAME_NS, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError
 
 GRAVITY_M_S2 = 9.80665
-HEIGHT_M, RESTITUTION, SLOPE, DRAG_1_M = 1.2, 0.78, 0.04, 0.02
-"""The ball of these tests."""
+HEIGHT_M, RESTITUTION, SLOPE, DRAG_1_M = 1.2, 0.78, 0.04, 0.02  # the ball of these tests
 
 
 def episode_of(

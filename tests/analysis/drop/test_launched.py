@@ -17,8 +17,8 @@ from tests.conftest import real, tune_all
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.terminal import Progress
 
+# Restitutions of the basketball's six bounces, by parabolas of .16 s on each side.
 BY_HAND = (0.796, 0.811, 0.799, 0.808, 0.816, 0.824)
-"""Restitutions of the basketball's six bounces, by parabolas of .16 s on each side."""
 
 
 @pytest.mark.parametrize("kind", ["thrown", "dribbled", "bouncing", "edge"])

@@ -18,8 +18,8 @@ from analysis.selection import Options
 from analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 
+# A table-tennis ball from 1.4 m, by an integrator that shares nothing with fit or simulator.
 LIGHT = RealBall(0.8, 0.06, 0.12, 1.4)
-"""A table-tennis ball from 1.4 m, by an integrator that shares nothing with fit or simulator."""
 
 
 def recorded(ball: RealBall, noise_m: float = 0.001, seed: int = 3) -> Episode:

@@ -16,8 +16,7 @@ from analysis.selection import Options, Selection
 from analysis.tuning import tune_episode
 from tunenet_logs.reader import read_episode
 
-QUIET = (7, 8, 9)
-"""Clips of a seed that nothing else uses."""
+QUIET = (7, 8, 9)  # clips of a seed that nothing else uses
 
 
 def write_wav(path: Path, samples: NDArray[np.float32], rate_hz: float) -> Path:

@@ -26,8 +26,7 @@ from tunenet_logs.errors import LogError
 
 SEED = 77
 TRACKS = range(3)
-LASTING = 7
-"""A track whose ball is heard for long."""
+LASTING = 7  # a track whose ball is heard for long
 
 
 def restitution(tuning: Tuning) -> Estimate:

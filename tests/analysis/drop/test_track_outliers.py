@@ -15,8 +15,8 @@ from analysis.selection import Options
 from analysis.tuning import tune_log
 from tunenet_logs.episode import Signal
 
+# Of a drop that is filmed from the side; FALL in pictures.
 HEIGHT_PX, RESTITUTION, FALL = 600.0, 0.8, 11.0
-"""Of a drop that is filmed from the side; FALL in pictures."""
 
 
 def filmed(pictures: int = 100, hold: int = 10) -> Signal:

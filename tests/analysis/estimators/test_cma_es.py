@@ -18,8 +18,8 @@ from tunenet_logs.errors import UsageError
 
 pytest.importorskip("cma")
 
+# Ranges of quite different widths.
 LOW, HIGH = np.array([0.0, -5000.0, 1e-6]), np.array([1.0, 5000.0, 3e-6])
-"""Ranges of quite different widths."""
 
 
 class Shares:

@@ -25,9 +25,7 @@ library: Any = mujoco
 
 AS_IT_IS = ExportOptions()
 
-HEIGHTS_M = np.geomspace(0.2, 5.0, 40)
-"""Not those that the margin was chosen on."""
-
+HEIGHTS_M = np.geomspace(0.2, 5.0, 40)  # not those that the margin was chosen on
 RADII_M = np.geomspace(0.2, 0.01, 40)
 
 

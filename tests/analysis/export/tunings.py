@@ -9,10 +9,10 @@ from typing import Any
 
 from recorders.simulators.base import GRAVITY_M_S2
 
+# A log's name that would end every kind of comment and text.
 HOSTILE = (
     "a--b-->\"\"\"'''\n import os; os.remove('x') \x1b[31m\u2028\ud800${x}{y}%s]]>&<#\\ ü.mcap"
 )
-"""A log's name that would end every kind of comment and text."""
 
 
 def ball_tuning(

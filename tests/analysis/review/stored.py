@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+# Of one component: Arrow's list of instances for each row, null where the row does not touch it;
+# read only where it is asked for, as pictures are large.
 Cells = list[Any]
-"""Of one component: Arrow's list of instances for each row, null where the row does not touch it;
-read only where it is asked for, as pictures are large."""
 
+# Components by which each class of views draws something; of a table any will do.
 _DRAWN = {
     "2D": ("blob", "buffer", "positions", "strips", "half_sizes", "vectors"),
     "3D": ("positions", "strips", "vertex_positions", "centers", "half_sizes", "vectors"),
@@ -30,13 +31,11 @@ _DRAWN = {
     "TimeSeries": ("scalars",),
     "Dataframe": (),
 }
-"""Components by which each class of views draws something; of a table any will do."""
 
+# The last parts of entities that hold a chart's axes: without anything else it is empty.
 _FRAME = ("grid", "labels")
-"""The last parts of entities that hold a chart's axes: without anything else it is empty."""
 
-_TIMELINE = re.compile(r"\(timeline (\w+)\)")
-"""In the name of a tab: what it is for."""
+_TIMELINE = re.compile(r"\(timeline (\w+)\)")  # in the name of a tab: what it is for
 
 
 @dataclass

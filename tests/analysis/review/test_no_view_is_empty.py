@@ -25,8 +25,7 @@ from tests.analysis.payload.test_payload import record as record_payload
 from tests.analysis.review.stored import Stored
 from tests.conftest import ROOT, film, real, record
 
-Make = Callable[[Path], Path]
-"""Writes a review into a folder; its path."""
+Make = Callable[[Path], Path]  # writes a review into a folder; its path
 
 
 def review_of(tuning: Tuning, folder: Path, verdict: str | None = None) -> Path:

@@ -10,8 +10,8 @@ from analysis.sysid.compared import Column, ComparedColumns, noise_of
 
 SECONDS = np.arange(0, 4, 0.01)
 RNG = np.random.default_rng(3)
+# A servo's efforts: a new command with every second sample.
 STAIRS = np.repeat(RNG.normal(0, 2.0, len(SECONDS) // 2), 2)
-"""A servo's efforts: a new command with every second sample."""
 SENSOR = RNG.normal(0, 0.05, len(SECONDS))
 
 

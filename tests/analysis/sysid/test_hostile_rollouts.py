@@ -28,9 +28,7 @@ BOB = """<body name="bob"><joint name="hinge" axis="0 -1 0" damping="0.05"/>
 <inertial pos="0 0 -0.4" mass="1" diaginertia=".005 .005 .005"/></body>"""
 FLOOR = '<geom type="plane" size="5 5 .1" pos="0 0 -3"/>'
 BOX = '<body pos="{x} 0 {z}"><freejoint/><geom type="box" size=".2 .2 .2" mass="1"/></body>'
-LANDS = FLOOR + BOX.format(x=0, z=-2.79)
-"""1 cm above the floor: the first steps are free of it."""
-
+LANDS = FLOOR + BOX.format(x=0, z=-2.79)  # 1 cm above the floor: the first steps are free of it
 HEAP = FLOOR + "".join(BOX.format(x=n / 2, z=-2.7) for n in range(20))
 ENDLESS = 'solver="PGS" iterations="2000000000" tolerance="0"'
 STIFF = (

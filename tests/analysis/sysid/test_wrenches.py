@@ -31,9 +31,9 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
 
 LOAD_KG = 0.8
+# Of what moves it; commands come every so many steps, and so many later all is measured, from step
+# 0 on.
 STEP_NS, EVERY, SHIFT, STEPS = 200_000, 50, 30, range(-2500, 20_000)
-"""Of what moves it; commands come every so many steps, and so many later all is measured, from
-step 0 on."""
 
 ARM = """<mujoco><option timestep="0.001" integrator="implicitfast"/>
   <default><geom contype="0" conaffinity="0"/></default>

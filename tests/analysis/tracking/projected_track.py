@@ -12,8 +12,7 @@ from recorders.simulators.drop import TOPIC
 from recorders.simulators.pinhole import PinholeCamera
 from tunenet_logs.episode import Episode
 
-_GREY = (128, 128, 128)
-"""RGB of the ball: a track has a colour, and no light falls on this one."""
+_GREY = (128, 128, 128)  # RGB of the ball: a track has a colour, and no light falls on this one
 
 
 def projected_track(

@@ -27,8 +27,7 @@ from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 
-BALL_PX, BALL_PICTURE = (159.5, 119.0), 21
-"""Where the ball of `film` is in flight."""
+BALL_PX, BALL_PICTURE = (159.5, 119.0), 21  # where the ball of `film` is in flight
 
 
 class MarkingPage(Page):

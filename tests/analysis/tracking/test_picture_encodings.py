@@ -74,16 +74,15 @@ def restitution(tuning: Tuning) -> float:
     return float(tuning.estimate[0])
 
 
+# How far the restitution may be off that of the JPEGs that the pictures were made of.
 OFF = {
     **dict.fromkeys(("rgb8", "bgr8", "png"), 1e-9),
     **dict.fromkeys(("mono8", "yuv422_yuy2", "nv12", "h264", "h265"), 1e-3),
     "bayer_rggb8": 4e-3,  # half of the picture's sharpness is left
 }
-"""How far the restitution may be off that of the JPEGs that the pictures were made of."""
 
 
-ALIKE = ("bgr8", "yuv422_yuy2", "h265")
-"""Read as others of `OFF` are: raw pixels, or a stream."""
+ALIKE = ("bgr8", "yuv422_yuy2", "h265")  # read as others of `OFF` are: raw pixels, or a stream
 
 
 @pytest.mark.parametrize(
@@ -135,16 +134,16 @@ def test_forged_pictures_cost_no_memory(tmp_path: Path):
     said, used = measured("tunenet_logs.cli", "info", *logs)
     assert all(f"{log}: " in said for log in logs)
     assert said.count("/eye") >= len(logs)
-    assert used < MOST_BYTES
+    assert used < MAX_BYTES
     said, used = measured("analysis.cli.tune", *logs, "--jobs", 1)
     assert all(said.count(f"{log}: ") == 1 for log in logs)
     assert said.count(" rejected ") == len(logs)
     assert "no ball is seen" in (tmp_path / "1.json").read_text()  # these were looked at
     assert "Traceback" not in said
-    assert used < MOST_BYTES
+    assert used < MAX_BYTES
 
 
-MOST_BYTES = 512 * 1024 * 1024
+MAX_BYTES = 512 * 1024 * 1024
 
 
 def measured(module: str, *arguments: object) -> tuple[str, int]:

@@ -25,8 +25,7 @@ from tests.picture_strangers import (
 )
 from tunenet_logs.reader import read_episode
 
-START_NS = 1_700_000_000_000_000_000
-"""When a bag was recorded."""
+START_NS = 1_700_000_000_000_000_000  # when a bag was recorded
 
 
 def drawn(made: Made, shown_as: str) -> Iterator[tuple[int, np.ndarray]]:
@@ -40,6 +39,7 @@ def drawn(made: Made, shown_as: str) -> Iterator[tuple[int, np.ndarray]]:
 
 
 H264 = {"crf": "18", "preset": "veryfast"}
+# Encoder and its options, by the file's name.
 CLIPS = {
     "doubled.mp4": ("libx264", H264),
     "uneven.mp4": ("libx264", H264),
@@ -50,10 +50,8 @@ CLIPS = {
     "hevc.mp4": ("libx265", {"crf": "18", "preset": "ultrafast", "x265-params": "log-level=none"}),
     "vp9.webm": ("libvpx-vp9", {"crf": "15", "b": "0", "cpu-used": "8"}),
 }
-"""Encoder and its options, by the file's name."""
 
-FIRST = ("doubled.mp4", "b-frames.mkv")
-"""The others are encoded in other ways."""
+FIRST = ("doubled.mp4", "b-frames.mkv")  # the others are encoded in other ways
 
 
 def decoded(video: Path, rate_hz: float | None = None) -> Iterator[tuple[int, np.ndarray]]:

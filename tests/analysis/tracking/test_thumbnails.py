@@ -30,7 +30,7 @@ def episode_of(frames: list[Frame]) -> Episode:
 
 def test_long_recordings_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch):
     data = picture()
-    monkeypatch.setattr(thumbnails, "MOST_BYTES", 20 * len(data))
+    monkeypatch.setattr(thumbnails, "MAX_BYTES", 20 * len(data))
     frames = [Frame(10**9 + number * 10**7, "jpeg", data) for number in range(500)]
     kept = album_of(episode_of(frames), "/eye")
     seconds = [thumbnail.seconds for thumbnail in kept.thumbnails]
@@ -44,7 +44,7 @@ def test_a_video_is_made_smaller_and_its_marks_are_not(tmp_path: Path):
     path = write_video(tmp_path / "a.mp4", stamps)
     video = read_episode(path)
     kept = album_of(video, "video")
-    assert 150 <= len(kept.thumbnails) <= thumbnails.MOST_REDUCED
+    assert 150 <= len(kept.thumbnails) <= thumbnails.MAX_REDUCED
     assert all(thumbnail.data.startswith(b"\xff\xd8") for thumbnail in kept.thumbnails)
     pixels = np.zeros((1000, 2000, 3), np.uint8)
     large = Frame(0, "rgb8", pixels.tobytes(), (2000, 1000))

@@ -70,7 +70,7 @@ def test_memory_does_not_grow_with_the_recording(
     """Once there are more pictures than are kept; what grows is a few numbers for each."""
     import tracemalloc
 
-    monkeypatch.setattr(kept_film, "_MOST_BYTES", 10_000_000)
+    monkeypatch.setattr(kept_film, "_MAX_BYTES", 10_000_000)
     peaks = []
     for times in (10, more):
         longer = long_hold(episode, times)
@@ -85,7 +85,7 @@ def test_memory_does_not_grow_with_the_recording(
 def test_a_film_that_is_not_kept_is_the_same(episode: Episode, monkeypatch: pytest.MonkeyPatch):
     kept = tracked(episode)
     assert kept_film.kept_film(episode, episode.picture_topics[0]) is not None
-    monkeypatch.setattr(kept_film, "_MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(kept_film, "_MAX_BYTES", 1_000_000)
     again = tracked(episode)
     assert kept_film.kept_film(episode, episode.picture_topics[0]) is None
     assert np.array_equal(kept.places_px, again.places_px, equal_nan=True)

@@ -53,7 +53,7 @@ def test_a_cluster_makes_the_same_bits(name: str):
 def test_bits_do_not_depend_on_how_items_are_cut(name: str, monkeypatch: pytest.MonkeyPatch):
     found = []
     for most in (1, 7, 1000):
-        monkeypatch.setattr(pairs, "_MOST_AT_A_TIME", most)
+        monkeypatch.setattr(pairs, "_MAX_AT_A_TIME", most)
         monkeypatch.setattr(pairs, "_CHUNKS", 1)
         found.append(_made(PRESETS[name], 1).tobytes())
     assert found[0] == found[1] == found[2]

@@ -1,1 +1,1 @@
-"""Files as programs and instruments of laboratories export them: each layout is one file."""
+"""Exports of programs and laboratory instruments: one file per layout."""

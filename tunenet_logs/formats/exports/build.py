@@ -1,4 +1,4 @@
-"""From arrays of a file to an episode: what every reader of an export shares."""
+"""Build signals and episodes from a file's arrays: the part that all export readers share."""
 
 from __future__ import annotations
 
@@ -13,18 +13,17 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.meaning import LENGTHS
 from tunenet_logs.sample_order import sorted_stamps
 
-_MOST_S = 2.0**62 * 1e-9
-"""Of a time: what int64 holds in ns, so that differences fit as well."""
+_MAX_S = 2.0**62 * 1e-9  # of a time: what int64 holds in ns, so that differences fit as well
 
 
 def time_stamps(seconds: ArrayLike) -> NDArray[np.int64]:
-    """Times [s] as stamps [ns], shape (T,).
+    """Convert times [s] to stamps [ns], shape (T,).
 
     Raises:
-        ValueError: one is no time.
+        ValueError: one is not finite, or out of range.
     """
     values = np.asarray(seconds, np.float64)
-    if not np.all(np.abs(values) < _MOST_S):  # NaN is not
+    if not np.all(np.abs(values) < _MAX_S):  # NaN is not
         raise ValueError("a time is none")
     return np.round(values * 1e9).astype(np.int64)
 
@@ -32,15 +31,15 @@ def time_stamps(seconds: ArrayLike) -> NDArray[np.int64]:
 def frame_stamps(
     frames: ArrayLike, rate_hz: float | None, options: ReadOptions
 ) -> tuple[NDArray[np.int64], bool]:
-    """Stamps [ns] of frame numbers, shape (T,), and whether they count frames of unknown rate.
+    """Convert frame numbers to stamps [ns], shape (T,), and say whether their rate is unknown.
 
     Args:
         frames: numbers, shape (T,).
-        rate_hz: as the file says; None where it does not. `--fps` goes before it.
+        rate_hz: stated by the file; None where it is unstated. `--fps` takes precedence.
         options: the user's.
 
     Raises:
-        ValueError: a number is none.
+        ValueError: a number is not finite, or out of range.
     """
     rate = options.rate_hz or rate_hz
     period_s = FRAME_NS * 1e-9 if not rate else 1 / rate
@@ -56,14 +55,14 @@ def position_signal(
     *,
     counts_frames: bool = False,
 ) -> tuple[Signal, list[str]]:
-    """Where one thing was, without the rows in which it was not seen; and what was repaired.
+    """Build an object's position signal from the rows in which it was seen, and note repairs.
 
     Args:
         name: of the signal.
         stamps_ns: shape (T,).
-        values: x, y, z in `unit`, up positive where the file says what is up; NaN where unseen,
+        values: x, y, z in `unit`, z up where the file states the vertical; NaN where unseen,
             shape (T, 3).
-        unit: one of `LENGTHS`, "px" or `UNSTATED`; `--length-unit` goes before the last two.
+        unit: one of `LENGTHS`, "px" or `UNSTATED`; `--length-unit` overrides the last two.
         options: the user's.
         counts_frames: see `Signal`.
     """
@@ -94,15 +93,15 @@ def export_episode(
     losses: Sequence[str] = (),
     notes: Mapping[str, str] | None = None,
 ) -> Episode:
-    """The episode of an export.
+    """Build the episode of an export.
 
     Args:
         path: of the file.
-        what: it is: "OptiTrack Motive export", ...
+        what: kind of file: "OptiTrack Motive export", ...
         signals: that a task may use; each name once.
         unused: what else it holds, by name: why that is not used.
         warnings: what was repaired or is doubtful, in words.
-        losses: those that mean damage.
+        losses: warnings that mean damage.
         notes: of the episode's info.
     """
     channels = [

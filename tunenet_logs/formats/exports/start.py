@@ -1,4 +1,4 @@
-"""How a file begins, by which its layout is known."""
+"""First bytes of a file, from which its format is detected."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from pathlib import Path
 from tunenet_logs.formats.tables.lines import encoding_of, is_text
 from tunenet_logs.regular_file import open_regular
 
-_BYTES = 65536
-"""Looked at of a file."""
+_BYTES = 65536  # looked at of a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,17 +26,17 @@ class Start:
 
     @property
     def suffix(self) -> str:
-        """Of the file's name, in small letters, with the dot."""
+        """Suffix of the file's name, in lower case, with the dot."""
         return self.path.suffix.lower()
 
     @property
     def is_text(self) -> bool:
-        """Whether it is a text, of whatever name."""
+        """Whether the file is text, regardless of its name."""
         return is_text(self.data, self.suffix)
 
     @cached_property
     def lines(self) -> tuple[str, ...]:
-        """As text, the last one perhaps cut; none of a binary file."""
+        """Lines of the text, the last one perhaps cut; empty for a binary file."""
         encoding = encoding_of(self.data)
         if not self.is_text or (b"\0" in self.data and encoding in (None, "utf-8-sig", "cp1252")):
             return ()
@@ -45,7 +44,7 @@ class Start:
 
 
 def start_of(path: Path) -> Start:
-    """How a file begins.
+    """Read the first bytes of a file.
 
     Raises:
         OSError: it cannot be read.

@@ -1,1 +1,1 @@
-"""The parts of reading a table: lines, times, what column names mean, and how they belong."""
+"""Table reading: lines, times, meaning of column names, and layout."""

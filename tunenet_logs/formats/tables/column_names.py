@@ -1,4 +1,4 @@
-"""What the name of one column of a table means: a time, a coordinate, a quantity of a joint."""
+"""Interpret the name of a table column as a time, a coordinate or a joint quantity."""
 
 from __future__ import annotations
 
@@ -26,58 +26,48 @@ from tunenet_logs.formats.tables.meaning import (
 )
 
 # Times.
+# What a time is called, beside t and units alone.
 _TIMES = frozenset(
     (
         *("time", "times", "stamp", "timestamp", "timestamps", "elapsed", "rosbagtimestamp"),
         *("datetime", "zeit", "zeitstempel", "uhrzeit", "temps", "tiempo", "tempo", "tijd"),
     )
 )
-"""What a time is called, beside t and units alone."""
 
-_DATES = frozenset(("date", "datum", "fecha"))
-"""What a date is called."""
-
-_NO_TIMES = frozenset(("delta", "diff", "step"))
-"""Words that make it a time between two rows."""
-
+_DATES = frozenset(("date", "datum", "fecha"))  # what a date is called
+_NO_TIMES = frozenset(("delta", "diff", "step"))  # words that make it a time between two rows
+# What the whole seconds of a stamp are called, whose rest is in another column.
 _SECONDS = frozenset(("sec", "secs", "second", "seconds"))
-"""What the whole seconds of a stamp are called, whose rest is in another column."""
 
+# What `rostopic echo -p` and its kin write in ns, however small.
 _IN_NS = frozenset((("rosbag", "timestamp"), ("rosbagtimestamp",), ("field", "header", "stamp")))
-"""What `rostopic echo -p` and its kin write in ns, however small."""
 
+# The meaning of every other name.
 UNKNOWN = UnusedColumn("its name says no time, position (x, y, z, height) or joint torque")
-"""The meaning of every other name."""
 
-_LONGEST = 200
-"""Of a name that is looked at."""
-
-_MOST_WORDS = 40
-"""Of a name that is looked at."""
+_MAX_LENGTH = 200  # of a name that is looked at
+_MAX_WORDS = 40  # of a name that is looked at
 
 # Coordinates.
-_PIXELS = frozenset(("px", "pix", "pixel", "pixels"))
-"""Units of pictures."""
-
-_AXES = {"x": 0, "y": 1, "z": 2}
-"""Axes by their names."""
-
+_PIXELS = frozenset(("px", "pix", "pixel", "pixels"))  # units of pictures
+_AXES = {"x": 0, "y": 1, "z": 2}  # axes by their names
+# What z is called as well.
 _HEIGHTS = frozenset(
     (
         *("height", "altitude", "elevation"),
         *("höhe", "hoehe", "hauteur", "altura", "altezza", "hoogte"),
     )
 )
-"""What z is called as well."""
 
+# Words beside an axis that say no more than that it is a position.
 _PLACES = frozenset(
     (
         *("pos", "position", "positions", "pose", "point", "translation", "transform"),
         *("field", "location", "loc", "msg", "xyz", "coordinate", "coordinates"),
     )
 )
-"""Words beside an axis that say no more than that it is a position."""
 
+# Words that make an axis that of something else than a position.
 _OTHERS = frozenset(
     (
         *("orientation", "quaternion", "quat", "q", "rotation", "rot", "euler", "rpy"),
@@ -88,15 +78,15 @@ _OTHERS = frozenset(
         *("scale", "size", "drop", "image", "picture", "frame"),
     )
 )
-"""Words that make an axis that of something else than a position."""
 
+# What the one coordinate of a motion sensor is called, with a unit of length, and its rank.
 _LINES = {
     "h": 1,
     **dict.fromkeys(("position", "pos"), 2),
     **dict.fromkeys(("distance", "displacement", "dist", "s", "d", "weg", "abstand"), 3),
 }
-"""What the one coordinate of a motion sensor is called, with a unit of length, and its rank."""
 
+# Units of speeds and accelerations along a line, at the end of a name.
 _SPEEDS = frozenset(
     (
         *((length, second) for length in LENGTHS for second in ("s", "sec", "second")),
@@ -107,15 +97,15 @@ _SPEEDS = frozenset(
         *(("km", "h"), ("mph",), ("kmh",), ("ms", "1"), ("ms", "2"), ("ms⁻¹",), ("ms⁻²",)),
     )
 )
-"""Units of speeds and accelerations along a line, at the end of a name."""
 
+# The meaning of a column in such a unit.
 SPEED = UnusedColumn("it is a speed or an acceleration along a line; positions are used")
-"""The meaning of a column in such a unit."""
 
 # Numbers of rows.
+# Words beside what is numbered.
 _NUMBERS = frozenset(("number", "no", "nr", "num", "id", "index", "idx", "count"))
-"""Words beside what is numbered."""
 
+# What runs are called, or the things of a table that holds them below each other.
 _RUNS = {
     **dict.fromkeys(("run", "runs", "trial", "drop", "take", "episode", "throw", "rep"), "run"),
     **dict.fromkeys(("repetition", "attempt", "experiment", "versuch"), "run"),
@@ -124,56 +114,54 @@ _RUNS = {
     **dict.fromkeys(("rigidbody", "asset", "thing", "item"), "object"),
     **dict.fromkeys(("id", "name", "label", "childframe"), "object"),
 }
-"""What runs are called, or the things of a table that holds them below each other."""
 
+# What pictures are called.
 _FRAMES = frozenset(("frame", "frames", "framenumber", "frameno", "frameindex", "frameid"))
-"""What pictures are called."""
 
+# What impacts are called.
 _IMPACTS = frozenset(("bounce", "bounces", "impact", "impacts", "hit", "hits"))
-"""What impacts are called."""
 
+# Words behind an axis that are no thing's name.
 _NO_THINGS = frozenset(
     (
         *("km", "dm", "yd", "mile", "miles", "deg", "rad", "g", "hz", "percent", "n", "v", "a"),
         *("s", "ms", "field", "axis", "flag", "score", "value", "label", "count", "index"),
     )
 )
-"""Words behind an axis that are no thing's name."""
 
 # Joints.
+# What JointState calls them, and the current of a joint's motor.
 JOINT_QUANTITIES = {
     **dict.fromkeys(("effort", "torque", "tau"), "effort"),
     **dict.fromkeys(("position", "pos", "angle", "theta", "q"), "position"),
     **dict.fromkeys(("velocity", "vel", "qdot", "qd", "dq"), "velocity"),
     "current": "current",
 }
-"""What JointState calls them, and the current of a joint's motor."""
 
+# A quantity of a joint with the joint's number, perhaps: "effort3", "velocities", "q1".
 _QUANTITY = re.compile(rf"({'|'.join(sorted(JOINT_QUANTITIES, key=len, reverse=True))})s?(\d*)")
-"""A quantity of a joint with the joint's number, perhaps: "effort3", "velocities", "q1"."""
 
-_JOINT = ("joint", "j")
-"""Words for any joint, beside its number."""
-
+_JOINT = ("joint", "j")  # words for any joint, beside its number
+# Words of what a controller asked for.
 COMMANDED = frozenset(
     (
         *("target", "tgt", "desired", "des", "command", "commanded", "cmd", "setpoint", "goal"),
         *("reference", "ref", "planned", "action"),
     )
 )
-"""Words of what a controller asked for."""
 
+# Words of what a controller reckons: a torque without the arm's own, or out of its model.
 MODELLED = frozenset(
     (
         *("ext", "hat", "est", "estimated", "estimate", "external", "predicted", "pred"),
         *("model", "modelled", "modeled", "computed", "calculated"),
     )
 )
-"""Words of what a controller reckons: a torque without the arm's own, or out of its model."""
 
+# Words of what was measured.
 MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "feedback", "fb"))
-"""Words of what was measured."""
 
+# Words that make a quantity of a joint another one.
 _NO_JOINTS = frozenset(
     (
         *("deviation", "ratio", "error", "err", "limit", "limits", "percent", "percentage"),
@@ -182,17 +170,15 @@ _NO_JOINTS = frozenset(
         *("volt", "volts", "counts", "ticks", "rev", "revs"),
     )
 )
-"""Words that make a quantity of a joint another one."""
 
-_ANGULAR = ("ang", "angular")
-"""Words that are no joint's name: "AngVel"."""
-
+_ANGULAR = ("ang", "angular")  # words that are no joint's name: "AngVel"
+# Quantities that a unit of angles may stand for: people write deg for deg/s too.
 _TURNS = ("position", "velocity")
-"""Quantities that a unit of angles may stand for: people write deg for deg/s too."""
 
 _RADIANS, _DEGREES = ("rad", "rads", "radian", "radians"), ("deg", "degs", "degree", "degrees")
 _SECOND = (("s",), ("sec",), ("second",), ("per", "s"), ("per", "sec"), ("per", "second"))
 
+# Units at the end of a name: which quantities have them, and their size in rad, rad/s, N·m, A.
 JOINT_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
     **{(word,): (_TURNS, 1.0) for word in _RADIANS},
     **{(word,): (_TURNS, math.pi / 180) for word in _DEGREES},
@@ -204,24 +190,22 @@ JOINT_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
     ("a",): (("current",), 1.0),
     ("ma",): (("current",), 0.001),
 }
-"""Units at the end of a name: which quantities have them, and their size in rad, rad/s, N·m, A."""
 
 
-_MOST_KNOWN = 1000
-"""Names whose meaning is kept: a line is looked at in several ways."""
+_MAX_KNOWN = 1000  # names whose meaning is kept: a line is looked at in several ways
 
 
 def meaning_of(name: str) -> Meaning:
-    """What a column's name means."""
-    return UNKNOWN if len(name) > _LONGEST else _meaning_of(name)
+    """Interpret a column's name."""
+    return UNKNOWN if len(name) > _MAX_LENGTH else _meaning_of(name)
 
 
-@lru_cache(maxsize=_MOST_KNOWN)
+@lru_cache(maxsize=_MAX_KNOWN)
 def _meaning_of(name: str) -> Meaning:
     before: Words = ()
     for camel in (False, True):  # a joint called LeftKnee is to keep its name
         words = words_of(name, camel=camel)
-        if not words or len(words) > _MOST_WORDS or words == before:
+        if not words or len(words) > _MAX_WORDS or words == before:
             break
         before = words
         lower = lowered(words)
@@ -235,12 +219,12 @@ def _meaning_of(name: str) -> Meaning:
 
 
 def by_name(_index: int, name: str) -> Meaning:
-    """What a column means by its name alone."""
+    """Interpret a column by its name alone, ignoring its index."""
     return meaning_of(name)
 
 
 def _number_of(lower: Words) -> FrameColumn | ImpactNumberColumn | RunColumn | None:
-    """What the words of a name say that a row's number counts; None if nothing."""
+    """Interpret words as the name of a row counter; None if they are not."""
     bare = lower[:-1] if len(lower) > 1 and lower[-1] in (*_NUMBERS, "name", "label") else lower
     if "".join(bare) in _RUNS:
         return RunColumn(_RUNS["".join(bare)])
@@ -275,11 +259,7 @@ def _part(word: str) -> str:
 
 
 def _coordinate_of(lower: Sequence[str]) -> CoordinateColumn | UnusedColumn | None:
-    """What the words of a name say of a coordinate; None if nothing.
-
-    Args:
-        lower: the words in small letters.
-    """
+    """Interpret lower-case words as the name of a coordinate; None if they are not."""
     if any(lower[-n:] in _SPEEDS for n in (1, 2, 3) if len(lower) > n):
         return SPEED
     unit, rest = "", lower
@@ -307,7 +287,7 @@ def _coordinate_of(lower: Sequence[str]) -> CoordinateColumn | UnusedColumn | No
 
 
 def _numbered_thing(words: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
-    """The number of a thing whose columns are x1, y1, x2, ... or x_1, ..., and the other words."""
+    """Split off an object's number, as in x1, y1, x2, ... or x_1, ..., from the other words."""
     if len(words) > 1 and words[-1].isdecimal() and words[-2] in _AXES:
         return words[-1:], words[:-1]
     found = re.fullmatch(r"([xyz])(\d+)", words[-1])
@@ -315,7 +295,7 @@ def _numbered_thing(words: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]
 
 
 def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | None:
-    """What the words of a name say of a joint; None if nothing."""
+    """Interpret words as the name of a joint quantity; None if they are not."""
     lower = lowered(words)
     if found := re.fullmatch(r"field name(\d+)", " ".join(lower)):
         return JointNameColumn(found[1])
@@ -347,7 +327,7 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
 
 
 def _no_joint(quantity: str, others: Words) -> UnusedColumn | None:
-    """Why a quantity with these words beside it is none that was measured at a joint."""
+    """Return why a quantity with these words beside it was not measured at a joint."""
     bare = {word.rstrip("0123456789") for word in others}
     if not COMMANDED.isdisjoint(bare):
         return UnusedColumn("it is what was asked for, not what was measured")
@@ -362,7 +342,7 @@ def _no_joint(quantity: str, others: Words) -> UnusedColumn | None:
 
 
 def _apart(words: Words) -> tuple[str, Words]:
-    """The robot and the joint, of the words without the quantity."""
+    """Split words without the quantity into robot and joint."""
     lower = lowered(words)
     for at in range(1, len(words)):
         if lower[at - 1] == "joint" and lower[at] in ("state", "states"):

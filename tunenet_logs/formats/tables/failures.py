@@ -1,11 +1,11 @@
-"""Rows of a table that cannot be read: where, why, and what to do about it."""
+"""Unreadable rows of a table: where, why, and the remedy."""
 
 from __future__ import annotations
 
 from tunenet_logs.errors import EXPORT_AGAIN
 
+# Of the rows: with more of them it is not the file that is damaged, but us who misread it.
 _MAX_UNREADABLE_FRACTION = 0.05
-"""Of the rows: with more of them it is not the file that is damaged, but us who misread it."""
 
 # What to do about a cell or a row.
 NUMBER_REMEDY = "write numbers as 1050.25"
@@ -20,8 +20,8 @@ class UnreadableError(ValueError):
     """A row that cannot be read.
 
     Attributes:
-        remedy: what to do about it.
-        is_damage: whether it is cut short or runs on, not written in another way.
+        remedy: for the user.
+        is_damage: whether it is truncated or overlong, rather than in another notation.
     """
 
     def __init__(self, why: str, remedy: str) -> None:
@@ -31,12 +31,12 @@ class UnreadableError(ValueError):
 
 
 def unreadable(column: str, cell: str, why: object, remedy: str) -> UnreadableError:
-    """A cell that cannot be read."""
+    """Build the error of an unreadable cell."""
     return UnreadableError(f"column {column[:60]!r}: {cell.strip()[:60]!r} {why}", remedy)
 
 
 class Failures:
-    """All of a table's."""
+    """Unreadable rows of a table."""
 
     def __init__(self) -> None:
         self._first: dict[bool, tuple[int, UnreadableError]] = {}
@@ -46,12 +46,12 @@ class Failures:
         return sum(self._counts.values())
 
     def add(self, line: int, error: UnreadableError) -> None:
-        """One more."""
+        """Count an unreadable line."""
         self._counts[error.is_damage] += 1
         self._first.setdefault(error.is_damage, (line, error))
 
     def lost(self, rows: int) -> str:
-        """What to say of them where the other rows are used."""
+        """Describe the unreadable rows as a loss, where the others are used."""
         line, error = min(self._first.values(), key=lambda failure: failure[0])
         return (
             f"{len(self)} of {rows} rows could not be read and were left out "
@@ -59,14 +59,14 @@ class Failures:
         )
 
     def refusal(self, rows: int) -> str:
-        """Why the table should not be used; "" where the rows are too few to say so."""
+        """Return why the table should be refused; "" where too few rows fail."""
         count = self._counts[False]
         if count < 2 or count <= _MAX_UNREADABLE_FRACTION * rows:
             return ""
         return f"{count} of {rows} rows cannot be read; {self._first_failure(is_damage=False)}"
 
     def nothing(self, rows: int) -> str:
-        """Why no row of a table was of use."""
+        """Return why no row of a table was of use."""
         if not rows:
             return f"it has no row; {DAMAGED_REMEDY}"
         if not self._first:

@@ -1,4 +1,4 @@
-"""Columns of a table that are one signal."""
+"""Columns of a table that make up one signal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tunenet_logs.formats.tables.times import Clock
 
 @dataclass(frozen=True)
 class Used:
-    """One column of values: `row` of the result [its unit] is `scale` times the text."""
+    """One column of values: `row` of the result, in its unit, is `scale` times the text."""
 
     index: int
     row: int
@@ -20,17 +20,17 @@ class Used:
 
 @dataclass(frozen=True)
 class Group:
-    """Columns that are one signal.
+    """Columns that make up one signal.
 
     Attributes:
         name: of the signal.
-        columns: of the signal; no column of the table where an axis is missing.
+        columns: of the signal; an axis may have no column in the table.
         unit: of the signal.
-        needs_all: whether a row that has some of the values is damaged.
-        clock: when a row of it arrived, or was taken.
-        stamp: when its samples were taken, where the table says that beside when they arrived.
-        numbers: of the joints that go by a number alone, by column.
-        note: what else to know of it.
+        needs_all: whether a row with only some of the values is damaged.
+        clock: time of arrival, or of acquisition, of a row.
+        stamp: time of acquisition, where the table states it beside that of arrival.
+        numbers: of the joints named by a number alone, by column.
+        note: for the user.
         is_impacts: whether its samples are impacts: the clock's times, with the value 1.
     """
 
@@ -46,12 +46,12 @@ class Group:
     is_impacts: bool = False
 
     def name_of_run(self, run: str) -> str:
-        """What a run's signal is called; one of joints ends with its quantity."""
+        """Return the name of a run's signal; a joint signal's ends with its quantity."""
         return name_of_run(self.name, run, is_joints=not (self.needs_all or self.is_impacts))
 
 
 def name_of_run(name: str, run: str, *, is_joints: bool) -> str:
-    """What a run's signal is called; one of joints ends with its quantity."""
+    """Return the name of a run's signal; a joint signal's ends with its quantity."""
     if not run:
         return name
     robot, _, quantity = name.rpartition(".") if is_joints else (name, "", "")
@@ -59,11 +59,11 @@ def name_of_run(name: str, run: str, *, is_joints: bool) -> str:
 
 
 def stamp_for(words: Words, stamps: Sequence[Clock]) -> Clock | None:
-    """The stamp of the message that a column comes from: with the longest name in common."""
+    """Return the stamp of the message that a column belongs to, by the longest common prefix."""
     fitting = [clock for clock in stamps if words[: len(clock.scope)] == clock.scope]
     return max(fitting, key=lambda clock: len(clock.scope), default=None)
 
 
 def plain_words(name: str) -> Words:
-    """The words of a name in small letters, camels whole."""
+    """Split a name into lower-case words, not at capitals."""
     return lowered(words_of(name, camel=False))

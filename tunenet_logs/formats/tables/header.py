@@ -1,4 +1,4 @@
-"""Finding the line of a table that names its columns, wherever it stands."""
+"""Find the header line of a table, wherever it stands."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.tables.column_names import UNKNOWN, meaning_of
 from tunenet_logs.formats.tables.known_rows import LOOK_ROWS, KnownRows, known_rows
-from tunenet_logs.formats.tables.layout import MOST_COLUMNS, TableLayout, table_layout_of
-from tunenet_logs.formats.tables.lines import MOST_LINE, SEPARATORS, cells_of
+from tunenet_logs.formats.tables.layout import MAX_COLUMNS, TableLayout, table_layout_of
+from tunenet_logs.formats.tables.lines import MAX_LINE, SEPARATORS, cells_of
 from tunenet_logs.formats.tables.numbers import Numbers
 from tunenet_logs.formats.tables.offers import offer_by_name, offer_by_number, short_list
 from tunenet_logs.formats.tables.row_numbers import ROW, numbered, said_layout
@@ -26,33 +26,25 @@ from tunenet_logs.formats.tables.units import (
     with_row,
 )
 
-_MOST_BEFORE = 200
-"""Lines of a preamble."""
-
-_MOST_NAMES = 20_000
-"""Of columns that are looked at in all lines of a preamble."""
-
+_MAX_BEFORE = 200  # lines of a preamble
+_MAX_NAMES = 20_000  # of columns that are looked at in all lines of a preamble
+# Headers that are understood, for error messages.
 _EXAMPLE = "for example t,x,y,z or time_ms;height_mm or t,joint1_effort,joint1_position"
-"""Headers that are understood, for error messages."""
 
-_FEW_COLUMNS = 3
-"""A table of so few may hold impact times."""
-
-_NAMELESS = "has no line that names its columns"
-"""What a table lacks that begins at once."""
-
+_FEW_COLUMNS = 3  # a table of so few may hold impact times
+_NAMELESS = "has no line that names its columns"  # what a table lacks that begins at once
+# Lines with their numbers from 1; None for one that is too long.
 Lines = Iterator[tuple[int, str | None]]
-"""Lines with their numbers from 1; None for one that is too long."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpenTable:
-    """A table that is open.
+    """A table read up to its first row.
 
     Attributes:
         rows: the lines behind the header and its units.
-        what: the table is, beside a table; "" where nothing says so.
-        said_rows: how many rows it says that it has; None where it does not.
+        what: kind of table; "" where it is unstated.
+        said_rows: number of rows stated; None where it is unstated.
     """
 
     layout: TableLayout
@@ -67,16 +59,16 @@ def open_table(
     columns: Mapping[str, str] | None = None,
     counts_rows: bool = False,
 ) -> OpenTable:
-    """A table, read up to its first row.
+    """Read a table up to its first row.
 
     Args:
         path: for messages.
         text: its lines.
-        columns: what its user says that they are.
+        columns: named by the user.
         counts_rows: whether a row is a frame where the columns have no clock.
 
     Raises:
-        LogError: it has no header that says when and what, or is too large.
+        LogError: it has no header with a clock and values, or is too large.
         OSError: it cannot be read.
     """
     said = columns or {}
@@ -85,7 +77,7 @@ def open_table(
     lines: Lines = enumerate(text, 1)
     before = _Before(said, counts_rows)
     first: str | None = None
-    for number, line in islice(lines, _MOST_BEFORE):
+    for number, line in islice(lines, _MAX_BEFORE):
         try:
             if line is not None and not line.startswith(("#", "%")) and _is_row(line, said):
                 lines, first = chain([(number, line)], lines), line
@@ -112,14 +104,14 @@ def open_table(
 
 
 class _Before:
-    """What the lines before the first row say.
+    """Parser of the lines before the first row.
 
     Attributes:
         header: the names of the columns; without groups where no better one is found.
         commented: the same of a comment, as numpy.savetxt and rostopic write it.
-        length: the unit of lengths; "" where none is said.
-        rows_are_frames: whether the last column of the layout is that of the rows' numbers.
-        known: what the rows are, where no line names their columns.
+        length: the unit of lengths; "" where it is unstated.
+        rows_are_frames: whether the last column of the layout is that of the row numbers.
+        known: format of the rows, where no line names their columns.
     """
 
     def __init__(self, said: Mapping[str, str], counts_rows: bool) -> None:
@@ -131,16 +123,12 @@ class _Before:
         self._said = said
         self._counts_rows = counts_rows
         self._texts: list[str] = []
-        self._names_left = _MOST_NAMES
+        self._names_left = _MAX_NAMES
         self._too_large = ""
 
     def takes(self, number: int, line: str | None) -> bool:
-        """Whether a line is the header; what else it says is kept.
-
-        Raises:
-            ValueError: a unit in it is not known.
-        """
-        if line is None or any(len(cells) > MOST_COLUMNS for _, cells in _readings(line)):
+        """Parse a line; return whether it is the header. Raise ValueError for an unknown unit."""
+        if line is None or any(len(cells) > MAX_COLUMNS for _, cells in _readings(line)):
             self._too_large = self._too_large or f"line {number} is {_size_of(line)}"
             return False
         self._names_left -= max(len(cells) for _, cells in _readings(line))
@@ -172,7 +160,7 @@ class _Before:
         self.length = length_in(text) or self.length
 
     def _named(self, line: str) -> TableLayout | None:
-        """The layout of a line that holds the names that a user says."""
+        """Return the layout of a line that holds the user's column names."""
         for separator, cells in _readings(line):
             places, missing = places_of(self._said, cells)
             if not missing and any(is_name(place, cells) for place in self._said.values()):
@@ -186,14 +174,14 @@ class _Before:
         return made
 
     def layout(self, row: str | None, ahead: Sequence[str]) -> TableLayout | None:
-        """The columns of the table that begins with that row; None where they are not known.
+        """Return the columns of the table; None where they cannot be determined.
 
         Args:
             row: the first one; None where there is none.
-            ahead: some of them.
+            ahead: some of the rows.
 
         Raises:
-            ValueError: they are none of those that a user says.
+            ValueError: the table lacks the user's columns.
         """
         layouts = (self.header, self.commented)
         found = next((made for made in layouts if made is not None and made.groups), None)
@@ -212,7 +200,7 @@ class _Before:
         if row is None or not names:
             place = next(iter(self._said.values()))
             raise ValueError(
-                f"has no column {place[:60]!r} in its first {_MOST_BEFORE} lines; "
+                f"has no column {place[:60]!r} in its first {_MAX_BEFORE} lines; "
                 "name one that it has"
             )
         known = names if any(names) else [f"column {at}" for at in range(1, len(names) + 1)]
@@ -227,14 +215,14 @@ class _Before:
         return self._below_names(self._said_layout(places, known, separator))
 
     def _is_nameless(self, row: str | None) -> bool:
-        """Whether no line names the columns of that row, or only as trajectories are headed."""
+        """Return whether no line names the row's columns, or only as trajectories do."""
         names = self._names(row)[1]
         named = {name.lower() for name in names}
         is_trajectory = {"tx", "ty", "tz"} <= named or {"px", "py", "pz"} <= named
         return is_trajectory or all(meaning_of(name) == UNKNOWN for name in names)
 
     def _known_layout(self) -> TableLayout | None:
-        """The columns of rows that say themselves what they are."""
+        """Return the columns of rows whose format is recognized."""
         if self.known is None or self.known.remedy:
             return None
         self.rows_are_frames = not self.known.has_clock
@@ -243,17 +231,17 @@ class _Before:
 
     @property
     def is_opensim(self) -> bool:
-        """Whether it is what OpenSim writes: .sto and .mot."""
+        """Whether OpenSim wrote it: .sto and .mot."""
         return any(text.strip().lower() == "endheader" for text in self._texts)
 
     def says(self, key: str) -> str:
-        """What OpenSim's head says of a key, in small letters; "" where it is not there."""
+        """Return the lower-case value of a key in OpenSim's header; "" where it is absent."""
         lines = (text.partition("=") for text in self._texts if "=" in text)
         said = {one.strip().lower(): value.strip(" \t,;").lower() for one, _, value in lines}
         return said.get(key, "") if self.is_opensim else ""
 
     def _check(self) -> None:
-        """Raise ValueError where the head says that the table holds no positions."""
+        """Raise ValueError where the header says that the table holds no positions."""
         first = self._texts[0].strip(" \t,;") if self._texts else ""
         if self.is_opensim and re.search("velocit|accelerat|speed", first, re.I):
             raise ValueError(
@@ -262,23 +250,19 @@ class _Before:
             )
 
     def _counted(self, row: str | None) -> TableLayout | None:
-        """The layout of columns without a clock whose rows are frames; None where it has none."""
+        """Return the layout of columns without a clock, rows counted as frames; else None."""
         separator, names = self._names(row)
         layout = table_layout_of([*names, ROW], separator) if any(names) else None
         self.rows_are_frames = layout is not None and bool(layout.groups)
         return self._below_names(layout) if layout is not None and layout.groups else None
 
     def _below_names(self, layout: TableLayout) -> TableLayout:
-        """The layout with the units of a row between the names and the first row, if there is one.
-
-        Raises:
-            ValueError: a unit is none of what the column is said to be.
-        """
+        """Add the units of a row between the names and the first row, if there is one."""
         last = self._texts[-1] if self._texts else ""
         return _named_by(layout, last) or layout
 
     def _names(self, row: str | None) -> tuple[str | None, list[str]]:
-        """The separator of a row, and the last line before it of as many cells; or empty names."""
+        """Return a row's separator, and the names of the last line of equal width, if any."""
         for separator, cells in _row_readings(row or ""):
             for text in reversed(self._texts):
                 names = [cell.strip() for cell in cells_of(text, separator)]
@@ -290,12 +274,7 @@ class _Before:
         return None, []
 
     def refusal(self, row: str | None, rest: Iterable[str | None]) -> str:
-        """Why there is no table below these lines.
-
-        Args:
-            row: the first one; None where there is none.
-            rest: those behind it.
-        """
+        """Return why there is no table below these lines, by first row and rest."""
         layout = self.header or self.commented
         separator, names = self._names(row)
         if layout is not None and (not any(names) or len(names) == layout.width):
@@ -320,7 +299,7 @@ class _Before:
 
 
 def _unusable(layout: TableLayout) -> str:
-    """Why there is nothing in a table's columns."""
+    """Return why none of a table's columns is of use."""
     reasons = [f"{name[:60]!r}: {why}" for name, why in layout.unused.items() if name.strip()]
     listed = "; ".join(reasons[:4]) or "it has times alone"
     offer = f"; {offer_by_name(layout.header)}" if reasons or layout.width == 1 else ""
@@ -330,18 +309,18 @@ def _unusable(layout: TableLayout) -> str:
 
 
 def _size_of(line: str | None) -> str:
-    """How large a line is that is too large."""
+    """Describe the size of a line that is too large."""
     if line is None:
         return (
-            f"longer than {MOST_LINE >> 20} MiB, the limit of a line "
-            f"(a table may have {MOST_COLUMNS} columns)"
+            f"longer than {MAX_LINE >> 20} MiB, the limit of a line "
+            f"(a table may have {MAX_COLUMNS} columns)"
         )
     columns = max(len(cells) for _, cells in _readings(line))
-    return f"a header of {columns} columns, over the limit of {MOST_COLUMNS}"
+    return f"a header of {columns} columns, over the limit of {MAX_COLUMNS}"
 
 
 def _with_units(path: Path, table: OpenTable, before: _Before) -> OpenTable:
-    """A table whose columns have the units of a row below the header, and of the preamble."""
+    """Add the units of a row below the header, and of the preamble, to the columns."""
     layout, rows = table.layout, table.rows
     for number, line in rows:
         is_comment = line is not None and line.startswith("#")
@@ -371,7 +350,7 @@ def _with_units(path: Path, table: OpenTable, before: _Before) -> OpenTable:
 
 
 def _named_by(layout: TableLayout, line: str) -> TableLayout | None:
-    """The layout with the units of a line; None where it is no row of units."""
+    """Add the units of a line to a layout; None where it is no row of units."""
     header = with_row(layout.header, cells_of(line, layout.separator), layout.reading)
     return _again(layout, header) if header else None
 
@@ -381,7 +360,7 @@ def _again(layout: TableLayout, header: Sequence[str]) -> TableLayout:
 
 
 def _readings(line: str) -> Iterator[tuple[str | None, list[str]]]:
-    """The cells of a line by each separator that it may have."""
+    """Yield the cells of a line by each separator that it may have."""
     has_marks = any(mark in line for mark in SEPARATORS if mark)
     for separator in SEPARATORS:
         if separator or not has_marks:  # "Time (s),X" has a space too
@@ -389,7 +368,7 @@ def _readings(line: str) -> Iterator[tuple[str | None, list[str]]]:
 
 
 def _layout(line: str) -> TableLayout | None:
-    """What a line says as a header, with the separator that makes most of it."""
+    """Parse a line as a header, with the separator that makes most of it."""
     found = [
         layout
         for separator, cells in _readings(line)
@@ -399,29 +378,24 @@ def _layout(line: str) -> TableLayout | None:
 
 
 def _is_row(line: str, said: Mapping[str, str]) -> bool:
-    """Whether a line begins with a number, and half of its cells are such.
-
-    Args:
-        line: of text.
-        said: what a user says of columns; a single one is a table by that alone.
-    """
+    """Return whether a line begins with a number, as do half of its cells; see `_row_readings`."""
     return any(len(cells) > 1 or said for _, cells in _row_readings(line))
 
 
 def _row_readings(line: str) -> Iterator[tuple[str | None, list[str]]]:
-    """The cells of a row by each separator by which it is one."""
+    """Yield the cells of a row by each separator by which it is one."""
     for separator in SEPARATORS:
         cells = cells_of(line, separator)
         if not cells or not _is_number(cells[0], separator):
             continue
-        seen = cells[:MOST_COLUMNS]
+        seen = cells[:MAX_COLUMNS]
         is_row = sum(_is_number(cell, separator) for cell in seen) * 2 >= len(seen)
         if is_row and (len(cells) > 1 or separator is None):
             yield separator, cells
 
 
 def _is_name(text: str) -> bool:
-    """Whether a cell names a column, not its unit alone."""
+    """Return whether a cell names a column, rather than its unit alone."""
     return bool(text) and unit_alone(text) is None
 
 

@@ -1,4 +1,4 @@
-"""Quantities of a table as those of joints."""
+"""Group the joint quantities of a table into signals."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from tunenet_logs.formats.tables.group import Group, Used, plain_words, stamp_fo
 from tunenet_logs.formats.tables.meaning import JointColumn, Meaning
 from tunenet_logs.formats.tables.times import Clock
 
+# Units of the signals of joints.
 _UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "A"}
-"""Units of the signals of joints."""
 
 
 def joints_of(
@@ -20,14 +20,14 @@ def joints_of(
     stamps: Sequence[Clock],
     unused: dict[str, str],
 ) -> list[Group]:
-    """A group for each quantity of each robot; all of one robot have the same joints.
+    """Group joint columns by robot and quantity; all groups of one robot have the same joints.
 
     Args:
         header: the names of all columns.
         meanings: of columns, by index.
         clock: of the rows.
         stamps: of messages.
-        unused: why columns are not used, by name; to be added to.
+        unused: reasons by name; to be added to.
     """
     values = {at: meaning for at, meaning in meanings.items() if isinstance(meaning, JointColumn)}
     if all(one.is_bare and one.quantity != "effort" for one in values.values()):
@@ -56,7 +56,7 @@ def joints_of(
 def _tables(
     header: Sequence[str], values: Mapping[int, JointColumn], unused: dict[str, str]
 ) -> dict[tuple[str, str], dict[str, int]]:
-    """The column of each joint, by robot and quantity; not those that are there twice."""
+    """Return the column of each joint, by robot and quantity, without ambiguous ones."""
     tables: dict[tuple[str, str], dict[str, list[int]]] = {}
     for at, meaning in values.items():
         found = tables.setdefault((meaning.group, meaning.quantity), {})
@@ -69,7 +69,7 @@ def _tables(
 
 
 def with_torques(groups: Sequence[Group], constants: Sequence[float]) -> list[Group]:
-    """The same, with currents as torques where there are no torques.
+    """Convert motor currents to torques where none are measured.
 
     Args:
         groups: of a table.

@@ -1,4 +1,4 @@
-"""Tables without a line of names whose rows say what they are: trajectories, echoed messages."""
+"""Recognize headerless tables by their rows: trajectories, echoed messages."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.formats.tables.lines import cells_of
 from tunenet_logs.terminal import short_name
 
-LOOK_ROWS = 50
-"""Looked at: what all of them keep is no accident."""
+LOOK_ROWS = 50  # looked at: what all of them keep is no accident
+_MIN_ROWS = 3
 
-_FEWEST_ROWS = 3
-
+# By which a quaternion's length, or a rotation, may differ from 1: files round to few digits.
 _OFF = 0.02
-"""By which a quaternion's length, or a rotation, may differ from 1: files round to few digits."""
 
 _TURN = tuple(f"orientation.{axis}" for axis in "xyzw")
 _POSE = ("x", "y", "z", *_TURN)
@@ -34,20 +32,20 @@ _MATRIX = ("r11", "r12", "r13", "x", "r21", "r22", "r23", "y", "r31", "r32", "r3
 _SEPARATORS = (",", "\t", ";", None)
 
 _SECOND_NS = 10**9
-_MOST_COUNTED = 1000  # in a second column that counts something else
+_MAX_COUNTED = 1000  # in a second column that counts something else
 
 
 @dataclass(frozen=True)
 class KnownRows:
-    """What rows without names are.
+    """Recognized format of headerless rows.
 
     Attributes:
         what: in words.
         separator: of cells; None is white space.
         names: of the columns.
-        has_clock: whether they tell when; else a row is a frame.
-        remedy: what the user is to say, where the rows leave it open; "" where they do not.
-        texts: columns of names, which are the same in every row.
+        has_clock: whether rows have times; else a row is a frame.
+        remedy: what the user has to state, where the rows are ambiguous; "" where they are not.
+        texts: text columns, which are equal in every row.
     """
 
     what: str
@@ -59,16 +57,16 @@ class KnownRows:
 
     @property
     def refusal(self) -> str:
-        """Why they are not read without the user's word, and what that is."""
+        """Why the rows are not read without the user's options, and which these are."""
         return f"is {self.what}; {self.remedy}"
 
     def of_one(
         self, path: Path, rows: Iterable[tuple[int, str | None]]
     ) -> Iterator[tuple[int, str | None]]:
-        """Yield rows as long as they name what the first one names.
+        """Yield the rows, which all have to name the same object.
 
         Raises:
-            LogError: one names something else: rows of two things under each other are no track.
+            LogError: one names another: rows of several objects in one column are no track.
         """
         first: list[str] = []
         for number, line in rows:
@@ -88,15 +86,11 @@ class KnownRows:
 
 
 def known_rows(lines: Sequence[str]) -> KnownRows | None:
-    """Tell what rows without names are by their numbers; None where these tell nothing.
-
-    Args:
-        lines: the first rows, those of remarks left out.
-    """
+    """Recognize headerless rows by their numbers; None where these are inconclusive."""
     for separator in _SEPARATORS:
         rows = [cells_of(line, separator) for line in lines]
         widths = {len(row) for row in rows}
-        if len(rows) >= _FEWEST_ROWS and len(widths) == 1 and min(widths) > 1:
+        if len(rows) >= _MIN_ROWS and len(widths) == 1 and min(widths) > 1:
             stripped = [[cell.strip() for cell in row] for row in rows]
             numbers = np.array([[_number(cell) for cell in row] for row in stripped])
             return _echoed(separator, stripped, numbers) or _trajectory(separator, numbers)
@@ -104,7 +98,7 @@ def known_rows(lines: Sequence[str]) -> KnownRows | None:
 
 
 def _trajectory(separator: str | None, numbers: NDArray[np.float64]) -> KnownRows | None:
-    """Trajectories of TUM (time, place, quaternion) and of KITTI (3 x 4 matrices)."""
+    """Recognize TUM (time, position, quaternion) and KITTI (3 x 4 matrix) trajectories."""
     if not np.isfinite(numbers).all():
         return None
     width = numbers.shape[1]
@@ -125,7 +119,7 @@ def _trajectory(separator: str | None, numbers: NDArray[np.float64]) -> KnownRow
 def _echoed(
     separator: str | None, rows: Sequence[Sequence[str]], numbers: NDArray[np.float64]
 ) -> KnownRows | None:
-    """Messages with a header, as `ros2 topic echo --csv` writes them: field by field, no names."""
+    """Recognize stamped messages of `ros2 topic echo --csv`: field by field, no names."""
     if separator != "," or numbers.shape[1] < 4 or not _are_stamps(numbers[:, :2]):
         return None
     columns = list(zip(*rows, strict=True))[2:]
@@ -167,12 +161,12 @@ def _numbered(first: int, count: int) -> tuple[str, ...]:
 
 
 def _are_stamps(values: NDArray[np.float64]) -> bool:
-    """Whether two columns are whole seconds, and nanoseconds that are not mere counts."""
+    """Return whether columns are integer seconds, and nanoseconds that are no mere counts."""
     if not np.isfinite(values).all() or (values != np.floor(values)).any():
         return False
     rest = values[:, 1]
     in_range = (values >= 0).all() and (rest < _SECOND_NS).all()
-    return bool(in_range and (rest > _MOST_COUNTED).any())
+    return bool(in_range and (rest > _MAX_COUNTED).any())
 
 
 def _is_turn(values: NDArray[np.float64]) -> bool:

@@ -1,4 +1,4 @@
-"""How the columns of a table belong together: clocks, tracks, joints, and what is not used."""
+"""Lay out the columns of a table: clocks, tracks, joints, and unused ones."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ from tunenet_logs.formats.tables.run_names import runs_of
 from tunenet_logs.formats.tables.times import Clock
 from tunenet_logs.formats.tables.tracks import tracks_of
 
-MOST_COLUMNS = 5000
-"""Of a table: motion capture of hundreds of markers has fewer; each column costs its name's
-reading."""
+# Of a table: motion capture of hundreds of markers has fewer; each column costs its name's reading.
+MAX_COLUMNS = 5000
 
 
 @dataclass(frozen=True)
@@ -36,11 +35,11 @@ class TableLayout:
 
     Attributes:
         separator: of cells; None is white space.
-        names: the columns that hold the names of joints, by the joint's number.
-        runs: the columns that say of which run and of which thing a row is, and what each counts.
+        names: columns of joint names, by joint number.
+        runs: columns that identify run and object of a row, with the kind of each.
         unused: why a column is not used, by its name.
         header: the names of all columns, with their units.
-        reading: what each of them means.
+        reading: interpreter of the columns.
     """
 
     separator: str | None
@@ -53,16 +52,16 @@ class TableLayout:
 
     @property
     def width(self) -> int:
-        """How many columns there are."""
+        """Number of columns."""
         return len(self.header)
 
 
 def table_layout_of(
     header: Sequence[str], separator: str | None, reading: Reading = by_name
 ) -> TableLayout | None:
-    """What a header line says; None where it is none: there is no time among its names."""
+    """Parse a header line; None where it names no time, and so is no header."""
     least = 2 if reading is by_name else 1
-    if not least <= len(header) <= MOST_COLUMNS:
+    if not least <= len(header) <= MAX_COLUMNS:
         return None
     columns = runs_of(header) if reading is by_name else [("", name) for name in header]
     names = [name for _, name in columns]
@@ -102,7 +101,7 @@ def table_layout_of(
 
 
 def run_columns(meanings: Mapping[int, Meaning]) -> tuple[tuple[int, str], ...]:
-    """The columns that say of which run and of which thing a row is, and what each counts."""
+    """Return the columns that identify run and object of a row, with the kind of each."""
     counts = [(at, one.kind) for at, one in meanings.items() if isinstance(one, RunColumn)]
     runs = [one for one in counts if one[1] == "run"]
     things = sorted((one for one in counts if one[1] != "run"), key=lambda one: one[1] == "object")
@@ -110,18 +109,18 @@ def run_columns(meanings: Mapping[int, Meaning]) -> tuple[tuple[int, str], ...]:
 
 
 def clock_of(header: Sequence[str]) -> Clock | None:
-    """When the rows under a header arrived, or were taken; None where no name says that."""
+    """Return the clock of the rows under a header; None where no name is a time."""
     return _arrival(_clocks(header, dict(enumerate(map(meaning_of, header)))))
 
 
 def _arrival(clocks: Sequence[tuple[bool, Clock]]) -> Clock | None:
-    """The clock of the rows: the plainest, of arrival before that of a header's stamps."""
+    """Return the clock of the rows: the shortest name, arrival before header stamps."""
     arrivals = [one for is_header, one in clocks if not is_header] or [one for _, one in clocks]
     return min(arrivals, key=lambda one: len(words_of(one.name, camel=True)), default=None)
 
 
 def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tuple[bool, Clock]]:
-    """All times; seconds and nanoseconds of one name are one."""
+    """Return all clocks; seconds and nanoseconds of one name are one."""
     times = {at: meaning for at, meaning in meanings.items() if isinstance(meaning, TimeColumn)}
     rests = {
         plain_words(header[at])[:-1]: at
@@ -157,7 +156,7 @@ def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tupl
 
 
 def _frames(header: Sequence[str], meanings: Mapping[int, Meaning]) -> Clock | None:
-    """The clock of a table that counts pictures and has no other."""
+    """Return the clock of a table that counts frames and has no other."""
     at = next((at for at, one in meanings.items() if isinstance(one, FrameColumn)), None)
     return None if at is None else Clock(header[at], (at,), 0, counts_frames=True)
 

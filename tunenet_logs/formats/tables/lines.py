@@ -1,4 +1,4 @@
-"""The lines of a text file and the cells of a line, both bounded."""
+"""Read lines of a text file and cells of a line, both bounded."""
 
 from __future__ import annotations
 
@@ -11,26 +11,17 @@ from pathlib import Path
 from tunenet_logs.errors import LogError
 from tunenet_logs.regular_file import open_regular, open_regular_text
 
-SUFFIXES = (".csv", ".tsv", ".txt")
-"""Of files that may be tables."""
-
-SEPARATORS = ("\t", ";", ",", None)
-"""In the order in which they are tried; None is white space."""
-
-MOST_LINE = 1024**2
-"""Characters; a row of 5000 columns of 20 digits is a tenth of that."""
-
-_MOST_BYTES = 512 * 1024**2
-"""Of a table: its cells are read one by one, in Python."""
-
-_LOOK_BYTES = 65_536
-"""Of a file, by which text is told from what is none, and its encoding."""
-
-_MOST_FOREIGN = 0.3
-"""Share of bytes beyond ASCII in a text of one byte a character; pictures and sound have more."""
+SUFFIXES = (".csv", ".tsv", ".txt")  # of files that may be tables
+SEPARATORS = ("\t", ";", ",", None)  # in the order in which they are tried; None is white space
+MAX_LINE = 1024**2  # characters; a row of 5000 columns of 20 digits is a tenth of that
+_MAX_BYTES = 512 * 1024**2  # of a table: its cells are read one by one, in Python
+_LOOK_BYTES = 65_536  # of a file, by which text is told from what is none, and its encoding
+# Share of bytes beyond ASCII in a text of one byte a character; pictures and sound have more.
+_MAX_FOREIGN = 0.3
 
 _NUMBER = re.compile(r"[-+]?(?:[0-9]++(?:[.,][0-9]++)?|[.,][0-9]++)(?:[eE][-+]?[0-9]+)?")
 
+# How encodings begin that mark themselves; spreadsheets write UTF-16 as "Unicode text".
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32"),
     (codecs.BOM_UTF32_BE, "utf-32"),
@@ -38,21 +29,19 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
     (codecs.BOM_UTF8, "utf-8-sig"),
 )
-"""How encodings begin that mark themselves; spreadsheets write UTF-16 as "Unicode text"."""
 
+# Bytes that no text has; a terminal's log has ESC (1b), an old one of DOS ends with 1a.
 _CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x19\x1c-\x1f\x7f]")
-"""Bytes that no text has; a terminal's log has ESC (1b), an old one of DOS ends with 1a."""
 
-_MOST_LINES = 4_000_000
-"""Of a table, empty ones too: as many again as it may have rows."""
+_MAX_LINES = 4_000_000  # of a table, empty ones too: as many again as it may have rows
 
 
 def encoding_of(start: bytes) -> str | None:
-    """How a text file is encoded, by its first bytes; None where it is no text.
+    """Detect the encoding of a text file by its first bytes; None where it is no text.
 
     UTF-8, UTF-16 and UTF-32 are known by their marks, UTF-16 without a mark by its zeros, and what
-    is no UTF-8 is taken as Windows' own (CP1252). A damaged byte of UTF-8 stands beside letters
-    that are whole; in CP1252 there is none of these.
+    is no UTF-8 is taken as Windows' own (CP1252). A damaged byte of UTF-8 stands beside intact
+    multi-byte characters; in CP1252 there are none of these.
     """
     start = start[:_LOOK_BYTES]
     for mark, encoding in _MARKS:
@@ -75,12 +64,12 @@ def encoding_of(start: bytes) -> str | None:
         if not is_cut:
             is_utf8 = not start.decode("utf-8", "ignore").isascii()
             text = "utf-8-sig" if is_utf8 else "cp1252"
-            return text if others < _MOST_FOREIGN * len(start) else None
+            return text if others < _MAX_FOREIGN * len(start) else None
     return "utf-8-sig"
 
 
 def text_encoding(path: Path) -> str:
-    """How a file is encoded that is to be read as text, whatever it is.
+    """Detect the encoding of a file to be read as text in any case.
 
     Raises:
         OSError: it cannot be read.
@@ -90,14 +79,14 @@ def text_encoding(path: Path) -> str:
 
 
 def is_text(start: bytes, suffix: str) -> bool:
-    """Whether a file is text, by its first bytes; under a table's name it may be damaged text."""
+    """Return whether a file is text, by its first bytes; a table's suffix allows damaged text."""
     if encoding_of(start) is not None:
         return True
     return suffix.lower() in SUFFIXES and b"\0" not in start[:_LOOK_BYTES]
 
 
 def is_table(path: Path) -> bool:
-    """Whether a file has the name of a table, and is text.
+    """Return whether a file has a table's suffix, and is text.
 
     Raises:
         OSError: it cannot be read.
@@ -109,7 +98,7 @@ def is_table(path: Path) -> bool:
 
 
 def has_rows(lines: Iterable[str]) -> bool:
-    """Whether a line of a text begins with a number, and is of two or more and little else."""
+    """Return whether any line begins with a number, and is mostly numbers, two or more."""
     return any(map(_is_row, lines))
 
 
@@ -120,33 +109,33 @@ def _is_row(line: str) -> bool:
 
 
 def lines_of(path: Path) -> Iterator[str | None]:
-    """The lines without their ends; None for one that is too long for any table.
+    """Yield the lines without their ends; None for one that is too long for any table.
 
     Raises:
         LogError: the file is too large, or has too many lines.
         OSError: it cannot be read.
     """
     size = path.stat().st_size
-    if size > _MOST_BYTES:
+    if size > _MAX_BYTES:
         raise LogError(f"{path}: is a table of {size} bytes, over the limit of 512 MiB; split it")
     with open_regular_text(path, text_encoding(path), errors="replace") as file:
         count = 0
-        while line := file.readline(MOST_LINE):
+        while line := file.readline(MAX_LINE):
             count += 1
-            if count > _MOST_LINES:
+            if count > _MAX_LINES:
                 raise LogError(
-                    f"{path}: is a table of over {_MOST_LINES} lines, the limit; split it"
+                    f"{path}: is a table of over {_MAX_LINES} lines, the limit; split it"
                 )
-            whole = line.endswith("\n") or len(line) < MOST_LINE
-            while not line.endswith("\n") and len(line) == MOST_LINE:
-                line = file.readline(MOST_LINE)
+            whole = line.endswith("\n") or len(line) < MAX_LINE
+            while not line.endswith("\n") and len(line) == MAX_LINE:
+                line = file.readline(MAX_LINE)
             yield line.rstrip("\n") if whole else None
 
 
 def cells_of(line: str, separator: str | None) -> list[str]:
-    """The cells of a line; none where it is no line of a table.
+    """Split a line into cells; none where it is malformed.
 
-    A cell never spans lines: a quote that is not closed must not swallow the rest of a file.
+    A cell never spans lines: an unclosed quote must not swallow the rest of a file.
     """
     if separator is None:
         return line.split()

@@ -1,4 +1,4 @@
-"""What a column of a table can mean."""
+"""Possible meanings of a table column."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-Words = tuple[str, ...]
-"""The words of a column's name, as `words_of` takes it apart."""
-
+Words = tuple[str, ...]  # the words of a column's name, as `words_of` takes it apart
+# Units of lengths [m].
 LENGTHS = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
     **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), 0.01),
@@ -17,8 +16,8 @@ LENGTHS = {
     **dict.fromkeys(("in", "inch", "inches"), 0.0254),
     **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
 }
-"""Units of lengths [m]."""
 
+# Units of times, as powers of ten of a second.
 POWERS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 0),
     **dict.fromkeys(("ms", "msec", "msecs", "milis", "millis", "millisecond", "milliseconds"), -3),
@@ -26,7 +25,6 @@ POWERS = {
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos"), -9),
     **dict.fromkeys(("nanosecond", "nanoseconds"), -9),
 }
-"""Units of times, as powers of ten of a second."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +32,9 @@ class TimeColumn:
     """A time.
 
     Attributes:
-        power: its unit as a power of ten of a second; None where the name does not say.
+        power: its unit as a power of ten of a second; None where the name states none.
         scope: the words before it: what it is the time of.
-        is_header: whether it is when a sample was taken, not when it arrived.
+        is_header: whether it is a time of acquisition, not of arrival.
         part: "sec" or "nanosec" where another column may hold the rest.
     """
 
@@ -48,18 +46,18 @@ class TimeColumn:
 
 @dataclass(frozen=True)
 class DateColumn:
-    """A date: of a time of the day in another column, or with one."""
+    """A date, with a time of day or with that in another column."""
 
 
 @dataclass(frozen=True)
 class CoordinateColumn:
-    """The coordinate of a thing along an axis (0 to 2), in units of `scale` `unit`s.
+    """Coordinate of an object along an axis (0 to 2), in units of `scale` `unit`s.
 
     Attributes:
-        unit: "m", "px", or "" where the name says none.
-        rank: what it is called: 0 an axis, 1 a height, 2 a bare position, 3 a bare distance; of
+        unit: "m", "px", or "" where the name states none.
+        rank: kind of name: 0 an axis, 1 a height, 2 a bare position, 3 a bare distance; of
             several for one axis the first is used.
-        is_doubtful: whether it is one only where the thing has another, as in "x-ball", "y-ball".
+        is_doubtful: whether it counts only if the object has another, as in "x-ball", "y-ball".
     """
 
     thing: str
@@ -78,8 +76,8 @@ class JointColumn:
         group: the robot, or "joints".
         label: the joint.
         quantity: "effort", "position", "velocity" or "current".
-        number: the digits in the name where it says no more of the joint.
-        is_bare: whether it says nothing of the joint.
+        number: the digits in the name where they alone identify the joint.
+        is_bare: whether the name identifies no joint.
     """
 
     group: str
@@ -92,12 +90,12 @@ class JointColumn:
 
 @dataclass(frozen=True)
 class FrameColumn:
-    """The number of a picture: a time where its rate is known."""
+    """Frame number: a time where the frame rate is known."""
 
 
 @dataclass(frozen=True)
 class ImpactColumn:
-    """The time of an impact in each row.
+    """Time of an impact in each row.
 
     Attributes:
         power: see `TimeColumn`.
@@ -110,34 +108,31 @@ class ImpactColumn:
 
 @dataclass(frozen=True)
 class ImpactNumberColumn:
-    """The number of an impact: the times beside it are those of impacts."""
+    """Number of an impact: the times beside it are those of impacts."""
 
 
 @dataclass(frozen=True)
 class RunColumn:
-    """The number or name of the run, or of the thing, that a row belongs to.
-
-    Attributes:
-        kind: what it counts: "run", "object", ...
-    """
+    """Number or name of a row's run or object; `kind` is "run", "object", ..."""
 
     kind: str
 
 
 @dataclass(frozen=True)
 class JointNameColumn:
-    """A column of texts: the name of the joint of that number."""
+    """A text column: the name of the joint of that number."""
 
     number: str
 
 
 @dataclass(frozen=True)
 class UnusedColumn:
-    """A column that is not used, and why."""
+    """An unused column, with the reason."""
 
     reason: str
 
 
+# What a column can mean.
 Meaning = (
     TimeColumn
     | DateColumn
@@ -150,14 +145,12 @@ Meaning = (
     | JointNameColumn
     | UnusedColumn
 )
-"""What a column can mean."""
 
-Reading = Callable[[int, str], Meaning]
-"""What the column at an index, of that name, means."""
+Reading = Callable[[int, str], Meaning]  # what the column at an index, of that name, means
 
 
 def words_of(name: str, *, camel: bool) -> Words:
-    """The words of a name: what stands between underscores, slashes, dots, brackets, spaces."""
+    """Split a name at underscores, slashes, dots, brackets and spaces; `camel` also at capitals."""
     name = name.replace("°", "deg").replace("µ", "u").replace("μ", "u")
     name = name[:1] + name[1:].replace(
         "%", " percent "
@@ -168,5 +161,5 @@ def words_of(name: str, *, camel: bool) -> Words:
 
 
 def lowered(words: Words) -> Words:
-    """The same in small letters."""
+    """Return the words in lower case."""
     return tuple(word.lower() for word in words)

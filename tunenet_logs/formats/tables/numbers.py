@@ -1,4 +1,4 @@
-"""Numbers of a table as any country writes them, where there is no doubt what they are."""
+"""Parse numbers of a table in any locale, as long as they are unambiguous."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
+# What stands in a cell for no value, in small letters.
 _NUMBERLESS = frozenset(("", "-", "--", "null", "none", "na", "n/a", "<na>", "#n/a"))
-"""What stands in a cell for no value, in small letters."""
 
+# A number with whatever marks between its digits.
 _NUMBER = re.compile(r"[+-]?[\d.,]+(?:e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
-"""A number with whatever marks between its digits."""
 
+# Thousands in groups, beyond doubt: with a mark of decimals as well, or two groups and more.
 _IN_GROUPS = re.compile(
     r"[+-]?[1-9]\d{0,2}(?:(?:,\d{3})+\.\d*|(?:\.\d{3})+,\d*|(?:,\d{3}){2,}|(?:\.\d{3}){2,})",
     re.ASCII,
 )
-"""Thousands in groups, beyond doubt: with a mark of decimals as well, or two groups and more."""
 
+# What may be a thousand and more, or have three decimals.
 _ONE_GROUP = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
-"""What may be a thousand and more, or have three decimals."""
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """How a table writes its numbers.
+    """Number format of a table.
 
     Attributes:
         separator: of cells; None is white space.
-        decimal: what its decimals stand behind; "" where its first rows do not tell.
+        decimal: decimal mark; "" where the first rows do not show it.
     """
 
     separator: str | None
     decimal: str = ""
 
     def plain(self, cell: str) -> str:
-        """A number's text with a decimal point, and without separators of thousands.
+        """Normalize a number's text to a decimal point, without thousands separators.
 
         Raises:
-            ValueError: it can be read in two ways.
+            ValueError: it is ambiguous.
         """
         text = cell.strip()
         if "," not in text and text.count(".") < (1 if self.decimal == "," else 2):
@@ -58,10 +58,10 @@ class Numbers:
         return mark == self.separator or self.decimal not in ("", mark)
 
     def read(self, cell: str) -> float:
-        """A number; NaN where a cell is empty or says that there is none.
+        """Parse a number; NaN where a cell is empty or marks a missing value.
 
         Raises:
-            ValueError: it is something else.
+            ValueError: it is no number.
         """
         try:
             value = float(cell if self.decimal != "," else _pointed(cell))
@@ -71,7 +71,7 @@ class Numbers:
 
 
 class Thousands:
-    """Columns whose numbers may have thousands behind a point: `1.050` beside `985`.
+    """Detector of columns with ambiguous thousands separators: `1.050` beside `985`.
 
     A table that writes decimals writes more or fewer of them somewhere, or none below 1000 only.
 
@@ -85,7 +85,7 @@ class Thousands:
         self._wholes: set[int] = set()
 
     def look(self, cells: Sequence[str]) -> None:
-        """One more row."""
+        """Examine one more row."""
         for at in tuple(self._undecided):
             text = cells[at].strip()
             if _ONE_GROUP.fullmatch(text):
@@ -97,7 +97,7 @@ class Thousands:
                 self._undecided.discard(at)
 
     def doubt(self, names: Sequence[str]) -> str:
-        """What may be read in two ways; "" where nothing is."""
+        """Describe an ambiguous column; "" where there is none."""
         at = min(self._undecided & self._groups.keys() & self._wholes, default=None)
         if at is None:
             return ""
@@ -109,7 +109,7 @@ class Thousands:
 
 
 def _pointed(cell: str) -> str:
-    """A number with a decimal comma; what has a point too is for a closer look."""
+    """Return a number with a decimal comma as one with a point; "" where it has a point too."""
     return cell.replace(",", ".") if "." not in cell else ""
 
 
@@ -123,7 +123,7 @@ def _from_words(text: str) -> float:
 
 
 def decimal_of(cells: Iterable[str]) -> str:
-    """What decimals stand behind in these numbers; "" where they do not tell, or disagree."""
+    """Detect the decimal mark of numbers; "" where they show none, or disagree."""
     marks = {mark for cell in cells if (mark := _mark(cell.strip()))}
     return marks.pop() if len(marks) == 1 else ""
 

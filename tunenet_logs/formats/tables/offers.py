@@ -1,4 +1,4 @@
-"""What to type for a table that is not understood."""
+"""Suggest the options to type for a table that is not understood."""
 
 from __future__ import annotations
 
@@ -17,40 +17,25 @@ from tunenet_logs.formats.tables.meaning import (
 )
 from tunenet_logs.formats.tables.numbers import Numbers
 
-_MOST_SHOWN = 8
-"""Columns in a message."""
-
-_MOST_ROWS = 100_000
-"""Looked at to describe columns without names."""
-
-_LONGEST = 30
-"""Of a name in a message."""
-
-_LONGEST_READ = 200
-"""Of a name whose meaning is asked for."""
-
-_PLAIN = re.compile(r"[^\W\d][\w.\-/]*")
-"""A name that needs no quotes."""
+_MAX_SHOWN = 8  # columns in a message
+_MAX_ROWS = 100_000  # looked at to describe columns without names
+_MAX_LENGTH = 30  # of a name in a message
+_MAX_READ = 200  # of a name whose meaning is asked for
+_PLAIN = re.compile(r"[^\W\d][\w.\-/]*")  # a name that needs no quotes
 
 
 def offer_by_number(first: str, rest: Iterable[str | None], separator: str | None) -> str:
-    """Columns without names in short, and an example.
-
-    Args:
-        first: the first row.
-        rest: the rows behind it.
-        separator: of cells.
-    """
+    """Describe unnamed columns by their first and last values, with an example of `--columns`."""
     rows = [_values(first, separator)]
     last, increases = rows[0], True
-    for line in islice(rest, _MOST_ROWS):
+    for line in islice(rest, _MAX_ROWS):
         row = _values(line or "", separator)
         if len(row) == len(rows[0]) and row[0] is not None:
             increases = increases and last[0] is not None and row[0] > last[0]
             last = row
-    pairs = list(zip(rows[0], last, strict=True))[:_MOST_SHOWN]
+    pairs = list(zip(rows[0], last, strict=True))[:_MAX_SHOWN]
     listed = ", ".join(f"{at}: {_number(a)} to {_number(b)}" for at, (a, b) in enumerate(pairs, 1))
-    more = ", ..." if len(last) > _MOST_SHOWN else ""
+    more = ", ..." if len(last) > _MAX_SHOWN else ""
     text = f"its columns by number are {listed}{more}; say which they are, "
     if increases and len(last) == 4:
         return text + "perhaps --columns t=1,x=2,y=3,z=4"
@@ -65,8 +50,8 @@ def offer_by_number(first: str, rest: Iterable[str | None], separator: str | Non
 
 
 def offer_by_name(names: Sequence[str]) -> str:
-    """An example made of a table's own columns: the line to type."""
-    meanings = [meaning_of(name[:_LONGEST_READ]) for name in names]
+    """Suggest a `--columns` line made of a table's own column names."""
+    meanings = [meaning_of(name[:_MAX_READ]) for name in names]
     is_place = [isinstance(one, CoordinateColumn) for one in meanings]
     is_value = [isinstance(one, CoordinateColumn | JointColumn) for one in meanings]
     named = [at for at, name in enumerate(names) if name.strip()]
@@ -85,7 +70,7 @@ def offer_by_name(names: Sequence[str]) -> str:
 
 
 def _offer_of_rows(names: Sequence[str], meanings: Sequence[object]) -> str:
-    """What to type where there are places alone: a row may be a picture."""
+    """Suggest options where there are positions alone: a row may be a frame."""
     text = "add a column of times (t) or of the numbers of frames (frame)"
     axes = {
         one.axis: _quoted(names, at)
@@ -99,18 +84,23 @@ def _offer_of_rows(names: Sequence[str], meanings: Sequence[object]) -> str:
 
 
 def short_list(names: Sequence[str]) -> str:
-    """A few of the names."""
-    shown = [repr(name.strip()[:_LONGEST]) for name in names if name.strip()]
-    more = f", ... ({len(shown)} in all)" if len(shown) > _MOST_SHOWN else ""
-    return ", ".join(shown[:_MOST_SHOWN]) + more
+    """List the first few names."""
+    shown = [repr(name.strip()[:_MAX_LENGTH]) for name in names if name.strip()]
+    more = f", ... ({len(shown)} in all)" if len(shown) > _MAX_SHOWN else ""
+    return ", ".join(shown[:_MAX_SHOWN]) + more
 
 
 def _quoted(names: Sequence[str], at: int) -> str:
-    """A column's name as it can be typed, or its number."""
+    """Return a column's name as it can be typed, or its number."""
     name = names[at].strip()
-    if _PLAIN.fullmatch(name) and len(name) <= _LONGEST:
+    if _PLAIN.fullmatch(name) and len(name) <= _MAX_LENGTH:
         return name
-    if not name or len(name) > _LONGEST or not name.isprintable() or set("'\"\\`$,=") & set(name):
+    if (
+        not name
+        or len(name) > _MAX_LENGTH
+        or not name.isprintable()
+        or set("'\"\\`$,=") & set(name)
+    ):
         return str(at + 1)
     return f"'{name}'"
 

@@ -1,4 +1,4 @@
-"""Tables without a clock: a row is a frame where the user says how many there are in a second."""
+"""Read tables without a clock: a row is a frame where the user states the frame rate."""
 
 from __future__ import annotations
 
@@ -7,23 +7,22 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from tunenet_logs.formats.tables.layout import TableLayout, table_layout_of
 from tunenet_logs.formats.tables.said import CLOCKS, said_reading
 
-ROW = "frame"
-"""The column of their numbers, behind the others."""
+ROW = "frame"  # the column of their numbers, behind the others
 
 
 def said_layout(
     places: Mapping[int, str], names: Sequence[str], separator: str | None, counts_rows: bool
 ) -> tuple[TableLayout, bool]:
-    """The layout of columns of which a user says what they are, and whether rows are its frames.
+    """Lay out the columns that a user names; also return whether rows are frames.
 
     Args:
-        places: what the columns are, by index.
+        places: meaning of the columns, by index.
         names: of all columns.
         separator: of cells.
         counts_rows: whether a row may be a frame.
 
     Raises:
-        ValueError: there is no time among them, or one has a unit of something else.
+        ValueError: no column is a time, or a unit does not fit its target.
     """
     layout = table_layout_of(names, separator, said_reading(places))
     if layout is not None:
@@ -42,7 +41,7 @@ def said_layout(
 def numbered(
     rows: Iterable[tuple[int, str | None]], layout: TableLayout
 ) -> Iterator[tuple[int, str | None]]:
-    """Rows with their number from 0 in a cell behind the others; lines without a row have none."""
+    """Append to each row its number from 0 as a cell; lines without a row have none."""
     separator = layout.separator or " "
     count = 0
     for line_number, line in rows:

@@ -1,4 +1,4 @@
-"""Runs side by side in a table: columns whose names say which run they are of."""
+"""Split side-by-side runs of a table by the names of their columns."""
 
 from __future__ import annotations
 
@@ -9,27 +9,26 @@ from collections.abc import Sequence
 from tunenet_logs.formats.tables.column_names import meaning_of
 from tunenet_logs.formats.tables.meaning import TimeColumn
 
+# A run before the name: "Data Set 1:Time(s)".
 _BEFORE = re.compile(
     r"\s*((?:run|trial|data ?set|set|latest|remote data|drop|take|experiment)\b[^:]{0,40})"
     r":\s*(\S.*)",
     re.IGNORECASE,
 )
-"""A run before the name: "Data Set 1:Time(s)"."""
 
+# A run behind the name, and a unit behind it, perhaps: "Time (s) Run #1".
 _BEHIND = re.compile(
     r"(.*\S)[\s,_]+((?:run|trial|data ?set)\s*#?\s*\d{1,6})(\s*\([^()]*\))?\s*", re.IGNORECASE
 )
-"""A run behind the name, and a unit behind it, perhaps: "Time (s) Run #1"."""
 
+# A number behind the name: "t1", "Height 2 (m)".
 _NUMBERED = re.compile(r"(.*[^\W\d_])[\s_]*#?(\d{1,6})(\s*\([^()]*\))?\s*")
-"""A number behind the name: "t1", "Height 2 (m)"."""
 
-_LONGEST = 80
-"""Of a name that is looked at."""
+_MAX_LENGTH = 80  # of a name that is looked at
 
 
 def runs_of(header: Sequence[str]) -> list[tuple[str, str]]:
-    """The run of each column, "" where it is of none, and its name without it."""
+    """Return the run of each column ("" where it is of none), and its name without it."""
     marked = [without_run(name) for name in header]
     if any(run for run, _ in marked):
         return _labelled(marked)
@@ -39,8 +38,8 @@ def runs_of(header: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def without_run(name: str) -> tuple[str, str]:
-    """The run that a name says, "" where it says none, and the name without it."""
-    if len(name) > _LONGEST:
+    """Split the run ("" where there is none) from a column's name."""
+    if len(name) > _MAX_LENGTH:
         return "", name
     if found := _BEFORE.fullmatch(name):
         return found[1].strip().lower(), found[2]
@@ -51,8 +50,8 @@ def without_run(name: str) -> tuple[str, str]:
 
 
 def _prefixed(header: Sequence[str]) -> list[tuple[str, str]]:
-    """Runs under names of a user's, each with a time: "Bounce:Time(s)"; none of other tables."""
-    parts = [name[:_LONGEST].partition(":") for name in header]
+    """Split runs named by a user, each with a time: "Bounce:Time(s)"; empty for other tables."""
+    parts = [name[:_MAX_LENGTH].partition(":") for name in header]
     runs = {run for run, mark, name in parts if mark and "/" not in run and _is_time(name)}
     if not runs:
         return []
@@ -62,7 +61,7 @@ def _prefixed(header: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _labelled(marked: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Runs under short names: "run1", "latest"; none where there is one run alone."""
+    """Shorten run names: "run1", "latest"; empty where there is only one run."""
     runs = list(dict.fromkeys(run for run, _ in marked if run))
     if len(runs) == 1:
         return [("", name) for _, name in marked]
@@ -80,7 +79,7 @@ def _short(run: str) -> str:
 
 
 def _blocks(header: Sequence[str]) -> list[tuple[str, str]]:
-    """Runs as blocks of the same names, each of which begins with a time."""
+    """Split runs as blocks of equal names, each of which begins with a time."""
     names = [name.strip().lower() for name in header]
     if len(set(filter(None, names))) == len(names):
         return []
@@ -99,10 +98,10 @@ def _blocks(header: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _numbered(header: Sequence[str]) -> list[tuple[str, str]]:
-    """Runs by numbers behind the names, where there are several numbered times and no other."""
-    if not header or len(header[0]) > _LONGEST or any(map(_is_time, header)):
+    """Split runs by numbers behind the names, where several times are numbered and none is not."""
+    if not header or len(header[0]) > _MAX_LENGTH or any(map(_is_time, header)):
         return []
-    found = [_NUMBERED.fullmatch(name) if len(name) <= _LONGEST else None for name in header]
+    found = [_NUMBERED.fullmatch(name) if len(name) <= _MAX_LENGTH else None for name in header]
     parts = [(f"run{int(one[2])}", one[1] + (one[3] or "")) if one else None for one in found]
     times = Counter(part[0] for part in parts if part and _is_time(part[1]))
     if len(times) < 2 or max(times.values()) > 1:

@@ -1,4 +1,4 @@
-"""Runs below each other in a table: by a column that numbers them, or where the times restart."""
+"""Split stacked runs of a table, by a column that numbers them or where the times restart."""
 
 from __future__ import annotations
 
@@ -10,49 +10,32 @@ from numpy.typing import NDArray
 
 from tunenet_logs.clock_jumps import fill_holes
 
-MOST_RUNS = 500
-"""Of a table; each is a signal of its own."""
-
-_LONGEST = 40
-"""Of a run's name."""
-
-_MOST_SHOWN = 4
-"""Of the names of things in a message."""
-
-_LEAST_ROWS = 5
-"""Of a run that nothing but its times tells."""
-
+MAX_RUNS = 500  # of a table; each is a signal of its own
+_MAX_LENGTH = 40  # of a run's name
+_MAX_SHOWN = 4  # of the names of things in a message
+_MIN_ROWS = 5  # of a run that nothing but its times tells
+# Of the rows that are of another thing than the row before, where several are recorded at once.
 _ALTERNATING = 0.5
-"""Of the rows that are of another thing than the row before, where several are recorded at once."""
 
-_MOST_SHARED = 0.1
-"""Of rows that have the stamp of another and other values: some were sent twice."""
-
-_FEWEST_STAMPS = 0.2
-"""Of rows: of fewer stamps no motion can be told."""
-
+_MAX_SHARED = 0.1  # of rows that have the stamp of another and other values: some were sent twice
+_MIN_STAMPS = 0.2  # of rows: of fewer stamps no motion can be told
+# Of what rows of one stamp differ by: a thing moves less than that from stamp to stamp.
 _ALIKE = 0.5
-"""Of what rows of one stamp differ by: a thing moves less than that from stamp to stamp."""
 
-_RESTART_FRACTION = 0.8
-"""Of a run's length: by more than that the next one's times must jump back."""
-
+_RESTART_FRACTION = 0.8  # of a run's length: by more than that the next one's times must jump back
+# By whole ones of it local time is set, as at the end of summer time; and periods in which the
+# first row after that comes.
 _ZONE_NS, _ZONE_PERIODS = 900 * 10**9, 10
-"""By whole ones of it local time is set, as at the end of summer time; and periods in which the
-first row after that comes."""
 
-_NEARBY = 128
-"""Rows among which those of one run may have overtaken each other."""
-
-Rows = NDArray[np.intp] | slice
-"""Which rows."""
+_NEARBY = 128  # rows among which those of one run may have overtaken each other
+Rows = NDArray[np.intp] | slice  # which rows
 
 
 class RunNames:
-    """The runs of a table in order of appearance.
+    """Runs of a table in order of appearance.
 
     Args:
-        kinds: what each of the columns counts that tell them apart: "run", "ball", ...
+        kinds: kind of each column that identifies them: "run", "ball", ...
     """
 
     def __init__(self, kinds: Sequence[str]) -> None:
@@ -62,23 +45,23 @@ class RunNames:
 
     @property
     def names(self) -> list[str]:
-        """Such as "run1" of a number, or as the table calls it; "run1.ball" of two columns."""
+        """Names such as "run1" for a number, else the table's own; "run1.ball" for two columns."""
         parts = list(self._by_name)
         told = [at for at in range(len(self._kinds)) if len({each[at] for each in parts}) > 1]
         return [".".join(each[at] for at in told) or ".".join(each) for each in parts]
 
     @property
     def note(self) -> str:
-        """That there are several things, of which a task takes one; "" of runs, or of one thing."""
+        """Note that a task takes one of several objects; "" for runs, or for one object."""
         names = self.names
         if len(names) < 2 or set(self._kinds) <= {"run"}:
             return ""
-        shown = ", ".join(names[:_MOST_SHOWN]) + (", ..." if len(names) > _MOST_SHOWN else "")
+        shown = ", ".join(names[:_MAX_SHOWN]) + (", ..." if len(names) > _MAX_SHOWN else "")
         return f"rows are of {len(names)} things ({shown}): each is a signal; see --topic"
 
     def number(self, cells: Sequence[str]) -> int:
-        """The index of a run in `names`, by the cells of its columns."""
-        texts = tuple(cell.strip()[:_LONGEST] for cell in cells)
+        """Return the index of a run in `names`, by the cells of its columns."""
+        texts = tuple(cell.strip()[:_MAX_LENGTH] for cell in cells)
         if (number := self._numbers.get(texts)) is not None:
             return number
         parts = tuple(map(_name_of, texts, self._kinds))
@@ -87,7 +70,7 @@ class RunNames:
 
 
 def _name_of(text: str, kind: str) -> str:
-    """What a run is called: "run2" of "2", "2.0" and "Run 2"; as it is of others."""
+    """Name a run: "run2" for "2", "2.0" and "Run 2"; others keep their name."""
     if found := re.fullmatch(rf"(?:{kind}\W{{0,3}})?0*(\d{{1,15}})(?:[.,]0*)?", text, re.I | re.A):
         return f"{kind}{found[1]}"
     return re.sub(r"\W+", "_", text).strip("_").lower() or f"no_{kind}"
@@ -96,15 +79,15 @@ def _name_of(text: str, kind: str) -> str:
 def telling_column(
     stamps: Sequence[Sequence[str]], columns: Mapping[int, Sequence[str]]
 ) -> int | None:
-    """The column that tells apart the things of which several rows of one stamp are.
+    """Find the column that identifies objects, where several rows share a stamp.
 
     Args:
         stamps: the time of each row, as it is written.
-        columns: the cells of those columns whose names say nothing.
+        columns: the cells of the columns with uninformative names.
 
     Returns:
-        The index of one in which no row has stamp and cell of another; None where all stamps
-        differ, or there is none. Names go before numbers, and few things before many.
+        The index of one that makes all pairs of stamp and cell unique; None where all stamps
+        differ, or there is none. Names go before numbers, and few objects before many.
     """
     times = [tuple(cells) for cells in stamps]
     if len(set(times)) == len(times):
@@ -125,10 +108,10 @@ def _is_number(text: str) -> bool:
 def rows_of_runs(
     times_ns: NDArray[np.int64], runs: NDArray[np.int64], names: Sequence[str]
 ) -> list[tuple[str, Rows]]:
-    """The rows of each run or thing with its name, "" where there is one alone.
+    """Return name and rows of each run or object; the name is "" where there is only one.
 
-    A column that numbers them tells them where times begin again with another number, or where
-    numbers come and go: a thing whose number is another from some time on is one thing.
+    A column of run numbers separates runs where times restart with another number, or where
+    numbers alternate: an object whose number changes once and for all is one object.
 
     Args:
         times_ns: of T rows [ns], shape (T,).
@@ -136,7 +119,7 @@ def rows_of_runs(
         names: of runs.
 
     Raises:
-        ValueError: there are too many.
+        ValueError: there are over `MAX_RUNS` runs.
     """
     changes = np.diff(runs) != 0
     backwards = np.flatnonzero(np.diff(times_ns) <= 0)
@@ -158,11 +141,7 @@ def rows_of_runs(
 
 
 def restarts_note(parts: Sequence[tuple[str, Rows]]) -> list[str]:
-    """Say that times begin again without a column that numbers runs: a clock may have been set.
-
-    Args:
-        parts: see `rows_of_runs`.
-    """
+    """Note that times restart without a column of run numbers: a clock may have been set back."""
     if len(parts) < 2 or isinstance(parts[0][1], np.ndarray):
         return []
     return [
@@ -172,17 +151,17 @@ def restarts_note(parts: Sequence[tuple[str, Rows]]) -> list[str]:
 
 
 def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-    """Raise where several rows of one stamp are several things, or stamps are cut short.
+    """Refuse rows that are of several objects, or whose stamps are truncated.
 
-    Of things below each other the second row of each stamp is near the second row of the next; of
-    one thing, whose stamps are coarse, it is near the first of its own.
+    In stacked rows of several objects, the second row of each stamp is near the second row of the
+    next; of one object with coarse stamps, it is near the first of its own.
 
     Args:
         times_ns: of T rows [ns], in the order of the file, shape (T,).
         values: shape (T, C).
 
     Raises:
-        ValueError: what they are, and what to do.
+        ValueError: which of these it is, and the remedy.
     """
     order = np.argsort(times_ns, kind="stable")
     times, rows = times_ns[order], values[order]
@@ -191,14 +170,14 @@ def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64]) ->
         return
     steps = _steps(rows)
     shared = int(np.count_nonzero(is_same & (steps > 0)))
-    if shared <= _MOST_SHARED * len(times):
+    if shared <= _MAX_SHARED * len(times):
         return
     firsts = np.flatnonzero(np.concatenate([[True], ~is_same]))
     rank = np.arange(len(times)) - np.repeat(firsts, np.diff(firsts, append=len(times)))
     by_rank = np.argsort(rank, kind="stable")
     alike = _steps(rows[by_rank])[np.diff(rank[by_rank]) == 0]
     are_things = len(alike) > 0 and np.median(alike) < _ALIKE * np.median(steps[is_same])
-    if not are_things and len(firsts) > _FEWEST_STAMPS * len(times):
+    if not are_things and len(firsts) > _MIN_STAMPS * len(times):
         return
     what = "the stamps have too few digits; "
     if are_things:
@@ -213,20 +192,20 @@ def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64]) ->
 
 
 def _steps(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The largest change from each row to the next, shape (T - 1,); of what is missing none."""
+    """Return the largest change from each row to the next, shape (T - 1,); 0 where missing."""
     return np.nan_to_num(np.abs(np.diff(rows, axis=0))).max(axis=1, initial=0.0)
 
 
 def _restarts(times_ns: NDArray[np.int64], backwards: NDArray[np.intp]) -> list[int]:
-    """Where runs begin: a few rows out of order are none."""
+    """Return where runs begin; a few rows out of order begin none."""
     starts = [0]
     rising = np.diff(
         backwards, append=len(times_ns) - 1
     )  # rows from there to the next that is back
-    for at in (backwards[rising >= _LEAST_ROWS] + 1).tolist():
+    for at in (backwards[rising >= _MIN_ROWS] + 1).tolist():
         begin = starts[-1]
-        ahead = times_ns[at : at + _LEAST_ROWS]
-        if at - begin < _LEAST_ROWS:
+        ahead = times_ns[at : at + _MIN_ROWS]
+        if at - begin < _MIN_ROWS:
             continue
         last, first = int(times_ns[at - 1]), int(times_ns[begin])
         back = last - int(times_ns[at])
@@ -243,5 +222,5 @@ def _restarts(times_ns: NDArray[np.int64], backwards: NDArray[np.intp]) -> list[
 
 
 def _check_count(count: int) -> None:
-    if count > MOST_RUNS:
-        raise ValueError(f"holds {count} runs, over the limit of {MOST_RUNS}; split it")
+    if count > MAX_RUNS:
+        raise ValueError(f"holds {count} runs, over the limit of {MAX_RUNS}; split it")

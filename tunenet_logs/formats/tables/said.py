@@ -1,4 +1,4 @@
-"""What a user says of a table's columns with `--columns`."""
+"""Interpret the columns of a table that a user names with `--columns`."""
 
 from __future__ import annotations
 
@@ -19,18 +19,13 @@ from tunenet_logs.formats.tables.meaning import (
 )
 from tunenet_logs.formats.tables.units import unit_behind
 
-CLOCKS = ("t", "frame", "times")
-"""What tells when; one of them is enough."""
-
-_AXES = {"x": 0, "y": 1, "z": 2}
-"""Of targets that are coordinates."""
-
-_UNSAID = UnusedColumn("--columns does not name it")
-"""The meaning of all others."""
+CLOCKS = ("t", "frame", "times")  # what tells when; one of them is enough
+_AXES = {"x": 0, "y": 1, "z": 2}  # of targets that are coordinates
+_UNSAID = UnusedColumn("--columns does not name it")  # the meaning of all others
 
 
 def contradiction_of(columns: Mapping[str, str]) -> str:
-    """Why `--columns` cannot be meant so; "" where it can."""
+    """Return why `--columns` contradicts itself; "" where it does not."""
     clocks = [one for one in CLOCKS if one in columns]
     if len(clocks) > 1:
         return f"--columns says {clocks[0]} and {clocks[1]}; say one of them"
@@ -40,15 +35,15 @@ def contradiction_of(columns: Mapping[str, str]) -> str:
 
 
 def is_name(place: str, names: Sequence[str]) -> bool:
-    """Whether a column is called so."""
+    """Return whether a column has this name."""
     return _named(place, names) is not None
 
 
 def places_of(columns: Mapping[str, str], names: Sequence[str]) -> tuple[dict[int, str], list[str]]:
-    """What the columns are, by their indices, and those that are not among them.
+    """Find the user's columns in a table; return targets by index, and the missing ones.
 
     Args:
-        columns: by what they are: names, or numbers from 1.
+        columns: names, or numbers from 1, by target.
         names: of the table's columns.
     """
     found: dict[int, str] = {}
@@ -77,15 +72,10 @@ def _named(place: str, names: Sequence[str]) -> int | None:
 
 
 def said_reading(places: Mapping[int, str]) -> Reading:
-    """What columns mean by what a user says of them.
+    """Return the interpreter of columns that a user names, by index.
 
-    Where that is a clock, all others are none; where it is values, none of the others is.
-
-    Args:
-        places: what they are, by index.
-
-    Returns:
-        A reading, which raises ValueError where a column's unit is none of what it is said to be.
+    A clock that is named excludes all other clocks; values that are named, all other values. The
+    interpreter raises ValueError where a column's unit does not fit its target.
     """
     targets = set(places.values()) - {"object"}
     has_clock = not targets.isdisjoint(CLOCKS)
@@ -104,7 +94,7 @@ def said_reading(places: Mapping[int, str]) -> Reading:
 
 
 def _meaning_as(target: str, name: str) -> Meaning:
-    """What a column means that is said to be so; its name may tell the unit."""
+    """Return the meaning of a column named as a target; its name may state the unit."""
     if target in ("frame", "object"):
         return FrameColumn() if target == "frame" else RunColumn("object")
     unit = unit_behind(name)

@@ -1,4 +1,4 @@
-"""What the rows of a table deliver for each of its signals."""
+"""Collect the samples that a table's rows give each of its signals."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tunenet_logs.sample_order import order_samples
 
 
 class SignalSamples:
-    """What one group of columns has delivered: flat, a table of an hour must fit.
+    """Samples of one group of columns, stored flat: a table of an hour must fit.
 
     Attributes:
         group: of columns.
         columns: names of the signal's.
-        arrivals: times of the rows [ns]; where frames are counted, of one a second.
+        arrivals: times of the rows [ns]; counted frames are one second apart.
     """
 
     def __init__(self, group: Group, header: Sequence[str], options: ReadOptions) -> None:
@@ -41,10 +41,10 @@ class SignalSamples:
         self._empty = [0.0 if group.needs_all else float("nan")] * len(group.columns)
 
     def read(self, cells: Sequence[str], numbers: Numbers) -> list[float] | None:
-        """The values of a row; None where it has none, or lacks a coordinate.
+        """Return the values of a row; None where it has none, or lacks a coordinate.
 
         Raises:
-            UnreadableError: what is there is no number.
+            UnreadableError: a cell holds no number.
         """
         row = self._empty.copy()
         missing = 0
@@ -64,26 +64,26 @@ class SignalSamples:
         return row
 
     def add(self, stamp_ns: int, arrival_ns: int, row: list[float]) -> None:
-        """One more sample."""
+        """Append a sample."""
         self._stamps.append(stamp_ns)
         self.arrivals.append(arrival_ns)
         self._values.extend(row)
 
     def add_run(self, run: int) -> None:
-        """The number, in order of appearance, of the run of the sample that was added last."""
+        """Set the run of the last sample, numbered in order of appearance."""
         self._runs.append(run)
 
     def signals(
         self, offset_ns: int, run_names: Sequence[str]
     ) -> tuple[list[Signal], list[Channel], list[str]]:
-        """A signal for each run, their channels, and what was left out or repaired.
+        """Return one signal per run, their channels, and notes on what was left out or repaired.
 
         Args:
             offset_ns: added to all times.
             run_names: by the numbers of runs.
 
         Raises:
-            ValueError: there are more runs than can be, or impacts out of order.
+            ValueError: there are too many runs, or impacts out of order.
         """
         counts_frames = self.group.clock.counts_frames
         arrivals = np.frombuffer(self.arrivals, np.int64) + offset_ns
@@ -125,7 +125,7 @@ class SignalSamples:
         return signals, channels, notes
 
     def _in_unit(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-        """The values in the unit that the user says, where the table says none."""
+        """Convert values to the user's length unit, where the table states none."""
         unit, options = self.group.unit, self._options
         if unit not in (UNSTATED, "px") or not options.length_unit:
             return values, unit

@@ -1,4 +1,4 @@
-"""Times of a table, exact to the nanosecond: text never goes through a float."""
+"""Parse times of a table, exact to the nanosecond: text never goes through a float."""
 
 from __future__ import annotations
 
@@ -14,67 +14,50 @@ from statistics import median
 
 from tunenet_logs.formats.tables.meaning import POWERS
 
+# A number and its unit: "0.008 sec".
 _WITH_UNIT = re.compile(rf"(\S+)\s+({'|'.join(POWERS)})", re.ASCII | re.IGNORECASE)
-"""A number and its unit: "0.008 sec"."""
 
+# A date: the year first, or last as people write it.
 _DAY = r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4})"
-"""A date: the year first, or last as people write it."""
 
+# A time of the day, to the nanosecond.
 _HOURS = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d{1,9}))?)?(?:\s?([AaPp])[Mm])?"
-"""A time of the day, to the nanosecond."""
 
+# A date and perhaps the time of that day, with or without a zone: ISO 8601 and its kin.
 _DATE = re.compile(rf"{_DAY}(?:[T ]\s?{_HOURS})?\s?(Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII)
-"""A date and perhaps the time of that day, with or without a zone: ISO 8601 and its kin."""
 
+# The same alone, or minutes and seconds, of which a spreadsheet shows no hours: 30:25.1.
 _OF_DAY = re.compile(rf"{_HOURS}|(\d{{1,4}}):(\d\d)[.,](\d{{1,9}})", re.ASCII)
-"""The same alone, or minutes and seconds, of which a spreadsheet shows no hours: 30:25.1."""
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-"""What stamps count from."""
-
-_MOST_DIGITS = 60
-"""Of a time's text: a number that costs more to read is no time."""
-
-_MOST_NS = 2**62
-"""Half of what int64 holds, so that differences fit as well: to the year 2116."""
-
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)  # what stamps count from
+_MAX_DIGITS = 60  # of a time's text: a number that costs more to read is no time
+_MAX_NS = 2**62  # half of what int64 holds, so that differences fit as well: to the year 2116
 _S_NS = 10**9
 _HOUR_NS, _DAY_NS = 3600 * _S_NS, 86_400 * _S_NS
 
-_NAMES = {_S_NS: "s", 10**6: "ms", 10**3: "us", 1: "ns"}
-"""Units of times [ns]."""
-
-_SINCE_1970_S = (1e9, 4e9)
-"""Times since 1970 of our days: 2001 to 2096."""
-
-_SHEET_DAYS = (20_000, 80_000)
-"""Days of a spreadsheet, which count from 1900: 1954 to 2119."""
-
-_SLOWEST_S = 2.0
-"""From row to row of a log whose stamps begin in 1970."""
-
+_NAMES = {_S_NS: "s", 10**6: "ms", 10**3: "us", 1: "ns"}  # units of times [ns]
+_SINCE_1970_S = (1e9, 4e9)  # times since 1970 of our days: 2001 to 2096
+_SHEET_DAYS = (20_000, 80_000)  # days of a spreadsheet, which count from 1900: 1954 to 2119
+_MIN_SPEED_S = 2.0  # from row to row of a log whose stamps begin in 1970
+# Where a count of frames or of seconds begins; whole numbers beyond it that rise by 1 are ms.
 _COUNTS_TO = 1000.0
-"""Where a count of frames or of seconds begins; whole numbers beyond it that rise by 1 are ms."""
 
+# From which step on times are in that unit [ns]: what moves is sampled at 2.5 Hz to 2 kHz.
 _STEPS = ((5e8, _S_NS), (4e5, 1), (400.0, 10**3), (2.0, 10**6))
-"""From which step on times are in that unit [ns]: what moves is sampled at 2.5 Hz to 2 kHz."""
 
+# Steps that are hardly s: more may be another unit, less is none that a log has.
 _SLOW_STEP, _FAST_STEP = 0.5, 2e-5
-"""Steps that are hardly s: more may be another unit, less is none that a log has."""
 
+# From which on fractions that rise by some 1 are ms of a sensor, not s of a slow one.
 _KHZ_STEP = 0.8
-"""From which on fractions that rise by some 1 are ms of a sensor, not s of a slow one."""
 
-_FEW_RISES = 8
-"""From row to row, which tell no unit."""
-
-_LOOK_ROWS = 100
-"""Whose steps and size tell the unit of times that name none."""
+_FEW_RISES = 8  # from row to row, which tell no unit
+_LOOK_ROWS = 100  # whose steps and size tell the unit of times that name none
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Where a row says when it was.
+    """Time columns of a table's rows.
 
     Attributes:
         name: of its column, or of the first of two.
@@ -82,7 +65,7 @@ class Clock:
         power: the unit as a power of ten of a second; None to go by the numbers.
         scope: the words before it in its name: what it is the time of.
         counts_frames: whether it numbers frames, read as so many seconds.
-        has_date: whether the first of two columns is a date, which a time of the day lacks.
+        has_date: whether the first of two columns is a date, which a time of day lacks.
     """
 
     name: str
@@ -93,14 +76,14 @@ class Clock:
     has_date: bool = False
 
     def read(self, texts: Sequence[str], unit_ns: int) -> int:
-        """The time that its columns say in a row [ns].
+        """Parse the time of a row [ns].
 
         Args:
-            texts: those of its columns.
-            unit_ns: the unit of a number, where one column says it all.
+            texts: cells of its columns.
+            unit_ns: the unit of a plain number, where there is one column.
 
         Raises:
-            ValueError: it is none.
+            ValueError: it is no time.
         """
         if len(texts) == 2 and not self.has_date:
             return exact_ns(texts[0], 0) + exact_ns(texts[1], -9)
@@ -117,11 +100,11 @@ class Clock:
 
 @dataclass(frozen=True)
 class TimeUnit:
-    """The unit of a column of times.
+    """Unit of a time column.
 
     Attributes:
-        ns: how long one is.
-        doubt: how it was found where no name and no date tells it, in words; "" where these do.
+        ns: its length [ns].
+        doubt: how it was inferred where no name and no date states it, in words; "" where these do.
     """
 
     ns: int
@@ -129,10 +112,10 @@ class TimeUnit:
 
 
 class DayTurns:
-    """Times of the day in the order of their rows, which go on after midnight.
+    """Unwrapping of times of day, in row order, across midnight.
 
     Args:
-        text: the first of them; one without hours goes on after an hour.
+        text: the first of them; one without hours wraps every hour.
     """
 
     def __init__(self, text: str) -> None:
@@ -141,7 +124,7 @@ class DayTurns:
         self._turns_ns = 0
 
     def __call__(self, time_ns: int) -> int:
-        """A time since the first midnight [ns], by one since its own."""
+        """Return the time since the first midnight [ns], from that since its own."""
         if self._turn_ns // 2 < self._last_ns - time_ns < self._turn_ns:
             self._turns_ns += self._turn_ns
         self._last_ns = time_ns
@@ -149,16 +132,16 @@ class DayTurns:
 
 
 def exact_ns(text: str, power: int) -> int:
-    """A decimal number of 10**power seconds, to the nearest nanosecond.
+    """Convert a decimal number of 10**power seconds to the nearest nanosecond.
 
     Raises:
-        ValueError: it is no number, or no time.
+        ValueError: it is no number, or out of range.
     """
     return _units_ns(text, 10 ** (9 + power))
 
 
 def _units_ns(text: str, unit_ns: int) -> int:
-    if len(text) > _MOST_DIGITS:
+    if len(text) > _MAX_DIGITS:
         raise ValueError("a time of too many digits")
     try:
         number = Decimal(text)
@@ -167,7 +150,7 @@ def _units_ns(text: str, unit_ns: int) -> int:
         nanoseconds = int((number * unit_ns).to_integral_value())
     except ArithmeticError as error:
         raise ValueError(f"{text} is no number") from error
-    if abs(nanoseconds) > _MOST_NS:
+    if abs(nanoseconds) > _MAX_NS:
         raise ValueError(f"{text} is no time")
     return nanoseconds
 
@@ -175,16 +158,16 @@ def _units_ns(text: str, unit_ns: int) -> int:
 def unit_of_times(
     name: str, texts: Iterable[object], power: int | None, *, is_sampled: bool = True
 ) -> TimeUnit:
-    """The unit of a column of times: by its name, else by the size and the steps of its numbers.
+    """Determine the unit of a time column by its name, else by the size and steps of its numbers.
 
-    Stamps since 1970 tell it by their size, others by their step: what falls is sampled some 2 to
-    2000 times a second, and a unit is a thousand times the next. A gap is a step among many.
+    Stamps since 1970 show it by their size, others by their step: moving objects are sampled some 2
+    to 2000 times a second, and a unit is a thousand times the next. A gap is a step among many.
 
     Args:
         name: of the column.
         texts: its first rows, in their order.
-        power: its unit by its name, as a power of ten of a second; None where that says none.
-        is_sampled: whether its rows follow at a rate; impacts do not, and their steps tell nothing.
+        power: the unit in its name, as a power of ten of a second; None where there is none.
+        is_sampled: whether rows follow at a rate; impacts do not, and their steps show nothing.
 
     Raises:
         ValueError: no unit of a log has such steps.
@@ -203,9 +186,9 @@ def unit_of_times(
         is_recent = _SINCE_1970_S[0] <= size / second < _SINCE_1970_S[1]
         if is_recent and (step <= _SLOW_STEP * second or not is_sampled):
             return TimeUnit(unit_ns)
-        if is_recent and step <= _SLOWEST_S * second:  # or since the start of a computer
+        if is_recent and step <= _MIN_SPEED_S * second:  # or since the start of a computer
             return _guessed(name, unit_ns, step)
-    if _SHEET_DAYS[0] <= size < _SHEET_DAYS[1] and 0 < step * 86_400 <= _SLOWEST_S:
+    if _SHEET_DAYS[0] <= size < _SHEET_DAYS[1] and 0 < step * 86_400 <= _MIN_SPEED_S:
         doubt = f"{name!r} names no unit and was taken as the days of a spreadsheet since 1900"
         return TimeUnit(_DAY_NS, doubt)
     if is_sampled and 0 < step < _FAST_STEP:
@@ -238,32 +221,32 @@ def _are_whole(numbers: Sequence[float]) -> bool:
 
 
 def _usual(rises: Sequence[float]) -> float:
-    """The mean of what numbers rise by, without the largest tenth: gaps; 0 where they do not."""
+    """Return the mean increment without the largest tenth, which are gaps; 0 without any."""
     usual = sorted(rises)[: max(1, len(rises) - len(rises) // 10)]
     return sum(usual) / len(usual) if usual else 0.0
 
 
 def is_of_day(text: str) -> bool:
-    """Whether a text is a time of a day that it does not name."""
+    """Return whether a text is a time of day without a date."""
     return bool(_OF_DAY.fullmatch(text.strip()))
 
 
 def says_its_unit(text: str) -> bool:
-    """Whether a text is a date or a time of the day, or a number with a unit."""
+    """Return whether a text is a date or a time of day, or a number with a unit."""
     return bool(_DATE.fullmatch(text) or _WITH_UNIT.fullmatch(text) or is_of_day(text))
 
 
 def lacks_zone(text: str) -> bool:
-    """Whether a text is a date and time that does not say where."""
+    """Return whether a text is a date and time without a time zone."""
     found = _DATE.fullmatch(text)
     return found is not None and found[2] is not None and not found[7]
 
 
 def _own_ns(text: str) -> int:
-    """The time of a text that says its unit: "0.008 sec", a date without a zone in UTC, "9:30:00".
+    """Parse a time with its unit: "0.008 sec", a date without a zone in UTC, "9:30:00".
 
     Raises:
-        ValueError: it says none, or there is no such time.
+        ValueError: it has none, or there is no such time.
     """
     text = text.strip()
     if own := _WITH_UNIT.fullmatch(text):
@@ -280,7 +263,7 @@ def _own_ns(text: str) -> int:
     since = datetime.fromisoformat(f"{_iso_day(day)}T00:00:00{zone or 'Z'}") - _EPOCH
     nanoseconds = (since.days * 86400 + since.seconds) * _S_NS
     nanoseconds += _of_day_ns(*of_day) if of_day[0] else 0
-    if abs(nanoseconds) > _MOST_NS:
+    if abs(nanoseconds) > _MAX_NS:
         raise ValueError(f"{text} is no time")
     return nanoseconds
 
@@ -288,11 +271,7 @@ def _own_ns(text: str) -> int:
 def _of_day_ns(
     hours: str, minutes: str, seconds: str | None, part: str | None, half: str | None
 ) -> int:
-    """A time since midnight [ns].
-
-    Raises:
-        ValueError: there is no such time.
-    """
+    """Return a time since midnight [ns]; raise ValueError where there is no such time."""
     hour, minute, second = int(hours), int(minutes), int(seconds or 0)
     if half:
         if not 1 <= hour <= 12:
@@ -304,7 +283,7 @@ def _of_day_ns(
 
 
 def _iso_day(day: str) -> str:
-    """A date with the year first; of 1/2/2026 the month is first, unless that is none."""
+    """Return a date with the year first; in 1/2/2026 the month is first, unless impossible."""
     one, two, three = (int(part) for part in re.split("[-/.]", day))
     if len(day) > 4 and day[:4].isdecimal():
         return f"{one:04}-{two:02}-{three:02}"

@@ -1,4 +1,4 @@
-"""Coordinates of a table as tracks of things."""
+"""Group the coordinates of a table into tracks of objects."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from tunenet_logs.formats.tables.group import Group, Used, plain_words, stamp_fo
 from tunenet_logs.formats.tables.meaning import CoordinateColumn, Meaning, UnusedColumn
 from tunenet_logs.formats.tables.times import Clock
 
+# What the one coordinate of a motion sensor is.
 _ALONG_A_LINE = "a distance along one line, up or down"
-"""What the one coordinate of a motion sensor is."""
 
-_DISTANCE = 3
-"""Rank of a bare distance: beside x and y it is that from the start, and no z."""
-
+_DISTANCE = 3  # rank of a bare distance: beside x and y it is that from the start, and no z
+# Why a coordinate is not used where there is one of a better name.
 _INSTEAD = ("there is a column z", "there is a column of heights", "there is a column of positions")
-"""Why a coordinate is not used where there is one of a better name."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +32,14 @@ def tracks_of(
     stamps: Sequence[Clock],
     unused: dict[str, str],
 ) -> list[Group]:
-    """A group for each thing that moves.
+    """Group coordinate columns by moving object.
 
     Args:
         header: the names of all columns.
         meanings: of columns, by index.
         clock: of the rows.
         stamps: of messages.
-        unused: why columns are not used, by name; to be added to.
+        unused: reasons by name; to be added to.
     """
     things: dict[str, list[_Coordinate]] = {}
     for at, meaning in _with_pictures(header, meanings).items():
@@ -72,13 +70,13 @@ def tracks_of(
 
 
 def _is_doubtful(places: Sequence[_Coordinate]) -> bool:
-    """Whether columns are no thing's: an axis named first, without another."""
+    """Return whether columns are hardly an object's: an axis named first, without another."""
     axes = {place.meaning.axis for place in places}
     return len(axes) < 2 and all(place.meaning.is_doubtful for place in places)
 
 
 def _with_pictures(header: Sequence[str], meanings: Mapping[int, Meaning]) -> dict[int, Meaning]:
-    """The same, with the pairs (u, v) as a picture's x and y; u alone is a controller's."""
+    """Interpret pairs (u, v) as image coordinates x and y; u alone is a control input."""
     names = {plain_words(header[at]): at for at in meanings}
     found = dict(meanings)
     for words, at in names.items():
@@ -96,7 +94,7 @@ def _with_pictures(header: Sequence[str], meanings: Mapping[int, Meaning]) -> di
 def _in_lengths(
     header: Sequence[str], places: list[_Coordinate], unused: dict[str, str]
 ) -> list[_Coordinate]:
-    """Those that are not in pixels, where there are such."""
+    """Drop columns in pixels where others are in lengths."""
     lengths = [place for place in places if place.meaning.unit != "px"]
     if not lengths:
         return places
@@ -109,7 +107,7 @@ def _in_lengths(
 def _axes(
     header: Sequence[str], places: list[_Coordinate], unused: dict[str, str]
 ) -> dict[int, list[_Coordinate]]:
-    """The columns of each axis, of the best names that there are."""
+    """Return the columns of each axis, of the best kind of name."""
     axes: dict[int, list[_Coordinate]] = {}
     has_axes = {0, 1}.issubset(place.meaning.axis for place in places)
     for place in places:
@@ -127,7 +125,7 @@ def _axes(
 
 
 def _unit_of(chosen: Sequence[_Coordinate]) -> tuple[str, float]:
-    """The unit of a track, and the size of columns that name none beside others that do."""
+    """Return a track's unit, and the scale of columns without a unit beside others with one."""
     sizes = {place.meaning.scale for place in chosen if place.meaning.unit == "m"}
     if sizes:
         return "m", sizes.pop() if len(sizes) == 1 else 1.0

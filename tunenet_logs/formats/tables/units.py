@@ -1,4 +1,4 @@
-"""Units that a table says beside its names: in a row of them, or in its preamble."""
+"""Apply units that a table states beside its names: in a row of them, or in its preamble."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from tunenet_logs.formats.tables.meaning import (
 )
 from tunenet_logs.formats.tables.run_names import runs_of
 
+# Words of units, those that are not read too: a row of them is no row of numbers.
 _WORDS = frozenset(
     (
         *LENGTHS,
@@ -29,30 +30,27 @@ _WORDS = frozenset(
         *("min", "mins", "minute", "minutes", "h", "hr", "hour", "hours", "day", "days"),
     )
 )
-"""Words of units, those that are not read too: a row of them is no row of numbers."""
 
-_NONE = frozenset(("", "-", "1"))
-"""Cells of a row of units that say none."""
-
+_NONE = frozenset(("", "-", "1"))  # cells of a row of units that say none
+# A preamble's "Length Units,Millimeters" or "units: mm".
 _SAID = re.compile(r"\b(length[ _])?units?\b\W{1,5}(\w+)", re.IGNORECASE)
-"""A preamble's "Length Units,Millimeters" or "units: mm"."""
 
+# What to do about a unit that is not read.
 _REMEDY = "convert it to m, cm, mm, in or ft (times: s, ms, us or ns)"
-"""What to do about a unit that is not read."""
 
 
 def with_row(
     header: Sequence[str], cells: Sequence[str], reading: Reading = by_name
 ) -> list[str] | None:
-    """The names of a header with the units of a row below it; None where it is no row of units.
+    """Add the units of a row below a header to its names; None where it is no row of units.
 
     Args:
         header: the names.
         cells: the row's.
-        reading: what a column of a name means.
+        reading: interpreter of the columns.
 
     Raises:
-        ValueError: a unit is not known, or is not the one in the name.
+        ValueError: a unit is unknown, or contradicts the one in the name.
     """
     if any(map(str.strip, cells[len(header) :])):
         return None
@@ -74,10 +72,10 @@ def with_row(
 
 
 def length_in(line: str) -> str:
-    """The unit of lengths that a line of a preamble says; "" where it says none.
+    """Return the length unit that a line of a preamble states; "" where it states none.
 
     Raises:
-        ValueError: it is not known.
+        ValueError: the unit is unknown.
     """
     for is_length, unit in _SAID.findall(line):
         if unit.lower() in LENGTHS:
@@ -88,7 +86,7 @@ def length_in(line: str) -> str:
 
 
 def with_lengths(header: Sequence[str], unit: str, reading: Reading = by_name) -> list[str]:
-    """The names of a header, with a unit where they are places and say none."""
+    """Add a length unit to the names of positions that state none."""
     return [
         f"{name} ({unit})"
         if isinstance(reading(at, rest), CoordinateColumn) and _without_unit(rest) is None
@@ -98,7 +96,7 @@ def with_lengths(header: Sequence[str], unit: str, reading: Reading = by_name) -
 
 
 def with_degrees(header: Sequence[str], reading: Reading = by_name) -> list[str]:
-    """The names of a header, in degrees where they are angles of joints and say no unit."""
+    """Add degrees to the names of joint angles and velocities that state no unit."""
     return [
         f"{name} (deg{'/s' if meaning.quantity == 'velocity' else ''})"
         if isinstance(meaning := reading(at, rest), JointColumn)
@@ -110,7 +108,7 @@ def with_degrees(header: Sequence[str], reading: Reading = by_name) -> list[str]
 
 
 def unit_behind(name: str) -> str:
-    """The unit at the end of a name, in brackets or as a last word; "" where there is none."""
+    """Return the unit at the end of a name, in brackets or as last word; "" for none."""
     found = re.search(r"[(\[]([^()\[\]]{1,40})[)\]]\s*$", name)
     words = lowered(words_of(found[1] if found else name, camel=False))
     if found:
@@ -119,7 +117,7 @@ def unit_behind(name: str) -> str:
 
 
 def unit_alone(text: str) -> str | None:
-    """The unit that a cell is, in brackets or not; None where it is something else."""
+    """Return the unit that a cell consists of, in brackets or not; None where it is no unit."""
     stripped = text.strip(" \t()[]")
     return stripped if stripped in _NONE or _is_unit(stripped) else None
 
@@ -130,7 +128,7 @@ def _is_unit(text: str) -> bool:
 
 
 def _without_unit(name: str) -> str | None:
-    """What is left of a name without its unit; None where it has none."""
+    """Strip a name of its unit; None where it has none."""
     words = words_of(name, camel=False)
     rest = list(words)
     while rest and rest[-1].lower() in _WORDS:
@@ -139,7 +137,7 @@ def _without_unit(name: str) -> str | None:
 
 
 def _named(name: str, plain: str, unit: str, reading: Callable[[str], Meaning]) -> str:
-    """A column's name with its unit; `plain` is it without its run."""
+    """Return a column's name with its unit; `plain` is the name without its run."""
     rest = _without_unit(plain)
     meaning = reading(f"{rest or plain} ({unit})")
     if meaning == UNKNOWN:
@@ -152,7 +150,7 @@ def _named(name: str, plain: str, unit: str, reading: Callable[[str], Meaning]) 
 
 
 def _size(meaning: Meaning) -> float | None:
-    """The size of a meaning's unit; None where it has no values."""
+    """Return the size of a meaning's unit; None where it has no values."""
     if isinstance(meaning, TimeColumn):
         return meaning.power or 0
     return meaning.scale if isinstance(meaning, CoordinateColumn | JointColumn) else None

@@ -1,1 +1,1 @@
-"""The experiments' figures for Rerun."""
+"""Export the experiments' figures to Rerun."""

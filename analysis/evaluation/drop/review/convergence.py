@@ -1,4 +1,4 @@
-"""The paper's figure in Rerun: error against rollouts, a view for Easy and one for Hard.
+"""Plot the paper's figure in Rerun: error against rollouts, a view for Easy and one for Hard.
 
 Rerun's plots have no logarithmic axis, so what is plotted is log10 of the error, and the views are
 named so.
@@ -18,11 +18,9 @@ from analysis.evaluation.drop.results import DropResults
 from analysis.evaluation.drop.tables import drop_markdown
 from analysis.review.drawing import application_id, entity_of
 
-ROLLOUTS = "rollouts"
-"""Its timeline: what a method has been allowed so far."""
-
+ROLLOUTS = "rollouts"  # its timeline: what a method has been allowed so far
+# The axis is this many times as long as the curves; the legend stands beside them.
 _LEGEND_ROOM = 1.5
-"""The axis is this many times as long as the curves; the legend stands beside them."""
 
 
 def write_convergence(results: DropResults, path: Path) -> None:

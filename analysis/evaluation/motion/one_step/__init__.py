@@ -1,1 +1,1 @@
-"""Predictors of the next state (Ajay et al. 2018), which the paper's table 3 quotes."""
+"""Predict the next state (Ajay et al. 2018), as the paper's table 3 quotes."""

@@ -1,4 +1,4 @@
-"""One step at a time: what every predictor is asked, and the one loop that asks it."""
+"""Interface of one-step predictors, and the loop that runs them."""
 
 from __future__ import annotations
 
@@ -9,23 +9,22 @@ import numpy as np
 
 from tunenet_logs.arrays import Array
 
-Memory = Any
-"""What a predictor keeps of a run; None where it keeps nothing."""
+Memory = Any  # what a predictor keeps of a run; None where it keeps nothing
 
 
 class Stepper(Protocol):
-    """Predicts the next state (height of the centre [m], speed upward [m/s]) of N balls."""
+    """Predictor of the next state (height of the centre [m], speed upward [m/s]) of N balls."""
 
     def start(self, count: int, /) -> Memory:
-        """What it remembers of `count` balls of which it has seen nothing."""
+        """Return the memory of `count` balls of which nothing was seen."""
         ...
 
     def forecast(self, memory: Memory, states: Array, /) -> tuple[Array, Memory]:
-        """The states one step after `states`, shape (N, 2), and what `learn` needs."""
+        """Predict the states one step after `states`, shape (N, 2), and what `learn` needs."""
         ...
 
     def learn(self, memory: Memory, states: Array | None, /) -> Memory:
-        """Remember what came of the forecast.
+        """Update the memory with what came of the forecast.
 
         Args:
             memory: what `forecast` returned.
@@ -36,7 +35,7 @@ class Stepper(Protocol):
 
 
 def predict(stepper: Stepper, truth: Array, seen: int) -> Array:
-    """The heights that a predictor gives for whole runs.
+    """Predict the heights of whole runs.
 
     Args:
         stepper: the predictor.
@@ -63,11 +62,7 @@ def predict(stepper: Stepper, truth: Array, seen: int) -> Array:
 
 
 class Memoryless:
-    """A predictor that goes by the present state alone.
-
-    Args:
-        step: gives the states one step later, both of shape (N, 2).
-    """
+    """Predictor from the present state alone, by `step` on states of shape (N, 2)."""
 
     def __init__(self, step: Callable[[Array], Array]) -> None:
         self._step = step
@@ -86,5 +81,5 @@ class Memoryless:
 
 
 def stand_still(states: Array) -> Array:
-    """Nothing moves: its error one step ahead is how far the ball goes in one."""
+    """Predict no motion: its error one step ahead is how far the ball goes in one."""
     return states

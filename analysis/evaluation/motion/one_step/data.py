@@ -1,4 +1,4 @@
-"""States of dropped balls, and one step of the engine from any state."""
+"""Simulate states of dropped balls, and one step of the engine from any state."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIDDLE_RESTITUTION = sum(PAPER_RESTITUTION) / 2
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """Drops, and what the engine with a fixed restitution makes of each of their states.
+    """Drops, and the engine's step with a fixed restitution from each of their states.
 
     Attributes:
         states: height of the centre [m] and speed upward [m/s], shape (N, T + 1, 2), the release
@@ -34,7 +34,7 @@ class Transitions:
 
 
 class EngineStep:
-    """The paper's simulator with one restitution for all balls, asked for one step at a time.
+    """Paper's simulator with one restitution for all balls, one step at a time.
 
     Everything that the engine keeps from the step before is forgotten, and the result is still
     that of an uninterrupted run: its step depends on height and speed alone.
@@ -49,7 +49,7 @@ class EngineStep:
         self._world = engine().ball_world(PAPER_RADIUS_M, PAPER)
 
     def __call__(self, states: Array) -> Array:
-        """The states one step later; both of shape (N, 2)."""
+        """Return the states one step later; both of shape (N, 2)."""
         return np.array([self._one(*state) for state in states.tolist()]).reshape(-1, 2)
 
     def _one(self, height_m: float, speed_m_s: float) -> tuple[float, float]:
@@ -59,15 +59,7 @@ class EngineStep:
 
 
 def record_states(release_m: Array, restitution: Array) -> Array:
-    """Drop balls in the paper's simulator (0.5 m radius, 400 steps at 60 Hz).
-
-    Args:
-        release_m: height of the centre at the release, shape (N,).
-        restitution: of each ball, shape (N,).
-
-    Returns:
-        Heights of the centre [m] and speeds upward [m/s], shape (N, 401, 2), the release first.
-    """
+    """Drop balls in the paper's simulator; heights [m], speeds upward [m/s], (N, 401, 2)."""
     world = engine().ball_world(PAPER_RADIUS_M, PAPER)
     states = np.zeros((len(release_m), PAPER_SAMPLES + 1, 2))
     for run, (height_m, value) in enumerate(zip(release_m, restitution, strict=True)):
@@ -79,13 +71,13 @@ def record_states(release_m: Array, restitution: Array) -> Array:
 
 
 def target_states(targets: Sequence[DropTarget]) -> Array:
-    """The true states of test cases, shape (N, 401, 2)."""
+    """Return the true states of test cases, shape (N, 401, 2)."""
     release_m = np.array([one.release_m for one in targets])
     return record_states(release_m, np.array([one.truth for one in targets]))
 
 
 def training_drops(count: int, seed: int, progress: Progress) -> Transitions:
-    """`count` drops from U(4, 5) m with restitutions U(.3, .7), one simulation each (the paper)."""
+    """Draw `count` drops from U(4, 5) m with restitutions U(.3, .7), one simulation each."""
     rng = np.random.default_rng(seed)
     release_m = rng.uniform(*PAPER_HEIGHT_M, count)
     states = record_states(release_m, rng.uniform(*PAPER_RESTITUTION, count))

@@ -1,4 +1,4 @@
-"""Layers whose forward pass NumPy arrays and torch tensors share, and their first weights."""
+"""Network layers whose forward pass NumPy arrays and torch tensors share."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from tunenet_logs.arrays import Array
 if TYPE_CHECKING:
     import torch
 
-Weights = Mapping[str, Any]
-"""Arrays or tensors by name."""
+Weights = Mapping[str, Any]  # arrays or tensors by name
 
 
 def first_weights(
     sizes: Mapping[str, tuple[int, int]], rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Uniform within 1 / sqrt(inputs), for layers of (inputs, outputs) each, as torch starts."""
+    """Draw weights uniform within 1 / sqrt(inputs), for (inputs, outputs), as torch starts."""
     weights: dict[str, Array] = {}
     for name, (inputs, outputs) in sizes.items():
         reach = 1 / np.sqrt(inputs)
@@ -30,22 +29,22 @@ def first_weights(
 
 
 def linear(weights: Weights, name: str, values: Any) -> Any:
-    """A layer without its nonlinearity."""
+    """Apply a layer without its nonlinearity."""
     return values @ weights[f"{name}.weight"] + weights[f"{name}.bias"]
 
 
 def tanh(values: Any) -> Any:
-    """The hyperbolic tangent."""
+    """Return the hyperbolic tangent."""
     return np.tanh(values) if isinstance(values, np.ndarray) else values.tanh()
 
 
 def sigmoid(values: Array) -> Array:
-    """The logistic function, by way of tanh, which cannot overflow."""
+    """Return the logistic function, by way of tanh, which cannot overflow."""
     return np.tanh(values / 2) / 2 + 0.5
 
 
 def as_tensors(weights: Mapping[str, Array]) -> dict[str, torch.Tensor]:
-    """To be trained."""
+    """Convert to tensors, to be trained."""
     import torch
 
     return {
@@ -55,13 +54,13 @@ def as_tensors(weights: Mapping[str, Array]) -> dict[str, torch.Tensor]:
 
 
 def as_arrays(weights: Mapping[str, torch.Tensor]) -> dict[str, Array]:
-    """To be applied."""
+    """Convert to arrays, to be applied."""
     return {name: value.detach().numpy().astype(np.float64) for name, value in weights.items()}
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """For networks this small, a second thread mostly waits for the first."""
+    """Restrict torch to one thread in a block: networks this small gain nothing from two."""
     import torch
 
     threads = torch.get_num_threads()

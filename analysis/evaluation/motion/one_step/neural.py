@@ -1,4 +1,4 @@
-"""Neural: the next state from the present one, without a simulator (Ajay et al. 2018)."""
+"""Predict the next state by a neural network, without a simulator (Ajay et al. 2018)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tunenet_logs.terminal import Progress
 
 @dataclass(frozen=True)
 class NeuralRecipe:
-    """How the network is trained: AdamW, one cycle of the learning rate, squared error.
+    """Training recipe: AdamW, one-cycle learning rate, squared error.
 
     Theirs (layers, optimizer, epochs, whether it had a memory) is not known to us. This takes 20
     to 30 s on one core. With 60 epochs instead of 40 its rollouts err by 7.4 cm instead of 7.8;
@@ -36,9 +36,9 @@ class NeuralRecipe:
 
 
 class Neural:
-    """Two hidden layers that give the change of height and speed over one step.
+    """Network of two hidden layers for the change of height and speed over one step.
 
-    A ball's restitution is no part of its state, and nothing tells the network of it: at an
+    A ball's restitution is no part of its state, and the network does not see it: at an
     impact it gives the mean over all balls.
     """
 
@@ -47,20 +47,13 @@ class Neural:
         self._offset, self._spread, self._change = offset, spread, change
 
     def __call__(self, states: Array) -> Array:
-        """The states one step later; both of shape (N, 2)."""
+        """Return the states one step later; both of shape (N, 2)."""
         outputs = _changes(self._weights, (states - self._offset) / self._spread)
         return states + outputs * self._change
 
 
 def train_neural(states: Array, recipe: NeuralRecipe, seed: int, progress: Progress) -> Neural:
-    """Train on all steps of all drops, in any order.
-
-    Args:
-        states: shape (N, T + 1, 2).
-        recipe: how.
-        seed: of first weights and order; the same one gives the same network.
-        progress: shows the epochs.
-    """
+    """Train on all steps of all drops, shape (N, T + 1, 2), in any order."""
     import torch
 
     before, after = states[:, :-1].reshape(-1, 2), states[:, 1:].reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""VRNN hybrid: a simulator, and a stochastic recurrent network for what it gets wrong.
+"""VRNN hybrid: a simulator, and a variational recurrent network for its residual.
 
 Ajay et al. 2018 add the residual of a variational recurrent network (Chung et al. 2015) to each
 step of a simulator. What follows is Chung's network, each of its parts conditioned on c = (the
@@ -29,20 +29,20 @@ from analysis.evaluation.motion.one_step.layers import Weights, linear, sigmoid,
 from tunenet_logs.arrays import Array
 
 RESIDUALS = 2
+# Numbers in x (height and speed) and in c (the state, and the simulator's step from it).
 CONDITION = 4
-"""Numbers in x (height and speed) and in c (the state, and the simulator's step from it)."""
 
 
 @dataclass(frozen=True)
 class VrnnSizes:
-    """Of the layers, latent variable and memory."""
+    """Sizes of the layers, latent variable and memory."""
 
     hidden: int = 32
     latent: int = 4
     memory: int = 32
 
     def layers(self) -> dict[str, tuple[int, int]]:
-        """(inputs, outputs) of each layer by name."""
+        """Return (inputs, outputs) of each layer by name."""
         seen = self.memory + CONDITION
         return {
             "prior": (seen, self.hidden),
@@ -58,7 +58,7 @@ class VrnnSizes:
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """In what units the network sees states and residuals.
+    """Normalisation of states and residuals.
 
     Attributes:
         offset: mean state, shape (2,).
@@ -73,30 +73,30 @@ class Scales:
 
     @staticmethod
     def of(drops: Transitions) -> Scales:
-        """Of training data."""
+        """Compute the scales of training data."""
         states = drops.states.reshape(-1, 2)
         residuals = (drops.states[:, 1:] - drops.simulated).reshape(-1, 2)
         return Scales(states.mean(axis=0), states.std(axis=0), np.abs(residuals).max(axis=0) / 10)
 
     def condition(self, states: Array, simulated: Array) -> Array:
-        """c, shape (..., 4), of states and the simulator's step from them, shape (..., 2)."""
+        """Return c, shape (..., 4), of states and the simulator's step, shape (..., 2)."""
         both = [(one - self.offset) / self.spread for one in (states, simulated)]
         return np.concatenate(both, axis=-1)
 
     def scaled(self, residuals: Array) -> Array:
-        """Residuals of 1, of residuals in metres and metres a second."""
+        """Normalise residuals in metres and metres a second."""
         return residuals / self.residual
 
 
 def gaussian(weights: Weights, name: str, *inputs: Any) -> tuple[Any, Any]:
-    """Mean and logarithm of the standard deviation that a part of the network gives."""
+    """Return mean and log standard deviation from a part of the network."""
     outputs = linear(weights, f"{name}.out", tanh(linear(weights, name, joined(*inputs))))
     half = outputs.shape[-1] // 2
     return outputs[..., :half], outputs[..., half:]
 
 
 def remember(weights: Weights, memory: Array, *inputs: Array) -> Array:
-    """One step of the gated recurrent unit, as `torch.nn.GRU` has it, of (x, c)."""
+    """Apply one step of the gated recurrent unit, as `torch.nn.GRU` has it, to (x, c)."""
     given = linear(weights, "memory.input", joined(*inputs))
     own = linear(weights, "memory.own", memory)
     size = memory.shape[-1]
@@ -107,7 +107,7 @@ def remember(weights: Weights, memory: Array, *inputs: Array) -> Array:
 
 
 def joined(*values: Any) -> Any:
-    """Side by side along the last axis."""
+    """Concatenate along the last axis."""
     if isinstance(values[0], np.ndarray):
         return np.concatenate(values, axis=-1)
     import torch
@@ -116,7 +116,7 @@ def joined(*values: Any) -> Any:
 
 
 class VrnnHybrid:
-    """The simulator's step plus the mean of the network's prediction of its residual.
+    """Simulator's step plus the mean of the network's prediction of its residual.
 
     z is at its prior's mean: no sample is drawn, so the same run gives the same forecast. The
     encoder has a part in training alone.

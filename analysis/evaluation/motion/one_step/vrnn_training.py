@@ -1,4 +1,4 @@
-"""Trains the VRNN hybrid: evidence lower bound and error of the forecast, along whole drops."""
+"""Train the VRNN hybrid on evidence lower bound and forecast error, along whole drops."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     import torch
 
 
+# What torch calls the layers of its recurrent unit.
 _GRU = {
     "memory.input": ("weight_ih_l0", "bias_ih_l0"),
     "memory.own": ("weight_hh_l0", "bias_hh_l0"),
 }
-"""What torch calls the layers of its recurrent unit."""
 
 
 @dataclass(frozen=True)
 class VrnnRecipe:
-    """How the network is trained: Adam, one cycle of the learning rate, 15 times over the drops.
+    """Training recipe: Adam, one-cycle learning rate, 15 epochs.
 
     The loss is the squared error of the forecast plus the evidence lower bound at a small weight.
     Trained by the bound alone (`bound` 1, `forecast` 0) it makes little of its memory: the bound
@@ -62,14 +62,7 @@ class VrnnRecipe:
 
 
 def train_vrnn(drops: Transitions, recipe: VrnnRecipe, seed: int, progress: Progress) -> VrnnHybrid:
-    """Train on whole drops.
-
-    Args:
-        drops: the true states and what the simulator made of them.
-        recipe: how.
-        seed: of first weights, order and samples of z; the same one gives the same network.
-        progress: shows the epochs.
-    """
+    """Train on whole drops; the same seed gives the same network."""
     import torch
 
     scales = Scales.of(drops)
@@ -113,7 +106,7 @@ def _loss(
     memory: torch.Tensor,
     generator: torch.Generator,
 ) -> torch.Tensor:
-    """Of whole drops, with the memory before each step; shapes (T, B, ...)."""
+    """Return the loss of whole drops, with the memory before each step; shapes (T, B, ...)."""
     import torch
 
     q_mean, q_log = gaussian(weights, "encoder", residual, memory, condition)
@@ -130,7 +123,7 @@ def _loss(
 
 
 def recurrent_unit(weights: Weights, sizes: VrnnSizes) -> torch.nn.GRU:
-    """The memory as torch has it, with these weights."""
+    """Build torch's recurrent unit with these weights."""
     import torch
 
     inputs = sizes.layers()["memory.input"][0]

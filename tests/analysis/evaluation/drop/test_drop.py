@@ -38,8 +38,7 @@ EASY_CELL = Cell("drop", "paper", "Easy", 0.0)
 HARD_CELL = Cell("drop", "paper", "Hard", 0.0)
 NOISY_CELL = Cell("drop", "paper", "Easy", 0.01)
 ALLOWED = 10
-DEAR = ("cma-es", "entropy-search", "tpe")
-"""They take long, or their libraries load for long."""
+DEAR = ("cma-es", "entropy-search", "tpe")  # they take long, or their libraries load for long
 
 
 def ready_methods() -> list[Method]:

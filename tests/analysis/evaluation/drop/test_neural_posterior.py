@@ -30,8 +30,7 @@ from tests.engines import needs_pybullet
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
-HALF_95 = 1.959964
-"""Half of a Gaussian's 95 % interval, in standard deviations."""
+HALF_95 = 1.959964  # half of a Gaussian's 95 % interval, in standard deviations
 
 
 def gaussian(mean: float, sd: float, edges: np.ndarray) -> GridDensity:

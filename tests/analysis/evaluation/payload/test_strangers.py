@@ -37,9 +37,7 @@ from analysis.evaluation.payload.tables import stranger_table
 from analysis.payload.torque_model import CONVENTIONS, Convention
 from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF
 
-SEED = 2000
-"""Below the command's, above those of the fit's development."""
-
+SEED = 2000  # below the command's, above those of the fit's development
 (CLEAN_CASE,) = [case for case in STRANGER_CASES if case.troubles == CLEAN]
 MODEL = described_arm(JACO_URDF)
 FRAME = MODEL.getFrameId(JACO_TOOL_LINK)

@@ -14,8 +14,8 @@ from analysis.evaluation.real_balls.airless import (
 from analysis.evaluation.real_balls.balls import TABLE_BALLS, table_drops
 from analysis.evaluation.real_balls.drops import (
     CELLS,
-    LEAST_FALL,
-    LONGEST_S,
+    MAX_S,
+    MIN_FALL,
     RecordedDrop,
     WorldCell,
     draw_drop,
@@ -71,7 +71,7 @@ def test_a_recording_is_the_truth_with_noise():
     assert np.std(off) == pytest.approx(0.001, rel=0.15)
     assert np.std(drop.positions_m[:, :2], axis=0) == pytest.approx([0.001, 0.001], rel=0.15)
     assert drop.seconds[0] < -0.25
-    assert drop.seconds[-1] <= LONGEST_S
+    assert drop.seconds[-1] <= MAX_S
     assert np.allclose(drop.seconds_of(drop.stamps_ns), drop.seconds, atol=2e-9)
     assert list(drop.episode().signals) == ["/vrpn/ball/pose"]
     assert not drop.episode().info.rig
@@ -84,7 +84,7 @@ def test_a_bounce_too_low_to_see_is_not_in_view():
     drop = recorded(RealBall(0.3, 0.0, 0.01, 1.0))
     speeds, times = drop.path.impact_speeds_m_s[0], drop.path.impacts_s[0]
     last = np.flatnonzero(times == drop.last_bounce_s)[0]
-    assert speeds[last] >= np.sqrt(LEAST_FALL) * speeds[0] > speeds[last + 1]
+    assert speeds[last] >= np.sqrt(MIN_FALL) * speeds[0] > speeds[last + 1]
     assert drop.seconds[-1] > drop.last_bounce_s
 
 

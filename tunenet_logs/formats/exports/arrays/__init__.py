@@ -1,1 +1,1 @@
-"""Files of arrays, columns and records, by the names of what they hold."""
+"""Files of arrays, columns and records, interpreted by the names of their content."""

@@ -1,4 +1,4 @@
-"""Arrays of one file, of one or two dimensions, as columns of equal length."""
+"""Interpret 1-D and 2-D arrays of one file as columns of equal length."""
 
 from __future__ import annotations
 
@@ -19,41 +19,31 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.column_names import meaning_of
 from tunenet_logs.formats.tables.meaning import TimeColumn, lowered, words_of
 
-MOST_BYTES = 128 * 1024**2
-"""Of all arrays of a file."""
-
-_MOST_WIDTH = 200
-"""Columns of one array."""
-
-_FEWEST_ROWS = 3
-"""Of an array that is no setting."""
-
+MAX_BYTES = 128 * 1024**2  # of all arrays of a file
+_MAX_WIDTH = 200  # columns of one array
+_MIN_ROWS = 3  # of an array that is no setting
+# What a number is called that says how many rows there are in a second.
 _RATES = frozenset(("fps", "fs", "hz", "rate", "sampling_rate", "sample_rate", "frame_rate"))
-"""What a number is called that says how many rows there are in a second."""
 
+# What a number is called that says how many seconds there are from row to row.
 _PERIODS = frozenset(("dt", "ts", "timestep", "time_step", "sample_time", "period"))
-"""What a number is called that says how many seconds there are from row to row."""
 
+# Words behind a name that say no more than that there are many.
 _LISTS = frozenset(("list", "arr", "array", "data", "vec", "hist", "history", "log", "values"))
-"""Words behind a name that say no more than that there are many."""
 
-_PLURALS = {"ts": "t", "xs": "x", "ys": "y", "zs": "z"}
-"""What people call many of them."""
-
-Arrays = Mapping[str, NDArray[Any]]
-"""Arrays by their names."""
-
+_PLURALS = {"ts": "t", "xs": "x", "ys": "y", "zs": "z"}  # what people call many of them
+Arrays = Mapping[str, NDArray[Any]]  # arrays by their names
 _NAME_THEM = "save a table of time and x, y, z, or say which is which with --columns t=..,z=.."
 
 
 def arrays_episode(
     path: Path, what: str, arrays: Arrays, options: ReadOptions, unused: Mapping[str, str]
 ) -> Episode:
-    """Arrays as an episode: those as long as the times are its columns.
+    """Build an episode from arrays: those as long as the times are its columns.
 
     Args:
         path: of the file.
-        what: it is, in words.
+        what: kind of file, in words.
         arrays: numbers, texts or dates; of two dimensions with a row (or column) a time.
         options: the user's.
         unused: what else the file holds, with the reason.
@@ -91,7 +81,7 @@ def arrays_episode(
 
 
 def _bare(name: str) -> str:
-    """A name without what says only that it is of many: `t_list`, `zs`."""
+    """Strip a name of its plural or container suffix: `t_list`, `zs`."""
     words = name.split("_")
     if len(words) > 1 and words[-1].lower() in _LISTS:
         name = "_".join(words[:-1])
@@ -99,7 +89,7 @@ def _bare(name: str) -> str:
 
 
 def _without_records(arrays: Arrays) -> dict[str, NDArray[Any]]:
-    """Arrays without those of records, whose fields are arrays of their own."""
+    """Replace structured arrays by one array per field."""
     plain: dict[str, NDArray[Any]] = {}
     for name, array in arrays.items():
         fields = array.dtype.names
@@ -112,7 +102,7 @@ def _without_records(arrays: Arrays) -> dict[str, NDArray[Any]]:
 
 
 def _length(arrays: Arrays, options: ReadOptions) -> int:
-    """How many rows there are: as many as times, or as most arrays have."""
+    """Return the number of rows: that of the times, else the most common length."""
     said = [options.columns[one] for one in ("t", "frame", "times") if one in options.columns]
     said = said or list(options.columns.values())[:1]
     for name in said:
@@ -122,18 +112,18 @@ def _length(arrays: Arrays, options: ReadOptions) -> int:
     times = [
         name
         for name, length in lengths.items()
-        if length >= _FEWEST_ROWS
+        if length >= _MIN_ROWS
         and arrays[name].size == length
         and isinstance(meaning_of(_bare(name)), TimeColumn)
     ]
     if times:
         return lengths[min(times, key=lambda name: len(words_of(name, camel=True)))]
-    common = Counter(length for length in lengths.values() if length >= _FEWEST_ROWS)
+    common = Counter(length for length in lengths.values() if length >= _MIN_ROWS)
     return max(common, key=lambda length: (common[length], length), default=0)
 
 
 def _rows(array: NDArray[Any], count: int) -> NDArray[Any] | str:
-    """An array with a row a time, shape (T,) or (T, K); or why it is none."""
+    """Return an array with one row per time, shape (T,) or (T, K), or why it has none."""
     shape = " x ".join(map(str, array.shape))
     if array.dtype.kind == "O" or array.dtype.kind not in "biufMUS":
         return "it holds no numbers"
@@ -143,14 +133,14 @@ def _rows(array: NDArray[Any], count: int) -> NDArray[Any] | str:
         return array.reshape(count)
     if array.ndim == 2 and count in array.shape:
         rows = array if array.shape[0] == count else array.T
-        if rows.shape[1] > _MOST_WIDTH:
+        if rows.shape[1] > _MAX_WIDTH:
             return f"its {rows.shape[1]} columns are more than an arm or a ball has"
         return rows
     return f"its shape {shape} has not the {count} rows that there are times"
 
 
 def _rate(arrays: Arrays) -> float | None:
-    """Rows a second, where a number says so."""
+    """Return the sampling rate [Hz] stated by a scalar of the file; None where there is none."""
     for name, array in arrays.items():
         word = "_".join(lowered(words_of(name, camel=False)))
         if array.size != 1 or array.dtype.kind not in "iuf":
@@ -164,10 +154,10 @@ def _rate(arrays: Arrays) -> float | None:
 
 
 def number_names(array: NDArray[Any], path: Path, options: ReadOptions) -> dict[str, NDArray[Any]]:
-    """The columns of an array without a name, by their numbers from 1.
+    """Return the columns of an unnamed array by their numbers from 1.
 
     Raises:
-        LogError: nobody says which column is which, or it is no table.
+        LogError: the user names no columns, or it is no table.
     """
     shape = " x ".join(map(str, array.shape)) or "one number"
     if array.ndim == 1 and array.size:
@@ -176,7 +166,7 @@ def number_names(array: NDArray[Any], path: Path, options: ReadOptions) -> dict[
         raise LogError(f"{path}: is an array ({shape}) that is no table of numbers", _NAME_THEM)
     if array.shape[0] < array.shape[1]:
         array = array.T
-    if array.shape[1] > _MOST_WIDTH:
+    if array.shape[1] > _MAX_WIDTH:
         raise LogError(
             f"{path}: is an array ({shape}), which is more than an arm or a ball has", _NAME_THEM
         )

@@ -1,4 +1,4 @@
-"""What named columns of numbers mean, before any of them is read."""
+"""Infer the meaning of named numeric columns before any of them is read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tunenet_logs.formats.exports.robots.joint_fields import (
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.column_names import meaning_of
 from tunenet_logs.formats.tables.layout import (
-    MOST_COLUMNS,
+    MAX_COLUMNS,
     TableLayout,
     clock_of,
     run_columns,
@@ -29,27 +29,26 @@ from tunenet_logs.formats.tables.meaning import LENGTHS, TimeColumn, UnusedColum
 from tunenet_logs.formats.tables.times import Clock
 from tunenet_logs.terminal import listed
 
+# What a column of frame numbers is called.
 _FRAMES = {("frame",), ("frame", "index"), ("frame", "number"), ("frame", "no"), ("frame", "idx")}
-"""What a column of frame numbers is called."""
 
+# What people call quantities of a ball: an array of two or three columns is no arm's.
 _OF_A_THING = {"pos", "position", "positions", "vel", "velocity", "velocities", "speed"}
-"""What people call quantities of a ball: an array of two or three columns is no arm's."""
 
-JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N·m"}
-"""Of the signals of joints."""
+JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N·m"}  # of the signals of joints
 
 
 @dataclass(frozen=True)
 class PlannedSignal:
-    """Columns that are one signal.
+    """Columns that make up one signal.
 
     Attributes:
         name: of the signal.
         columns: of the signal.
         unit: of the signal: of a position one of `LENGTHS`, "px" or `UNSTATED`.
-        used: for each column that is there its index, its place in the signal and its scale.
-        clock: indices of the columns that say when, where it is not the plan's.
-        is_track: whether it is where something was.
+        used: index, place in the signal and scale of each column in the file.
+        clock: columns of its own times, where these differ from the plan's.
+        is_track: whether it is a position over time.
     """
 
     name: str
@@ -62,14 +61,14 @@ class PlannedSignal:
 
 @dataclass(frozen=True)
 class ColumnPlan:
-    """What is to be read of a file of named columns.
+    """Plan of what to read of a file of named columns.
 
     Attributes:
         names: of all columns, as the file has them.
-        clock: which say when; None where rows or frames are counted.
+        clock: time columns; None where rows or frames are counted.
         frames: the index of the column that counts frames; None where rows count.
-        impacts: which column holds the times of impacts.
-        runs: the columns that say of which run and of which thing a row is, and what each counts.
+        impacts: the column of impact times.
+        runs: the columns that identify run and object of a row, with the kind of each.
         unused: the other columns, with the reason.
     """
 
@@ -83,7 +82,7 @@ class ColumnPlan:
 
     @property
     def needed(self) -> tuple[int, ...]:
-        """Indices of the columns to read, each once."""
+        """Sorted indices of the columns to read."""
         clocks = [self.clock, self.impacts, *(signal.clock for signal in self.signals)]
         wanted = {at for clock in clocks if clock is not None for at in clock.indices}
         wanted.update(at for signal in self.signals for at, _, _ in signal.used)
@@ -93,12 +92,7 @@ class ColumnPlan:
 
 
 def spread_names(name: str, width: int) -> tuple[list[str], list[str]]:
-    """The columns of an array of two dimensions: their own names, and what these say.
-
-    Args:
-        name: of the array.
-        width: how many columns it has.
-    """
+    """Name the columns of a 2-D array: their own names, and the names to interpret."""
     own = [f"{name}[{at}]" for at in range(width)]
     words = words_of(name, camel=False)
     is_place = bool(_OF_A_THING.intersection(lowered(words)))
@@ -120,22 +114,22 @@ def plan_columns(
     meant: Sequence[str] | None = None,
     left_out: Mapping[str, str] | None = None,
 ) -> ColumnPlan:
-    """What columns mean.
+    """Plan which columns to read, from the user's names or else by the columns' own.
 
     Args:
         path: of the file, for messages.
         names: of the columns, as the file has them.
         options: the user's.
-        meant: the names by which they are understood, where that is not their own.
+        meant: the names to interpret, where these differ from `names`.
         left_out: what else the file holds, with the reason: for the refusal.
 
     Raises:
         LogError: there are too many, a column that was named is not there, the torque constants
             fit no currents, or nothing is of use.
     """
-    if len(names) > MOST_COLUMNS:
+    if len(names) > MAX_COLUMNS:
         raise LogError(
-            f"{path}: has {len(names)} columns, over the limit of {MOST_COLUMNS}; leave out those "
+            f"{path}: has {len(names)} columns, over the limit of {MAX_COLUMNS}; leave out those "
             "that are not needed"
         )
     said = {target: name for target, name in options.columns.items() if target != "object"}
@@ -158,7 +152,7 @@ def plan_columns(
 
 
 def _with_franka_times(meant: Sequence[str]) -> list[str]:
-    """Names with the unit of libfranka's times, which are in ms and do not say so."""
+    """Add the unit to libfranka's times, which are in ms without saying so."""
     words = [lowered(words_of(name, camel=False)) for name in meant]
     is_franka = ("success", "rate") in words and bool(joint_fields(meant))
     return [
@@ -170,7 +164,7 @@ def _with_franka_times(meant: Sequence[str]) -> list[str]:
 def _said_plan(
     path: Path, names: Sequence[str], meant: Sequence[str], options: ReadOptions
 ) -> ColumnPlan:
-    """What a user says that the columns are; nothing else is used."""
+    """Plan only the columns that the user names."""
     said = {target: said_index(path, name, names) for target, name in options.columns.items()}
     clocks = {
         target: Clock(names[said[target]], (said[target],), _power(meant[said[target]]))
@@ -204,7 +198,7 @@ def _power(name: str) -> int | None:
 def _found_plan(
     path: Path, names: Sequence[str], meant: Sequence[str], options: ReadOptions
 ) -> ColumnPlan:
-    """What the columns' names say."""
+    """Plan columns by their own names."""
     fields = joint_fields(meant)
     choice = choose_fields(fields)
     taken = {at for at, name in enumerate(meant) if joint_fields([name])}
@@ -244,7 +238,7 @@ def _runs(names: Sequence[str]) -> tuple[tuple[int, str], ...]:
 def _unused(
     names: Sequence[str], others: Sequence[str], layout: TableLayout | None
 ) -> dict[str, str]:
-    """Why columns are not used that are no joint's."""
+    """Return why columns that are not a joint's are not used."""
     reasons = {} if layout is None else layout.unused
     alike: dict[tuple[str, str], list[str]] = {}
     for name, other in zip(names, others, strict=True):
@@ -260,7 +254,7 @@ def _unused(
 def _tracks(
     layout: TableLayout | None, taken: set[str], meant: Sequence[str], unused: dict[str, str]
 ) -> list[PlannedSignal]:
-    """What the reader of tables sees in the columns that are left."""
+    """Return the tracks that the table reader recognizes in the remaining columns."""
     found: list[PlannedSignal] = []
     for group in layout.groups if layout is not None else ():
         used = tuple((one.index, one.row, one.scale) for one in group.used)
@@ -282,14 +276,14 @@ def _tracks(
 
 
 def _names_unit(name: str) -> bool:
-    """Whether a coordinate's name names its unit."""
+    """Return whether a coordinate's name states its unit."""
     return bool(getattr(meaning_of(name), "unit", ""))
 
 
 def _joints(
     path: Path, choice: JointChoice, options: ReadOptions, unused: dict[str, str]
 ) -> list[PlannedSignal]:
-    """The signals of an arm's fields, torques out of currents among them."""
+    """Return the signals of an arm's fields, including torques computed from currents."""
     for one, why in choice.unused:
         unused[one.title] = why
     by_key = {(one.side, one.quantity): one for one in choice.used}

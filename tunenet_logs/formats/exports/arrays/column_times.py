@@ -1,4 +1,4 @@
-"""Columns of times as stamps, exact where the file's own numbers are."""
+"""Convert time columns to stamps, exact where the file's own numbers are."""
 
 from __future__ import annotations
 
@@ -19,26 +19,23 @@ from tunenet_logs.formats.tables.times import (
     unit_of_times,
 )
 
-_LOOK_ROWS = 100
-"""Which tell whether times say their own unit."""
-
-_MOST_NS = 2**62
-"""Half of what int64 holds, so that differences fit as well."""
+_LOOK_ROWS = 100  # which tell whether times say their own unit
+_MAX_NS = 2**62  # half of what int64 holds, so that differences fit as well
 
 
 def column_stamps(
     clock: Clock, columns: Sequence[NDArray[Any]], *, is_sampled: bool = True
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
-    """Stamps [ns] of one column of times, or of two: of seconds and nanoseconds, or a date first.
+    """Convert one time column to stamps [ns], or two: seconds and nanoseconds, or date and time.
 
     Args:
-        clock: what the columns are.
+        clock: meaning of the columns.
         columns: whole numbers, floats, dates (datetime64) or texts, shape (T,) each.
         is_sampled: see `unit_of_times`.
 
     Returns:
-        Stamps, shape (T,), which rows have one, shape (T,), the stamp of another is 0; and what is
-        doubtful of their unit, in words.
+        Stamps, 0 where invalid, shape (T,); the mask of valid rows, shape (T,); and any doubt about
+        their unit, in words.
 
     Raises:
         ValueError: they have no unit that a log has.
@@ -57,7 +54,7 @@ def _stamps(
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
     if values.dtype.kind == "M":
         known = ~np.isnat(values)
-        known &= np.abs(values.astype("M8[s]").astype(np.int64)) < _MOST_NS // 10**9
+        known &= np.abs(values.astype("M8[s]").astype(np.int64)) < _MAX_NS // 10**9
         return np.where(known, values.astype("M8[ns]").astype(np.int64), 0), known, ""
     if values.dtype.kind not in "iufb":
         texts = [str(value).strip() for value in values.tolist() if value is not None]
@@ -67,11 +64,11 @@ def _stamps(
         return _text_stamps([values], unit, clock)
     unit = unit_of_times(clock.name, values.tolist(), power, is_sampled=is_sampled)
     if values.dtype.kind in "iub":
-        fits = np.abs(values.astype(np.float64)) * unit.ns < _MOST_NS
+        fits = np.abs(values.astype(np.float64)) * unit.ns < _MAX_NS
         return np.where(fits, values, 0).astype(np.int64) * unit.ns, fits, unit.doubt
     with np.errstate(over="ignore", invalid="ignore"):
         nanoseconds = np.round(values.astype(np.float64) * unit.ns)
-        fits = np.abs(nanoseconds) < _MOST_NS  # NaN does not
+        fits = np.abs(nanoseconds) < _MAX_NS  # NaN does not
     return np.where(fits, nanoseconds, 0).astype(np.int64), fits, unit.doubt
 
 

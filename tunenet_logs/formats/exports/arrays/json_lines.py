@@ -1,4 +1,4 @@
-"""Records in JSON: one a line, in one array, or a list a column."""
+"""Read JSON records: one per line, one array of them, or one list per column."""
 
 from __future__ import annotations
 
@@ -17,37 +17,26 @@ from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.arrays.array_columns import arrays_episode
 from tunenet_logs.formats.exports.arrays.column_plan import plan_columns, spread_names
 from tunenet_logs.formats.exports.arrays.json_records import DamagedJsonError, json_values
-from tunenet_logs.formats.exports.arrays.named_columns import MOST_ROWS, check_rows, columns_episode
+from tunenet_logs.formats.exports.arrays.named_columns import MAX_ROWS, check_rows, columns_episode
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
-from tunenet_logs.formats.tables.layout import MOST_COLUMNS
+from tunenet_logs.formats.tables.layout import MAX_COLUMNS
 
 _SUFFIXES = (".json", ".jsonl", ".ndjson")
 
+# How it begins under another name: no other text does.
 _JSON = re.compile(r'\s*(?:\{\s*"|\[\s*[\[{])')
-"""How it begins under another name: no other text does."""
 
-_MOST_BYTES = 256 * 1024**2
-"""Of a file: its values are read one by one, in Python."""
-
-_LOOK_RECORDS = 100
-"""Whose names are the columns."""
-
-_MOST_DEPTH = 6
-"""Of names within names."""
-
-_MOST_LIST = 64
-"""Values of a list that are columns: an arm's joints; a longer one is something else."""
-
-_FEWEST_ROWS = 3
-"""Of a list that is a column."""
-
-_Path = tuple[str | int, ...]
-"""Keys and indices that lead to a value."""
+_MAX_BYTES = 256 * 1024**2  # of a file: its values are read one by one, in Python
+_LOOK_RECORDS = 100  # whose names are the columns
+_MAX_DEPTH = 6  # of names within names
+_MAX_LIST = 64  # values of a list that are columns: an arm's joints; a longer one is something else
+_MIN_ROWS = 3  # of a list that is a column
+_Path = tuple[str | int, ...]  # keys and indices that lead to a value
 
 
 def is_json_lines(start: Start) -> bool:
-    """Whether a file is one of JSON values."""
+    """Return whether a file holds JSON values."""
     if not start.lines:
         return False
     if start.suffix not in _SUFFIXES:
@@ -57,13 +46,13 @@ def is_json_lines(start: Start) -> bool:
 
 
 def read_json_lines(path: Path, options: ReadOptions) -> Episode:
-    """Records with a time and a place or joints; names within names are joined by dots.
+    """Read records with a time and a position or joints; nested names are joined by dots.
 
     Raises:
         LogError: it is damaged, too large, or its names do not say what it holds.
         OSError: it cannot be read.
     """
-    if (size := path.stat().st_size) > _MOST_BYTES:
+    if (size := path.stat().st_size) > _MAX_BYTES:
         raise LogError(f"{path}: has {size} bytes, over the limit of 256 MiB of JSON; split it")
     losses: list[str] = []
     values = _until_damage(path, json_values(path), losses)
@@ -74,7 +63,7 @@ def read_json_lines(path: Path, options: ReadOptions) -> Episode:
 
 
 def _until_damage(path: Path, values: Iterator[Any], losses: list[str]) -> Iterator[Any]:
-    """Values up to the first that is damaged, which is a loss."""
+    """Yield values up to the first damaged one, which is recorded as a loss."""
     count = 0
     try:
         for value in values:
@@ -87,7 +76,7 @@ def _until_damage(path: Path, values: Iterator[Any], losses: list[str]) -> Itera
 
 
 def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -> Episode:
-    """One object: a list of records in it, or a list for each column."""
+    """Read one object: a list of records in it, or one list per column."""
     if {"task", "verdict", "provenance"} <= document.keys():
         raise LogError(f"{path}: is a tuning that tunenet-tune wrote", "name the log it is of")
     records = max(
@@ -101,7 +90,7 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
     for name, value in _columns_of(document, ""):
         if (made := _as_array(value)) is not None:
             lists[name] = made
-        elif len(unused) < MOST_COLUMNS:
+        elif len(unused) < MAX_COLUMNS:
             unused[name] = "no list of numbers"
     if not lists:
         raise LogError(
@@ -113,7 +102,7 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
 
 
 def _unrolled(records: list[Any]) -> list[Any]:
-    """Records; where each of them holds a list of records, those, with the number of their list."""
+    """Flatten records that each hold a list of records, numbering the lists as runs."""
     inner = next((key for key, value in records[0].items() if _is_records(value)), None)
     if inner is None:
         return records
@@ -127,23 +116,23 @@ def _unrolled(records: list[Any]) -> list[Any]:
 
 
 def _is_records(value: object) -> bool:
-    return isinstance(value, list) and len(value) >= _FEWEST_ROWS and isinstance(value[0], dict)
+    return isinstance(value, list) and len(value) >= _MIN_ROWS and isinstance(value[0], dict)
 
 
 def _columns_of(value: dict[str, Any], prefix: str, depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """The lists and numbers in an object, by their joined names."""
-    for key, inner in islice(value.items(), MOST_COLUMNS):
+    """Yield the lists and numbers in an object, by their joined names."""
+    for key, inner in islice(value.items(), MAX_COLUMNS):
         name = f"{prefix}{key}"
         if not isinstance(inner, dict):
             yield name, inner
         elif inner and all(one.isdecimal() for one in islice(inner, 10)):  # rows by their number
             yield name, list(inner.values())
-        elif depth < _MOST_DEPTH:
+        elif depth < _MAX_DEPTH:
             yield from _columns_of(inner, f"{name}.", depth + 1)
 
 
 def _as_array(value: object) -> NDArray[Any] | None:
-    """A list as an array of one or two dimensions; None where it is none of numbers or texts."""
+    """Return a list as a 1-D or 2-D array; None where it is not of numbers or texts."""
     if isinstance(value, int | float | str) and not isinstance(value, bool):
         return np.array(_number(value))
     if not isinstance(value, list) or not value:
@@ -151,13 +140,13 @@ def _as_array(value: object) -> NDArray[Any] | None:
     widths = {len(row) if isinstance(row, list) else 0 for row in value}
     if widths == {0}:
         return _column(value)
-    if len(widths) > 1 or max(widths) > _MOST_LIST:
+    if len(widths) > 1 or max(widths) > _MAX_LIST:
         return None
     return np.array([[_number(one) for one in row] for row in value], np.float64)
 
 
 def _column(values: list[Any]) -> NDArray[Any]:
-    """Values as numbers, or as texts where they are times that a number would cut."""
+    """Return values as numbers, or as texts where a float would lose a time's digits."""
     if any(type(one) is str for one in values):
         return np.array([str(one)[:60] for one in values])
     if all(type(one) is int and abs(one) < 2**62 for one in values):
@@ -166,7 +155,7 @@ def _column(values: list[Any]) -> NDArray[Any]:
 
 
 def _number(value: object) -> float:
-    """A value as a number, NaN where it is none."""
+    """Return a value as a number, NaN where it is none."""
     try:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
@@ -193,7 +182,7 @@ def _read_records(
         *((paths[at], _adder(numbers[at])) for at in numbers),
     ]
     for count, record in enumerate(records, 1):
-        if count > MOST_ROWS:
+        if count > MAX_ROWS:
             check_rows(path, count, plan)
         for keys, add in adders:
             add(_at(record, keys))
@@ -210,7 +199,7 @@ def _adder(values: array[float]) -> Callable[[Any], None]:
 
 
 def _times(values: list[Any]) -> NDArray[Any]:
-    """Times as whole numbers where all are, else as they are written."""
+    """Return times as integers where all are, else as written."""
     if all(type(one) is int and abs(one) < 2**62 for one in values):
         return np.array(values, np.int64)
     made = np.empty(len(values), object)
@@ -219,13 +208,13 @@ def _times(values: list[Any]) -> NDArray[Any]:
 
 
 def _paths(value: object, above: _Path, depth: int) -> Iterator[_Path]:
-    """Where an object's numbers and texts are."""
+    """Yield the paths to an object's numbers and texts."""
     if isinstance(value, Mapping):
-        if depth < _MOST_DEPTH:
-            for key, inner in islice(value.items(), MOST_COLUMNS):
+        if depth < _MAX_DEPTH:
+            for key, inner in islice(value.items(), MAX_COLUMNS):
                 yield from _paths(inner, (*above, key), depth + 1)
     elif isinstance(value, list):
-        if len(value) <= _MOST_LIST and not any(isinstance(one, dict | list) for one in value):
+        if len(value) <= _MAX_LIST and not any(isinstance(one, dict | list) for one in value):
             for at in range(len(value)):
                 yield (*above, at)
     else:
@@ -233,7 +222,7 @@ def _paths(value: object, above: _Path, depth: int) -> Iterator[_Path]:
 
 
 def _names(paths: list[_Path]) -> tuple[list[str], list[str]]:
-    """The columns' names, and what they say: the items of a list of three are x, y, z."""
+    """Return the columns' names, and those to interpret: a list of three is x, y, z."""
     widths: dict[_Path, int] = {}
     for keys in paths:
         if keys and isinstance(keys[-1], int):
@@ -257,7 +246,7 @@ def _joined(keys: _Path) -> str:
 
 
 def _at(record: Any, keys: _Path) -> Any:
-    """A record's value at a place; None where it has none."""
+    """Return a record's value at a path; None where it is absent."""
     try:
         for key in keys:
             record = record[key]

@@ -1,4 +1,4 @@
-"""JSON values out of a file, one after the other, in little memory."""
+"""Stream JSON values out of a file, in little memory."""
 
 from __future__ import annotations
 
@@ -11,30 +11,28 @@ from typing import Any, TextIO
 from tunenet_logs.formats.tables.lines import text_encoding
 from tunenet_logs.regular_file import open_regular_text
 
-_CHUNK = 262_144
-"""Characters read at a time."""
-
-_MOST_VALUE = 8 * 1024**2
-"""Characters of one value: a value of the worst kind is 50 times that in memory."""
+_CHUNK = 262_144  # characters read at a time
+# Characters of one value: a value of the worst kind is 50 times that in memory.
+_MAX_VALUE = 8 * 1024**2
 
 
 class DamagedJsonError(ValueError):
-    """What is no JSON, or too large."""
+    """Invalid JSON, or a value over the size limit."""
 
 
 class NumberText(str):
-    """A number with decimals as it is written: a time must not lose digits."""
+    """A decimal number as written, so that a time loses no digits."""
 
     __slots__ = ()
 
 
 def json_values(path: Path) -> Iterator[Any]:
-    """The values of a file: one a line, one after the other, or the items of one array.
+    """Yield the values of a file: JSON lines, concatenated values, or the items of one array.
 
     Numbers with decimals are `NumberText`.
 
     Raises:
-        DamagedJsonError: it is no JSON from some place on, or a value is too large.
+        DamagedJsonError: invalid JSON from some place on, or a value that is too large.
         OSError: it cannot be read.
     """
     with open_regular_text(path, text_encoding(path), errors="replace") as file:
@@ -49,11 +47,7 @@ def json_values(path: Path) -> Iterator[Any]:
 
 
 class _Window:
-    """The part of a file that is looked at.
-
-    Attributes:
-        at: the next character, in the part.
-    """
+    """Sliding window over a text file; `at` is the index of its next character."""
 
     def __init__(self, file: TextIO) -> None:
         self.at = 0
@@ -63,7 +57,7 @@ class _Window:
         self._count = 0
 
     def next_mark(self, skipped: str) -> str:
-        """The next character that is none of those; "" at the end."""
+        """Skip the given characters and return the next one; "" at the end."""
         while True:
             text, at = self._text, self.at
             while at < len(text) and text[at] in skipped:
@@ -73,7 +67,7 @@ class _Window:
                 return text[at : at + 1]
 
     def value(self) -> Any:
-        """The value that begins here; the next character is the one behind it.
+        """Decode the value that begins here and move behind it.
 
         Raises:
             DamagedJsonError: there is none, or it is too large.
@@ -86,7 +80,7 @@ class _Window:
                 raise DamagedJsonError(f"value {self._count} is nested too deeply") from error
             except ValueError as error:
                 length = len(self._text) - self.at
-                if length > _MOST_VALUE or not self._grow(max(_CHUNK, length)):
+                if length > _MAX_VALUE or not self._grow(max(_CHUNK, length)):
                     raise DamagedJsonError(self._why(error, length)) from error
                 continue
             if end == len(self._text) and self._grow(_CHUNK):
@@ -95,9 +89,9 @@ class _Window:
             return value
 
     def _decoded(self) -> tuple[Any, int]:
-        """The value that begins here, and where it ends.
+        """Decode the value that begins here; return it with its end.
 
-        Millions of lists, and no circle among them: a search for circles takes most of the time.
+        Without garbage collection: of millions of lists, its search for cycles takes most time.
         """
         was_on = gc.isenabled()
         gc.disable()
@@ -108,19 +102,19 @@ class _Window:
                 gc.enable()
 
     def _grow(self, count: int) -> bool:
-        """Takes more of the file, without what is done with."""
+        """Read more of the file, dropping what is consumed."""
         more = self._file.read(count)
         self._text, self.at = self._text[self.at :] + more, 0
         return bool(more)
 
     def _why(self, error: ValueError, length: int) -> str:
-        if length > _MOST_VALUE:
-            return f"value {self._count} is larger than {_MOST_VALUE >> 20} MiB, or no JSON"
+        if length > _MAX_VALUE:
+            return f"value {self._count} is larger than {_MAX_VALUE >> 20} MiB, or no JSON"
         is_json = isinstance(error, json.JSONDecodeError)
         what = error.msg.lower() if is_json else "a number of too many digits"
         return f"value {self._count} is no JSON ({what})"
 
 
 def _no_number(_name: str) -> float:
-    """NaN and Infinity, which Python and MATLAB write: no value."""
+    """Return NaN for NaN and Infinity, which Python and MATLAB write."""
     return float("nan")

@@ -1,4 +1,4 @@
-"""Episodes of LeRobot's data sets (versions 2, 3): states of joints, no torques as a rule."""
+"""Read episodes of LeRobot data sets (versions 2, 3): joint states, usually without torques."""
 
 from __future__ import annotations
 
@@ -20,31 +20,22 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.times import Clock
 from tunenet_logs.regular_file import open_regular, real_path
 
-_MOST_INFO_BYTES = 1024**2
-"""Of meta/info.json."""
-
-_FASTEST_HZ = 10_000.0
-"""Frames a second of any data set."""
-
-_MOST_LISTED = 1000
-"""Chunks of a data set, and files of a chunk, that are looked at."""
-
-_SLACK_S = 0.002
-"""How far a time may be from its frame's: times have single precision."""
-
-_COLUMNS = ("timestamp", "frame_index", "episode_index")
-"""Of every data set, beside its features."""
+_MAX_INFO_BYTES = 1024**2  # of meta/info.json
+_MAX_SPEED_HZ = 10_000.0  # frames a second of any data set
+_MAX_LISTED = 1000  # chunks of a data set, and files of a chunk, that are looked at
+_SLACK_S = 0.002  # how far a time may be from its frame's: times have single precision
+_COLUMNS = ("timestamp", "frame_index", "episode_index")  # of every data set, beside its features
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """What a data set says of itself.
+    """Metadata of a LeRobot data set.
 
     Attributes:
         robot: its type, or "".
-        rate_hz: frames a second; None where it does not say.
-        labels: names of a feature's values.
-        warning: why nothing is known; "" where it is.
+        rate_hz: frame rate; None where it is unstated.
+        labels: names of each feature's values.
+        warning: why the metadata is missing; "" where it is not.
     """
 
     robot: str = ""
@@ -54,13 +45,13 @@ class DataSet:
 
 
 def is_lerobot(columns: Sequence[ParquetColumn]) -> bool:
-    """Whether columns of a Parquet file are those of a LeRobot episode."""
+    """Return whether columns of a Parquet file are those of a LeRobot episode."""
     names = {column.name for column in columns}
     return names.issuperset(_COLUMNS) and bool(_features(columns))
 
 
 def lerobot_columns(columns: Sequence[ParquetColumn]) -> list[str]:
-    """The columns that are read of an episode."""
+    """Return the columns of an episode to read."""
     states = [one.name for one in _features(columns) if one.name.startswith("observation.")]
     return [*_COLUMNS, *states]
 
@@ -76,20 +67,20 @@ def _features(columns: Sequence[ParquetColumn]) -> list[ParquetColumn]:
 
 
 def is_data_set(folder: Path) -> bool:
-    """Whether a folder is a data set's: it describes itself."""
+    """Return whether a folder is a data set with its own description."""
     return (folder / "meta" / "info.json").is_file() and (folder / "data").is_dir()
 
 
 def a_file_of(folder: Path) -> str:
-    """A data set's file of episodes, in words."""
-    chunks = islice((folder / "data").glob("chunk-*"), _MOST_LISTED)
-    files = (file for chunk in chunks for file in islice(chunk.glob("*.parquet"), _MOST_LISTED))
+    """Name one of a data set's episode files, for messages."""
+    chunks = islice((folder / "data").glob("chunk-*"), _MAX_LISTED)
+    files = (file for chunk in chunks for file in islice(chunk.glob("*.parquet"), _MAX_LISTED))
     first = min(files, default=None)
     return "one of its files data/chunk-*/*.parquet" if first is None else str(first)
 
 
 def data_set_of(path: Path) -> DataSet:
-    """What meta/info.json says, of the data set that a file lies in.
+    """Read meta/info.json of the data set that a file lies in.
 
     Nothing outside of the data set's folder is opened.
     """
@@ -102,18 +93,18 @@ def data_set_of(path: Path) -> DataSet:
         if not real_path(info).is_relative_to(root) or not info.is_file():
             return DataSet(warning="no meta/info.json beside it: joints go by their numbers")
         with open_regular(info) as file:
-            said = json.loads(file.read(_MOST_INFO_BYTES))
+            said = json.loads(file.read(_MAX_INFO_BYTES))
         features = dict(said["features"])
         labels = {str(name): _labels(one) for name, one in features.items()}
         rate = float(said["fps"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError, OverflowError):
         return DataSet(warning="meta/info.json is damaged: joints go by their numbers")
-    known = 0 < rate < _FASTEST_HZ
+    known = 0 < rate < _MAX_SPEED_HZ
     return DataSet(str(said.get("robot_type", ""))[:60], rate if known else None, labels)
 
 
 def _labels(feature: Any) -> tuple[str, ...]:
-    """The names of a feature's values, in a list or under a key."""
+    """Return the names of a feature's values, in a list or under a key."""
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
@@ -128,13 +119,7 @@ def lerobot_episode(
     arrays: Mapping[str, NDArray[Any]],
     options: ReadOptions,
 ) -> Episode:
-    """The states of each of the file's episodes, in the data set's own units.
-
-    Args:
-        path: of the file.
-        columns: of the file.
-        arrays: those of `lerobot_columns`.
-        options: the user's.
+    """Read the states of each episode in the file, in the data set's own units.
 
     Raises:
         LogError: no row has a time and a state.
@@ -176,7 +161,7 @@ def lerobot_episode(
 
 
 def _seconds(arrays: Mapping[str, NDArray[Any]], rate_hz: float | None) -> NDArray[np.float64]:
-    """Times [s]: by frames, which are exact, where the data set's rate fits its times."""
+    """Return times [s]: exact, from frame numbers, where the stated rate fits the timestamps."""
     times = arrays["timestamp"].astype(np.float64)
     if rate_hz is None:
         return times

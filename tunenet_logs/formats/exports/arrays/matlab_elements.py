@@ -1,4 +1,4 @@
-"""The elements of MATLAB's files of levels 4 and 5: arrays of numbers, texts, structs of these.
+"""Parse MAT-file elements of levels 4 and 5: numeric arrays, texts, and structs of these.
 
 Written after MathWorks' "MAT-File Format". Nothing is executed, and every size is checked against
 the bytes that are there.
@@ -14,45 +14,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_BYTES = 128 * 1024**2
-"""Of a file, and of what is unpacked of it."""
-
+MAX_BYTES = 128 * 1024**2  # of a file, and of what is unpacked of it
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8"}
 _TYPES |= {13: "u8", 16: "u1", 17: "u2", 18: "u4"}
 """How the numbers of an element are stored."""
 
-_MATRIX, _COMPRESSED = 14, 15
-"""Elements that hold others."""
-
+_MATRIX, _COMPRESSED = 14, 15  # elements that hold others
 _STRUCT = 2
-_NUMBERS = range(6, 16)
-"""Classes of arrays that are read."""
-
+_NUMBERS = range(6, 16)  # Classes of arrays that are read
 _CLASSES = {1: "a cell array", 3: "an object", 4: "text", 5: "a sparse matrix", 16: "a function"}
 _CLASSES |= {17: "a table, timetable or timeseries, which only MATLAB can read; save its columns"}
 """What others are."""
 
-_MOST_DEPTH = 6
-"""Of structs within structs."""
-
-_MOST_ARRAYS = 5000
-"""In a file."""
-
+_MAX_DEPTH = 6  # of structs within structs
+_MAX_ARRAYS = 5000  # in a file
 _V4_TYPES = ("f8", "f4", "i4", "i2", "u2", "u1")
-_V4_HEADER = 20
-"""Bytes before a name."""
+_V4_HEADER = 20  # bytes before a name
 
 
 class DamagedMatlabError(ValueError):
-    """What is no file of MATLAB's, or a damaged one."""
+    """Not a MAT-file, or a damaged one."""
 
 
 class MatlabArrays:
-    """The arrays of a file.
+    """Arrays of one MAT-file.
 
     Attributes:
-        arrays: numbers by name; those of structs by their names joined by dots.
-        unused: what else there is, with the reason.
+        arrays: numeric arrays by name; struct fields by their names joined by dots.
+        unused: other variables, with the reason.
     """
 
     def __init__(self) -> None:
@@ -61,7 +50,7 @@ class MatlabArrays:
         self._unpacked = 0
 
     def read_level5(self, data: bytes) -> None:
-        """All elements of a file of level 5.
+        """Parse all elements of a level 5 file.
 
         Raises:
             DamagedMatlabError: it is damaged, or too large.
@@ -78,18 +67,18 @@ class MatlabArrays:
     def _unpack(self, content: memoryview) -> memoryview:
         unpacker = zlib.decompressobj()
         try:
-            data = unpacker.decompress(content, MOST_BYTES - self._unpacked + 1)
+            data = unpacker.decompress(content, MAX_BYTES - self._unpacked + 1)
         except zlib.error as error:
             raise DamagedMatlabError(f"a packed variable is damaged ({error})") from error
         self._unpacked += len(data)
-        if self._unpacked > MOST_BYTES:
-            raise DamagedMatlabError(f"unpacked it is over the limit of {MOST_BYTES >> 20} MiB")
+        if self._unpacked > MAX_BYTES:
+            raise DamagedMatlabError(f"unpacked it is over the limit of {MAX_BYTES >> 20} MiB")
         return memoryview(data)
 
     def _matrix(self, content: memoryview, order: str, above: str, depth: int) -> None:
-        """One array, whose own name stands in it where it is no field of a struct."""
-        if len(self.arrays) + len(self.unused) >= _MOST_ARRAYS:
-            raise DamagedMatlabError(f"it holds over {_MOST_ARRAYS} variables")
+        """Parse one array; its own name is used unless it is a struct's field."""
+        if len(self.arrays) + len(self.unused) >= _MAX_ARRAYS:
+            raise DamagedMatlabError(f"it holds over {_MAX_ARRAYS} variables")
         parts = _elements(content, order)
         flags = _next(parts)
         kind = _word(flags, 0, order) & 0xFF if len(flags) >= 4 else 0
@@ -121,7 +110,7 @@ class MatlabArrays:
             size = " x ".join(map(str, shape))
             self.unused[name] = f"an array of structs ({size}); save one of them"
             return
-        if depth == _MOST_DEPTH:
+        if depth == _MAX_DEPTH:
             self.unused[name] = "structs within structs within structs; save the inner one"
             return
         length = _word(_next(parts), 0, order)
@@ -134,19 +123,19 @@ class MatlabArrays:
                 self._matrix(content, order, f"{name}.{field}", depth + 1)
 
     def read_level4(self, data: bytes) -> None:
-        """All arrays of a file of level 4.
+        """Parse all arrays of a level 4 file.
 
         Raises:
             DamagedMatlabError: it is damaged.
         """
         at = 0
         while at < len(data):
-            if len(self.arrays) + len(self.unused) >= _MOST_ARRAYS:
-                raise DamagedMatlabError(f"it holds over {_MOST_ARRAYS} variables")
+            if len(self.arrays) + len(self.unused) >= _MAX_ARRAYS:
+                raise DamagedMatlabError(f"it holds over {_MAX_ARRAYS} variables")
             at = self._level4_array(data, at)
 
     def _level4_array(self, data: bytes, at: int) -> int:
-        """One array that begins at a place; the place behind it."""
+        """Parse the array at a byte and return the byte behind it."""
         if (found := level4_header(data, at)) is None:
             raise DamagedMatlabError(f"byte {at} begins no variable")
         order, stored, kind, (rows, columns, is_complex, length) = found
@@ -165,7 +154,7 @@ class MatlabArrays:
 
 
 def level4_header(data: bytes, at: int = 0) -> tuple[str, str, int, tuple[int, ...]] | None:
-    """Byte order, type, kind and sizes of an array of level 4; None where none begins."""
+    """Return byte order, type, kind and sizes of a level 4 array; None where none begins."""
     for order in "<>":
         if len(data) < at + _V4_HEADER:
             return None
@@ -179,11 +168,7 @@ def level4_header(data: bytes, at: int = 0) -> tuple[str, str, int, tuple[int, .
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Types and contents of the elements in a row.
-
-    Raises:
-        DamagedMatlabError: one is longer than what is there.
-    """
+    """Yield type and content of each element; raise where one overruns the data."""
     at = 0
     while at + 8 <= len(data):
         kind = _word(data, at, order)

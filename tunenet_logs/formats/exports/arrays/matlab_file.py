@@ -1,4 +1,4 @@
-"""Variables that MATLAB or Octave saved (.mat)."""
+"""Read variables saved by MATLAB or Octave (.mat)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.exports.arrays.array_columns import arrays_episode
 from tunenet_logs.formats.exports.arrays.matlab_elements import (
-    MOST_BYTES,
+    MAX_BYTES,
     DamagedMatlabError,
     MatlabArrays,
     level4_header,
@@ -25,20 +25,20 @@ _REMEDY = "save it with `save('FILE.mat', '-v7')`"
 
 
 def is_matlab_file(start: Start) -> bool:
-    """Whether a file is one of MATLAB's variables."""
+    """Return whether a file holds MATLAB variables."""
     return start.data.startswith((_LEVEL5, _LEVEL73)) or start.suffix == ".mat"
 
 
 def read_matlab_file(path: Path, options: ReadOptions) -> Episode:
-    """Variables named like columns: t, z, ball (T x 3), q and tau (T x J); those of structs too.
+    """Read variables named like columns: t, z, ball (T x 3), q and tau (T x J), also in structs.
 
     Raises:
         LogError: it is of version 7.3, damaged, too large, or its names do not say what it holds.
         OSError: it cannot be read.
     """
-    if (size := path.stat().st_size) > MOST_BYTES:
+    if (size := path.stat().st_size) > MAX_BYTES:
         raise LogError(
-            f"{path}: has {size} bytes, over the limit of {MOST_BYTES >> 20} MiB; save fewer "
+            f"{path}: has {size} bytes, over the limit of {MAX_BYTES >> 20} MiB; save fewer "
             "variables"
         )
     with open_regular(path) as file:

@@ -1,4 +1,4 @@
-"""Arrays by the names of their columns, as an episode: what files of arrays share."""
+"""Build episodes from arrays with named columns: the part that array formats share."""
 
 from __future__ import annotations
 
@@ -22,22 +22,17 @@ from tunenet_logs.formats.tables.times import Clock
 from tunenet_logs.left_out import UNREADABLE, added
 from tunenet_logs.sample_order import sorted_stamps
 
-MOST_ROWS = 2_000_000
-"""Of a file: an hour at 500 Hz."""
+MAX_ROWS = 2_000_000  # of a file: an hour at 500 Hz
+# Of a track: 8 minutes at 1 kHz; tuning takes over half a kilobyte of memory for each.
+_MAX_PLACES = 500_000
 
-_MOST_PLACES = 500_000
-"""Of a track: 8 minutes at 1 kHz; tuning takes over half a kilobyte of memory for each."""
-
-_MOST_VALUES = 16_000_000
-"""Of all its signals."""
-
-Arrays = Mapping[int, NDArray[Any]]
-"""Columns by their index, shape (T,) each."""
+_MAX_VALUES = 16_000_000  # of all its signals
+Arrays = Mapping[int, NDArray[Any]]  # columns by their index, shape (T,) each
 
 
 @dataclass(frozen=True, eq=False)
 class _Times:
-    """When rows were.
+    """Stamps of a file's rows.
 
     Attributes:
         stamps_ns: shape (T,).
@@ -50,7 +45,7 @@ class _Times:
     counts_frames: bool = False
 
     def taken(self, rows: NDArray[np.intp]) -> _Times:
-        """Those of some rows."""
+        """Return the times of some rows."""
         return replace(self, stamps_ns=self.stamps_ns[rows], known=self.known[rows])
 
 
@@ -66,18 +61,18 @@ def columns_episode(
     warnings: Sequence[str] = (),
     losses: Sequence[str] = (),
 ) -> Episode:
-    """The episode of a file's columns.
+    """Build the episode of a file's columns.
 
     Args:
         path: of the file.
-        what: it is, in words.
-        plan: what its columns mean.
+        what: kind of file, in words.
+        plan: meaning of its columns.
         arrays: the columns that the plan needs.
         options: the user's.
-        rate_hz: of rows, where the file says it; None where it does not.
+        rate_hz: row rate stated by the file; None where it is unstated.
         unused: what else it holds, with the reason.
         warnings: of reading it.
-        losses: what of it is damaged.
+        losses: damage found in it.
 
     Raises:
         LogError: it is too large, or no row has a time and a value.
@@ -111,17 +106,17 @@ def columns_episode(
 
 
 def check_rows(path: Path, count: int, plan: ColumnPlan) -> None:
-    """Raises LogError: so many rows are more than is read of a file."""
+    """Refuse a file of too many rows with a LogError."""
     width = sum(len(signal.columns) for signal in plan.signals)
     is_track = any(signal.columns == ("x", "y", "z") for signal in plan.signals)
-    rows = _MOST_PLACES if is_track else MOST_ROWS
-    if count > rows or count * width > _MOST_VALUES:
-        most = min(rows, _MOST_VALUES // max(width, 1))
+    rows = _MAX_PLACES if is_track else MAX_ROWS
+    if count > rows or count * width > _MAX_VALUES:
+        most = min(rows, _MAX_VALUES // max(width, 1))
         raise LogError(f"{path}: has over {most} rows, the limit; split it")
 
 
 class _Reading:
-    """The rows of a file, with their times."""
+    """Rows of a file with their stamps."""
 
     def __init__(
         self,
@@ -170,10 +165,10 @@ class _Reading:
         return self._clocks[clock]
 
     def runs(self) -> list[tuple[str, NDArray[np.intp]]]:
-        """The rows of each run or thing with its name; those without a time are of none.
+        """Return the name and rows of each run or object; rows without a stamp are left out.
 
         Raises:
-            LogError: there are too many.
+            LogError: there are too many runs.
         """
         rows = np.flatnonzero(self._times.known)
         columns = [self._arrays[at].tolist() for at, _ in self._plan.runs]
@@ -190,7 +185,7 @@ class _Reading:
     def signal(
         self, name: str, planned: PlannedSignal, rows: NDArray[np.intp]
     ) -> tuple[Signal, list[str]]:
-        """A signal of some rows, and what was repaired."""
+        """Return the signal of some rows, and notes on what was repaired."""
         times = self._times if planned.clock is None else self._of(planned.clock)
         times = times.taken(rows)
         values = np.full((len(rows), len(planned.columns)), 0.0 if planned.is_track else np.nan)
@@ -218,7 +213,7 @@ class _Reading:
 
 
 def _floats(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Numbers of a column, NaN where there is none, shape (T,)."""
+    """Return a column as floats, NaN where it is no number, shape (T,)."""
     if values.dtype.kind in "iufb":
         return values.astype(np.float64)
     found = np.full(len(values), np.nan)
@@ -241,7 +236,7 @@ def _label(value: object) -> str:
 
 
 def _impacts(clock: Clock, arrays: Arrays) -> Signal:
-    """The times of impacts."""
+    """Return the impact times as a signal."""
     columns = [arrays[at] for at in clock.indices]
     stamps, known, _ = column_stamps(clock, columns, is_sampled=False)
     ordered = sorted_stamps(stamps[known]).stamps_ns
@@ -249,7 +244,7 @@ def _impacts(clock: Clock, arrays: Arrays) -> Signal:
 
 
 def _from_zero(signals: list[Signal]) -> tuple[list[Signal], list[str]]:
-    """Signals whose stamps are not below 0, and a note where they were moved."""
+    """Shift signals so that no stamp is negative, and note the shift."""
     first = min((int(signal.stamps_ns[0]) for signal in signals), default=0)
     if first >= 0:
         return signals, []

@@ -1,4 +1,4 @@
-"""Arrays that NumPy saved (.npy, .npz): checked before anything is allocated, never unpickled."""
+"""Read NumPy arrays (.npy, .npz): checked before anything is allocated, never unpickled."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.exports.arrays.array_columns import (
-    MOST_BYTES,
+    MAX_BYTES,
     arrays_episode,
     number_names,
 )
@@ -29,17 +29,13 @@ from tunenet_logs.regular_file import open_regular
 _NPY = b"\x93NUMPY"
 _ZIP = b"PK\x03\x04"
 
-_MOST_FILE_BYTES = 1024**3
-"""Of an .npz; its arrays may have less."""
+_MAX_FILE_BYTES = 1024**3  # of an .npz; its arrays may have less
+# Of the list of an .npz's members, which `zipfile` reads at once: some 10,000.
+_MAX_DIRECTORY_BYTES = 1024**2
 
-_MOST_DIRECTORY_BYTES = 1024**2
-"""Of the list of an .npz's members, which `zipfile` reads at once: some 10,000."""
-
-_MOST_ARRAYS = 5000
-"""In a file."""
-
+_MAX_ARRAYS = 5000  # in a file
+# The record at a zip file's end: signature, ..., bytes and place of the list of members, ...
 _END = struct.Struct("<4s4H2LH")
-"""The record at a zip file's end: signature, ..., bytes and place of the list of members, ..."""
 
 _DAMAGED = (ValueError, EOFError, KeyError, OverflowError, zlib.error, zipfile.BadZipFile)
 _DAMAGED += (struct.error, SyntaxError, TypeError, RuntimeError, NotImplementedError, MemoryError)
@@ -48,11 +44,11 @@ _DAMAGED += (RecursionError, TokenError)
 
 
 class _RefusedError(ValueError):
-    """An array that is whole, but not read."""
+    """An intact array that is not supported."""
 
 
 def is_numpy_file(start: Start) -> bool:
-    """Whether a file is one of arrays."""
+    """Return whether a file holds NumPy arrays."""
     if start.data.startswith(_NPY):
         return True
     if not start.data.startswith(_ZIP) or len(start.data) < 30:
@@ -62,7 +58,7 @@ def is_numpy_file(start: Start) -> bool:
 
 
 def read_numpy_file(path: Path, options: ReadOptions) -> Episode:
-    """Arrays that are named like columns: t, z, ball (T, 3), q and tau (T, J).
+    """Read arrays named like columns: t, z, ball (T, 3), q and tau (T, J).
 
     Raises:
         LogError: it is damaged, too large, or its names do not say what it holds.
@@ -89,7 +85,7 @@ def _damaged(path: Path, error: Exception) -> LogError:
 
 def _read_single(path: Path, file: IO[bytes], options: ReadOptions) -> Episode:
     try:
-        array = _array(file, path.stat().st_size, MOST_BYTES)
+        array = _array(file, path.stat().st_size, MAX_BYTES)
     except _DAMAGED as error:
         raise _damaged(path, error) from error
     named = (
@@ -99,14 +95,14 @@ def _read_single(path: Path, file: IO[bytes], options: ReadOptions) -> Episode:
 
 
 def _members(path: Path, unused: dict[str, str]) -> dict[str, NDArray[Any]]:
-    """The arrays of an .npz; why one is not read goes to `unused`."""
+    """Read the arrays of an .npz, adding refused ones to `unused`."""
     _check_directory(path)
     arrays: dict[str, NDArray[Any]] = {}
-    left = MOST_BYTES
+    left = MAX_BYTES
     with open_regular(path) as packed, zipfile.ZipFile(packed) as archive:
         members = [one for one in archive.infolist() if one.filename.endswith(".npy")]
-        if len(members) > _MOST_ARRAYS:
-            raise _RefusedError(f"holds {len(members)} arrays, over the limit of {_MOST_ARRAYS}")
+        if len(members) > _MAX_ARRAYS:
+            raise _RefusedError(f"holds {len(members)} arrays, over the limit of {_MAX_ARRAYS}")
         for member in members:
             name = member.filename.removesuffix(".npy")
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -123,9 +119,9 @@ def _members(path: Path, unused: dict[str, str]) -> dict[str, NDArray[Any]]:
 
 
 def _check_directory(path: Path) -> None:
-    """Raises ValueError: the list of members is larger than arrays need."""
+    """Refuse an archive whose directory is larger than arrays need, with a ValueError."""
     size = path.stat().st_size
-    if size > _MOST_FILE_BYTES:
+    if size > _MAX_FILE_BYTES:
         raise _RefusedError(f"has {size} bytes, over the limit of 1 GiB; save fewer arrays")
     with open_regular(path) as file:
         file.seek(max(0, size - 65536 - _END.size))
@@ -134,21 +130,12 @@ def _check_directory(path: Path) -> None:
     if at < 0 or len(tail) < at + _END.size:
         raise ValueError("its end is missing")
     listed = _END.unpack_from(tail, at)[5]
-    if listed > _MOST_DIRECTORY_BYTES or b"PK\x06\x07" in tail[max(0, at - 20) : at]:
+    if listed > _MAX_DIRECTORY_BYTES or b"PK\x06\x07" in tail[max(0, at - 20) : at]:
         raise _RefusedError("holds more arrays than can be read; save fewer")
 
 
 def _array(file: IO[bytes], there: int, most: int) -> NDArray[Any]:
-    """One array, whose header is checked first.
-
-    Args:
-        file: where it begins.
-        there: bytes that it may have, as there are no more.
-        most: bytes that are read.
-
-    Raises:
-        ValueError: it is damaged, larger, or of Python objects.
-    """
+    """Read one array, header first; raise ValueError if damaged, too large or of objects."""
     version = npy.read_magic(file)
     read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
     if version not in read_header:
@@ -165,7 +152,7 @@ def _array(file: IO[bytes], there: int, most: int) -> NDArray[Any]:
     if size > there:
         raise ValueError(f"{size} bytes are claimed, and not there")
     if size > most:
-        raise _RefusedError(f"with it there are over {MOST_BYTES >> 20} MiB; save fewer numbers")
+        raise _RefusedError(f"with it there are over {MAX_BYTES >> 20} MiB; save fewer numbers")
     data = file.read(size)
     if len(data) < size:
         raise ValueError(f"{len(data)} of {size} bytes are there")

@@ -1,4 +1,4 @@
-"""Tables in Parquet: named columns, and episodes of LeRobot's data sets."""
+"""Read Parquet tables: named columns, and episodes of LeRobot data sets."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _MAGIC = b"PAR1"
 
 
 def is_parquet(start: Start) -> bool:
-    """Whether a file is one."""
+    """Return whether a file is Parquet."""
     return start.data.startswith(_MAGIC)
 
 
 def read_parquet(path: Path, options: ReadOptions) -> Episode:
-    """A table by the names of its columns, or a LeRobot data set's episodes.
+    """Read a table by its column names, or the episodes of a LeRobot data set.
 
     Raises:
         LogError: it is damaged, too large, or its names do not say what it holds; or `pyarrow` is
@@ -43,12 +43,12 @@ def read_parquet(path: Path, options: ReadOptions) -> Episode:
 
 
 class _ParquetChoice:
-    """What is chosen of a file's columns.
+    """Selection of a file's columns.
 
     Attributes:
-        columns: all there are.
-        sources: for each of the plan's columns the file's, and the place in its lists.
-        plan: what they mean; None of a LeRobot data set.
+        columns: all of the file's.
+        sources: file column and list index behind each of the plan's columns.
+        plan: their meaning; None for a LeRobot data set.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
@@ -59,11 +59,7 @@ class _ParquetChoice:
         self.plan: ColumnPlan | None = None
 
     def choose(self, columns: Sequence[ParquetColumn]) -> list[str]:
-        """The columns to read.
-
-        Raises:
-            LogError: nothing in them is of use.
-        """
+        """Select the columns to read; raise LogError if none is of use."""
         self.columns = columns
         if is_lerobot(columns) and not self._options.columns:
             return lerobot_columns(columns)

@@ -1,4 +1,4 @@
-"""Reads columns of a Parquet file in a process of its own, with little memory and time.
+"""Read columns of a Parquet file in a process of its own, with limited memory and CPU time.
 
 Sizes in a Parquet file are claims, and its reader believes them: here the system ends what takes
 too much. Run as a script, with the file's path. It writes a line of JSON that describes the
@@ -17,34 +17,25 @@ import resource
 import sys
 from typing import Any
 
-MEMORY_BYTES = 450 * 1024**2
-"""More than the libraries themselves have."""
-
-CPU_S = 9
-"""Of reading."""
-
-MOST_ROWS = 2_000_000
-MOST_VALUES = 12_000_000
-"""Of the columns that are read: 96 MB."""
-
-MOST_COLUMNS = 5000
-"""Of a file, those within others counted."""
-
-_MOST_WIDTH = 200
+MEMORY_BYTES = 450 * 1024**2  # more than the libraries themselves have
+CPU_S = 9  # of reading
+MAX_ROWS = 2_000_000
+MAX_VALUES = 12_000_000  # of the columns that are read: 96 MB
+MAX_COLUMNS = 5000  # of a file, those within others counted
+_MAX_WIDTH = 200
 _BATCH_ROWS = 16_384
-_MOST_TEXT = 60
+_MAX_TEXT = 60
 _LINE_CHARACTERS = 4_000_000
 _ROWS_AT_ONCE = 200
-_OF_ROWS = ("string", "large_string", "int64", "double")
-"""Of a table that is read by rows."""
+_OF_ROWS = ("string", "large_string", "int64", "double")  # of a table that is read by rows
 
 
 class TooLargeError(ValueError):
-    """A file that claims, or holds, more than is read."""
+    """A file that claims or holds more than the limit."""
 
 
 def main(path: str, most_cells: int | None = None) -> None:
-    """Serves one file; see the module."""
+    """Serve the columns of one file; see the module."""
     import pyarrow.parquet as pq
 
     _limit()
@@ -60,7 +51,7 @@ def main(path: str, most_cells: int | None = None) -> None:
 
 
 def _limit() -> None:
-    """No more memory and time than given, whatever the file claims."""
+    """Limit memory and CPU time of this process, regardless of what the file claims."""
     with open("/proc/self/statm") as file:
         used = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, used + MEMORY_BYTES))
@@ -76,13 +67,13 @@ def _say(words: object) -> None:
 
 
 def _described(file: Any) -> dict[str, dict[str, Any]]:
-    """Kind and width of each column, those within others by their joined names."""
-    if file.metadata.num_columns > MOST_COLUMNS:
+    """Return kind and width of each column, nested ones by their joined names."""
+    if file.metadata.num_columns > MAX_COLUMNS:
         raise TooLargeError(
-            f"has {file.metadata.num_columns} columns, over the limit of {MOST_COLUMNS}"
+            f"has {file.metadata.num_columns} columns, over the limit of {MAX_COLUMNS}"
         )
-    if file.metadata.num_rows > MOST_ROWS:
-        raise TooLargeError(f"claims {file.metadata.num_rows} rows, over the limit of {MOST_ROWS}")
+    if file.metadata.num_rows > MAX_ROWS:
+        raise TooLargeError(f"claims {file.metadata.num_rows} rows, over the limit of {MAX_ROWS}")
     found: dict[str, dict[str, Any]] = {}
     for field in file.schema_arrow:
         _describe(field.name, field.type, found)
@@ -90,12 +81,12 @@ def _described(file: Any) -> dict[str, dict[str, Any]]:
     for name in lists:
         batch = next(file.iter_batches(1, columns=[name], use_threads=False), None)
         row = None if batch is None or not batch.num_rows else _inner(batch, name)[0].as_py()
-        found[name]["width"] = len(row) if row and len(row) <= _MOST_WIDTH else 0
+        found[name]["width"] = len(row) if row and len(row) <= _MAX_WIDTH else 0
     return found
 
 
 def _describe(name: str, kind: Any, found: dict[str, dict[str, Any]]) -> None:
-    """One column: a number ("n"), a time ("t"), a text ("s") or something else ("")."""
+    """Describe a column: a number ("n"), a time ("t"), a text ("s") or something else ("")."""
     from pyarrow import types
 
     if types.is_struct(kind):
@@ -106,7 +97,7 @@ def _describe(name: str, kind: Any, found: dict[str, dict[str, Any]]) -> None:
         kind = kind.value_type
     width: int | None = 0
     if types.is_fixed_size_list(kind):
-        width, kind = kind.list_size if kind.list_size <= _MOST_WIDTH else 0, kind.value_type
+        width, kind = kind.list_size if kind.list_size <= _MAX_WIDTH else 0, kind.value_type
         kind = kind if width else None
     elif types.is_list(kind) or types.is_large_list(kind):
         width, kind = None, kind.value_type
@@ -128,7 +119,7 @@ def _kind(kind: Any) -> str:
 
 
 def _inner(batch: Any, name: str) -> Any:
-    """The column of a batch, perhaps within others."""
+    """Return a batch's column, which may be nested in a struct."""
     for at in range(batch.num_columns):
         field = batch.schema.field(at)
         if name == field.name:
@@ -149,7 +140,7 @@ def _inner(batch: Any, name: str) -> Any:
 
 
 def _send(name: str, file: Any, width: int) -> None:
-    """One column as an array: its values in all rows."""
+    """Write one column's values in all rows as an array."""
     import numpy as np
 
     parts: list[Any] = []
@@ -157,9 +148,9 @@ def _send(name: str, file: Any, width: int) -> None:
     for batch in file.iter_batches(_BATCH_ROWS, columns=[name], use_threads=False):
         parts.append(_array(_inner(batch, name)))
         count += batch.num_rows
-        if count * width > MOST_VALUES or count > MOST_ROWS:
+        if count * width > MAX_VALUES or count > MAX_ROWS:
             raise TooLargeError(
-                f"has over {MOST_VALUES} values to read; name fewer columns, or split it"
+                f"has over {MAX_VALUES} values to read; name fewer columns, or split it"
             )
     whole = np.concatenate(parts) if parts else np.zeros(0)
     _say({"name": name, "dtype": whole.dtype.str, "shape": whole.shape})
@@ -168,7 +159,7 @@ def _send(name: str, file: Any, width: int) -> None:
 
 
 def _send_rows(file: Any, most_cells: int) -> None:
-    """All rows, as long as they are as many and as large as in a table of texts and numbers."""
+    """Write all rows of a table of texts and numbers, within the bound of cells."""
     names = file.schema_arrow.names
     if len(set(names)) < len(names):
         raise TooLargeError("two of its columns have one name")
@@ -191,7 +182,7 @@ def _send_rows(file: Any, most_cells: int) -> None:
 
 
 def _cells(column: Any) -> list[Any]:
-    """Values as JSON has them: null for none, and for a number that is not finite."""
+    """Return values as JSON has them: null for none, and for a number that is not finite."""
     values = column.to_pylist()
     if str(column.type) != "double":
         return values
@@ -199,7 +190,7 @@ def _cells(column: Any) -> list[Any]:
 
 
 def _array(column: Any) -> Any:
-    """Values as NumPy has them: NaN for none, lists as rows."""
+    """Return values as NumPy has them: NaN for none, lists as rows."""
     import numpy as np
     import pyarrow as pa
     from pyarrow import types
@@ -211,8 +202,8 @@ def _array(column: Any) -> Any:
         unit = pa.timestamp("ns") if types.is_timestamp(kind) else pa.duration("ns")
         return column.cast(unit).to_numpy(zero_copy_only=False).astype("i8").astype("M8[ns]")
     if types.is_string(kind) or types.is_large_string(kind):
-        texts = [text[:_MOST_TEXT] if text else "" for text in column.to_pylist()]
-        return np.array(texts, f"U{_MOST_TEXT}")
+        texts = [text[:_MAX_TEXT] if text else "" for text in column.to_pylist()]
+        return np.array(texts, f"U{_MAX_TEXT}")
     if types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind):
         flat = _array(column.flatten()).astype("f8")
         if len(column) and len(flat) % len(column) == 0:

@@ -1,4 +1,4 @@
-"""Columns of a Parquet file, by a process that may not take much; see `parquet_child`."""
+"""Read columns of a Parquet file through a resource-limited process; see `parquet_child`."""
 
 from __future__ import annotations
 
@@ -21,22 +21,17 @@ from tunenet_logs.stopping import end_child
 
 _CHILD = Path(__file__).with_name("parquet_child.py")
 
-_MOST_LINE = 4 * 1024**2
-"""Of what describes a file, or some rows."""
-
-_MOST_BYTES = 512 * 1024**2
-"""Of one column; texts have 240 bytes each."""
-
-_LONGEST_S = 60.0
-"""What the process may wait for its disk, beside its time of reading."""
+_MAX_LINE = 4 * 1024**2  # of what describes a file, or some rows
+_MAX_BYTES = 512 * 1024**2  # of one column; texts have 240 bytes each
+_MAX_S = 60.0  # what the process may wait for its disk, beside its time of reading
 
 
 @dataclass(frozen=True)
 class ParquetColumn:
-    """One column, perhaps within others.
+    """One column, which may be nested in a struct.
 
     Attributes:
-        name: those of what it is within joined by dots.
+        name: nested names joined by dots.
         kind: "n" of numbers, "t" of times, "s" of texts, "" of what is not read.
         width: values in each row's list; 0 of a column of single values.
     """
@@ -46,12 +41,11 @@ class ParquetColumn:
     width: int
 
 
-Choose = Callable[[Sequence[ParquetColumn]], Sequence[str]]
-"""Which columns to read."""
+Choose = Callable[[Sequence[ParquetColumn]], Sequence[str]]  # which columns to read
 
 
 def parquet_columns(path: Path, choose: Choose) -> dict[str, NDArray[Any]]:
-    """The columns that are chosen, by name: shape (T,), or (T, width) of lists.
+    """Read the columns that `choose` selects, by name: shape (T,), or (T, width) for lists.
 
     Raises:
         LogError: `pyarrow` is not installed, or the file is damaged or too large; or `choose`
@@ -62,7 +56,7 @@ def parquet_columns(path: Path, choose: Choose) -> dict[str, NDArray[Any]]:
 
 
 def parquet_rows(path: Path, most_cells: int) -> Iterator[list[dict[str, Any]]]:
-    """The rows of a table whose columns are texts, whole numbers and numbers, some at a time.
+    """Yield rows, in batches, of a table whose columns are texts and numbers.
 
     Raises:
         LogError: `pyarrow` is not installed, or the file is damaged, too large or another table.
@@ -76,11 +70,7 @@ def parquet_rows(path: Path, most_cells: int) -> Iterator[list[dict[str, Any]]]:
 
 @contextmanager
 def _child(path: Path, *words: str) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
-    """What the process that reads a file hears, and what it says.
-
-    Raises:
-        LogError: `pyarrow` is not installed.
-    """
+    """Open the pipes to the process that reads a file; raise LogError without `pyarrow`."""
     if find_spec("pyarrow") is None:
         raise LogError(f"{path}: Parquet needs pyarrow: pip install 'tunenet-logs[tables]'")
     child = subprocess.Popen(  # noqa: S603 (our own script, without a shell)
@@ -89,7 +79,7 @@ def _child(path: Path, *words: str) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     )
-    timer = Timer(_LONGEST_S, child.kill)
+    timer = Timer(_MAX_S, child.kill)
     timer.start()
     try:
         assert child.stdin is not None
@@ -116,7 +106,7 @@ def _served(
         head = _answer(path, answers)
         dtype, shape = np.dtype(head["dtype"]), tuple(head["shape"])
         size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
-        if size > _MOST_BYTES:
+        if size > _MAX_BYTES:
             raise LogError(f"{path}: Parquet column {name[:60]!r} has {size} bytes; split the file")
         data = answers.read(size)
         if len(data) < size:
@@ -126,7 +116,7 @@ def _served(
 
 
 def _answer(path: Path, answers: IO[bytes]) -> dict[str, Any]:
-    line = answers.readline(_MOST_LINE)
+    line = answers.readline(_MAX_LINE)
     if not line.endswith(b"\n"):
         raise _ended(path)
     said = json.loads(line)
@@ -136,7 +126,7 @@ def _answer(path: Path, answers: IO[bytes]) -> dict[str, Any]:
 
 
 def _ended(path: Path) -> LogError:
-    """The process is gone: the system ended it."""
+    """Return the error of a child process that the system ended."""
     return LogError(
         f"{path}: Parquet file that is not read: it is damaged, or takes more memory or time than "
         "any log; write it again, in smaller files"

@@ -1,4 +1,4 @@
-"""Columns of a file as a user names them with `--columns`."""
+"""Resolve the columns that a user names with `--columns`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tunenet_logs.formats.tables.column_names import meaning_of
 from tunenet_logs.formats.tables.meaning import LENGTHS, CoordinateColumn, lowered, words_of
 from tunenet_logs.terminal import listed
 
+# What `--columns` calls them, and the units of their signals.
 _QUANTITIES = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "N·m"}
-"""What `--columns` calls them, and the units of their signals."""
 
+# Name, columns, unit and used columns (index, place, scale) of a signal.
 SaidGroup = tuple[str, tuple[str, ...], str, tuple[tuple[int, int, float], ...]]
-"""Name, columns, unit and used columns (index, place, scale) of a signal."""
 
 
 def said_index(path: Path, said: str, names: Sequence[str]) -> int:
-    """The column that a user names: by its name, or by its number from 1.
+    """Find the column that a user names, by name or by number from 1.
 
     The third column of an array `ball` is `ball[2]` or `ball.2`.
 
@@ -48,19 +48,19 @@ def _as_is(name: str) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name as people write it: `Ball [2]` and `ball.2` are one."""
+    """Normalize a name: `Ball [2]` and `ball.2` are one."""
     return re.sub(r"[.\[(]\s*(\d+)\s*[\])]?$", r".\1", name.strip()).replace(" ", "").lower()
 
 
 def said_groups(
     path: Path, said: Mapping[str, int], meant: Sequence[str], options: ReadOptions
 ) -> list[SaidGroup]:
-    """The signals that a user's words make.
+    """Group the user's columns into signals.
 
     Args:
         path: for messages.
         said: the index of each column that was named.
-        meant: the names by which columns are understood.
+        meant: the names to interpret.
         options: the user's.
 
     Raises:
@@ -110,7 +110,7 @@ def _joints(
 
 
 def _length(name: str) -> tuple[str, float]:
-    """The unit of a coordinate that its name names, and its scale to that."""
+    """Return the length unit in a coordinate's name, and the scale to it."""
     meaning = meaning_of(name)
     if isinstance(meaning, CoordinateColumn):
         return meaning.unit or UNSTATED, meaning.scale

@@ -1,1 +1,1 @@
-"""Exports of motion capture: bodies and markers, in three dimensions."""
+"""Motion capture exports: rigid bodies and markers in three dimensions."""

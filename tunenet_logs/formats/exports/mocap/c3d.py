@@ -1,4 +1,4 @@
-"""C3D files (.c3d), as most systems of motion capture write them: their points.
+"""Read marker positions from C3D files (.c3d), as most motion capture systems write them.
 
 A damaged file makes the libraries for the format crash the process, so nothing but numpy reads it.
 """
@@ -28,40 +28,33 @@ from tunenet_logs.formats.exports.mocap.markers import (
     unique,
     unit_of,
 )
-from tunenet_logs.formats.exports.mocap.number_rows import MOST_COLUMNS
+from tunenet_logs.formats.exports.mocap.number_rows import MAX_COLUMNS
 from tunenet_logs.formats.exports.mocap.track_rows import TrackRows
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.regular_file import open_regular
 
-WHAT = "C3D file"
-"""What it is called."""
-
+WHAT = "C3D file"  # what it is called
+# Read for the header and the parameters: at most 127 and 255 blocks of 512 bytes.
 _HEADER_BYTES = 512 * 512
-"""Read for the header and the parameters: at most 127 and 255 blocks of 512 bytes."""
 
-_READ_BYTES = 8 * 1024**2
-"""Of data, at once."""
-
+_READ_BYTES = 8 * 1024**2  # of data, at once
+# Parameters of POINT that name points which are no positions.
 _MODEL_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
-"""Parameters of POINT that name points which are no positions."""
 
-_MOST_FRAMES = 65535
-"""That the header can count: it stands there as well where there are more."""
-
+_MAX_FRAMES = 65535  # that the header can count: it stands there as well where there are more
 _UNKNOWN_FRAMES = 2**31
 
-_MOST_ANALOGS = 100
-"""Channels listed."""
+_MAX_ANALOGS = 100  # channels listed
 
 
 def is_c3d(start: Start) -> bool:
-    """Whether a file is one, by its first bytes."""
+    """Return whether a file is C3D, by its first bytes."""
     return is_header(start.data)
 
 
 def read_c3d(path: Path, options: ReadOptions) -> Episode:
-    """Each point is a signal of its own.
+    """Read a C3D file, one signal per point.
 
     Raises:
         LogError: it has no point, no frame, or its header is damaged.
@@ -72,9 +65,9 @@ def read_c3d(path: Path, options: ReadOptions) -> Episode:
             header = header_of(file.read(_HEADER_BYTES))
         except ValueError as error:
             raise LogError(f"{path}: is a {WHAT} that {error}", EXPORT_AGAIN) from error
-        if not 0 < header.points <= MOST_COLUMNS // 3:
+        if not 0 < header.points <= MAX_COLUMNS // 3:
             raise LogError(
-                f"{path}: is a {WHAT} of {header.points} points (1 to {MOST_COLUMNS // 3} can be)",
+                f"{path}: is a {WHAT} of {header.points} points (1 to {MAX_COLUMNS // 3} can be)",
                 "export the ball's marker alone",
             )
         stated = _frames(header)
@@ -96,7 +89,7 @@ def read_c3d(path: Path, options: ReadOptions) -> Episode:
 
 
 def _tracks(header: C3dHeader, frames: int) -> tuple[MarkerTracks, list[int]]:
-    """What the header says of the points, and the indices of those that are positions."""
+    """Return the header's description of the points, and the indices of measured positions."""
     labels = header.texts("POINT", "LABELS")[: header.points]
     labels += [f"point {at + 1}" for at in range(len(labels), header.points)]
     names = unique(labels)
@@ -110,10 +103,10 @@ def _tracks(header: C3dHeader, frames: int) -> tuple[MarkerTracks, list[int]]:
     analogs = header.texts("ANALOG", "LABELS") if header.analogs else []
     units = header.texts("ANALOG", "UNITS")
     units += [""] * (len(analogs) - len(units))
-    for name, unit in list(zip(unique(analogs), units, strict=False))[:_MOST_ANALOGS]:
+    for name, unit in list(zip(unique(analogs), units, strict=False))[:_MAX_ANALOGS]:
         unused.setdefault(f"analog {name}", f"an analog channel [{unit or '?'}]: no position")
-    if len(analogs) > _MOST_ANALOGS:
-        unused["other analog channels"] = f"{len(analogs) - _MOST_ANALOGS} more: no positions"
+    if len(analogs) > _MAX_ANALOGS:
+        unused["other analog channels"] = f"{len(analogs) - _MAX_ANALOGS} more: no positions"
     rate = (header.values("POINT", "RATE") or [header.rate_hz])[0]
     unit = unit_of("".join(header.texts("POINT", "UNITS")[:1]))
     found = [
@@ -133,7 +126,7 @@ def _tracks(header: C3dHeader, frames: int) -> tuple[MarkerTracks, list[int]]:
 
 
 def _frames(header: C3dHeader) -> int:
-    """How many frames a file states, wherever it says so."""
+    """Return the number of frames stated, in any of the places where a file states it."""
     by_header = max(0, header.last_frame - header.first_frame + 1)
     start, end = (header.values("TRIAL", f"ACTUAL_{one}_FIELD") for one in ("START", "END"))
     if start and end and (count := int(_long(end) - _long(start) + 1)) > by_header:
@@ -142,11 +135,11 @@ def _frames(header: C3dHeader) -> int:
         value = (header.values("POINT", name) or [0.0])[0]
         if math.isfinite(value) and by_header < value < _UNKNOWN_FRAMES:
             return int(value)
-    return by_header if header.last_frame < _MOST_FRAMES else _UNKNOWN_FRAMES
+    return by_header if header.last_frame < _MAX_FRAMES else _UNKNOWN_FRAMES
 
 
 def _long(words: list[float]) -> float:
-    """A number of 32 bits in two words; one word stands for itself."""
+    """Combine two 16-bit words into a 32-bit number; one word stands for itself."""
     value = words[0] + 65536 * words[1] if len(words) > 1 else words[0]
     return value if math.isfinite(value) and 0 <= value < _UNKNOWN_FRAMES else 0.0
 
@@ -162,7 +155,7 @@ def _frame_bytes(header: C3dHeader) -> int:
 
 
 def _points(data: bytes, header: C3dHeader) -> NDArray[np.float64]:
-    """Where the points of some frames were, NaN where unseen, shape (T, points, 3)."""
+    """Decode the points of some frames, NaN where unseen, shape (T, points, 3)."""
     size = _frame_bytes(header)
     data = data[: len(data) // size * size]
     width = 4 * header.points
@@ -180,6 +173,6 @@ def _points(data: bytes, header: C3dHeader) -> NDArray[np.float64]:
 
 
 def _parts(count: int, most: int) -> Iterator[tuple[int, int]]:
-    """Where to begin and how many, up to `count`."""
+    """Yield start and length of consecutive parts of at most `most`, up to `count`."""
     for first in range(0, count, most):
         yield first, min(most, count - first)

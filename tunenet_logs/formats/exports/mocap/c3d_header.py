@@ -1,4 +1,4 @@
-"""The header and the parameters of a C3D file: every size is checked before it is believed.
+"""Parse header and parameters of a C3D file; every size is checked before it is trusted.
 
 After the C3D user guide, https://www.c3d.org/docs/C3D_User_Guide.pdf.
 """
@@ -13,28 +13,24 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-BLOCK_BYTES = 512
-"""Of which positions in a file are counted, from 1."""
-
-KEY = 0x50
-"""The second byte of a file, and of its parameters."""
-
+BLOCK_BYTES = 512  # of which positions in a file are counted, from 1
+KEY = 0x50  # the second byte of a file, and of its parameters
 _PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
 
-_MOST_PARAMETERS = 20_000
-_MOST_DIMENSIONS = 7
+_MAX_PARAMETERS = 20_000
+_MAX_DIMENSIONS = 7
 
 # Types of parameters.
 _TEXT = -1
 _SIZES = {_TEXT: 1, 1: 1, 2: 2, 4: 4}
 
+# Of a parameter: texts without the blanks behind them, or numbers.
 Value = tuple[str, ...] | tuple[float, ...]
-"""Of a parameter: texts without the blanks behind them, or numbers."""
 
 
 @dataclass(frozen=True)
 class C3dNumbers:
-    """How a processor writes numbers.
+    """Number representation of a processor.
 
     Attributes:
         processor: "intel", "dec" or "mips".
@@ -44,15 +40,15 @@ class C3dNumbers:
 
     @property
     def order(self) -> Literal["<", ">"]:
-        """Of bytes, as numpy and struct name it."""
+        """Byte order, as numpy and struct name it."""
         return ">" if self.processor == "mips" else "<"
 
     def words(self, data: bytes) -> NDArray[np.int16]:
-        """Whole numbers of 16 bits with a sign."""
+        """Decode signed 16-bit integers."""
         return np.frombuffer(data, np.dtype(np.int16).newbyteorder(self.order))
 
     def floats(self, data: bytes) -> NDArray[np.float64]:
-        """Numbers of 32 bits; DEC's are the VAX's F, a quarter of what IEEE's bits would say."""
+        """Decode 32-bit floats; DEC's are VAX F_floating, a quarter of the same IEEE 754 bits."""
         if self.processor != "dec":
             plain = np.frombuffer(data, np.dtype(np.float32).newbyteorder(self.order))
             with np.errstate(invalid="ignore"):  # a damaged file's
@@ -64,17 +60,17 @@ class C3dNumbers:
 
 @dataclass(frozen=True)
 class C3dHeader:
-    """What a file says of its data.
+    """Header and parameters of a C3D file.
 
     Attributes:
-        numbers: how it is written.
+        numbers: number representation.
         points: in each frame.
         analogs: samples of other sensors in each frame.
         first_frame: its number.
-        last_frame: as a number of 16 bits, which may be too small.
-        scale: units for each step of whole numbers; negative where data are floating.
-        data_block: where they begin.
-        rate_hz: frames a second, 0 where none is said.
+        last_frame: as a 16-bit number, which may be too small.
+        scale: units for each step of whole numbers; negative where data are floating point.
+        data_block: first block of the data.
+        rate_hz: frame rate, 0 where it is unstated.
         parameters: by group and name.
     """
 
@@ -89,7 +85,7 @@ class C3dHeader:
     parameters: dict[tuple[str, str], Value] = field(default_factory=dict)
 
     def texts(self, group: str, name: str) -> list[str]:
-        """A parameter of texts and those that go on with it (LABELS, LABELS2, ...)."""
+        """Return a text parameter with its continuations (LABELS, LABELS2, ...)."""
         found: list[str] = []
         for number in ("", *range(2, 100)):
             value = self.parameters.get((group, f"{name}{number}"), ())
@@ -100,13 +96,13 @@ class C3dHeader:
         return found
 
     def values(self, group: str, name: str) -> list[float]:
-        """A parameter of numbers; none where there is none."""
+        """Return a numeric parameter; empty where it is absent."""
         value = self.parameters.get((group, name), ())
         return [float(one) for one in value if not isinstance(one, str)]
 
 
 def is_header(data: bytes) -> bool:
-    """Whether the first bytes of a file are a C3D file's."""
+    """Return whether the first bytes of a file are a C3D header."""
     if len(data) < BLOCK_BYTES or data[0] == 0 or data[1] != KEY:
         return False
     at = (data[0] - 1) * BLOCK_BYTES
@@ -114,10 +110,10 @@ def is_header(data: bytes) -> bool:
 
 
 def header_of(data: bytes) -> C3dHeader:
-    """The header, of a file's first 128 KiB or more.
+    """Parse the header from a file's first 128 KiB or more.
 
     Raises:
-        ValueError: it is cut short or is none.
+        ValueError: it is truncated.
     """
     at = (data[0] - 1) * BLOCK_BYTES
     if len(data) < at + 4 or data[at + 3] not in _PROCESSORS:
@@ -135,12 +131,12 @@ def header_of(data: bytes) -> C3dHeader:
 def _parameters(
     data: bytes, start: int, numbers: C3dNumbers
 ) -> Iterator[tuple[tuple[str, str], Value]]:
-    """All parameters by group and name, as far as the section goes."""
+    """Return all parameters of the section by group and name."""
     end = min(len(data), start + max(1, data[start + 2]) * BLOCK_BYTES)
     groups: dict[int, str] = {}
     found: list[tuple[int, str, Value]] = []
     at = start + 4
-    for _ in range(_MOST_PARAMETERS):
+    for _ in range(_MAX_PARAMETERS):
         if at + 2 > end:
             break
         length, group = struct.unpack_from("<bb", data, at)
@@ -160,9 +156,9 @@ def _parameters(
 
 
 def _value(data: bytes, numbers: C3dNumbers) -> Value | None:
-    """A parameter's value; None where it is cut short or of no known type."""
+    """Decode a parameter; None where it is truncated or of an unknown type."""
     kind, dimensions = struct.unpack_from("<bB", data) if len(data) > 1 else (0, 0)
-    if kind not in _SIZES or dimensions > _MOST_DIMENSIONS or len(data) < 2 + dimensions:
+    if kind not in _SIZES or dimensions > _MAX_DIMENSIONS or len(data) < 2 + dimensions:
         return None
     shape = tuple(data[2 : 2 + dimensions])
     count = 1

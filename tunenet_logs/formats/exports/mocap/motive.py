@@ -1,4 +1,4 @@
-"""OptiTrack Motive's CSV exports, format versions 1.1 to 1.25: rigid bodies and markers.
+"""Read OptiTrack Motive's CSV exports, format versions 1.1 to 1.25: rigid bodies and markers.
 
 Line 1 holds pairs of a key and a value. Above the columns stand rows of their type, name, ID and,
 in later versions, parent, then `Rotation` or `Position`, then the axis. In early versions these
@@ -32,13 +32,11 @@ from tunenet_logs.formats.exports.mocap.track_rows import read_tracks
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
 
-WHAT = "OptiTrack Motive export"
-"""What it is called."""
-
+WHAT = "OptiTrack Motive export"  # what it is called
+# One of them follows the format version in line 1.
 _KEYS = ("Take Name", "Capture Frame Rate", "Export Frame Rate", "Rotation Type", "Length Units")
-"""One of them follows the format version in line 1."""
 
-_MOST_HEADER_LINES = 40
+_MAX_HEADER_LINES = 40
 
 _ROTATION = "a rotation: only positions are used"
 _QUALITY = "says how well it was measured; it is not used"
@@ -48,7 +46,7 @@ _LOCAL = "relative to its body or parent (Coordinate Space is Local); export it 
 
 @dataclass(frozen=True)
 class _MotiveColumn:
-    """What stands above a column."""
+    """Header cells above a column."""
 
     kind: str
     name: str
@@ -57,14 +55,14 @@ class _MotiveColumn:
 
 
 def is_motive(start: Start) -> bool:
-    """Whether a file is such an export."""
+    """Return whether a file is a Motive export."""
     if not start.lines or not start.lines[0].lstrip('"').startswith("Format Version"):
         return False
     return any(key in start.lines[0] for key in _KEYS)
 
 
 def read_motive(path: Path, options: ReadOptions) -> Episode:
-    """A take: each rigid body's position, then each marker's, is a signal of its own.
+    """Read a take, one signal per rigid body's position, then per marker's.
 
     Raises:
         LogError: it has no column of positions, no row, or more than is read.
@@ -90,13 +88,9 @@ def read_motive(path: Path, options: ReadOptions) -> Episode:
 
 
 def _header(lines: LineReader, separator: str) -> tuple[list[str], list[_MotiveColumn]]:
-    """The cells of the row of axes, and what stands above each.
-
-    Raises:
-        ValueError: there is no such row.
-    """
+    """Return the row of axes and each column's header; raise ValueError without such a row."""
     above: list[list[str]] = []
-    for _ in range(_MOST_HEADER_LINES):
+    for _ in range(_MAX_HEADER_LINES):
         line = lines.line()
         if line is None:
             break
@@ -172,7 +166,7 @@ def _tracks(
 
 
 def _why_not(kind: str, *, is_local: bool) -> str:
-    """Why a position is not used; "" where it is."""
+    """Return why a position is not used; "" where it is."""
     if kind == "bone":
         return _BONE
     return _LOCAL if is_local and kind not in ("rigid body", "marker", "") else ""

@@ -1,4 +1,4 @@
-"""Vicon Nexus' ASCII exports (.csv): of their sections, the trajectories of markers.
+"""Read marker trajectories from Vicon Nexus' ASCII exports (.csv).
 
 A section is its title, its rate [Hz], a row of names, a row of axes that begins with `Frame,Sub
 Frame`, a row of units, and its rows. Before Nexus 2 the title is `TRAJECTORIES`, the rate `100,Hz`,
@@ -33,33 +33,22 @@ from tunenet_logs.formats.exports.mocap.track_rows import TrackRows, read_tracks
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
 
-WHAT = "Vicon Nexus export"
-"""What it is called."""
-
+WHAT = "Vicon Nexus export"  # what it is called
 _TITLES = ("trajectories", "model outputs", "devices", "joints", "segments", "events")
 
+# How names of what a model tells end; early versions write it among the trajectories.
 _MODEL = re.compile(r"(?:Angles?|Forces?|Moments?|Powers?)$")
-"""How names of what a model tells end; early versions write it among the trajectories."""
 
-_LOOK_LINES = 40
-"""In which a file's first section begins: a few lines may tell the take before."""
+_LOOK_LINES = 40  # in which a file's first section begins: a few lines may tell the take before
+_MAX_UNUSED = 200  # listed of what is not used
+_MAX_SECTIONS = 50
 
-_MOST_UNUSED = 200
-"""Listed of what is not used."""
-
-_MOST_SECTIONS = 50
-
-_MOST_BETWEEN = 10_000
-"""Lines between two sections."""
+_MAX_BETWEEN = 10_000  # lines between two sections
 
 
 @dataclass(frozen=True)
 class _Section:
-    """What stands above the rows of a section.
-
-    Attributes:
-        first: the first row of numbers, where it was read already.
-    """
+    """Header of a section; `first` is its first row of numbers, where that was read already."""
 
     title: str
     separator: str
@@ -71,7 +60,7 @@ class _Section:
 
 
 def is_nexus(start: Start) -> bool:
-    """Whether a file is such an export: a section's title, and its rate below."""
+    """Return whether a file is a Nexus export: a section's title above its rate."""
     lines = start.lines[:_LOOK_LINES]
     for title, rate, names in zip(lines, lines[1:], lines[2:], strict=False):
         if _title(title) in _TITLES and _rate(rate) is not None and names[:1] in (",", ";", "\t"):
@@ -80,7 +69,7 @@ def is_nexus(start: Start) -> bool:
 
 
 def read_nexus(path: Path, options: ReadOptions) -> Episode:
-    """A take: each marker's trajectory is a signal of its own.
+    """Read a take, one signal per marker's trajectory.
 
     Raises:
         LogError: it has no section of trajectories, no row, or more than is read.
@@ -89,7 +78,7 @@ def read_nexus(path: Path, options: ReadOptions) -> Episode:
     rows: TrackRows | None = None
     unused: dict[str, str] = {}
     with open_lines(path) as lines:
-        for _ in range(_MOST_SECTIONS):
+        for _ in range(_MAX_SECTIONS):
             try:
                 section, stray = _next_section(lines)
             except ValueError as error:
@@ -119,13 +108,13 @@ def read_nexus(path: Path, options: ReadOptions) -> Episode:
 
 
 def _next_section(lines: LineReader) -> tuple[_Section | None, int]:
-    """The next section, up to its rows (None at the end), and how many rows stood before it.
+    """Return the next section's header (None at the end) and the count of stray rows before it.
 
     Raises:
-        ValueError: its header is none.
+        ValueError: its header is malformed.
     """
     stray = 0
-    for _ in range(_MOST_BETWEEN):
+    for _ in range(_MAX_BETWEEN):
         line = lines.line()
         if line is None:
             return None, stray
@@ -190,19 +179,19 @@ def _unit(units: Sequence[str], at: int) -> str:
 
 
 def _note(unused: dict[str, str], name: str, why: str) -> None:
-    if len(unused) < _MOST_UNUSED:
+    if len(unused) < _MAX_UNUSED:
         unused[name] = why
     else:
         unused["others"] = "more than are listed, of the same sections"
 
 
 def _title(line: str) -> str:
-    """The only cell of a line, in small letters; "" where it is not alone."""
+    """Return the only cell of a line, in lower case; "" where there are several."""
     return line[:1000].strip(' \t,;"').lower() if len(line) < 100_000 else ""
 
 
 def _rate(line: str) -> float | None:
-    """The rate of a section [Hz]; None where a line is none."""
+    """Parse a section's rate [Hz]; None where the line is none."""
     match = re.fullmatch(r"(\d{1,6}(?:[.,]\d{1,9})?)[,;\t ]*(?:Hz)?", line[:100].strip(' \t,;"'))
     value = float(match[1].replace(",", ".")) if match else math.nan
     return value if value > 0 else None

@@ -1,4 +1,4 @@
-"""Rows of numbers in a text file, block by block: a gigabyte is read in bounded memory."""
+"""Parse rows of numbers of a text file in blocks: a gigabyte is read in bounded memory."""
 
 from __future__ import annotations
 
@@ -14,31 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.tables.lines import MOST_LINE, cells_of, text_encoding
+from tunenet_logs.formats.tables.lines import MAX_LINE, cells_of, text_encoding
 from tunenet_logs.regular_file import open_regular_text
 
-MOST_COLUMNS = 5000
-"""Of a file of tracks: more than a thousand markers."""
-
-_MOST_BYTES = 1024**3
-"""Of a file."""
-
-_BLOCK_CHARACTERS = 4 * 1024**2
-"""Taken apart at once."""
-
+MAX_COLUMNS = 5000  # of a file of tracks: more than a thousand markers
+_MAX_BYTES = 1024**3  # of a file
+_BLOCK_CHARACTERS = 4 * 1024**2  # taken apart at once
+# Where rows of numbers end and the next section begins.
 _WORDS = re.compile(r'^[ \t,;"]*[A-Za-z]', re.MULTILINE)
-"""Where rows of numbers end and the next section begins."""
 
+# How cells are written where nothing was seen, in small letters too.
 _UNSEEN = ("", "-", "nan", "Nan", "NAN", "-nan", "null", "none")
-"""How cells are written where nothing was seen, in small letters too."""
 
-_LOOK_ROWS = 20
-"""Looked at, to see how numbers are written."""
+_LOOK_ROWS = 20  # looked at, to see how numbers are written
 
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """How the rows of a file are written.
+    """Number format of a file's rows.
 
     Attributes:
         separator: between cells.
@@ -50,7 +43,7 @@ class NumberFormat:
 
 
 class LineReader:
-    """A text file, line by line or in blocks of lines; neither is ever large."""
+    """Buffered reader of lines or of blocks of lines, in bounded memory."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -58,23 +51,22 @@ class LineReader:
         self._at = 0
 
     def line(self) -> str | None:
-        """The next line without its end, cut where it is too long for a table; None at the end."""
+        """Read a line without its end, cut where it is too long for a table; None at the end."""
         self._fill()
         if not self._ahead:
             return None
         end = self._ahead.find("\n", self._at)
         if end < 0:
             end = len(self._ahead)
-        taken = self._ahead[self._at : min(end, self._at + MOST_LINE)]
+        taken = self._ahead[self._at : min(end, self._at + MAX_LINE)]
         self._at = end + 1
         return taken
 
     def block(self, *, until_words: bool = False) -> str:
-        """Some whole lines; "" at the end.
+        """Read a block of whole lines; "" at the end.
 
         Args:
-            until_words: whether a line that begins with a letter is left for `line`, with all that
-                follows it.
+            until_words: whether to stop before a line that begins with a letter.
         """
         self._fill()
         words = _WORDS.search(self._ahead, self._at) if until_words else None
@@ -87,19 +79,19 @@ class LineReader:
         if self._at >= len(self._ahead):
             self._ahead, self._at = self._file.read(_BLOCK_CHARACTERS), 0
             if self._ahead and not self._ahead.endswith("\n"):
-                self._ahead += self._file.readline(MOST_LINE)
+                self._ahead += self._file.readline(MAX_LINE)
 
 
 @contextmanager
 def open_lines(path: Path) -> Iterator[LineReader]:
-    """A text file as lines.
+    """Open a text file as lines.
 
     Raises:
         LogError: it is too large.
         OSError: it cannot be read.
     """
     size = path.stat().st_size
-    if size > _MOST_BYTES:
+    if size > _MAX_BYTES:
         raise LogError(
             f"{path}: is an export of {size} bytes, over the limit of 1 GiB; export fewer markers "
             "or a part of the take"
@@ -109,35 +101,35 @@ def open_lines(path: Path) -> Iterator[LineReader]:
 
 
 def separator_of(line: str) -> str:
-    """What stands between the cells of a header's line: the most frequent of the usual three."""
+    """Return the separator of a header line: the most frequent of tab, comma and semicolon."""
     return max("\t,;", key=line.count)
 
 
 def header_cells(line: str, separator: str) -> list[str]:
-    """The cells of a header's line, without blanks around them.
+    """Split a header line into stripped cells.
 
     Raises:
-        ValueError: they are more than any file of tracks has.
+        ValueError: there are too many.
     """
-    if line.count(separator) > 2 * MOST_COLUMNS:
-        raise ValueError(f"over {2 * MOST_COLUMNS} columns")
+    if line.count(separator) > 2 * MAX_COLUMNS:
+        raise ValueError(f"over {2 * MAX_COLUMNS} columns")
     cells = [cell.strip() for cell in cells_of(line, separator)]
     while cells and not cells[-1]:
         cells.pop()
-    if len(cells) > MOST_COLUMNS:
-        raise ValueError(f"{len(cells)} columns, over the limit of {MOST_COLUMNS}")
+    if len(cells) > MAX_COLUMNS:
+        raise ValueError(f"{len(cells)} columns, over the limit of {MAX_COLUMNS}")
     return cells
 
 
 def format_of(block: str, separator: str) -> NumberFormat:
-    """How numbers are written in a block of rows."""
+    """Detect the number format of a block of rows."""
     some = "".join(block[: 64 * 1024].splitlines(keepends=True)[:_LOOK_ROWS])
     is_comma = separator != "," and "." not in some and re.search(r"\d,\d", some)
     return NumberFormat(separator, "," if is_comma else ".")
 
 
 def unended(block: str) -> tuple[str, str]:
-    """A file's last block in two: its whole lines, and one that does not end; "" if none."""
+    """Split a file's last block into whole lines and an unterminated one; "" if none."""
     if block.endswith("\n"):
         return block, ""
     before, end, last = block.rpartition("\n")
@@ -147,20 +139,20 @@ def unended(block: str) -> tuple[str, str]:
 def numbers_of(
     block: str, form: NumberFormat, columns: Sequence[int]
 ) -> tuple[NDArray[np.float64], int]:
-    """Cells of a block of lines, and how many of its lines hold what is no number or no row.
+    """Parse cells of a block of lines; also count the lines that are malformed.
 
     Args:
         block: whole lines.
-        form: how they are written.
+        form: number format.
         columns: to read, increasing.
 
     Returns:
-        Numbers, NaN where a cell is empty or none, shape (T, len(columns)).
+        Numbers, NaN where a cell is empty or none, shape (T, len(columns)); and the count.
     """
     lines = [line for line in block[: 64 * 1024].splitlines()[:_LOOK_ROWS] if line]
     width = max((line.count(form.separator) + 1 for line in lines), default=0)
     there = [column for column in columns if column < width]
-    if not there or width > 2 * MOST_COLUMNS:
+    if not there or width > 2 * MAX_COLUMNS:
         return np.empty((0, len(columns))), block.count("\n")
     values, wrong = _parsed(block, form, width, there)
     missing = np.full((len(values), len(columns) - len(there)), np.nan)
@@ -170,7 +162,7 @@ def numbers_of(
 def _parsed(
     block: str, form: NumberFormat, width: int, columns: Sequence[int]
 ) -> tuple[NDArray[np.float64], int]:
-    """See `numbers_of`; of columns that are there."""
+    """Parse existing columns; see `numbers_of`."""
     import pandas as pd
 
     keywords: dict[str, Any] = {

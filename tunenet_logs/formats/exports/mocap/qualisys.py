@@ -1,4 +1,4 @@
-"""Qualisys MarkerTrack Manager's TSV exports: trajectories of markers (3D), or rigid bodies (6D).
+"""Read Qualisys Track Manager's TSV exports: marker trajectories (3D) or rigid bodies (6D).
 
 Lines of a key, a tab and its values, then, if it was asked for, a row of names (`NAME X`), then
 rows. QTM writes mm, but the file names no unit.
@@ -26,32 +26,27 @@ from tunenet_logs.formats.exports.mocap.track_rows import read_tracks
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
 
-WHAT = "Qualisys QTM export"
-"""What it is called."""
-
+WHAT = "Qualisys QTM export"  # what it is called
 _FIRST = ("FILE_VERSION", "NO_OF_FRAMES", "NO_OF_CAMERAS", "NO_OF_MARKERS", "FREQUENCY")
 _NAMES = ("MARKER_NAMES", "BODY_NAMES")
 _COUNTS = ("NO_OF_MARKERS", "NO_OF_BODIES")
 
 _KEY = re.compile(r"[A-Z][A-Z0-9_]*[A-Z0-9]")
 
-_MOST_HEADER_LINES = 2000
-"""Each event of a take is a line."""
-
-_BODY_COLUMNS = 16
-"""Of a rigid body: x, y, z, roll, pitch, yaw, residual and nine of a matrix."""
+_MAX_HEADER_LINES = 2000  # each event of a take is a line
+_BODY_COLUMNS = 16  # of a rigid body: x, y, z, roll, pitch, yaw, residual and nine of a matrix
 
 
 def is_qualisys(start: Start) -> bool:
-    """Whether a file is such an export, by its keys."""
+    """Return whether a file is a QTM export, by its keys."""
     if not start.lines or start.lines[0].split("\t")[0] not in _FIRST:
         return False
-    keys = {line.split("\t", 1)[0] for line in start.lines[:_MOST_HEADER_LINES]}
+    keys = {line.split("\t", 1)[0] for line in start.lines[:_MAX_HEADER_LINES]}
     return "NO_OF_FRAMES" in keys and not keys.isdisjoint((*_NAMES, *_COUNTS))
 
 
 def read_qualisys(path: Path, options: ReadOptions) -> Episode:
-    """A take: each marker's trajectory, or each rigid body's position, is a signal of its own.
+    """Read a take, one signal per marker's trajectory or rigid body's position.
 
     Raises:
         LogError: it holds no marker and no body, no row, or more than is read.
@@ -77,14 +72,10 @@ def read_qualisys(path: Path, options: ReadOptions) -> Episode:
 
 
 def _header(lines: LineReader) -> tuple[dict[str, list[str]], list[str], str]:
-    """Keys and their values, the names of the columns (none where they have none), the first row.
-
-    Raises:
-        ValueError: it does not end.
-    """
+    """Return keys with values, column names (if any) and first row; ValueError if too long."""
     keys: dict[str, list[str]] = {}
     columns: list[str] = []
-    for _ in range(_MOST_HEADER_LINES):
+    for _ in range(_MAX_HEADER_LINES):
         line = lines.line()
         if line is None:
             return keys, columns, ""
@@ -95,11 +86,11 @@ def _header(lines: LineReader) -> tuple[dict[str, list[str]], list[str], str]:
             columns = cells
         elif cells:
             return keys, columns, line
-    raise ValueError(f"over {_MOST_HEADER_LINES} lines of header")
+    raise ValueError(f"over {_MAX_HEADER_LINES} lines of header")
 
 
 def _is_columns(cells: Sequence[str]) -> bool:
-    """Whether a row names columns."""
+    """Return whether a row names columns."""
     return cells[:1] in (["Frame"], ["Time"]) or any(_axis(cell) == "X" for cell in cells[:3])
 
 
@@ -140,7 +131,7 @@ def _tracks(keys: dict[str, list[str]], columns: Sequence[str], first: str) -> M
 
 
 def _axis(name: str) -> str:
-    """The axis at the end of a column's name; "" where there is none."""
+    """Return the axis at the end of a column's name; "" where there is none."""
     match = re.fullmatch(r"(?:.*[\s._:])?([XYZ])", name)
     return match[1] if match else ""
 

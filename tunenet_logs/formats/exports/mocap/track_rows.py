@@ -1,4 +1,4 @@
-"""The rows of a file of tracks: where each was, in the frames in which it was seen."""
+"""Collect the rows of a file of tracks: each track in the frames in which it was seen."""
 
 from __future__ import annotations
 
@@ -29,30 +29,21 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.left_out import UNREADABLE, added
 from tunenet_logs.sample_order import sorted_stamps
 
-MOST_UNLABELED = 100
-"""Of the tracks that no one named: those that were seen most are used."""
+MAX_UNLABELED = 100  # of the tracks that no one named: those that were seen most are used
+_MAX_VALUES = 20_000_000  # held of a file: 160 MB, and as much again while it is put in order
+_FEWER_VALUES = 8_000_000  # held of any file; more only where a number has ..
+_VALUE_BYTES = 6  # ... so many bytes of it: small files shall not take much memory.
+# Of a file: 8 minutes at 1 kHz; tuning takes over half a kilobyte of memory for each.
+_MAX_ROWS = 500_000
 
-_MOST_VALUES = 20_000_000
-"""Held of a file: 160 MB, and as much again while it is put in order."""
+# Rows that hold what is no number, from which on they must be fewer than the others.
+_MAX_WRONG = 1000
 
-_FEWER_VALUES = 8_000_000
-"""Held of any file; more only where a number has ..."""
-
-_VALUE_BYTES = 6
-"""... so many bytes of it: small files shall not take much memory."""
-
-_MOST_ROWS = 500_000
-"""Of a file: 8 minutes at 1 kHz; tuning takes over half a kilobyte of memory for each."""
-
-_MOST_WRONG = 1000
-"""Rows that hold what is no number, from which on they must be fewer than the others."""
-
-_ROUNDING_S = 0.6e-3
-"""Of a time in a file: some are written with three decimals."""
+_ROUNDING_S = 0.6e-3  # of a time in a file: some are written with three decimals
 
 
 class TrackRows:
-    """The rows of a file of tracks, as far as they were read: only where something was seen."""
+    """Rows read of a file of tracks, kept only where something was seen."""
 
     def __init__(self, path: Path, tracks: MarkerTracks) -> None:
         self.path = path
@@ -67,19 +58,19 @@ class TrackRows:
         ]
         self._values = 0
         self._most_values = min(
-            _MOST_VALUES, max(_FEWER_VALUES, path.stat().st_size // _VALUE_BYTES)
+            _MAX_VALUES, max(_FEWER_VALUES, path.stat().st_size // _VALUE_BYTES)
         )
 
     def add(self, columns: Sequence[int], values: NDArray[np.float64], wrong: int = 0) -> None:
-        """More rows.
+        """Add rows.
 
         Args:
             columns: that `values` holds.
             values: shape (T, len(columns)).
-            wrong: how many of them, or of those that were left out, held what is no number.
+            wrong: number of malformed rows, whether kept or left out.
 
         Raises:
-            LogError: they are too many.
+            LogError: there are too many rows or malformed cells.
         """
         self.wrong += wrong
         place = {column: index for index, column in enumerate(columns)}
@@ -98,13 +89,13 @@ class TrackRows:
                 seen.append((at + self.rows, xyz[at]))
                 self._values += 3 * len(at)
         self.rows += len(values)
-        if self._values > self._most_values or self.rows > _MOST_ROWS:
+        if self._values > self._most_values or self.rows > _MAX_ROWS:
             raise LogError(
                 f"{self.path}: is {self.tracks.named} with over "
-                f"{_MOST_ROWS} rows or {self._most_values // 10**6} million numbers; "
+                f"{_MAX_ROWS} rows or {self._most_values // 10**6} million numbers; "
                 "export fewer markers or a part of the take"
             )
-        if self.wrong > max(_MOST_WRONG, self.rows / 2):
+        if self.wrong > max(_MAX_WRONG, self.rows / 2):
             raise LogError(
                 f"{self.path}: is {self.tracks.named}, but {self.wrong} of its "
                 f"first {self.rows} rows hold cells that are no number",
@@ -112,10 +103,10 @@ class TrackRows:
             )
 
     def episode(self, options: ReadOptions) -> Episode:
-        """What was read.
+        """Build an episode of the rows.
 
         Raises:
-            LogError: that is nothing, or its times are none.
+            LogError: there are none, or their times are invalid.
         """
         layout = self.tracks
         if not self.rows:
@@ -156,7 +147,7 @@ class TrackRows:
     def _stamps(
         self, options: ReadOptions
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_], bool, list[str]]:
-        """Stamps of all rows, which of them have one, whether they count frames, and notes."""
+        """Return the stamps of all rows, their mask, whether they count frames, and notes."""
         layout = self.tracks
         frames = self._clock(layout.frame)
         frames = np.arange(self.rows, dtype=np.float64) if frames is None else frames
@@ -191,7 +182,7 @@ class TrackRows:
         return None if column is None else np.concatenate(self._clocks[column])
 
     def _left_out(self) -> dict[int, str]:
-        """Unlabeled tracks that are too many, by their index: why they are not used."""
+        """Return the unlabeled tracks beyond the limit, by index, with the reason."""
         layout = self.tracks
         counts = {
             index: sum(len(rows) for rows, _ in self._seen[index])
@@ -201,8 +192,8 @@ class TrackRows:
         least_first = sorted(counts, key=lambda index: counts[index])
         return {
             index: f"unlabeled, seen in {counts[index]} of {self.rows} frames; of "
-            f"{len(counts)} unlabeled markers, the {MOST_UNLABELED} seen most are used"
-            for index in least_first[: max(0, len(counts) - MOST_UNLABELED)]
+            f"{len(counts)} unlabeled markers, the {MAX_UNLABELED} seen most are used"
+            for index in least_first[: max(0, len(counts) - MAX_UNLABELED)]
         }
 
     def _losses(self, keep: NDArray[np.bool_]) -> list[str]:
@@ -230,18 +221,18 @@ def read_tracks(
     first: str = "",
     until_words: bool = False,
 ) -> TrackRows:
-    """The rows below a header.
+    """Read the rows below a header.
 
     Args:
         path: of the file.
         lines: at the first row.
         separator: between cells.
-        tracks: what the header says.
+        tracks: described by the header.
         first: a row that was read before, or "".
         until_words: see `LineReader.block`.
 
     Raises:
-        LogError: there are too many.
+        LogError: there are too many rows or malformed cells.
     """
     found = TrackRows(path, tracks)
     form: NumberFormat | None = None
@@ -258,7 +249,7 @@ def read_tracks(
 
 
 def _is_whole(line: str, before: str, form: NumberFormat, rows: int, stated: int | None) -> bool:
-    """Whether a last line without an end is a row all the same: the last that the file states."""
+    """Return whether an unterminated last line is complete: the last frame that the file states."""
     separator = form.separator
     full = before.rstrip("\n").rpartition("\n")[2].count(separator)
     return line.count(separator) >= full and stated is not None and rows + 1 >= stated
@@ -267,7 +258,7 @@ def _is_whole(line: str, before: str, form: NumberFormat, rows: int, stated: int
 def _exact(
     times: NDArray[np.float64], frames: NDArray[np.float64], rate_hz: float | None
 ) -> NDArray[np.float64]:
-    """Times [s] without their rounding, where frames and their rate tell the same."""
+    """Return times [s] without rounding error, from frames and rate where these agree with them."""
     if not rate_hz:
         return times
     by_frame = times[0] + (frames - frames[0]) / rate_hz
@@ -299,7 +290,7 @@ def _blocks(lines: LineReader, first: str, *, until_words: bool) -> Iterator[str
 
 
 def _with_last(blocks: Iterable[str]) -> Iterator[tuple[str, bool]]:
-    """Each, and whether none follows it."""
+    """Yield each block and whether it is the last."""
     before: str | None = None
     for block in blocks:
         if before is not None:

@@ -1,4 +1,4 @@
-"""TRC (track row column) files of markers, as OpenSim, Motive, Cortex and others write them.
+"""Read TRC (track row column) files of markers, as OpenSim, Motive, Cortex and others write them.
 
 Line 1 begins with `PathFileType`, lines 2 and 3 are keys and values (rate, units), line 4 names the
 markers, line 5 their axes (`X1`); then, after an empty line or none, the rows: frame, time, and
@@ -28,19 +28,17 @@ from tunenet_logs.formats.exports.mocap.track_rows import read_tracks
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
 
-WHAT = "TRC file of markers"
-"""What it is called."""
-
+WHAT = "TRC file of markers"  # what it is called
 _HEADER_LINES = 5
 
 
 def is_trc(start: Start) -> bool:
-    """Whether a file is one."""
+    """Return whether a file is TRC."""
     return bool(start.lines) and start.lines[0].lstrip(' "').startswith("PathFileType")
 
 
 def read_trc(path: Path, options: ReadOptions) -> Episode:
-    """Each marker is a signal of its own.
+    """Read a TRC file, one signal per marker.
 
     Raises:
         LogError: it names no marker, has no row, or more than is read.

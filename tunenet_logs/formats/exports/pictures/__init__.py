@@ -1,1 +1,1 @@
-"""Folders and archives of pictures, and animated ones."""
+"""Image sequences in folders and archives, and animated images."""

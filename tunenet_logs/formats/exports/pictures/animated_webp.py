@@ -1,4 +1,4 @@
-"""Animated WebP: pictures, or parts of them, laid one over the other.
+"""Read animated WebP: frames, or patches of them, composited one over the other.
 
 By the container's description: https://developers.google.com/speed/webp/docs/riff_container
 """
@@ -16,28 +16,26 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import FRAME_NS, Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import COPY_AGAIN, LogError
-from tunenet_logs.formats.exports.pictures.picture_bytes import MOST_BYTES
-from tunenet_logs.formats.exports.pictures.picture_series import MOST_PICTURES
+from tunenet_logs.formats.exports.pictures.picture_bytes import MAX_BYTES
+from tunenet_logs.formats.exports.pictures.picture_series import MAX_PICTURES
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.images import MAX_PIXELS
 from tunenet_logs.regular_file import open_regular
 
-TOPIC = "video"
-"""What the pictures go by, as a video's."""
-
+TOPIC = "video"  # what the pictures go by, as a video's
 _ANIMATED = 0x02
+# Bits of a part's flags: it replaces what is below; it goes before the next one comes.
 _DO_NOT_BLEND, _DISPOSE = 0x02, 0x01
-"""Bits of a part's flags: it replaces what is below; it goes before the next one comes."""
 
 _PART_HEADER = 16
-_FREE_PIXELS, _MOST_PIXELS_A_BYTE = 100_000_000, 50
-"""Of all pictures, whatever the size of the file is, and for each of its bytes."""
+# Of all pictures, whatever the size of the file is, and for each of its bytes.
+_FREE_PIXELS, _MAX_PIXELS_A_BYTE = 100_000_000, 50
 
 
 @dataclass(frozen=True)
 class _Chunk:
-    """One picture's change.
+    """One frame's patch.
 
     Attributes:
         at: where its chunks begin in the file.
@@ -56,14 +54,14 @@ class _Chunk:
 
 
 def is_animated_webp(start: Start) -> bool:
-    """Whether a file is one."""
+    """Return whether a file is an animated WebP."""
     data = start.data
     is_webp = data[:4] == b"RIFF" and data[8:16] == b"WEBPVP8X"
     return is_webp and len(data) > 30 and bool(data[20] & _ANIMATED)
 
 
 def read_animated_webp(path: Path, options: ReadOptions) -> Episode:
-    """Its pictures as an episode, at the times that it states or by `--fps`.
+    """Read the images as an episode, stamped by their stated durations or by `--fps`.
 
     Raises:
         LogError: it is cut before the first picture, or claims what no camera makes.
@@ -72,7 +70,7 @@ def read_animated_webp(path: Path, options: ReadOptions) -> Episode:
     canvas, parts, lasts_ms, is_cut = _scanned(path)
     if not parts:
         raise LogError(f"{path}: is an animated WebP without a picture; copy it again")
-    limit = _FREE_PIXELS + _MOST_PIXELS_A_BYTE * path.stat().st_size
+    limit = _FREE_PIXELS + _MAX_PIXELS_A_BYTE * path.stat().st_size
     if canvas[0] * canvas[1] * len(parts) > limit:
         raise LogError(
             f"{path}: is an animated WebP of {len(parts)} pictures of {canvas[0]} x {canvas[1]} "
@@ -108,7 +106,7 @@ def read_animated_webp(path: Path, options: ReadOptions) -> Episode:
 
 
 def _scanned(path: Path) -> tuple[tuple[int, int], list[_Chunk], list[int], bool]:
-    """(width, height) of the canvas [px], its parts, how long each is shown [ms], if it is cut."""
+    """Return canvas size (width, height) [px], patches, durations [ms], and whether it is cut."""
     parts: list[_Chunk] = []
     lasts_ms: list[int] = []
     size = path.stat().st_size
@@ -120,8 +118,8 @@ def _scanned(path: Path) -> tuple[tuple[int, int], list[_Chunk], list[int], bool
         for name, at, length in _chunks(file, 30, size):
             if name != b"ANMF":
                 continue
-            if len(parts) >= MOST_PICTURES:
-                raise LogError(f"{path}: claims more than {MOST_PICTURES} pictures", COPY_AGAIN)
+            if len(parts) >= MAX_PICTURES:
+                raise LogError(f"{path}: claims more than {MAX_PICTURES} pictures", COPY_AGAIN)
             file.seek(at)
             head = file.read(_PART_HEADER)
             if length <= _PART_HEADER or at + length > size:
@@ -129,7 +127,7 @@ def _scanned(path: Path) -> tuple[tuple[int, int], list[_Chunk], list[int], bool
             left, top, width, height, lasts = (_number(head[i : i + 3]) for i in range(0, 15, 3))
             part = _Chunk(
                 at + _PART_HEADER,
-                min(length - _PART_HEADER, MOST_BYTES),
+                min(length - _PART_HEADER, MAX_BYTES),
                 2 * left,
                 2 * top,
                 1 + width,
@@ -146,7 +144,7 @@ def _scanned(path: Path) -> tuple[tuple[int, int], list[_Chunk], list[int], bool
 
 
 def _chunks(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Name, place and length of each chunk of a RIFF file."""
+    """Yield name, place and length of each chunk of a RIFF file."""
     while at + 8 <= end:
         file.seek(at)
         head = file.read(8)
@@ -162,11 +160,7 @@ def _frames(
     stamps_ns: NDArray[np.int64],
     _topic: str,
 ) -> Iterator[Frame]:
-    """The pictures, one at a time.
-
-    Raises:
-        LogError: one is damaged; those before it have been delivered.
-    """
+    """Yield the frames; raise LogError at a damaged one, after those before it."""
     width, height = canvas
     picture = np.zeros((height, width, 3), np.uint8)
     with open_regular(path) as file:
@@ -183,7 +177,7 @@ def _frames(
 
 
 def _lay(below: NDArray[np.uint8], above: NDArray[np.uint8], flags: int) -> None:
-    """Lay RGB or RGBA over a part of the picture, in place."""
+    """Composite RGB or RGBA onto a patch of the picture, in place."""
     if above.shape[2] == 3:
         below[:] = above
     elif flags & _DO_NOT_BLEND:
@@ -194,7 +188,7 @@ def _lay(below: NDArray[np.uint8], above: NDArray[np.uint8], flags: int) -> None
 
 
 def _decoded(path: Path, chunks: bytes, part: _Chunk) -> NDArray[np.uint8]:
-    """A part as RGB or RGBA, shape (H, W, 3 or 4)."""
+    """Decode a patch as RGB or RGBA, shape (H, W, 3 or 4)."""
     import cv2
 
     flags = b"\x10" if chunks[:4] == b"ALPH" else b""

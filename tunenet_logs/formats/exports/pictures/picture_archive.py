@@ -1,4 +1,4 @@
-"""One file of many pictures that is no video: a zip of them, or an animated WebP."""
+"""Read an image sequence in one file that is no video: a zip of images, or an animated WebP."""
 
 from __future__ import annotations
 
@@ -13,35 +13,33 @@ from pathlib import Path, PurePosixPath
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.formats.exports.pictures.animated_webp import is_animated_webp, read_animated_webp
-from tunenet_logs.formats.exports.pictures.picture_bytes import MOST_BYTES
-from tunenet_logs.formats.exports.pictures.picture_film import FEWEST, PictureStore, Read, film_of
+from tunenet_logs.formats.exports.pictures.picture_bytes import MAX_BYTES
+from tunenet_logs.formats.exports.pictures.picture_film import (
+    MIN_COUNT,
+    PictureStore,
+    Read,
+    film_of,
+)
 from tunenet_logs.formats.exports.pictures.picture_series import SUFFIXES
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.foreign_kinds import UNPACK, foreign_kind
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.regular_file import open_regular
 
-_STARTS = (b"PK\x03\x04", b"PK\x05\x06")
-"""Of a zip with files, and of one without."""
-
-_MOST_DIRECTORY_BYTES = 8_000_000
-"""Of a zip: its list of files, with 100 bytes for each of 80,000."""
-
+_STARTS = (b"PK\x03\x04", b"PK\x05\x06")  # of a zip with files, and of one without
+_MAX_DIRECTORY_BYTES = 8_000_000  # of a zip: its list of files, with 100 bytes for each of 80,000
 _END, _END_BYTES, _END64 = b"PK\x05\x06", 22, b"PK\x06\x06"
-_LONGEST_COMMENT = 65_535
+_MAX_COMMENT = 65_535
 
-_FREE_BYTES, _MOST_RATIO = 256_000_000, 100
-"""Unpacked, of a whole zip: bytes whatever its size is, and for each of its bytes."""
+# Unpacked, of a whole zip: bytes whatever its size is, and for each of its bytes.
+_FREE_BYTES, _MAX_RATIO = 256_000_000, 100
 
-_FREE_PIXELS, _MOST_PIXELS_A_BYTE = 100_000_000, 50
-"""Of all its pictures, whatever its size is, and for each of its bytes: a camera's have 20."""
+# Of all its pictures, whatever its size is, and for each of its bytes: a camera's have 20.
+_FREE_PIXELS, _MAX_PIXELS_A_BYTE = 100_000_000, 50
 
-_KIND_BYTES = 65_536
-"""In which the names stand that tell what else a zip is."""
-
-_ENCRYPTED = 0x1
-"""The bit of a zip's flags."""
-
+_KIND_BYTES = 65_536  # in which the names stand that tell what else a zip is
+_ENCRYPTED = 0x1  # the bit of a zip's flags
+# What `zipfile` raises of damaged and forged files.
 _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -53,19 +51,18 @@ _UNREADABLE = (
     OverflowError,
     EOFError,
 )
-"""What `zipfile` raises of damaged and forged files."""
 
 
 def is_picture_archive(start: Start) -> bool:
-    """Whether a file is a zip that no other reader knows, or an animated WebP."""
+    """Return whether a file is a zip that no other reader knows, or an animated WebP."""
     return start.data.startswith(_STARTS) or is_animated_webp(start)
 
 
 def read_picture_archive(path: Path, options: ReadOptions) -> Episode:
-    """Its pictures as an episode. Nothing is unpacked to a disk.
+    """Read the images of an archive as an episode. Nothing is unpacked to disk.
 
     Raises:
-        LogError: there is no film in it, it is damaged, or larger unpacked than it may be.
+        LogError: no image sequence in it, damage, or a decompressed size over the limit.
         OSError: it cannot be read.
     """
     with open_regular(path) as file:
@@ -77,17 +74,13 @@ def read_picture_archive(path: Path, options: ReadOptions) -> Episode:
         path,
         "a zip of pictures",
         partial(_opened, path),
-        most_pixels=_FREE_PIXELS + _MOST_PIXELS_A_BYTE * size,
+        most_pixels=_FREE_PIXELS + _MAX_PIXELS_A_BYTE * size,
     )
     return film_of(store, names, options)
 
 
 def _pictures(path: Path, size: int) -> list[str]:
-    """Names of its pictures.
-
-    Raises:
-        LogError: see `read_picture_archive`.
-    """
+    """Return the names of the images in a zip; raises as `read_picture_archive` does."""
     _check_directory(path, size)
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
@@ -96,7 +89,7 @@ def _pictures(path: Path, size: int) -> list[str]:
     except _UNREADABLE as error:
         raise LogError(f"{path}: is a damaged zip ({error}); copy it again") from error
     found = [one for one in entries if _is_picture(one.filename)]
-    if len(found) < FEWEST:
+    if len(found) < MIN_COUNT:
         with open_regular(path) as file:
             what, remedy = foreign_kind(file.read(_KIND_BYTES), path) or ("", "")
         if remedy != UNPACK:
@@ -109,37 +102,33 @@ def _pictures(path: Path, size: int) -> list[str]:
     if any(one.flag_bits & _ENCRYPTED for one in found):
         raise LogError(f"{path}: is a zip with a password; unpack it, and name the folder")
     total = sum(one.file_size for one in found)
-    if total > _FREE_BYTES + _MOST_RATIO * size:
+    if total > _FREE_BYTES + _MAX_RATIO * size:
         raise LogError(
-            f"{path}: is a zip of {size} bytes that unpacks to {total}, over {_MOST_RATIO} times "
+            f"{path}: is a zip of {size} bytes that unpacks to {total}, over {_MAX_RATIO} times "
             "that; if its pictures are whole, unpack it, and name the folder"
         )
     return list(dict.fromkeys(one.filename for one in found))
 
 
 def _is_picture(name: str) -> bool:
-    """By its name; what macOS adds is none."""
+    """Return whether a name is an image's, and not one that macOS adds."""
     parts = PurePosixPath(name)
     hidden = parts.name.startswith(".") or "__MACOSX" in parts.parts
     return parts.suffix.lower() in SUFFIXES and not hidden
 
 
 def _check_directory(path: Path, size: int) -> None:
-    """Refuse a zip whose list of files would fill the memory.
-
-    Raises:
-        LogError: it would, or the list is not there.
-    """
+    """Refuse, with a LogError, a zip whose directory is missing or would fill the memory."""
     with open_regular(path) as file:
-        file.seek(max(0, size - _LONGEST_COMMENT - 200))
-        tail = file.read(_LONGEST_COMMENT + 200)
+        file.seek(max(0, size - _MAX_COMMENT - 200))
+        tail = file.read(_MAX_COMMENT + 200)
     at, at64 = tail.rfind(_END), tail.rfind(_END64)
     if at < 0 or at + _END_BYTES > len(tail):
         raise LogError(f"{path}: is a zip without an end; copy it again")
     stated = int.from_bytes(tail[at + 12 : at + 16], "little")
     if at64 >= 0:
         stated = max(int.from_bytes(tail[at64 + 40 : at64 + 48], "little"), stated % 0xFFFFFFFF)
-    if stated > _MOST_DIRECTORY_BYTES:
+    if stated > _MAX_DIRECTORY_BYTES:
         raise LogError(
             f"{path}: is a zip of too many files ({stated} bytes of names); unpack it, and name a "
             "folder with the pictures of one drop"
@@ -157,11 +146,11 @@ def _opened(path: Path) -> Iterator[Read]:
 
 def _bytes_of(archive: zipfile.ZipFile, name: str) -> bytes:
     try:
-        if archive.getinfo(name).file_size > MOST_BYTES:
+        if archive.getinfo(name).file_size > MAX_BYTES:
             raise LogError(
-                f"{name} is over the limit of {MOST_BYTES} bytes", "save smaller pictures"
+                f"{name} is over the limit of {MAX_BYTES} bytes", "save smaller pictures"
             )
         with archive.open(name) as file:
-            return file.read(MOST_BYTES)
+            return file.read(MAX_BYTES)
     except _UNREADABLE as error:
         raise LogError(f"{name} is damaged ({error})", COPY_AGAIN) from error

@@ -1,7 +1,7 @@
-"""The bytes of one picture file as a frame, with bounds: TIFF, BMP and PNM beside what logs hold.
+"""Decode one image file as a frame, within bounds: TIFF, BMP and PNM beside what logs hold.
 
-Files of laboratory cameras hold 10, 12 or 14 bits in 16. How many there are is told by the
-brightest pixels of a few pictures; else a ball would be lost in the dark.
+Files of laboratory cameras hold 10, 12 or 14 bits in 16. The bit depth is inferred from the
+brightest pixels of a few images; else a ball would be lost in the dark.
 """
 
 from __future__ import annotations
@@ -18,37 +18,27 @@ from tunenet_logs.episode import Frame
 from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.images import MAX_PIXELS, image_format, image_size
 
-MOST_BYTES = 120_000_000
-"""Of one file: more than the largest picture has, uncompressed."""
-
-_MOST_PIXELS = MAX_PIXELS // 2
-"""Of what is decoded here: it may have 16 bits a sample."""
-
-_MOST_PIXELS_A_BYTE = 2000
-"""As in `images`: what claims more is forged."""
-
-_DEPTHS = (8, 10, 12, 14, 16)
-"""Bits a sample of cameras."""
-
+MAX_BYTES = 120_000_000  # of one file: more than the largest picture has, uncompressed
+_MAX_PIXELS = MAX_PIXELS // 2  # of what is decoded here: it may have 16 bits a sample
+_MAX_PIXELS_A_BYTE = 2000  # as in `images`: what claims more is forged
+_DEPTHS = (8, 10, 12, 14, 16)  # bits a sample of cameras
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_SAMPLES = 256, 257, 277
 _TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT = 322, 323
-_MOST_TAGS = 1000
-"""Of a TIFF's picture."""
-
+_MAX_TAGS = 1000  # of a TIFF's picture
+# How a PGM or PPM begins, to its width and height.
 _PNM = re.compile(rb"P[2356]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s")
-"""How a PGM or PPM begins, to its width and height."""
 
 
 def frame_of(stamp_ns: int, data: bytes, depth: int = 8) -> Frame:
-    """One picture as a frame: JPEG, WebP and PNG of 8 bits as they are, all else as pixels.
+    """Return one image as a frame: 8-bit JPEG, WebP and PNG as they are, all else as pixels.
 
     Args:
         stamp_ns: of the frame.
         data: of the file.
-        depth: bits a sample of pictures with more than 8.
+        depth: bits per sample of images with more than 8.
 
     Raises:
-        LogError: damaged, of a format that is not read, or of a size that no camera has.
+        LogError: damaged, of an unsupported format, or of a size that no camera has.
     """
     kind = image_format(data)
     if kind is not None and not _is_deep_png(data):
@@ -62,11 +52,7 @@ def frame_of(stamp_ns: int, data: bytes, depth: int = 8) -> Frame:
 
 
 def depth_of(samples: Iterable[bytes]) -> int:
-    """Bits a sample, by the brightest pixel of some pictures; those that are damaged say nothing.
-
-    Args:
-        samples: bytes of a few of the files.
-    """
+    """Infer the bits per sample from the brightest pixel of a few files; skip damaged ones."""
     brightest = 0
     for data in samples:
         if image_format(data) is not None and not _is_deep_png(data):
@@ -83,13 +69,9 @@ def _is_deep_png(data: bytes) -> bool:
 
 
 def _pixels(data: bytes) -> NDArray[Any]:
-    """RGB of uint8 or uint16, as it is stored, shape (H, W, 3).
-
-    Raises:
-        LogError: see `frame_of`.
-    """
+    """Decode RGB as uint8 or uint16, as stored, shape (H, W, 3); raises as `frame_of` does."""
     width, height = _stated_size(data)
-    most = min(_MOST_PIXELS, _MOST_PIXELS_A_BYTE * len(data))
+    most = min(_MAX_PIXELS, _MAX_PIXELS_A_BYTE * len(data))
     if not 0 < width * height <= most:
         raise LogError(f"a picture claims {width} x {height} px in {len(data)} bytes", COPY_AGAIN)
     import cv2
@@ -111,11 +93,7 @@ def _pixels(data: bytes) -> NDArray[Any]:
 
 
 def _stated_size(data: bytes) -> tuple[int, int]:
-    """(width, height) of a header.
-
-    Raises:
-        LogError: of a format that is not read, or cut.
-    """
+    """Return (width, height) of a header; raise LogError if truncated or unsupported."""
     try:
         if data[:2] == b"BM":
             width, height = struct.unpack_from("<ii", data, 18)
@@ -132,16 +110,16 @@ def _stated_size(data: bytes) -> tuple[int, int]:
 
 
 def _tiff_size(data: bytes) -> tuple[int, int]:
-    """Of the first picture of a TIFF, its tiles checked as well.
+    """Return the size of a TIFF's first image; its tiles are checked as well.
 
     Raises:
-        LogError: it makes no sense.
-        struct.error: it is cut.
+        LogError: it claims more tags, samples or pixels in a tile than any camera's.
+        struct.error: it is truncated.
     """
     order = "<" if data[:2] == b"II" else ">"
     (at,) = struct.unpack_from(f"{order}I", data, 4)
     (count,) = struct.unpack_from(f"{order}H", data, at)
-    if count > _MOST_TAGS:
+    if count > _MAX_TAGS:
         raise LogError("a TIFF has too many tags", "save it again, as PNG")
     tags: dict[int, int] = {}
     for place in range(at + 2, at + 2 + 12 * count, 12):

@@ -1,4 +1,4 @@
-"""Files of one picture each as an episode, from wherever their bytes come."""
+"""Build an episode of one-image files, from a folder or an archive."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.exports.pictures.picture_bytes import depth_of, frame_of
 from tunenet_logs.formats.exports.pictures.picture_series import (
-    MOST_PICTURES,
+    MAX_PICTURES,
     PictureTimes,
     Series,
     series_of,
@@ -22,33 +22,27 @@ from tunenet_logs.formats.exports.pictures.picture_series import (
 )
 from tunenet_logs.formats.read_options import ReadOptions
 
-FEWEST = 3
-"""Pictures of a film."""
-
-_MOST_FILMS = 16
-"""Of one place; it is no film's where there are more."""
-
+MIN_COUNT = 3  # pictures of a film
+_MAX_FILMS = 16  # of one place; it is no film's where there are more
+# Of a film's pictures together, and for each of their bytes: a camera's have 20.
 _FREE_PIXELS, _PIXELS_A_BYTE = 150_000_000, 50
-"""Of a film's pictures together, and for each of their bytes: a camera's have 20."""
 
-_SAMPLES = 5
-"""Pictures by which their depth is told."""
-
+_SAMPLES = 5  # pictures by which their depth is told
+# The bytes of a file of that name, bounded; LogError where it cannot be read.
 Read = Callable[[str], bytes]
-"""The bytes of a file of that name, bounded; LogError where it cannot be read."""
 
 
 @dataclass(frozen=True, eq=False)
 class PictureStore:
-    """Where picture files lie.
+    """Source of image files.
 
     Attributes:
         path: of the folder or archive.
-        what: it is, in words.
-        opened: opens it; it is closed when the pictures have been seen.
-        most_pixels: of all pictures of one film together; None where each is paid for by its bytes,
-            but for `_FREE_PIXELS`.
-        others: files that are no picture, by name: why they are not used.
+        what: kind of source, in words.
+        opened: opens it; it is closed when the images have been read.
+        most_pixels: of all images of one sequence together; None where each is paid for by its
+            bytes, but for `_FREE_PIXELS`.
+        others: files that are no image, by name: why they are not used.
     """
 
     path: Path
@@ -59,27 +53,27 @@ class PictureStore:
 
 
 def film_of(store: PictureStore, names: Sequence[str], options: ReadOptions) -> Episode:
-    """The films that pictures of these names make up, each a topic.
+    """Group named images into sequences, each a topic of one episode.
 
     Args:
         store: where they are.
-        names: of files that are taken for pictures.
-        options: what their user says.
+        names: of the image files.
+        options: the user's.
 
     Raises:
-        LogError: they are too many, or too few.
+        LogError: there are too many images, or too few.
     """
-    if len(names) > MOST_PICTURES:
+    if len(names) > MAX_PICTURES:
         raise LogError(
-            f"{store.path}: holds {len(names)} pictures, over the limit of {MOST_PICTURES}; leave "
+            f"{store.path}: holds {len(names)} pictures, over the limit of {MAX_PICTURES}; leave "
             "there only those of one drop"
         )
     found = series_of(names)
-    films = [one for one in found if len(one.files) >= FEWEST][:_MOST_FILMS]
+    films = [one for one in found if len(one.files) >= MIN_COUNT][:_MAX_FILMS]
     if not films:
         raise LogError(
-            f"{store.path}: is {store.what} without a film: no {FEWEST} pictures in it whose names "
-            "differ in a number alone; number them, or name a video of the drop"
+            f"{store.path}: is {store.what} without a film: no {MIN_COUNT} pictures in it whose "
+            "names differ in a number alone; number them, or name a video of the drop"
         )
     times = {one.name: taken(one, options) for one in films}
     with store.opened() as read:
@@ -96,7 +90,7 @@ def film_of(store: PictureStore, names: Sequence[str], options: ReadOptions) -> 
     ]
     unused = {one.name: "too few pictures for a film" for one in found[len(films) :]}
     none = np.empty(0, np.int64)
-    for name, why in list({**unused, **store.others}.items())[:_MOST_FILMS]:
+    for name, why in list({**unused, **store.others}.items())[:_MAX_FILMS]:
         channels.append(Channel(name[:200], "", "file", none, skipped=why))
     rates = ", ".join(dict.fromkeys(one.rate for one in times.values()))
     info = EpisodeInfo(source=f"{store.what} {store.path.name}", notes={"rate_hz": rates})
@@ -112,7 +106,7 @@ def film_of(store: PictureStore, names: Sequence[str], options: ReadOptions) -> 
 
 
 def _samples(series: Series, read: Read) -> Iterator[bytes]:
-    """Bytes of a few pictures, of those that can be read."""
+    """Yield the bytes of a few readable images, evenly spaced."""
     for at in np.linspace(0, len(series.files) - 1, _SAMPLES).round().astype(int).tolist():
         try:
             yield read(series.files[at])
@@ -127,7 +121,7 @@ def _frames(
     depths: Mapping[str, int],
     topic: str,
 ) -> Iterator[Frame]:
-    """The pictures of a film, one at a time; what cannot be read comes as it is, to be counted."""
+    """Yield the frames of a sequence; an unreadable one comes as damaged, to be counted."""
     pixels = paid = 0
     with store.opened() as read:
         stamps = times[topic].stamps_ns.tolist()

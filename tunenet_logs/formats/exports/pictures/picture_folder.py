@@ -1,4 +1,4 @@
-"""Folders of numbered pictures, as high-speed cameras leave them."""
+"""Read folders of numbered images, as high-speed cameras leave them."""
 
 from __future__ import annotations
 
@@ -12,30 +12,35 @@ from pathlib import Path, PurePosixPath
 
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import CHECK_DISK, LogError
-from tunenet_logs.formats.exports.pictures.picture_bytes import MOST_BYTES
-from tunenet_logs.formats.exports.pictures.picture_film import FEWEST, PictureStore, Read, film_of
-from tunenet_logs.formats.exports.pictures.picture_series import MOST_PICTURES, SUFFIXES
+from tunenet_logs.formats.exports.pictures.picture_bytes import MAX_BYTES
+from tunenet_logs.formats.exports.pictures.picture_film import (
+    MIN_COUNT,
+    PictureStore,
+    Read,
+    film_of,
+)
+from tunenet_logs.formats.exports.pictures.picture_series import MAX_PICTURES, SUFFIXES
 from tunenet_logs.formats.read_options import ReadOptions
 
+# Endings of files that make a folder a ROS 2 bag's.
 _LOGS = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
-"""Endings of files that make a folder a ROS 2 bag's."""
 
 
 def is_picture_folder(path: Path) -> bool:
-    """Whether a folder holds pictures, and no log.
+    """Return whether a folder holds images, and no log.
 
     Raises:
         OSError: it cannot be read.
     """
     names = _files(path)
-    return len(_pictures(names)) >= FEWEST and not any(one.endswith(_LOGS) for one in names)
+    return len(_pictures(names)) >= MIN_COUNT and not any(one.endswith(_LOGS) for one in names)
 
 
 def read_picture_folder(path: Path, options: ReadOptions) -> Episode:
-    """A folder's pictures as an episode; no link is followed.
+    """Read a folder's images as an episode; no link is followed.
 
     Raises:
-        LogError: there is no film in it.
+        LogError: there is no image sequence in it.
         OSError: it cannot be read.
     """
     store = PictureStore(path, "a folder of pictures", partial(_opened, path))
@@ -43,9 +48,9 @@ def read_picture_folder(path: Path, options: ReadOptions) -> Episode:
 
 
 def _files(path: Path) -> list[str]:
-    """Names of its regular files; those that begin with a dot are hidden."""
+    """Return the names of the folder's regular files, hidden ones aside."""
     with os.scandir(path) as entries:
-        some = islice(entries, 2 * MOST_PICTURES)
+        some = islice(entries, 2 * MAX_PICTURES)
         return [
             entry.name
             for entry in some
@@ -68,9 +73,9 @@ def _bytes_of(folder: Path, name: str) -> bytes:
         with open(number, "rb") as file:
             if not stat.S_ISREG(os.fstat(number).st_mode):
                 raise LogError(f"{name} is no regular file", "copy it to one first")
-            data = file.read(MOST_BYTES + 1)
+            data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise LogError(f"{name} cannot be read ({error.strerror})", CHECK_DISK) from error
-    if len(data) > MOST_BYTES:
-        raise LogError(f"{name} is over the limit of {MOST_BYTES} bytes", "save smaller pictures")
+    if len(data) > MAX_BYTES:
+        raise LogError(f"{name} is over the limit of {MAX_BYTES} bytes", "save smaller pictures")
     return data

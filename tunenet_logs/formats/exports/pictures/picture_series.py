@@ -1,4 +1,4 @@
-"""Names of picture files in order: which belong to one film, and when each was taken."""
+"""Group image files into sequences by their names, in order, and stamp them."""
 
 from __future__ import annotations
 
@@ -16,40 +16,35 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import FRAME_NS
 from tunenet_logs.formats.read_options import ReadOptions
 
+# Of files that are taken for pictures.
 SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm"}
 )
-"""Of files that are taken for pictures."""
 
-MOST_PICTURES = 200_000
-"""Of one folder or archive."""
-
+MAX_PICTURES = 200_000  # of one folder or archive
 _NUMBER = re.compile(r"\d+")
 
-_LONGEST_NUMBER = 19
-"""Digits of a number that counts or is a time; a longer one is a digest's."""
+_MAX_NUMBER = 19  # digits of a number that counts or is a time; a longer one is a digest's
+# Of the numbers from the first to the last: where more are missing, they count something else.
+_MAX_LEFT_OUT = 0.5
 
-_MOST_LEFT_OUT = 0.5
-"""Of the numbers from the first to the last: where more are missing, they count something else."""
-
+# A time since 1970 in a name, as data sets of cameras write it.
 _SECONDS = re.compile(r"(?<!\d)(\d{10})\.(\d{1,9})(?!\d)")
-"""A time since 1970 in a name, as data sets of cameras write it."""
 
+# Nanoseconds of a time's unit, by how many digits a time of this century has in it.
 _TIME_DIGITS = {19: 1, 16: 1000, 13: 1_000_000}
-"""Nanoseconds of a time's unit, by how many digits a time of this century has in it."""
 
-_TIMES_NS = (10**18, 4 * 10**18)
-"""From 2001 to 2096."""
+_TIMES_NS = (10**18, 4 * 10**18)  # from 2001 to 2096
 
 
 @dataclass(frozen=True)
 class Series:
-    """Pictures of one film.
+    """One image sequence.
 
     Attributes:
-        name: what their names share.
+        name: common part of the file names.
         files: their names, in order.
-        numbers: that count them, shape (T,), strictly increasing; none where no one number does.
+        numbers: counters in the names, shape (T,), strictly increasing; empty without one counter.
     """
 
     name: str
@@ -59,7 +54,7 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class PictureTimes:
-    """When the pictures of a film were taken.
+    """Stamps of an image sequence.
 
     Attributes:
         stamps_ns: int64, shape (T,), strictly increasing.
@@ -75,7 +70,7 @@ class PictureTimes:
 
 
 def series_of(names: Iterable[str]) -> list[Series]:
-    """The films that files of these names make up, the longest first."""
+    """Group file names into image sequences, the longest first."""
     alike: dict[str, list[str]] = defaultdict(list)
     for name in names:
         alike[_NUMBER.sub("#", name)].append(name)
@@ -91,7 +86,7 @@ def series_of(names: Iterable[str]) -> list[Series]:
 
 
 def taken(series: Series, options: ReadOptions) -> PictureTimes:
-    """When they were taken: by `--fps`, else by times in their names, else nobody knows."""
+    """Stamp a sequence by `--fps`, else by the times in its names, else by counting frames."""
     times_ns = _times_ns(series.files)
     rate_hz = options.rate_hz
     if rate_hz is None and times_ns is not None:
@@ -109,10 +104,10 @@ def taken(series: Series, options: ReadOptions) -> PictureTimes:
 
 
 def _divided(names: list[str]) -> list[Series]:
-    """Names that differ in numbers alone, by all of these but the one that counts."""
+    """Split names that differ in numbers alone by all of these but the counter."""
     texts = {name: _NUMBER.findall(name) for name in names}
     columns = list(zip(*texts.values(), strict=True))
-    if not columns or max(len(text) for column in columns for text in column) > _LONGEST_NUMBER:
+    if not columns or max(len(text) for column in columns for text in column) > _MAX_NUMBER:
         return [Series(name, (name,), ()) for name in names]
     kinds = [len(set(column)) for column in columns]
     counter = max(range(len(kinds)), key=lambda at: (kinds[at], at))
@@ -126,7 +121,7 @@ def _divided(names: list[str]) -> list[Series]:
 
 
 def _counted(names: list[str], texts: dict[str, list[str]], counter: int) -> Series:
-    """The series of names that one number counts."""
+    """Return the sequence of names that one number counts."""
     ordered = sorted(names, key=lambda name: (int(texts[name][counter]), name))
     numbers = [int(texts[name][counter]) for name in ordered]
     is_strict = all(first < second for first, second in pairwise(numbers))
@@ -134,7 +129,7 @@ def _counted(names: list[str], texts: dict[str, list[str]], counter: int) -> Ser
 
 
 def _label(name: str, counter: int) -> str:
-    """A name without its suffix and the number that counts; -1 is the last."""
+    """Return a name without its suffix and its counter; -1 is the last number."""
     stem = str(PurePosixPath(name).with_suffix(""))
     found = list(_NUMBER.finditer(stem))
     if not -len(found) <= counter < len(found):
@@ -144,7 +139,7 @@ def _label(name: str, counter: int) -> str:
 
 
 def _counts(series: Series) -> tuple[NDArray[np.int64], list[str]]:
-    """By which the frames are counted, shape (T,), and what is doubtful about it."""
+    """Return frame counts that keep the gaps in the numbers, shape (T,), and doubts."""
     ranks = np.arange(len(series.files))
     if len(series.numbers) < 3:
         return ranks, []
@@ -152,7 +147,7 @@ def _counts(series: Series) -> tuple[NDArray[np.int64], list[str]]:
     unit = gcd(*steps)
     last = sum(steps) // unit
     missing = last - ranks[-1]
-    if missing > _MOST_LEFT_OUT * last:
+    if missing > _MAX_LEFT_OUT * last:
         return ranks, [f"{series.name}: their numbers leap; the pictures are counted instead"]
     counts = np.concatenate([[0], np.cumsum(np.array(steps, np.int64) // unit)])
     said = f"{series.name}: {missing} numbers between the first and the last have no picture"
@@ -160,7 +155,7 @@ def _counts(series: Series) -> tuple[NDArray[np.int64], list[str]]:
 
 
 def _times_ns(names: tuple[str, ...]) -> NDArray[np.int64] | None:
-    """Times since 1970 that the names state, shape (T,); None where they do not."""
+    """Return the times since 1970 in the names, shape (T,); None where they state none."""
     found = [_time_ns(PurePosixPath(name).stem) for name in names]
     if len(found) < 2 or None in found:
         return None

@@ -1,1 +1,1 @@
-"""Tables that controllers of robots record."""
+"""Tables recorded by robot controllers."""

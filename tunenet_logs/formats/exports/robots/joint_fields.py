@@ -1,4 +1,4 @@
-"""Columns of an arm's joints by what they hold: measured, commanded, or out of a model."""
+"""Classify an arm's joint columns as measured, commanded or model-based."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tunenet_logs.formats.tables.meaning import Words, lowered, words_of
 
 
 class Origin(IntEnum):
-    """Where values come from, the better the smaller."""
+    """Origin of values, best first."""
 
     MEASURED = 0
     PLAIN = 1
@@ -26,13 +26,14 @@ class Origin(IntEnum):
     MODELLED = 3
 
 
+# Words that say it.
 _ORIGINS = {
     **dict.fromkeys((*MEASURED, "sensor", "sensed", "encoder"), Origin.MEASURED),
     **dict.fromkeys(COMMANDED, Origin.COMMANDED),
     **dict.fromkeys(MODELLED, Origin.MODELLED),
 }
-"""Words that say it."""
 
+# Words of what a column holds.
 _QUANTITIES = {
     **JOINT_QUANTITIES,
     **{f"{word}s": quantity for word, quantity in JOINT_QUANTITIES.items()},
@@ -40,8 +41,8 @@ _QUANTITIES = {
     "speed": "velocity",
     "moment": "effort",
 }
-"""Words of what a column holds."""
 
+# Names that are understood as a whole: of Universal Robots' and KUKA's own recorders.
 _WHOLE: dict[Words, tuple[str, Origin]] = {
     ("actual", "current", "as", "torque"): ("effort", Origin.MEASURED),
     ("measured", "tq"): ("effort", Origin.MEASURED),
@@ -50,19 +51,15 @@ _WHOLE: dict[Words, tuple[str, Origin]] = {
     ("ip",): ("position", Origin.COMMANDED),
     ("et",): ("effort", Origin.MODELLED),
 }
-"""Names that are understood as a whole: of Universal Robots' and KUKA's own recorders."""
 
+# Words that say no more than that it is an arm's.
 _NEUTRAL = frozenset(
     ("joint", "joints", "axis", "j", "arm", "robot", "state", "states", "filtered", "raw", "motor")
 )
-"""Words that say no more than that it is an arm's."""
 
-_SIDES = ("left", "right")
-"""Of which arm a column is, where there are two."""
-
-_MOST_JOINTS = 99
-"""Of an arm."""
-
+_SIDES = ("left", "right")  # of which arm a column is, where there are two
+_MAX_JOINTS = 99  # of an arm
+# What Universal Robots calls its joints, base to tool.
 _UR_JOINTS = (
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -71,7 +68,6 @@ _UR_JOINTS = (
     "wrist_2_joint",
     "wrist_3_joint",
 )
-"""What Universal Robots calls its joints, base to tool."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +75,12 @@ class JointField:
     """One quantity of all joints.
 
     Attributes:
-        stem: what its columns' names have in common: "actual_q".
+        stem: common part of its columns' names: "actual_q".
         side: "left" or "right" of two arms; "" of one.
         quantity: "position", "velocity", "effort" or "current".
         origin: where the values come from.
         scale: of the values, to rad, rad/s, N·m or A.
-        columns: each joint's column, by the joint's number as the names have it.
+        columns: column index by joint number as in the names.
     """
 
     stem: str
@@ -96,14 +92,14 @@ class JointField:
 
     @property
     def title(self) -> str:
-        """Its columns in words."""
+        """Column range in words."""
         numbers = sorted(self.columns)
         return f"{self.stem} {numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else self.stem
 
 
 @dataclass(frozen=True)
 class JointChoice:
-    """The fields that are used of an arm's columns.
+    """Fields chosen among an arm's columns.
 
     Attributes:
         used: the best of each quantity.
@@ -117,11 +113,7 @@ class JointChoice:
 
 
 def joint_fields(names: Sequence[str]) -> tuple[JointField, ...]:
-    """The fields of joints among columns; of two columns of one name the first counts.
-
-    Args:
-        names: of all columns; those that are no joint's are passed over.
-    """
+    """Find the joint fields among columns; of two columns of one name the first counts."""
     found: dict[tuple[str, str, str, Origin, float], dict[int, int]] = {}
     for at, name in enumerate(names):
         if (parsed := _parsed(name)) is not None:
@@ -131,12 +123,12 @@ def joint_fields(names: Sequence[str]) -> tuple[JointField, ...]:
 
 
 def tells_origin(fields: Iterable[JointField]) -> bool:
-    """Whether the names say of a quantity of joints what is measured, and what is not."""
+    """Return whether the names distinguish measured from other joint quantities."""
     return any(field.origin != Origin.PLAIN for field in fields)
 
 
 def choose_fields(fields: Sequence[JointField]) -> JointChoice:
-    """Measured beats commanded, and what is out of a model is never taken for a measurement."""
+    """Choose one field per quantity: measured before commanded, never a model's output."""
     used: list[JointField] = []
     unused: list[tuple[JointField, str]] = []
     for key in dict.fromkeys((field.side, field.quantity) for field in fields):
@@ -159,13 +151,7 @@ def choose_fields(fields: Sequence[JointField]) -> JointChoice:
 
 
 def _reason(field: JointField, equals: Sequence[JointField], has_better: bool) -> str:
-    """Why a field is not used.
-
-    Args:
-        field: the one.
-        equals: those of the best origin there is.
-        has_better: whether one of them is used.
-    """
+    """Return why a field is not used; `equals` share the best origin."""
     if field.quantity == "effort" and "moment" in field.stem:
         return "the controller's own model, with the payload that was set in it: no measurement"
     if field.origin == Origin.COMMANDED:
@@ -182,7 +168,7 @@ def _reason(field: JointField, equals: Sequence[JointField], has_better: bool) -
 
 
 def _parsed(name: str) -> tuple[tuple[str, str, str, Origin, float], int] | None:
-    """Stem, side, quantity, origin and scale of a joint's column, and the joint's number."""
+    """Parse a joint column's name into stem, side, quantity, origin, scale and joint number."""
     written = words_of(name, camel=False)
     numbered = [re.fullmatch(r"([A-Za-z]*?)(\d{1,2})", word) for word in written]
     at = [place for place, match in enumerate(numbered) if match]
@@ -197,13 +183,13 @@ def _parsed(name: str) -> tuple[tuple[str, str, str, Origin, float], int] | None
     lower = lower[: len(lower) - count]
     side = next((word for word in lower if word in _SIDES), "")
     meaning = _meaning([word for word in lower if word not in _SIDES])
-    if meaning is None or (count and meaning[0] not in fitting) or number > _MOST_JOINTS:
+    if meaning is None or (count and meaning[0] not in fitting) or number > _MAX_JOINTS:
         return None
     return (stem, side, *meaning, scale), number
 
 
 def _meaning(words: Sequence[str]) -> tuple[str, Origin] | None:
-    """What the words of a name say; None where one of them is of something else."""
+    """Return quantity and origin that words denote; None where one belongs to something else."""
     if (whole := _WHOLE.get(tuple(words))) is not None:
         return whole
     rest = [word for word in words if word not in _NEUTRAL]

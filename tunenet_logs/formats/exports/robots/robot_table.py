@@ -1,4 +1,4 @@
-"""Tables that robots' controllers write: many columns a joint, some measured and some commanded.
+"""Read robot controllers' tables: many columns per joint, some measured and some commanded.
 
 Universal Robots' RTDE recorder, libfranka's log and their kin.
 """
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.exports.arrays.column_plan import ColumnPlan, plan_columns
-from tunenet_logs.formats.exports.arrays.named_columns import MOST_ROWS, check_rows, columns_episode
+from tunenet_logs.formats.exports.arrays.named_columns import MAX_ROWS, check_rows, columns_episode
 from tunenet_logs.formats.exports.robots.joint_fields import joint_fields, tells_origin
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.read_options import ReadOptions
@@ -30,25 +30,22 @@ from tunenet_logs.formats.tables.failures import (
     UnreadableError,
     unreadable,
 )
-from tunenet_logs.formats.tables.layout import MOST_COLUMNS
+from tunenet_logs.formats.tables.layout import MAX_COLUMNS
 from tunenet_logs.formats.tables.lines import SEPARATORS, cells_of, lines_of
 from tunenet_logs.formats.tables.meaning import TimeColumn
 from tunenet_logs.formats.tables.numbers import Numbers, Thousands
 
-_LOOK_LINES = 20
-"""In which the names of the columns are looked for."""
-
-_FEWEST_JOINTS = 2
-"""Of a quantity: one column alone may be anything."""
+_LOOK_LINES = 20  # in which the names of the columns are looked for
+_MIN_JOINTS = 2  # of a quantity: one column alone may be anything
 
 
 def is_robot_table(start: Start) -> bool:
-    """Whether a file is a table that tells measured and commanded quantities of joints apart."""
+    """Return whether a table distinguishes measured from commanded joint quantities."""
     return _header(start.lines) is not None
 
 
 def read_robot_table(path: Path, options: ReadOptions) -> Episode:
-    """The measured positions, velocities and torques of a robot's joints.
+    """Read the measured positions, velocities and torques of a robot's joints.
 
     Currents become torques with the user's torque constants. A controller's own model of the
     torques, with the payload that was set in it, is never taken for a measurement.
@@ -71,14 +68,14 @@ def read_robot_table(path: Path, options: ReadOptions) -> Episode:
 
 
 def _header(lines: Sequence[str]) -> tuple[int, str | None, list[str]] | None:
-    """The line of the columns' names: its index, the separator, and the names."""
+    """Return index, separator and names of the header line; None where there is none."""
     for at, line in enumerate(lines[:_LOOK_LINES]):
         for separator in SEPARATORS:
             text = line.lstrip("#% ")
             names = [name.strip() for name in cells_of(text, separator)]
             while names and not names[-1]:
                 names.pop()
-            if 3 <= len(names) <= MOST_COLUMNS and _is_robots(names):
+            if 3 <= len(names) <= MAX_COLUMNS and _is_robots(names):
                 return at, separator, names
     return None
 
@@ -86,18 +83,18 @@ def _header(lines: Sequence[str]) -> tuple[int, str | None, list[str]] | None:
 def _is_robots(names: Sequence[str]) -> bool:
     if not any(isinstance(meaning_of(name), TimeColumn) or name == "duration" for name in names):
         return False
-    fields = [one for one in joint_fields(names) if len(one.columns) >= _FEWEST_JOINTS]
+    fields = [one for one in joint_fields(names) if len(one.columns) >= _MIN_JOINTS]
     return tells_origin(fields) or any(
         "[" in names[at] for one in fields for at in one.columns.values()
     )
 
 
 class _Rows:
-    """The columns that are needed of a table's rows.
+    """Needed columns of a table's rows.
 
     Attributes:
         plan: which they are.
-        lost: what is said of rows that could not be read.
+        lost: description of unreadable rows.
     """
 
     def __init__(self, plan: ColumnPlan, separator: str | None) -> None:
@@ -114,11 +111,7 @@ class _Rows:
         self._count = 0
 
     def read(self, path: Path, lines: Iterator[tuple[int, str | None]]) -> None:
-        """All rows; those that cannot be read are counted.
-
-        Raises:
-            LogError: they are too many.
-        """
+        """Read all rows, counting unreadable ones; raise LogError if there are too many."""
         reading: Numbers | None = None
         for number, line in lines:
             if line is not None and (not line.strip() or line.startswith("#")):
@@ -130,11 +123,11 @@ class _Rows:
             except UnreadableError as error:
                 self._failures.add(number, error)
             self._count += 1
-            if self._count > MOST_ROWS:
+            if self._count > MAX_ROWS:
                 check_rows(path, self._count, self.plan)
 
     def _reading(self, cells: Sequence[str]) -> Numbers:
-        """How numbers are written, by the first row."""
+        """Detect the number format from the first row."""
         has_comma = any("," in cells[at] for at in self._numbers)
         return Numbers(self._separator, "," if has_comma and self._separator != "," else "")
 
@@ -163,11 +156,7 @@ class _Rows:
             texts.append(cell.replace(",", ".") if reading.decimal == "," else cell)
 
     def arrays(self, path: Path) -> dict[int, NDArray[Any]]:
-        """The columns by their index.
-
-        Raises:
-            LogError: no row, or too few of them, can be read.
-        """
+        """Return the columns by index; raise LogError if no or too few rows are readable."""
         if len(self._failures) == self._count:
             raise LogError(f"{path}: {self._failures.nothing(self._count)}")
         if why := self._failures.refusal(self._count):

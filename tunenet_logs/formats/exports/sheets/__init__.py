@@ -1,1 +1,1 @@
-"""Spreadsheets and the exports of sensors and phones."""
+"""Spreadsheets, and exports of sensors and phones."""

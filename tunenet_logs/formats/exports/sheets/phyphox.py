@@ -1,4 +1,4 @@
-"""Times of impacts that the phone app phyphox heard: its acoustic stopwatch and its collisions.
+"""Read impact times heard by the phone app phyphox: its acoustic stopwatch and its collisions.
 
 Its own definitions of these experiments name the sheets and columns
 (https://github.com/phyphox/phyphox-experiments).
@@ -21,36 +21,31 @@ from tunenet_logs.formats.tables.lines import cells_of
 from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
 from tunenet_logs.sample_order import sorted_stamps
 
-NAME = "impacts"
-"""Of the signal."""
-
+NAME = "impacts"  # of the signal
 _EVENTS = "event time (s)"
 _INTERVALS = "interval (s)"
 
+# Impacts side by side, one experiment a row.
 _IN_A_ROW = (
     re.compile(r"(?:start|stop(?: \d)?) \(s\)"),
     re.compile(r"bounce \d \(s\)"),
 )
-"""Impacts side by side, one experiment a row."""
 
-_GAPS_IN_A_ROW = re.compile(r"time \d \(s\)")
-"""Times between impacts side by side."""
-
+_GAPS_IN_A_ROW = re.compile(r"time \d \(s\)")  # times between impacts side by side
+# What phyphox reckons from the times.
 _BESIDE = re.compile(r"(?:height \d \(c?m\)|energy \d(?: \(%\))?|difference \(s\)|interval \(s\))")
-"""What phyphox reckons from the times."""
 
-MOST_ROWS = 100_000
-"""Of impacts: a phone hears no more in a day."""
+MAX_ROWS = 100_000  # of impacts: a phone hears no more in a day
 
 
 @dataclass(frozen=True)
 class ImpactTimes:
-    """What a sheet says of impacts.
+    """Impact times of a sheet.
 
     Attributes:
         runs: times [s], each run shape (K,).
         unused: other columns, with the reason.
-        is_first_unknown: whether the times are summed up, so that the first is 0.
+        is_first_unknown: whether the times are cumulated intervals, so that the first is 0.
         is_list: whether all impacts stand in one column, however many there were.
     """
 
@@ -60,11 +55,7 @@ class ImpactTimes:
     is_list: bool = False
 
     def signals(self, sheet: str) -> tuple[list[Signal], list[str]]:
-        """A signal for each run, and what was repaired.
-
-        Args:
-            sheet: its name, with a slash; "" where there is but one.
-        """
+        """Return one signal per run, and notes on repairs; `sheet` prefixes their names."""
         signals: list[Signal] = []
         notes: list[str] = []
         for number, times in enumerate(self.runs, 1):
@@ -76,17 +67,17 @@ class ImpactTimes:
 
 
 def names_impacts(line: str) -> bool:
-    """Whether a header line is that of a sheet of impact times."""
+    """Return whether a header line is that of a sheet of impact times."""
     return _columns(_names(line)) is not None
 
 
 def impact_times(lines: Iterable[str]) -> ImpactTimes | None:
-    """The times of a sheet's impacts; None where its first line names none.
+    """Read a sheet's impact times; None where its first line names none.
 
     Raises:
         ValueError: a cell is no number.
     """
-    rows = (line for line in islice(lines, MOST_ROWS) if line.strip(" \t,;"))
+    rows = (line for line in islice(lines, MAX_ROWS) if line.strip(" \t,;"))
     header = next(rows, "")
     names = _names(header)
     columns = _columns(names)
@@ -119,7 +110,7 @@ def _names(line: str) -> list[str]:
 
 
 def _columns(names: Sequence[str]) -> list[int] | None:
-    """The columns of times; None where the names are not those of phyphox."""
+    """Return the columns of times; None where the names are not those of phyphox."""
     if len(names) > 100:
         return None
     if _EVENTS in names:
@@ -138,13 +129,13 @@ def _flat(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:
 
 
 def _summed(gaps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Times of impacts, of which the first is at 0; phyphox writes 0 where there was no more."""
+    """Cumulate intervals to impact times from 0; phyphox writes 0 where there was no more."""
     real = gaps[np.isfinite(gaps) & (gaps > 0)]
     return np.concatenate(([0.0], np.cumsum(real)))
 
 
 def _rising(row: Sequence[float]) -> NDArray[np.float64]:
-    """The times of a row up to the first that did not happen, which is 0, empty or not later."""
+    """Return a row's times up to the first missing impact: 0, empty or not later."""
     times: list[float] = []
     for time in row:
         if not time > (times[-1] if times else -1.0):

@@ -1,4 +1,4 @@
-"""Runs of a physics lab's sensors, side by side in one table, each with its own times.
+"""Read runs of a physics lab's sensors, side by side in one table, each with its own times.
 
 PASCO Capstone names columns "Position (m) Run #1"; Vernier Logger Pro and Graphical Analysis name
 them "Latest: Position (m)", "Run 1: Position (m)" or "Data Set 1:Position(m)".
@@ -21,20 +21,17 @@ from tunenet_logs.formats.tables.meaning import CoordinateColumn, JointColumn, T
 from tunenet_logs.formats.tables.offers import short_list
 from tunenet_logs.formats.tables.run_names import without_run
 
-_MOST_BEFORE = 20
-"""Lines before the names."""
-
-_MOST_COLUMNS = 200
-"""Looked at for a run's name."""
+_MAX_BEFORE = 20  # lines before the names
+_MAX_COLUMNS = 200  # looked at for a run's name
 
 
 def is_sensor_runs(start: Start) -> bool:
-    """Whether a file is one: a table that names the run of a time."""
+    """Return whether a file is a table with a time column per run."""
     return bool(_names(start))
 
 
 def read_sensor_runs(path: Path, options: ReadOptions) -> Episode:
-    """A signal for each run of each position.
+    """Read one signal per run and position.
 
     Raises:
         LogError: it holds no positions, or see `read_csv`.
@@ -57,11 +54,11 @@ def read_sensor_runs(path: Path, options: ReadOptions) -> Episode:
 
 
 def _names(start: Start) -> Sequence[str]:
-    """The names of the columns, the first of which with a run is a time; none of another file."""
-    for line in start.lines[:_MOST_BEFORE]:
+    """Return the column names, if a time column names its run; else nothing."""
+    for line in start.lines[:_MAX_BEFORE]:
         for separator in SEPARATORS[:-1]:
             cells = cells_of(line, separator) if separator and separator in line else []
-            marked = [without_run(cell.strip()) for cell in cells[:_MOST_COLUMNS]]
+            marked = [without_run(cell.strip()) for cell in cells[:_MAX_COLUMNS]]
             if any(run and isinstance(meaning_of(name), TimeColumn) for run, name in marked):
-                return [cell.strip() for cell in cells[:_MOST_COLUMNS]]
+                return [cell.strip() for cell in cells[:_MAX_COLUMNS]]
     return []

@@ -1,7 +1,7 @@
-"""Reads a workbook or an archive of tables, in a process of its own, and prints its cells.
+"""Print the cells of a workbook or an archive of tables, as a process of its own.
 
-A file that was made to hurt ends this process, not its parent: what unpacks or parses it has bounds
-of time and of memory here, and may break off as it likes. So this file imports nothing of ours.
+A malicious file ends this process, not its parent: what unpacks or parses it has bounds of time and
+of memory here, and may crash. So this file imports nothing of ours.
 
 Each line of the output is a JSON array: ["sheet", NAME], ["rows", TEXT, ...] with tabs between
 cells, or ["error", WHY, REMEDY] as the last one.
@@ -20,36 +20,30 @@ from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import Any
 
-MOST_FILE_BYTES = 128 * 1024**2
-_MOST_UNPACKED_BYTES = 384 * 1024**2
-_MOST_PARTS = 5000
-_MOST_SHEETS = 200
-_MOST_COLUMNS = 5000
-_MOST_TEXT = 64 * 1024**2
-_MOST_CELL = 1000
+MAX_FILE_BYTES = 128 * 1024**2
+_MAX_UNPACKED_BYTES = 384 * 1024**2
+_MAX_PARTS = 5000
+_MAX_SHEETS = 200
+_MAX_COLUMNS = 5000
+_MAX_TEXT = 64 * 1024**2
+_MAX_CELL = 1000
 _ROW_COST = 40
 _BLOCK_ROWS = 500
 _MEMORY_BYTES = 480 * 1024**2
 _CPU_S = 9
 
+# What stands in a cell whose formula failed.
 _EXCEL_ERRORS = ("#N/A", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#NULL!")
-"""What stands in a cell whose formula failed."""
 
-_EPOCH = dt.datetime(1899, 12, 30)
-"""What a time without a date counts from in some workbooks."""
+_EPOCH = dt.datetime(1899, 12, 30)  # what a time without a date counts from in some workbooks
 
 
 class RefusedError(Exception):
-    """Why a file is not read, and what to do about it."""
+    """Why a file is not read, and the remedy."""
 
 
 def main(path: str, kind: str) -> None:
-    """Print all cells of a file.
-
-    Args:
-        path: of it.
-        kind: "book" or "archive".
-    """
+    """Print all cells of the file, of kind "book" or "archive"."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -71,32 +65,32 @@ def _say(*words: str) -> None:
 
 
 def _print(sheets: Iterable[tuple[str, Iterable[str]]]) -> None:
-    room = _MOST_TEXT
+    room = _MAX_TEXT
     for number, (name, rows) in enumerate(sheets):
-        if number >= _MOST_SHEETS:
-            raise RefusedError(f"holds over {_MOST_SHEETS} sheets", "save those of the log alone")
+        if number >= _MAX_SHEETS:
+            raise RefusedError(f"holds over {_MAX_SHEETS} sheets", "save those of the log alone")
         sys.stdout.write(json.dumps(("sheet", name[:200])) + "\n")
         some = iter(rows)
         while block := list(islice(some, _BLOCK_ROWS)):
             room -= sum(map(len, block)) + _ROW_COST * len(block)
             if room < 0:
                 raise RefusedError(
-                    f"holds over {_MOST_TEXT >> 20} MiB of text", "save each sheet alone, as CSV"
+                    f"holds over {_MAX_TEXT >> 20} MiB of text", "save each sheet alone, as CSV"
                 )
             sys.stdout.write(json.dumps(("rows", *block)) + "\n")
     sys.stdout.flush()
 
 
 def _check_zip(path: str) -> zipfile.ZipFile:
-    """A zip archive whose directory promises no bomb."""
+    """Open a zip archive after checking its directory for a decompression bomb."""
     archive = zipfile.ZipFile(path)
     parts = archive.infolist()
-    if len(parts) > _MOST_PARTS:
+    if len(parts) > _MAX_PARTS:
         raise RefusedError(f"is a zip archive of {len(parts)} parts", "save the sheet alone")
     size = sum(part.file_size for part in parts)
-    if size > _MOST_UNPACKED_BYTES:
+    if size > _MAX_UNPACKED_BYTES:
         raise RefusedError(
-            f"unpacks to {size >> 20} MiB, over the limit of {_MOST_UNPACKED_BYTES >> 20} MiB",
+            f"unpacks to {size >> 20} MiB, over the limit of {_MAX_UNPACKED_BYTES >> 20} MiB",
             "save the sheet alone, as CSV",
         )
     if any(part.flag_bits & 1 for part in parts):
@@ -118,7 +112,7 @@ def _book(path: str) -> Iterator[tuple[str, Iterator[str]]]:
 
 def _rows(book: Any, number: int) -> Iterator[str]:
     sheet = book.get_sheet_by_index(number)
-    if sheet.width > _MOST_COLUMNS:
+    if sheet.width > _MAX_COLUMNS:
         yield "\t".join(["-"] * sheet.width)  # the reader of tables says what is wrong with it
         return
     empty = 0
@@ -135,9 +129,9 @@ def _rows(book: Any, number: int) -> Iterator[str]:
 
 
 def _text(cell: object) -> str:
-    """A cell as a table of text has it."""
+    """Format a cell as a text table has it."""
     if isinstance(cell, str):
-        text = " ".join(cell[:_MOST_CELL].replace('"', "''").split())
+        text = " ".join(cell[:_MAX_CELL].replace('"', "''").split())
         return "" if text in _EXCEL_ERRORS else text
     if isinstance(cell, dt.datetime | dt.date):
         return _date(cell)
@@ -146,11 +140,11 @@ def _text(cell: object) -> str:
     if isinstance(cell, dt.time):
         seconds = cell.hour * 3600 + cell.minute * 60 + cell.second
         return repr(seconds + cell.microsecond * 1e-6)
-    return "" if cell is None else repr(cell)[:_MOST_CELL].removesuffix(".0")
+    return "" if cell is None else repr(cell)[:_MAX_CELL].removesuffix(".0")
 
 
 def _date(cell: dt.date) -> str:
-    """In ISO 8601; in seconds where it is a duration that was taken for a date."""
+    """Format a date in ISO 8601; in seconds where it is a duration that was taken for a date."""
     when = cell if isinstance(cell, dt.datetime) else dt.datetime(cell.year, cell.month, cell.day)
     if when.year < 1901:
         return repr((when - _EPOCH).total_seconds())
@@ -158,7 +152,7 @@ def _date(cell: dt.date) -> str:
 
 
 def _archive(path: str) -> Iterator[tuple[str, Iterator[str]]]:
-    """The .csv files of a zip archive, by their names without the ending."""
+    """Yield the .csv files of a zip archive, by their names without the ending."""
     with _check_zip(path) as archive:
         parts = [part for part in archive.infolist() if part.filename.lower().endswith(".csv")]
         parts = [part for part in parts if "__MACOSX" not in part.filename]

@@ -1,4 +1,4 @@
-"""Spreadsheets (.xls, .xlsx, .xlsm, .xlsb, .ods), and what the phone app phyphox exports."""
+"""Read spreadsheets (.xls, .xlsx, .xlsm, .xlsb, .ods), and exports of the phone app phyphox."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.formats.csv_table import read_csv, read_lines
 from tunenet_logs.formats.exports.build import export_episode
 from tunenet_logs.formats.exports.sheets.phyphox import (
-    MOST_ROWS,
+    MAX_ROWS,
     ImpactTimes,
     impact_times,
     names_impacts,
@@ -29,26 +29,21 @@ from tunenet_logs.formats.exports.trackers.tracker import names_masses, read_mas
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.lines import lines_of
 
-_BOOKS = (".xls", ".xlsx", ".xlsm", ".xlsb", ".ods")
-"""Endings of workbooks."""
-
+_BOOKS = (".xls", ".xlsx", ".xlsm", ".xlsb", ".ods")  # endings of workbooks
 _OLE2 = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 _ZIP = b"PK\x03\x04"
+# How the names of a workbook's parts begin.
 _IN_BOOKS = ("[Content_Types].xml", "_rels/", "xl/", "docProps/", "mimetype", "META-INF/")
-"""How the names of a workbook's parts begin."""
 
+# What phyphox says of the phone and of the clock.
 _ABOUT = ("metadata device", "metadata time", "meta/device", "meta/time")
-"""What phyphox says of the phone and of the clock."""
 
-_MOST_REASONS = 3
-"""Sheets that are named where none is of use."""
-
-_MOST_REASON = 150
-"""Letters of what is said of each."""
+_MAX_REASONS = 3  # sheets that are named where none is of use
+_MAX_REASON = 150  # letters of what is said of each
 
 
 def is_sheets(start: Start) -> bool:
-    """Whether a file is a workbook, an archive of CSV files, or a CSV of phyphox's impacts."""
+    """Return whether a file is a workbook, an archive of CSV files, or phyphox's impact CSV."""
     if start.data.startswith(_OLE2):
         return True
     if start.data.startswith(_ZIP):
@@ -60,10 +55,10 @@ def is_sheets(start: Start) -> bool:
 
 
 def read_sheets(path: Path, options: ReadOptions) -> Episode:
-    """Each sheet that is a table, with the sheet's name before the names of its signals.
+    """Read each sheet that is a table, prefixing its signals' names with the sheet's.
 
     Raises:
-        LogError: none is, or the file is damaged or too large.
+        LogError: no sheet is a table, or the file is damaged or too large.
         OSError: it cannot be read.
     """
     start = start_of(path)
@@ -86,7 +81,7 @@ def read_sheets(path: Path, options: ReadOptions) -> Episode:
 
 
 def _read_text(path: Path, start: Start, options: ReadOptions) -> Episode:
-    """A table of text: of phyphox, or one that is called a workbook."""
+    """Read a text table: of phyphox, or one misnamed as a workbook."""
     if start.data.lstrip()[:1] == b"<":
         raise LogError(
             f"{path}: is a web page or XML that is called a spreadsheet; open it there, and save "
@@ -94,12 +89,12 @@ def _read_text(path: Path, start: Start, options: ReadOptions) -> Episode:
         )
     if options.columns or not names_impacts(next(iter(start.lines), "")):
         return read_csv(path, options)
-    sheet = Sheet("", [line or "" for line in islice(lines_of(path), MOST_ROWS)])
+    sheet = Sheet("", [line or "" for line in islice(lines_of(path), MAX_ROWS)])
     return _Sheets(path, "phyphox export", [sheet], options).episode()
 
 
 def _names(start: Start) -> list[str]:
-    """The names of a zip archive's first parts."""
+    """Return the names of a zip archive's first parts."""
     names: list[str] = []
     at = start.data.find(_ZIP)
     while at >= 0 and at + 30 <= len(start.data):
@@ -137,11 +132,7 @@ class _Sheets:
         self._impacts: list[tuple[str, ImpactTimes]] = []
 
     def episode(self) -> Episode:
-        """What they hold together.
-
-        Raises:
-            LogError: nothing that is of use.
-        """
+        """Combine the sheets into one episode; raise LogError if nothing is of use."""
         for name, sheet in self._sheets:
             if name.lower().endswith(_ABOUT):
                 self._skipped[name] = "it tells of the phone, not of what was measured"
@@ -187,7 +178,7 @@ class _Sheets:
         self._notes.update(episode.info.notes)
 
     def _reader(self, sheet: Sheet) -> Callable[[Path, Iterable[str], ReadOptions], Episode]:
-        """What reads a sheet: a program's table may have been pasted there."""
+        """Choose a sheet's reader: a tracking program's table may have been pasted there."""
         if self._options.columns:
             return read_lines
         if names_masses(sheet.lines[:4]):
@@ -197,7 +188,7 @@ class _Sheets:
         return read_lines if spot_layout(sheet.lines[0]) is None else read_spots
 
     def _add_impacts(self) -> None:
-        """The impacts of the sheet that has most, and of those that do not say the same."""
+        """Add the impacts of the sheet with most, and of those that do not repeat them."""
         kept: list[tuple[str, np.ndarray]] = []
         order = sorted(
             self._impacts,
@@ -221,7 +212,7 @@ class _Sheets:
             self._warnings += notes
 
     def _refusal(self) -> str:
-        """Why nothing is of use."""
+        """Return why nothing is of use."""
         if len(self._sheets) == 1:
             return f"is a {self._what} that {_clause(next(iter(self._skipped.values())))}"
         reasons = [
@@ -229,11 +220,11 @@ class _Sheets:
             for name, why in self._skipped.items()
             if not name.lower().endswith(_ABOUT)
         ]
-        short = [reason.partition("; ")[0][:_MOST_REASON] for reason in reasons]
-        more = f" and {len(short) - _MOST_REASONS} more" if len(short) > _MOST_REASONS else ""
+        short = [reason.partition("; ")[0][:_MAX_REASON] for reason in reasons]
+        more = f" and {len(short) - _MAX_REASONS} more" if len(short) > _MAX_REASONS else ""
         return (
             f"is a {self._what} of {len(short)} sheets without a track, torques or impact times "
-            f"({'; '.join(short[:_MOST_REASONS])}{more}); {self._remedy()}"
+            f"({'; '.join(short[:_MAX_REASONS])}{more}); {self._remedy()}"
         )
 
     def _remedy(self) -> str:
@@ -243,7 +234,7 @@ class _Sheets:
 
 
 def _is_within(found: ImpactTimes, times: np.ndarray) -> bool:
-    """Whether other times hold all of these."""
+    """Return whether `times` contain all of the found impacts."""
     if found.is_first_unknown:
         return len(found.runs) == 1 and bool(
             np.isin(np.round(np.diff(found.runs[0]), 6), np.round(np.diff(times), 6)).all()

@@ -1,4 +1,4 @@
-"""The sheets of a workbook or of an archive of tables, read by a process that may break off."""
+"""Read the sheets of a workbook or of an archive of tables, through a resource-limited process."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from pathlib import Path
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.exports.sheets import sheet_process
 
-_MOST_WAIT_S = 60.0
-"""For the other process, whose own time is bounded to less."""
+_MAX_WAIT_S = 60.0  # for the other process, whose own time is bounded to less
 
 
 @dataclass(frozen=True)
@@ -31,11 +30,11 @@ class Sheet:
 
 
 def sheets_of(path: Path, what: str, *, is_archive: bool) -> list[Sheet]:
-    """All sheets.
+    """Read all sheets of a file.
 
     Args:
         path: of the file.
-        what: it is, for messages: "spreadsheet", ...
+        what: kind of file, for messages: "spreadsheet", ...
         is_archive: whether it is a zip archive of CSV files, not a workbook.
 
     Raises:
@@ -46,8 +45,8 @@ def sheets_of(path: Path, what: str, *, is_archive: bool) -> list[Sheet]:
         raise LogError(
             f"{path}: is a {what}, which needs python-calamine; pip install 'tunenet-logs[tables]'"
         )
-    if (size := path.stat().st_size) > sheet_process.MOST_FILE_BYTES:
-        limit = sheet_process.MOST_FILE_BYTES >> 20
+    if (size := path.stat().st_size) > sheet_process.MAX_FILE_BYTES:
+        limit = sheet_process.MAX_FILE_BYTES >> 20
         raise LogError(
             f"{path}: is a {what} of {size >> 20} MiB, over the limit of {limit} MiB; save the "
             "sheet alone, as CSV"
@@ -56,7 +55,7 @@ def sheets_of(path: Path, what: str, *, is_archive: bool) -> list[Sheet]:
     words = [sys.executable, "-P", sheet_process.__file__, str(path.resolve()), kind]
     try:
         done = subprocess.run(  # noqa: S603
-            words, capture_output=True, timeout=_MOST_WAIT_S, check=False
+            words, capture_output=True, timeout=_MAX_WAIT_S, check=False
         )
     except subprocess.TimeoutExpired:
         done = None

@@ -1,1 +1,1 @@
-"""Exports of programs that track things in videos."""
+"""Exports of programs that track objects in videos."""

@@ -1,4 +1,4 @@
-"""XML read element by element: without entities, without a tree, and not too deep."""
+"""Parse XML element by element: without entities, without a tree, and not too deep."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.regular_file import open_regular
 
 _CHUNK_BYTES = 1024**2
-_MOST_DEPTH = 50
+_MAX_DEPTH = 50
 
+# Takes the name and the attributes of an element that begins; a ValueError refuses it.
 Begin = Callable[[str, dict[str, str]], None]
-"""Takes the name and the attributes of an element that begins; a ValueError refuses it."""
 
 
 def read_elements(path: Path, what: str, begin: Begin) -> None:
-    """Hand over each element of a file as it begins.
+    """Call `begin` with each element of a file as it begins.
 
     Args:
         path: of the file.
@@ -34,8 +34,8 @@ def read_elements(path: Path, what: str, begin: Begin) -> None:
     def enter(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth > _MOST_DEPTH:
-            raise ValueError(f"its elements are nested over {_MOST_DEPTH} deep")
+        if depth > _MAX_DEPTH:
+            raise ValueError(f"its elements are nested over {_MAX_DEPTH} deep")
         begin(name, attributes)
 
     def leave(_: str) -> None:

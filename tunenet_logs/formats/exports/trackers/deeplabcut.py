@@ -1,4 +1,4 @@
-"""DeepLabCut's tables: where a network saw each part of a body in each frame, and how surely.
+"""Read DeepLabCut's tables: position and likelihood of each body part in each frame.
 
 Rows of a header say `scorer`, perhaps `individuals`, `bodyparts` and `coords`; then a row a frame.
 A part has `x`, `y` [px, y down] and `likelihood`; one that was triangulated has `x`, `y`, `z`.
@@ -25,24 +25,24 @@ from tunenet_logs.formats.exports.trackers.spot_rows import (
 )
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.failures import DAMAGED_REMEDY, Failures, UnreadableError
-from tunenet_logs.formats.tables.layout import MOST_COLUMNS
+from tunenet_logs.formats.tables.layout import MAX_COLUMNS
 from tunenet_logs.formats.tables.lines import cells_of, lines_of
 from tunenet_logs.formats.tables.numbers import Numbers
 
 _WHAT = "DeepLabCut table"
-_MOST_HEADS = 4
+_MAX_HEADS = 4
 
-_LEAST_LIKELIHOOD = 0.6  # below it DeepLabCut itself takes a part as not seen (`pcutoff`)
+_MIN_LIKELIHOOD = 0.6  # below it DeepLabCut itself takes a part as not seen (`pcutoff`)
 
 
 def is_deeplabcut(start: Start) -> bool:
-    """Tell by the rows of the header."""
-    firsts = [line.split(",", 1)[0] for line in start.lines[:_MOST_HEADS]]
+    """Return whether a file is a DeepLabCut table, by the rows of its header."""
+    firsts = [line.split(",", 1)[0] for line in start.lines[:_MAX_HEADS]]
     return firsts[:1] == ["scorer"] and "bodyparts" in firsts and "coords" in firsts
 
 
 def read_deeplabcut(path: Path, options: ReadOptions) -> Episode:
-    """Read each part of each body as a signal, without the frames in which it was hardly seen.
+    """Read each part of each body as a signal, without frames of low likelihood.
 
     Raises:
         LogError: it names no part, or its rows cannot be read.
@@ -50,8 +50,8 @@ def read_deeplabcut(path: Path, options: ReadOptions) -> Episode:
     """
     lines = enumerate(lines_of(path), 1)
     heads: dict[str, list[str]] = {}
-    for _, line in islice(lines, _MOST_HEADS):
-        name, *cells = [cell.strip() for cell in cells_of(line or "", ",")[:MOST_COLUMNS]]
+    for _, line in islice(lines, _MAX_HEADS):
+        name, *cells = [cell.strip() for cell in cells_of(line or "", ",")[:MAX_COLUMNS]]
         heads[name] = cells
         if name == "coords":
             break
@@ -66,7 +66,7 @@ def read_deeplabcut(path: Path, options: ReadOptions) -> Episode:
 
 
 class _FrameRows:
-    """The rows, while they are read."""
+    """Rows of a table, while they are read."""
 
     def __init__(
         self, path: Path, parts: Sequence[tuple[Place, int | None]], header: Sequence[str]
@@ -76,7 +76,7 @@ class _FrameRows:
         self._count = self._unsure = 0
 
     def add(self, number: int, line: str | None) -> None:
-        """Take the row of that line."""
+        """Add the row of a line, or count it as unreadable."""
         self._count += 1
         try:
             self._add(cells_of(line or "", ","))
@@ -90,18 +90,18 @@ class _FrameRows:
         frame = number_at(cells, 0, header, numbers)
         for place, sure in self._parts:
             seen = 1.0 if sure is None else number_at(cells, sure, header, numbers)
-            if seen < _LEAST_LIKELIHOOD:
+            if seen < _MIN_LIKELIHOOD:
                 self._unsure += 1
             else:
                 self._tracks.add(place.name, frame, place_at(cells, place, header, numbers))
 
     def episode(self, options: ReadOptions) -> Episode:
-        """Make what was read an episode."""
+        """Build an episode of the rows."""
         path, count, failures = self._path, self._count, self._failures
         if not len(self._tracks):
             if failures:
                 raise LogError(f"{path}: {_WHAT}: {failures.nothing(count)}")
-            why = f"nothing is seen with a likelihood of {_LEAST_LIKELIHOOD}"
+            why = f"nothing is seen with a likelihood of {_MIN_LIKELIHOOD}"
             raise LogError(f"{path}: {_WHAT}: {why}", "label more frames, train and analyse again")
         if why := failures.refusal(count):
             raise LogError(f"{path}: {_WHAT}: {why}")
@@ -110,14 +110,14 @@ class _FrameRows:
         signals, unused, notes = self._tracks.signals(units, options)
         if self._unsure:
             notes.append(
-                f"{self._unsure} places with a likelihood below {_LEAST_LIKELIHOOD} were left out"
+                f"{self._unsure} places with a likelihood below {_MIN_LIKELIHOOD} were left out"
             )
         lost = [failures.lost(count)] if failures else []
         return export_episode(path, _WHAT, signals, unused=unused, warnings=notes, losses=lost)
 
 
 def _parts(heads: dict[str, list[str]]) -> list[tuple[Place, int | None]]:
-    """Each part's columns, and that of its likelihood."""
+    """Return each part's columns, and that of its likelihood."""
     found: dict[str, dict[str, int]] = {}
     bodies = heads.get("individuals", [])
     for at, (part, axis) in enumerate(

@@ -1,4 +1,4 @@
-"""MTrack2 of ImageJ: a row for each frame, three columns for each track, in blocks of tracks."""
+"""Read ImageJ's MTrack2 tables: one row per frame, three columns per track, in blocks of tracks."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.failures import DAMAGED_REMEDY, Failures, UnreadableError
 from tunenet_logs.formats.tables.numbers import Numbers
 
+# How such a file begins, and what stands between its cells.
 _HEADER = re.compile(r"Frame([\t,; ])X1\1Y1\1Flag1(?:\1|$)")
-"""How such a file begins, and what stands between its cells."""
 
+# Which tracks the next rows are of.
 _BLOCK = re.compile(r"Tracks[\s,;](\d{1,6})[\s,;]to[\s,;]\d{1,6}\b")
-"""Which tracks the next rows are of."""
 
+# What stands above one row for each track, below all of the frames.
 _SUMMARY = re.compile(r"Track\s*[\s,;]Length")
-"""What stands above one row for each track, below all of the frames."""
 
 
 def is_mtrack2(line: str) -> bool:
-    """Whether a file with this first line is one."""
+    """Return whether a file with this first line is an MTrack2 table."""
     return _HEADER.match(line) is not None
 
 
 def read_mtrack2(path: Path, text: Iterable[str | None], options: ReadOptions) -> Episode:
-    """Each track as a signal in an unnamed unit, that counts frames.
+    """Read each track as a signal in an unstated unit, its stamps counting frames.
 
     Args:
         path: of the file, for messages.
@@ -57,7 +57,7 @@ def read_mtrack2(path: Path, text: Iterable[str | None], options: ReadOptions) -
 
 
 class _Blocks:
-    """The rows, while they are read."""
+    """Rows of a table, while they are read."""
 
     def __init__(self, path: Path, separator: str) -> None:
         self._path = path
@@ -71,7 +71,7 @@ class _Blocks:
         self._follower = Follower(1)
 
     def takes(self, number: int, line: str | None) -> bool:
-        """Whether rows may follow a line; what it says is kept."""
+        """Read a line; return whether rows may follow it."""
         if line is not None and (block := _BLOCK.match(line)):
             self._first_track = int(block[1])
             self._follower = Follower(self._first_track)
@@ -126,7 +126,7 @@ class _Blocks:
             self._flags[f"track{number}"] += flag
 
     def episode(self, options: ReadOptions) -> Episode:
-        """What was read."""
+        """Build an episode of the rows."""
         if not len(self._tracks):
             raise LogError(f"{self._path}: table of MTrack2: {self._failures.nothing(self._rows)}")
         if why := self._failures.refusal(self._rows):

@@ -1,8 +1,8 @@
-"""Whose places a row of MTrack2 holds where blanks stand between its cells.
+"""Assign the points of blank-separated MTrack2 rows to tracks.
 
 A track that is not seen leaves blanks alone, so the row does not say which is missing. But MTrack2
 numbers tracks as they begin: a row holds some of those that were seen before, in their order, and
-behind them those that begin; each is where it was last, or where it was going.
+behind them those that begin; each is near its last place or its extrapolation.
 """
 
 from __future__ import annotations
@@ -14,26 +14,23 @@ from math import dist, inf
 
 Point = tuple[float, float]
 
+# Between a track's place and where it was to be expected; a track that begins costs as much.
 _FARTHEST = 60.0
-"""Between a track's place and where it was to be expected; a track that begins costs as much."""
 
-_MOST_WORK = 5_000_000
-"""Of comparisons, in the whole file."""
-
-_MOST_POINTS = 80
-"""In a row: a block holds 75 tracks."""
+_MAX_WORK = 5_000_000  # of comparisons, in the whole file
+_MAX_POINTS = 80  # in a row: a block holds 75 tracks
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Where a track was last, in its last frame, and how fast it moved [a frame]."""
+    """Last frame, place and velocity [per frame] of a track."""
 
     frame: float
     place: Point
     speed: Point
 
     def off(self, frame: float, point: Point) -> float:
-        """How far a point is from where the track was, or was going; infinite if too far."""
+        """Return a point's distance to the last or extrapolated place; infinite if too far."""
         passed = frame - self.frame
         going = (
             self.place[0] + passed * self.speed[0],
@@ -44,7 +41,7 @@ class _Seen:
 
 
 class Follower:
-    """The tracks of one block, row by row."""
+    """Tracker of one block's tracks, row by row."""
 
     def __init__(self, first: int) -> None:
         self._first = first
@@ -52,13 +49,13 @@ class Follower:
         self._work = 0
 
     def named(self, frame: float, points: Sequence[Point]) -> list[int]:
-        """The number of each point's track.
+        """Return the track number of each point, by dynamic programming over the track order.
 
         Raises:
-            ValueError: there are more than a block holds.
+            ValueError: there are more points than a block's tracks.
         """
         self._work += len(self._seen) * len(points)
-        if len(points) > _MOST_POINTS or self._work > _MOST_WORK:
+        if len(points) > _MAX_POINTS or self._work > _MAX_WORK:
             raise ValueError("it holds more tracks than a block does")
         matched = _matched([[one.off(frame, point) for point in points] for one in self._seen])
         matched += [None] * (len(points) - len(matched))
@@ -77,10 +74,10 @@ class Follower:
 
 
 def points_of(cells: Sequence[str]) -> tuple[list[tuple[str, str]], list[bool]]:
-    """The pairs of numbers behind a row's frame, and which are followed by a flag.
+    """Pair the numbers behind a row's frame, and return which pairs carry a flag.
 
     Raises:
-        ValueError: they are no pairs.
+        ValueError: the numbers are not in pairs.
     """
     values = [at for at, cell in enumerate(cells) if cell != "*"]
     if len(values) % 2 or any(cells[at - 1 : at] == ["*"] for at in values[1::2]):
@@ -90,12 +87,9 @@ def points_of(cells: Sequence[str]) -> tuple[list[tuple[str, str]], list[bool]]:
 
 
 def _matched(off: Sequence[Sequence[float]]) -> list[int | None]:
-    """For each point which track it is, in the tracks' order; None where it begins one.
+    """Assign points to tracks in order, by dynamic programming; None where a point begins a track.
 
-    The least sum of distances over all ways to leave tracks out.
-
-    Args:
-        off: of each track to each point.
+    Minimizes the sum of the distances `off`, with a fixed cost for each new track.
     """
     count = len(off[0]) if off else 0
     # costs[i][j]: of the first j points among the first i tracks

@@ -1,4 +1,4 @@
-"""The tracks of a text in which each row says where one thing, or several, were in a picture."""
+"""Collect tracks from text rows that each give positions of objects in an image."""
 
 from __future__ import annotations
 
@@ -17,22 +17,17 @@ from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.failures import NUMBER_REMEDY, unreadable
 from tunenet_logs.formats.tables.numbers import Numbers
 
-MOST_BYTES = 256 * 1024**2
-"""Of a text of tracks: an hour of pictures with a hundred things in each is a tenth of that."""
+# Of a text of tracks: an hour of pictures with a hundred things in each is a tenth of that.
+MAX_BYTES = 256 * 1024**2
 
-MOST_TRACKS = 1000
-"""That become signals, the longest; whoever tracks cells has many thousands."""
-
-_MOST_PLACES = 2_000_000
-"""Of all tracks together."""
-
-_MOST_NAMES = 100_000
-"""Of tracks that are told apart."""
+MAX_TRACKS = 1000  # that become signals, the longest; whoever tracks cells has many thousands
+_MAX_PLACES = 2_000_000  # of all tracks together
+_MAX_NAMES = 100_000  # of tracks that are told apart
 
 
 @dataclass(frozen=True)
 class Place:
-    """Which columns say where one thing is; None where there is none.
+    """Columns of one object's position; None where there is none.
 
     Attributes:
         axes: of x, y, z.
@@ -44,12 +39,12 @@ class Place:
 
 @dataclass(frozen=True)
 class TrackUnits:
-    """What a file says of its numbers.
+    """Units of a file's numbers.
 
     Attributes:
         length: as `position_signal` takes it.
-        second: of a time, in seconds; None where rows count frames.
-        rate_hz: of frames; None where nobody says.
+        second: unit of time [s]; None where rows count frames.
+        rate_hz: frame rate; None where it is unstated.
     """
 
     length: str
@@ -75,7 +70,7 @@ class Tracks:
         return len(self._tracks)
 
     def add(self, name: str, when: float, place: tuple[float, float, float]) -> None:
-        """One more place.
+        """Add a position to a track.
 
         Args:
             name: of the track.
@@ -83,18 +78,18 @@ class Tracks:
             place: NaN where not seen.
 
         Raises:
-            LogError: there are more than are held.
+            LogError: there are too many tracks or positions.
         """
         self._count += 1
-        if self._count > _MOST_PLACES:
+        if self._count > _MAX_PLACES:
             raise LogError(
-                f"{self._path}: holds more than {_MOST_PLACES} places; export fewer tracks"
+                f"{self._path}: holds more than {_MAX_PLACES} places; export fewer tracks"
             )
         track = self._tracks.get(name)
         if track is None:
-            if len(self._tracks) == _MOST_NAMES:
+            if len(self._tracks) == _MAX_NAMES:
                 raise LogError(
-                    f"{self._path}: holds more than {_MOST_NAMES} tracks; filter them first"
+                    f"{self._path}: holds more than {_MAX_NAMES} tracks; filter them first"
                 )
             track = self._tracks.setdefault(name, _Track())
         track.whens.append(when)
@@ -103,16 +98,16 @@ class Tracks:
     def signals(
         self, units: TrackUnits, options: ReadOptions
     ) -> tuple[list[Signal], dict[str, str], list[str]]:
-        """The signals, what is not used with the reason, and what was repaired.
+        """Return the signals, unused tracks with the reason, and notes on repairs.
 
         Raises:
-            LogError: a time is none.
+            LogError: a time is not finite.
         """
         names = sorted(self._tracks, key=lambda name: -len(self._tracks[name].whens))
         unused: dict[str, str] = {}
-        if (rest := len(names) - MOST_TRACKS) > 0:
-            unused[f"{rest} more tracks"] = f"they are no longer than the {MOST_TRACKS} longest"
-        kept = set(names[:MOST_TRACKS])
+        if (rest := len(names) - MAX_TRACKS) > 0:
+            unused[f"{rest} more tracks"] = f"they are no longer than the {MAX_TRACKS} longest"
+        kept = set(names[:MAX_TRACKS])
         signals: list[Signal] = []
         notes: list[str] = []
         for name, track in self._tracks.items():
@@ -145,10 +140,10 @@ def _stamps(
 
 
 def number_at(cells: Sequence[str], index: int, header: Sequence[str], numbers: Numbers) -> float:
-    """The number of a cell; NaN of an empty one.
+    """Parse a cell as a number; NaN for an empty one.
 
     Raises:
-        UnreadableError: it holds something else.
+        UnreadableError: it holds no number.
     """
     try:
         return numbers.read(cells[index])
@@ -159,7 +154,7 @@ def number_at(cells: Sequence[str], index: int, header: Sequence[str], numbers: 
 def place_at(
     cells: Sequence[str], place: Place, header: Sequence[str], numbers: Numbers
 ) -> tuple[float, float, float]:
-    """Where a row says that a thing is; 0 along an axis without a column.
+    """Parse an object's position in a row; 0 along an axis without a column.
 
     Raises:
         UnreadableError: a cell holds no number.
@@ -171,14 +166,14 @@ def place_at(
 
 
 def best_separator(line: str) -> str | None:
-    """What stands between the cells of a header; None is white space."""
+    """Return the separator of a header's cells; None is white space."""
     counts = {mark: line.count(mark) for mark in "\t;,"}
     mark = max(counts, key=lambda one: counts[one])
     return mark if counts[mark] else None
 
 
 def unique_names(names: Iterable[str]) -> list[str]:
-    """Names that are short and differ: the second "a" is "a 2"."""
+    """Shorten names and make them unique: the second "a" is "a 2"."""
     used: set[str] = set()
     found: list[str] = []
     for name in names:

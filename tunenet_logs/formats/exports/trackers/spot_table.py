@@ -1,4 +1,4 @@
-"""Tables with a row for each place that was found in a picture: ImageJ's results and trackers."""
+"""Read tables with one row per spot detected in an image: ImageJ's results and trackers."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from tunenet_logs.formats.exports.trackers.spot_rows import (
 )
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.failures import DAMAGED_REMEDY, Failures, UnreadableError
-from tunenet_logs.formats.tables.layout import MOST_COLUMNS
+from tunenet_logs.formats.tables.layout import MAX_COLUMNS
 from tunenet_logs.formats.tables.lines import cells_of
 from tunenet_logs.formats.tables.meaning import LENGTHS, POWERS
 from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
 
+# What columns are called, in small letters and without units.
 _ROLES: Mapping[str, re.Pattern[str]] = {
     "cluster": re.compile(r"cid"),
     "track": re.compile(r"track[ _]?(?:n\W?|id|label)|tid|trajectory|particle"),
@@ -38,31 +39,25 @@ _ROLES: Mapping[str, re.Pattern[str]] = {
     "xm": re.compile(r"xm"),
     "ym": re.compile(r"ym"),
 }
-"""What columns are called, in small letters and without units."""
 
+# Names of other columns of ImageJ's results: two of them tell such a table.
 _MEASURED = frozenset(("area", "mean", "min", "max", "stddev", "xm", "ym", "label"))
-"""Names of other columns of ImageJ's results: two of them tell such a table."""
 
-_UNIT = re.compile(r"[\[(]([^\[\]()]*)[\])]")
-"""A unit in a name, or below it."""
-
+_UNIT = re.compile(r"[\[(]([^\[\]()]*)[\])]")  # a unit in a name, or below it
+# Times that POWERS lacks [s].
 _MINUTES = {"min": 60.0, "mins": 60.0, "minute": 60.0, "h": 3600.0, "hour": 3600.0}
-"""Times that POWERS lacks [s]."""
 
-_LOOK_LINES = 200
-"""Read ahead: units, how numbers are written, whether times are more than frames."""
-
-_MOST_SHARED = 0.05
-"""Of the rows: with more that share a frame, several things are one track."""
+_LOOK_LINES = 200  # read ahead: units, how numbers are written, whether times are more than frames
+_MAX_SHARED = 0.05  # of the rows: with more that share a frame, several things are one track
 
 
 @dataclass(frozen=True)
 class SpotLayout:
-    """The columns of such a table.
+    """Columns of a spot table.
 
     Attributes:
-        columns: where each of `_ROLES` stands.
-        what: wrote it, in words.
+        columns: index of each of `_ROLES`.
+        what: kind of table, in words.
     """
 
     separator: str | None
@@ -72,20 +67,20 @@ class SpotLayout:
 
     @property
     def frames(self) -> tuple[int, ...]:
-        """Columns of frames, the better one first."""
+        """Frame columns, the better one first."""
         return tuple(self.columns[role] for role in ("frame", "slice") if role in self.columns)
 
     @property
     def place(self) -> Place:
-        """Columns of places: the middle of an outline before its centre of brightness."""
+        """Position columns: the centroid of the outline before the centre of brightness."""
         x, y = ("x", "y") if {"x", "y"} <= self.columns.keys() else ("xm", "ym")
         return Place("", (self.columns[x], self.columns[y], self.columns.get("z")))
 
 
 def spot_layout(line: str) -> SpotLayout | None:
-    """What a header line says; None where it is of no such table."""
+    """Parse a header line; None where it is not a spot table's."""
     separator = best_separator(line)
-    header = tuple(cell.strip() for cell in cells_of(line, separator)[:MOST_COLUMNS])
+    header = tuple(cell.strip() for cell in cells_of(line, separator)[:MAX_COLUMNS])
     bare = [_UNIT.sub("", name).strip().lower() for name in header]
     columns: dict[str, int] = {}
     for at, name in enumerate(bare):
@@ -105,7 +100,7 @@ def spot_layout(line: str) -> SpotLayout | None:
 
 
 def read_spots(path: Path, text: Iterable[str | None], options: ReadOptions) -> Episode:
-    """Each track as a signal.
+    """Read each track of a spot table as a signal.
 
     Args:
         path: of the file, for messages.
@@ -113,7 +108,7 @@ def read_spots(path: Path, text: Iterable[str | None], options: ReadOptions) -> 
         options: the user's.
 
     Raises:
-        LogError: no row can be read, many cannot, or things are not told apart.
+        LogError: no row can be read, many cannot, or nothing identifies the objects.
     """
     lines = iter(text)
     layout = spot_layout(next(lines, None) or "")
@@ -128,7 +123,7 @@ def read_spots(path: Path, text: Iterable[str | None], options: ReadOptions) -> 
 
 
 class _SpotTable:
-    """The rows, while they are read."""
+    """Rows of a table, while they are read."""
 
     def __init__(self, path: Path, layout: SpotLayout, first: Sequence[Sequence[str]]) -> None:
         self._path = path
@@ -149,13 +144,13 @@ class _SpotTable:
         self._rows = self._unlinked = self._skipped = 0
 
     def _frame_column(self, rows: Sequence[Sequence[str]]) -> int | None:
-        """The column that counts pictures: the first that changes."""
+        """Return the column that counts frames: the first that changes."""
         frames = self._layout.frames
         changing = [at for at in frames if len({row[at].strip() for row in rows}) > 1]
         return next(iter((*changing, *frames)), None)
 
     def _time_column(self, rows: Sequence[Sequence[str]]) -> tuple[int | None, float | None]:
-        """The column of times and their unit [s]; None where it repeats the frames."""
+        """Return the time column and its unit [s]; None where it repeats the frames."""
         at = self._layout.columns.get("time")
         if at is None:
             return None, None
@@ -176,7 +171,7 @@ class _SpotTable:
         return (None, None) if is_same else (at, second)
 
     def _unit(self, column: int) -> str:
-        """The unit in a column's name or below it; "" where none is."""
+        """Return the unit in a column's name or below it; "" where none is."""
         for text in (self._layout.header[column], *(row[column] for row in self._above)):
             if found := _UNIT.search(text):
                 return found[1].strip()
@@ -190,7 +185,7 @@ class _SpotTable:
         return unit if unit in LENGTHS else UNSTATED
 
     def takes(self, number: int, line: str | None, options: ReadOptions) -> None:
-        """One line."""
+        """Read one line."""
         if line is not None and not line.strip(" \t,;"):
             return
         if self._skipped < len(self._above):
@@ -226,7 +221,7 @@ class _SpotTable:
         return self._time is None or bool(options.rate_hz and self._frame is not None)
 
     def _name(self, cells: Sequence[str]) -> str:
-        """Of the track of a row; "" where it has none."""
+        """Return the name of a row's track; "" where it has none."""
         if "track" not in self._layout.columns:
             return "track"
         text = cells[self._layout.columns["track"]].strip()[:40]
@@ -238,7 +233,7 @@ class _SpotTable:
         return f"track{prefix}{text}" if text[0].isdigit() else text
 
     def episode(self, options: ReadOptions) -> Episode:
-        """What was read."""
+        """Build an episode of the rows."""
         what, path = self._layout.what, self._path
         if not len(self._tracks):
             if self._unlinked:
@@ -261,9 +256,9 @@ class _SpotTable:
         return export_episode(path, what, signals, unused=unused, warnings=notes, losses=lost)
 
     def _check_one_thing(self, samples: int) -> None:
-        """Raises LogError: several things share frames."""
+        """Refuse, with a LogError, a table in which several objects share frames."""
         shared = self._rows - len(self._failures) - samples
-        if shared > _MOST_SHARED * self._rows:
+        if shared > _MAX_SHARED * self._rows:
             raise LogError(
                 f"{self._path}: {self._layout.what}: {shared} of {self._rows} rows share a frame "
                 "with another, and nothing tells which thing is which; measure one thing alone, "

@@ -1,4 +1,4 @@
-"""Tracks that the video program Tracker (physlets.org/tracker) exports as text."""
+"""Read tracks exported as text by the video analysis program Tracker (physlets.org/tracker)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.formats.exports.build import export_episode
 from tunenet_logs.formats.exports.start import Start
 from tunenet_logs.formats.exports.trackers.spot_rows import (
-    MOST_BYTES,
+    MAX_BYTES,
     Place,
     Tracks,
     TrackUnits,
@@ -23,33 +23,29 @@ from tunenet_logs.formats.exports.trackers.spot_rows import (
 )
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.failures import DAMAGED_REMEDY, Failures, UnreadableError
-from tunenet_logs.formats.tables.layout import MOST_COLUMNS
+from tunenet_logs.formats.tables.layout import MAX_COLUMNS
 from tunenet_logs.formats.tables.lines import cells_of, lines_of
 from tunenet_logs.formats.tables.meaning import LENGTHS, POWERS, lowered, words_of
 from tunenet_logs.formats.tables.numbers import Numbers, decimal_of
 from tunenet_logs.regular_file import open_regular
 
-_FIRST = ("t", "frame", "step")
-"""What the first column of Tracker's is called."""
-
+_FIRST = ("t", "frame", "step")  # what the first column of Tracker's is called
+# What its columns of places are called, the better ones first.
 _AXES = (("x", "pixelx"), ("y", "pixely"), ("z",))
-"""What its columns of places are called, the better ones first."""
 
-_LOOK_LINES = 100
-"""Read ahead, to see how numbers are written."""
-
+_LOOK_LINES = 100  # read ahead, to see how numbers are written
+# Stands at the beginning of what Tracker itself saves (.trk).
 _PROJECT = b"org.opensourcephysics.cabrillo.tracker"
-"""Stands at the beginning of what Tracker itself saves (.trk)."""
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """What the two header lines say.
+    """Columns, units and masses that the two header lines state.
 
     Attributes:
         header: names of the columns.
         when: the column of times, or of frames.
-        second: of that column's unit [s]; None where it counts frames.
+        second: unit of that column [s]; None where it counts frames.
         length: unit of lengths, as `position_signal` takes it.
     """
 
@@ -63,26 +59,26 @@ class _Layout:
 
     @property
     def needed(self) -> int:
-        """How many cells a row has at least."""
+        """Least number of cells of a row."""
         axes = [index for place in self.places for index in place.axes if index is not None]
         return max(self.when, *axes) + 1
 
 
 def is_tracker(start: Start) -> bool:
-    """Whether a file is an export of Tracker, or one of its projects."""
+    """Return whether a file is an export of Tracker, or one of its projects."""
     if _PROJECT in start.data[:4096]:
         return True
     return names_masses(start.lines)
 
 
 def names_masses(lines: Sequence[str]) -> bool:
-    """Whether lines begin as an export of Tracker does."""
+    """Return whether lines begin as an export of Tracker does."""
     first = [line for line in lines[:4] if not line.startswith("#multi")]
     return len(first) > 1 and _layout(first[0], first[1]) is not None
 
 
 def read_tracker(path: Path, options: ReadOptions) -> Episode:
-    """Each mass as a signal, in metres or pixels as its user calibrated them.
+    """Read each mass as a signal, in metres or pixels as its user calibrated them.
 
     Raises:
         LogError: no row can be read, or many cannot.
@@ -94,13 +90,13 @@ def read_tracker(path: Path, options: ReadOptions) -> Episode:
                 f"{path}: is a project of Tracker, not its data; in Tracker, choose File > Export "
                 "> Data File"
             )
-    if path.stat().st_size > MOST_BYTES:
-        raise LogError(f"{path}: is a Tracker export of over {MOST_BYTES >> 20} MiB; split it")
+    if path.stat().st_size > MAX_BYTES:
+        raise LogError(f"{path}: is a Tracker export of over {MAX_BYTES >> 20} MiB; split it")
     return read_masses(path, lines_of(path), options)
 
 
 def read_masses(path: Path, lines: Iterable[str | None], options: ReadOptions) -> Episode:
-    """The same of lines, wherever they come from.
+    """Read the lines of a Tracker export, be they of a file or of a sheet.
 
     Raises:
         LogError: see `read_tracker`.
@@ -136,7 +132,7 @@ def read_masses(path: Path, lines: Iterable[str | None], options: ReadOptions) -
 
 
 def _read_header(path: Path, numbered: Iterator[tuple[int, str | None]]) -> _Layout:
-    """The layout that the first lines say; they are taken from `numbered`."""
+    """Parse the layout from the first lines, consuming them."""
     names = ""
     for _, line in islice(numbered, 4):
         if line is None:
@@ -149,10 +145,10 @@ def _read_header(path: Path, numbered: Iterator[tuple[int, str | None]]) -> _Lay
 
 
 def _layout(names: str, line: str) -> _Layout | None:
-    """What a line of masses and the line of columns below it say; None where they are none."""
+    """Parse a line of masses and the line of columns below it; None where they are none."""
     separator = best_separator(line)
     header = tuple(cell.strip() for cell in cells_of(line, separator))
-    if not 2 < len(header) <= MOST_COLUMNS or _bare(header[0]) not in _FIRST:
+    if not 2 < len(header) <= MAX_COLUMNS or _bare(header[0]) not in _FIRST:
         return None
     starts = _masses(names, separator, header)
     if not starts:
@@ -184,7 +180,7 @@ def _layout(names: str, line: str) -> _Layout | None:
 
 
 def _masses(names: str, separator: str | None, header: Sequence[str]) -> list[tuple[int, str]]:
-    """At which column the columns of each mass begin, and its name; none where none is named."""
+    """Return first column and name of each mass; empty where none is named."""
     if separator is None:
         found = [name for name in names.split("  ") if name.strip()]
         begins = [at for at, name in enumerate(header) if name == header[1]]
@@ -196,7 +192,7 @@ def _masses(names: str, separator: str | None, header: Sequence[str]) -> list[tu
 
 
 def _bare(name: str) -> str:
-    """A column's name without its unit."""
+    """Strip a column's name of its unit."""
     return name.partition("(")[0].strip()
 
 
@@ -221,7 +217,7 @@ def _numbers(layout: _Layout, lines: Sequence[str]) -> Numbers:
 
 
 def _add(tracks: Tracks, layout: _Layout, numbers: Numbers, line: str | None) -> None:
-    """Raises UnreadableError: it is no row."""
+    """Add a row's positions; raise UnreadableError where it is malformed."""
     if line is None:
         raise UnreadableError("it is longer than any row", DAMAGED_REMEDY)
     cells = cells_of(line, layout.separator)

@@ -1,4 +1,4 @@
-"""Tracks that TrackMate of ImageJ exports as XML, and whole sessions of it."""
+"""Read TrackMate's tracks: its XML exports, and whole sessions."""
 
 from __future__ import annotations
 
@@ -8,28 +8,23 @@ from tunenet_logs.episode import UNSTATED, Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.exports.build import export_episode
 from tunenet_logs.formats.exports.trackers.bounded_xml import read_elements
-from tunenet_logs.formats.exports.trackers.spot_rows import MOST_TRACKS, Tracks, TrackUnits
+from tunenet_logs.formats.exports.trackers.spot_rows import MAX_TRACKS, Tracks, TrackUnits
 from tunenet_logs.formats.read_options import ReadOptions
 from tunenet_logs.formats.tables.meaning import LENGTHS, POWERS
 
-_MOST_COUNT = 1_000_000
-"""Of spots and of links between them, which come after all spots."""
-
-_NO_RATE_S = 1.0
-"""Between frames: what ImageJ says where nobody told it."""
-
-Spot = tuple[float, float, float, float]
-"""A frame, and x, y, z there."""
+_MAX_COUNT = 1_000_000  # of spots and of links between them, which come after all spots
+_NO_RATE_S = 1.0  # between frames: what ImageJ says where nobody told it
+Spot = tuple[float, float, float, float]  # a frame, and x, y, z there
 
 
 def is_trackmate_xml(data: bytes) -> bool:
-    """Whether a file that begins so is of either kind."""
+    """Return whether a file's first bytes are TrackMate XML of either kind."""
     start = data[:4096]
     return b"<Tracks " in start or b"<TrackMate" in start
 
 
 def read_trackmate_xml(path: Path, options: ReadOptions) -> Episode:
-    """Each track as a signal.
+    """Read each track as a signal.
 
     Raises:
         LogError: it is no such XML, or holds no track.
@@ -49,7 +44,7 @@ def read_trackmate_xml(path: Path, options: ReadOptions) -> Episode:
 
 
 class _XmlReading:
-    """One pass over the elements."""
+    """Collector of spots, tracks and links, element by element."""
 
     def __init__(self) -> None:
         self._said: dict[str, str] = {}
@@ -61,11 +56,7 @@ class _XmlReading:
         self._count = 0
 
     def begin(self, name: str, attributes: dict[str, str]) -> None:
-        """One element.
-
-        Raises:
-            ValueError: it is not as it should be, or one too many.
-        """
+        """Collect one element; raise ValueError if it is invalid or one too many."""
         if name in ("Tracks", "Model", "ImageData"):
             self._said.update((key.lower(), text.strip()) for key, text in attributes.items())
         elif name == "particle":
@@ -90,11 +81,11 @@ class _XmlReading:
 
     def _counted(self) -> None:
         self._count += 1
-        if self._count > _MOST_COUNT:
-            raise ValueError(f"it holds over {_MOST_COUNT} spots and links; filter them first")
+        if self._count > _MAX_COUNT:
+            raise ValueError(f"it holds over {_MAX_COUNT} spots and links; filter them first")
 
     def tracks(self, path: Path) -> tuple[Tracks, dict[str, str]]:
-        """The tracks, and why others are not used."""
+        """Return the tracks, and why others are not used."""
         unused: dict[str, str] = {}
         places = dict(self._places)
         for name, links in self._links.items():
@@ -111,10 +102,10 @@ class _XmlReading:
         for name, spots in places.items():
             for frame, x, y, z in spots:
                 tracks.add(name, frame, (x, y, z))
-        return tracks, dict(list(unused.items())[-MOST_TRACKS:])
+        return tracks, dict(list(unused.items())[-MAX_TRACKS:])
 
     def units(self) -> tuple[TrackUnits, list[str]]:
-        """What the file says of the numbers, and what is doubtful of that."""
+        """Return the units that the file states, and doubts about them."""
         length = self._first("spaceunits", "spatialunits", "spaceunit").lower()
         length = length.replace("µ", "u").replace("μ", "u").replace("micron", "um")
         length = "px" if length.startswith(("pixel", "px")) else length
@@ -136,7 +127,7 @@ class _XmlReading:
 
 
 def _spot(attributes: dict[str, str]) -> Spot:
-    """Raises ValueError: a number is missing."""
+    """Parse a spot; raise ValueError where a number is missing."""
     small = {key.lower(): text for key, text in attributes.items()}
     try:
         return (
