@@ -71,12 +71,12 @@ format: .venv/developing
 	$(BIN)/ruff format .
 
 bench: .venv/developing
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m tests.bench
 
 samples: .venv/installed
 	sh sample_logs/record.sh $(BIN)/tunenet-record
 	sh sample_logs/campaign/record.sh $(BIN)/tunenet-record
-	$(BIN)/python -m analysis.evaluation.sysid.samples
+	$(BIN)/python -m tunenet_logs.analysis.evaluation.worlds.machines
 
 clean:
 	rm -rf .venv demo build dist *.egg-info

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from analysis.statistics import TWO_SIDED
-from tunenet_logs.episode import Episode
-from tunenet_logs.left_out import BY_CLOCK, MAX_LEFT_OUT, LeftOut
+from tunenet_logs.analysis.statistics import TWO_SIDED
+from tunenet_logs.episode import BY_CLOCK, MAX_LEFT_OUT, Episode, LeftOut
 
 Verdict = Literal["ok", "suspect", "rejected"]
 
 # At most this many digits are added so that a figure and its limit differ in print.
 _MORE_DIGITS = 3
-
 
 _EVEN_CLOCK = "stamp samples by a clock that is not set meanwhile, local time by UTC"
 
@@ -27,9 +25,9 @@ class Check:
         detail: The measured figure, and its limit.
         fatal: Whether a failure means that no value can be reported at all.
         advice: How to record so that it passes next time, as one short sentence.
-        doubts_model: Whether a failure puts the model behind the interval in doubt; not so if it
-            only leaves less data, which the interval says, or if another check would see it.
-        symptom: Whether a failure may follow from that of another check, which is named first.
+        invalidates_interval: Whether a failure puts the model behind the interval in doubt; not so
+            if it only leaves less data, which the interval says, or if another check would see it.
+        secondary: Whether a failure may follow from that of another check, which is named first.
     """
 
     name: str
@@ -37,8 +35,8 @@ class Check:
     detail: str
     fatal: bool = False
     advice: str = ""
-    doubts_model: bool = True
-    symptom: bool = False
+    invalidates_interval: bool = True
+    secondary: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
@@ -112,11 +110,11 @@ def judge(
         cross_check: None if the log allows none.
         occasion: What a user would do again, e.g. "drop".
     """
-    failed = sorted((check for check in checks if not check.passed), key=lambda one: one.symptom)
+    failed = sorted((check for check in checks if not check.passed), key=lambda one: one.secondary)
     fatal = [check for check in failed if check.fatal]
     named = failed
     if fatal:  # what is fatal, and what it may follow from
-        causes = [check for check in failed if not check.symptom]
+        causes = [check for check in failed if not check.secondary]
         named = [*causes[:1], *(check for check in fatal[:1] if check not in causes[:1])]
     reasons = [f"{check.name}: {check.detail}" for check in named]
     remedies = [check.advice for check in named]

@@ -1,40 +1,41 @@
-"""Interface of an experiment: detect it, pose an estimation problem, check the estimate."""
+"""Interface of an experiment: detect it, pose an estimation problem, check the estimate.
+
+`Tuning` is the result for one log, with all that a review draws; its `Record` is what is kept.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from analysis.checks import Check, CrossCheck
-from analysis.estimators.base import FitResult, Problem, Step, Trace
-from analysis.motion import Motion
-from analysis.record import Rebound
-from analysis.selection import Selection, Subject
-from analysis.tunenet.checkpoint import Purpose
-from analysis.tunenet.network import Network
-from analysis.tunenet.pairs import PairSet, Workers
-from analysis.tunenet.training import Recipe
-from recorders.simulators.base import Parameter
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
-from tunenet_logs.left_out import LeftOut
-from tunenet_logs.terminal import Progress
+import numpy as np
+
+from tunenet_logs.analysis.checks import Check, CrossCheck, Verdict
+from tunenet_logs.analysis.estimators.base import FitResult, Problem, Step, Trace
+from tunenet_logs.analysis.record import Estimate, Motion, Provenance, Rebound, Record
+from tunenet_logs.analysis.selection import Selection, Subject
+from tunenet_logs.analysis.tunenet.network import Network, PairSet, Recipe, Workers
+from tunenet_logs.analysis.tunenet.weights import Purpose
+from tunenet_logs.episode import IMPLAUSIBLE, Array, Episode, LeftOut, Signal, added
+from tunenet_logs.recorders.simulators.base import Parameter
+from tunenet_logs.terminal import Progress, short_name
 
 if TYPE_CHECKING:
+    import pandas as pd
     from rerun import RecordingStream
     from rerun.blueprint import Container
-
-    from analysis.record import Tuning
 
 
 class Claim(IntEnum):
     """How likely an episode shows an experiment."""
 
     NONE = 0
-    PERHAPS = 1
-    PLAINLY = 2
+    POSSIBLE = 1
+    CERTAIN = 2
 
 
 class Detection(Protocol):
@@ -139,7 +140,7 @@ class Experiment(Protocol):
         ...
 
     @property
-    def takes(self) -> frozenset[Subject]:
+    def accepted_options(self) -> frozenset[Subject]:
         """Subjects of the options that it uses; others change nothing."""
         ...
 
@@ -191,3 +192,178 @@ class Experiment(Protocol):
         Of a tuning without a detection but with a refused one: what that shows, None if nothing.
         """
         ...
+
+
+# ---- Plausible values: remove those that nothing measures, so that no sum overflows later.
+
+# Of a position, an angle or a torque in any unit: squares and their sums stay finite.
+_MAX_SIZE = 1e12
+
+_MIN_SIZE = 1e-60  # apart from 0: below, a ratio could be infinite
+
+
+def drop_invalid_samples(episode: Episode) -> Episode:
+    """Remove values that nothing measures; a warning counts them by topic."""
+    signals = {name: _bounded(signal) for name, signal in episode.signals.items()}
+    warnings: list[str] = []
+    for name, signal in episode.signals.items():
+        if signals[name] is signal:
+            continue
+        count = int(np.sum(np.abs(signal.values) > _MAX_SIZE))
+        if count:
+            warnings.append(
+                f"{short_name(name)}: {count} values beyond {_MAX_SIZE:g} were left out; "
+                "nothing measures them"
+            )
+    if all(signals[name] is signal for name, signal in episode.signals.items()):
+        return episode
+    return replace(episode, signals=signals, warnings=(*episode.warnings, *warnings))
+
+
+def _bounded(signal: Signal) -> Signal:
+    size = np.abs(signal.values)
+    is_huge, is_tiny = size > _MAX_SIZE, (size > 0) & (size < _MIN_SIZE)
+    if not is_huge.any() and not is_tiny.any():
+        return signal
+    values = np.where(is_huge, np.nan, np.where(is_tiny, 0.0, signal.values))
+    rows = {IMPLAUSIBLE: int(np.count_nonzero(is_huge.any(axis=1)))}
+    return replace(signal, values=values, left_out=added(signal.left_out, rows))
+
+
+# ---- Tuning: the result for one log, and its record.
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """Result for one log, with its samples.
+
+    Attributes:
+        reason: Why the verdict is not "ok"; None if it is.
+        experiment: None if the log could not be read.
+        episode: The log as it was read; None if it could not be.
+        detection: What the experiment found in it, a `Detection`; None if nothing.
+        refused: A detection that poses no problem, for a review to show; None if there is none.
+        trace: The iterates, each with its rollout; None if there are none.
+        parameters: The P parameters that were estimated; none if nothing was.
+        rollouts: All simulator runs, those that check the answer too.
+        simulator: "engine", "preset", "step_hz"; None if nothing was simulated.
+        digest: SHA-256 of the weights; "" without.
+        seconds: Wall time of "read", "observe", "tune", "total".
+        provenance: None if it was not recorded.
+    """
+
+    log: Path
+    task: str | None
+    preset: str
+    verdict: Verdict
+    reason: str | None
+    experiment: Experiment | None = None
+    episode: Episode | None = None
+    detection: Any = None
+    refused: Any = None
+    trace: Trace | None = None
+    parameters: tuple[Parameter, ...] = ()
+    rollouts: int = 0
+    cross_check: CrossCheck | None = None
+    checks: tuple[Check, ...] = ()
+    warnings: tuple[str, ...] = ()
+    simulator: Mapping[str, Any] | None = None
+    method: str | None = None
+    digest: str = ""
+    seconds: dict[str, float] = field(default_factory=dict)
+    provenance: Provenance | None = None
+
+    @cached_property
+    def record(self) -> Record:
+        """Its `Record`: what a JSON holds, without the log's samples."""
+        return record_of(self)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the values as a table; see `Record.to_frame`."""
+        return self.record.to_frame()
+
+    @property
+    def physical(self) -> bool:
+        """Whether the values are the object's own, or numbers of one engine's settings."""
+        return self.experiment is None or self.experiment.presets[self.preset].physical
+
+    @property
+    def estimate(self) -> Array | None:
+        """Tuned values, shape (P,); None for a rejected log."""
+        if self.trace is None or self.verdict == "rejected":
+            return None
+        return self.trace.estimate
+
+    @property
+    def interval95(self) -> Array | None:
+        """95 % intervals of the tuned values, shape (P, 2); None if no valid one exists.
+
+        An interval reflects noise: where a check doubts the model, it would be overconfident.
+        """
+        if self.estimate is None or self.trace is None or self.trace.fit is None:
+            return None
+        doubts = [check for check in self.checks if check.invalidates_interval and not check.passed]
+        if doubts or (self.cross_check is not None and not self.cross_check.agrees):
+            return None
+        return self.trace.fit.interval95
+
+
+def record_of(tuning: Tuning) -> Record:
+    """Build the record of a tuning."""
+    detection, trace, experiment = tuning.detection, tuning.trace, tuning.experiment
+    intervals = tuning.interval95
+    estimates: list[Estimate] = []
+    if tuning.estimate is not None and experiment is not None:
+        for index, parameter in enumerate(tuning.parameters):
+            ends = None if intervals is None else tuple(intervals[index].tolist())
+            value = float(tuning.estimate[index])
+            estimates.append(Estimate(parameter.name, parameter.unit, value, ends))
+        for extra in trace.fit.extra if trace and trace.fit else ():
+            ends = None if intervals is None else tuple(map(tuple, extra.interval95.tolist()))
+            estimates.append(Estimate(extra.name, extra.unit, tuple(extra.values.tolist()), ends))
+    motion, rebounds, iterations = Motion(), (), ()
+    if trace is not None and experiment is not None:
+        names = [parameter.name for parameter in tuning.parameters]
+        iterations = tuple(
+            dict(zip(names, step.values.tolist(), strict=True)) for step in trace.steps
+        )
+        motion = experiment.motion(detection, trace) or Motion()
+        estimates = [one for one in estimates if one.name not in motion.unknown]
+        iterations = tuple(
+            {name: value for name, value in step.items() if name not in motion.unknown}
+            for step in iterations
+        )
+        if estimates and tuning.physical:
+            rebounds = experiment.rebounds(detection, trace)
+        if intervals is None:
+            rebounds = tuple(
+                Rebound(bounce.impact_s, bounce.restitution, None, bounce.impact_speed_m_s)
+                for bounce in rebounds
+            )
+    window = None
+    if detection is not None:
+        window = {name: float(at_s) for name, at_s in detection.window.items()}
+    return Record(
+        log=tuning.log.name,
+        task=tuning.task,
+        verdict=tuning.verdict,
+        reason=tuning.reason,
+        estimates=tuple(estimates),
+        physical=tuning.physical,
+        method=tuning.method,
+        rollouts=tuning.rollouts,
+        iterations=iterations,
+        is_fitted=trace is not None and trace.fit is not None,
+        rebounds=rebounds,
+        cross_check=tuning.cross_check,
+        checks=tuning.checks,
+        warnings=tuning.warnings,
+        simulator=tuning.simulator,
+        weights={"preset": tuning.preset, "sha256": tuning.digest} if tuning.digest else None,
+        ball=tuning.episode and tuning.episode.info.notes.get("ball"),
+        topic=None if detection is None else detection.topic,
+        window=window,
+        seconds=tuning.seconds,
+        provenance=tuning.provenance,
+        motion=motion,
+    )

@@ -7,35 +7,61 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from tunenet_logs.errors import UsageError
 
 if TYPE_CHECKING:
-    from analysis.estimators.base import Estimator
-    from analysis.experiment import Experiment
+    from tunenet_logs.analysis.estimators.base import Estimator
+    from tunenet_logs.analysis.experiment import Experiment
     from tunenet_logs.episode import Episode
 
-# Name -> module:class. One kind of experiment may be observed in several ways: KIND-WAY.
+
+# ---- Optional libraries: import one, or say how to install it.
+
+
+def needed(module: str, extra: str = "eval") -> ModuleType:
+    """Import an optional library, or say how to install it.
+
+    Args:
+        module: Its name, with dots for a submodule ("sklearn.gaussian_process").
+        extra: Of this project, which installs it.
+
+    Raises:
+        UsageError: It is not installed.
+    """
+    top = module.split(".", maxsplit=1)[0]
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] != top:
+            raise  # it is there, and lacks something of its own
+        raise UsageError(f"{top} is not installed; pip install 'tunenet-logs[{extra}]'") from error
+
+
+# ---- Experiments and methods: name -> module:class.
+
+# One kind of experiment may be observed in several ways: KIND-WAY.
 EXPERIMENTS = {
-    "drop": "analysis.drop.from_positions:DropFromPositions",
-    "drop-video": "analysis.drop.from_film:DropFromFilm",
-    "drop-times": "analysis.drop.from_times:DropFromTimes",
-    "payload": "analysis.payload.experiment:PayloadExperiment",
+    "drop": "tunenet_logs.analysis.drop.experiments:DropFromPositions",
+    "drop-video": "tunenet_logs.analysis.drop.experiments:DropFromFilm",
+    "drop-times": "tunenet_logs.analysis.drop.experiments:DropFromTimes",
+    "payload": "tunenet_logs.analysis.payload.experiment:PayloadExperiment",
 }
 
-# Name -> module:class, the usual one first.
+# The usual one first.
 METHODS = {
-    "tunenet+refine": "analysis.estimators.tunenet:TuneNetThenFit",
-    "tunenet": "analysis.estimators.tunenet:TuneNet",
-    "fit": "analysis.estimators.tunenet:ExactFit",
-    "tunenet+line": "analysis.estimators.rollout_line:TuneNetThenLine",
-    "line": "analysis.estimators.rollout_line:RolloutLine",
-    "secant": "analysis.drop.flight_secant:FlightSecant",
-    "brent": "analysis.estimators.brent:Brent",
-    "least-squares": "analysis.estimators.least_squares:LeastSquares",
-    "tpe": "analysis.estimators.tpe:Tpe",
-    "cma-es": "analysis.estimators.cma_es:ScaledCmaEs",
+    "tunenet+refine": "tunenet_logs.analysis.estimators.methods:TuneNetThenFit",
+    "tunenet": "tunenet_logs.analysis.estimators.methods:TuneNet",
+    "fit": "tunenet_logs.analysis.estimators.methods:ExactFit",
+    "tunenet+line": "tunenet_logs.analysis.estimators.methods:TuneNetThenLine",
+    "line": "tunenet_logs.analysis.estimators.methods:RolloutLine",
+    "secant": "tunenet_logs.analysis.drop.presets:FlightSecant",
+    "brent": "tunenet_logs.analysis.estimators.methods:Brent",
+    "least-squares": "tunenet_logs.analysis.estimators.methods:LeastSquares",
+    "tpe": "tunenet_logs.analysis.estimators.methods:Tpe",
+    "cma-es": "tunenet_logs.analysis.estimators.methods:ScaledCmaEs",
 }
 
 

@@ -19,15 +19,12 @@ from pathlib import Path
 from typing import BinaryIO, Literal
 from urllib.parse import quote, unquote
 
-from analysis.record import Record
-from analysis.record_json import MAX_RECORD_BYTES, record_in
-from tunenet_logs.commandline import is_stdout
+from tunenet_logs.analysis.record import MAX_RECORD_BYTES, Record, record_in
+from tunenet_logs.console import is_stdout
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.json_lines import json_line
-from tunenet_logs.output.owned_file import Knows, OutputPlace
-from tunenet_logs.progress import told
-from tunenet_logs.regular_file import open_regular, real_path
-from tunenet_logs.terminal import listed, short_name
+from tunenet_logs.files import json_line, open_regular, real_path
+from tunenet_logs.terminal import listed, short_name, told
+from tunenet_logs.writing.owned_path import Knows, OutputPlace
 
 _BLOCK_BYTES = 2**20
 
@@ -52,7 +49,7 @@ _RECORDING = re.compile(
     rb"RRF2.{12}.{0,64}?([0-9a-z]{1,64})\x1a.\x0a.tunenet ([a-z0-9 _-]+) [0-9a-f]{16}", re.DOTALL
 )
 
-# What is no review of one log.
+# Kinds of recordings that are no review of one log.
 _OTHER_RECORDINGS = (b"campaign", b"shot", b"overview", b"eval drop")
 
 # The head of an exported file.

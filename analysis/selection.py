@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from recorders.simulators.balls import UNKNOWN_BALL, Ball
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.recorders.simulators.known import UNKNOWN_BALL, Ball
 from tunenet_logs.terminal import FEW_NAMES, listed
 
 if TYPE_CHECKING:
-    from analysis.payload.arm_card import ArmCard
-    from analysis.sysid.source import SimulatorSource
+    from tunenet_logs.analysis.payload.arm_card import ArmCard
+    from tunenet_logs.analysis.sysid.source import SimulatorSource
     from tunenet_logs.episode import Episode
 
 

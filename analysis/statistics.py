@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Array
 
 TWO_SIDED = 1.96  # standard deviations of a normal distribution to either end of its 95 % interval
 # Standard deviations beyond which a third difference is an impact's, and by how much what is left

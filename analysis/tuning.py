@@ -4,28 +4,128 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from analysis.checks import judge, log_checks
-from analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
-from analysis.experiment import Experiment, Preset
-from analysis.plausible import plausible
-from analysis.record import Tuning
-from analysis.registry import experiments_of, kinds, kinds_in, method_named
-from analysis.selection import Options
-from analysis.tunenet.checkpoint import load_model, shipped_model
-from analysis.unused import unused_options
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
+from tunenet_logs.analysis.checks import judge, log_checks
+from tunenet_logs.analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
+from tunenet_logs.analysis.experiment import Experiment, Preset, Tuning, drop_invalid_samples
+from tunenet_logs.analysis.record import Provenance
+from tunenet_logs.analysis.registry import experiments_of, kinds, kinds_in, method_named
+from tunenet_logs.analysis.result_files import log_sha256
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tunenet.weights import load_model, shipped_model
+from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
-from tunenet_logs.measured import measured
-from tunenet_logs.one_clock import on_one_clock
-from tunenet_logs.reader import read_episode
+from tunenet_logs.reader import read_episode, said_unused, without_commands
 from tunenet_logs.terminal import short_name
+from tunenet_logs.timing.stamps import trim_clock_jumps
+
+# ---- Provenance: SHA-256 of log and tares, options, versions.
+
+
+def provenance_of(tuning: Tuning, sha256: str, options: Options) -> Provenance:
+    """Build the provenance of a tuning; `sha256` of its log is "" if it could not be read."""
+    return Provenance(
+        version=version("tunenet-logs"),
+        log_sha256=sha256,
+        options={**_given(options, Options()), **_given(options.selection, Selection())},
+        tares=tuple(_named(tare) for tare in options.selection.tares if isinstance(tare, Path)),
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        engine=None if tuning.simulator is None else tuning.simulator["engine"],
+    )
+
+
+def _named(tare: Path) -> dict[str, str]:
+    """Return a tare's name and SHA-256."""
+    try:
+        return {"log": tare.name, "sha256": log_sha256(tare)}
+    except OSError:  # the tuning was rejected for it
+        return {"log": tare.name, "sha256": ""}
+
+
+def _given(options: Options | Selection, defaults: Options | Selection) -> dict[str, Any]:
+    """Return non-default options as JSON values; files by their names."""
+    found: dict[str, Any] = {}
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if value == getattr(defaults, field.name) or field.name in ("selection", "tares"):
+            continue
+        if isinstance(value, Path):
+            value = value.name
+        elif field.name in ("hints", "ball"):
+            value = {part.name: getattr(value, part.name) for part in fields(value)}
+        elif field.name == "arm" and isinstance(value, tuple):
+            value = {"urdf": value[0].name, "tool_link": value[1]}
+        elif field.name == "source":
+            value = value.told_as()
+        elif field.name == "arm_card":
+            value = {"file": value.file, "logs": [run["log"] for run in value.runs]}
+        found[field.name] = value
+    return found
+
+
+# ---- Unused options: those that have no effect on a log.
+
+
+def unused_options(
+    options: Options,
+    experiment: Experiment,
+    method: type[Estimator],
+    episode: Episode | None,
+    detection: Any,
+) -> list[str]:
+    """List options without effect, one line each with the reason.
+
+    Args:
+        options: Of the user.
+        experiment: That was looked for.
+        method: That estimates.
+        episode: The log as read; None for a detection that was made without one.
+        detection: Of it; None if nothing was found.
+    """
+    selection = options.selection
+    found: list[str] = []
+    of_its_kind = {
+        about for way in experiments_of(experiment.kind) for about in way.accepted_options
+    }
+    said = episode.warnings if episode else ()
+    for about, given in selection.given.items():
+        names = [name for name in given if not said_unused(name, said)]
+        if about in experiment.accepted_options or not names:
+            continue
+        why = f"it is tuned by {experiment.observed}"
+        if about not in of_its_kind:
+            why = f"this is a {experiment.kind}"
+        elif about == "pictures" and episode and episode.picture_topics:
+            why += f" (to use its pictures: --topic {episode.picture_topics[0]})"
+        found.append(f"{', '.join(names)} not used: {why}")
+    ball = selection.ball
+    only_size = ball.diameter_m is not None and ball.mass_kg is None
+    if (
+        detection
+        and only_size
+        and "ball" in experiment.accepted_options
+        and not detection.uses_ball
+    ):
+        found.append(
+            "--ball-diameter not used: without --ball-mass it does not say what the air does"
+        )
+    if options.weights and not method.uses_network:
+        found.append(f"--weights not used: the method {method.name} has no network")
+    if options.initial is not None and not method.takes_steps:
+        found.append(f"--initial not used: the method {method.name} needs no start")
+    if options.iterations != Options.iterations and not method.takes_steps:
+        found.append(f"--iterations not used: the method {method.name} spends none")
+    return found
+
+
+# ---- Pipeline: from a log, an episode or a detection to its tuning.
 
 
 class Stopwatch:
@@ -53,7 +153,9 @@ def tune_log(path: Path, options: Options) -> Tuning:
     try:
         episode = read_episode(path, options.selection.reading)
         # What a simulator is driven by is what others must not take for a motion.
-        episode = plausible(episode if options.source is not None else measured(episode))
+        episode = drop_invalid_samples(
+            episode if options.source is not None else without_commands(episode)
+        )
     except TuneNetError as error:
         watch.lap("read")
         reason = str(error).removeprefix(f"{path}: ")
@@ -67,11 +169,11 @@ def tune_episode(
 ) -> Tuning:
     """Tune from an episode in memory, as `tune_log` does from a file."""
     if options.source is not None:
-        from analysis.sysid.experiment import SimulatorExperiment
+        from tunenet_logs.analysis.sysid.experiment import SimulatorExperiment
 
         experiment = SimulatorExperiment(options.source)
-        return _tuned_as(experiment, on_one_clock(episode), options, path, watch)
-    episode = on_one_clock(measured(episode))
+        return _tuned_as(experiment, trim_clock_jumps(episode), options, path, watch)
+    episode = trim_clock_jumps(without_commands(episode))
     topic = options.selection.topic
     kind = options.task or episode.info.kind
     if not kind:

@@ -1,4 +1,4 @@
-"""Writes docs/api.md from the docstrings of `analysis.api`: `python docs/make_api.py`."""
+"""Write docs/api.md from the docstrings of `tunenet_logs`: `python docs/make_api.py`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HEAD = """\
 def page() -> str:
     """The text of the page."""
     package = griffe.load(
-        "analysis.api",
+        "tunenet_logs.analysis.api",
         search_paths=[ROOT],
         docstring_parser="google",
         resolve_aliases=True,

@@ -1,22 +1,48 @@
-"""Common parts of recorders: stop on signals, summarize, and record a simulated episode."""
+"""Common parts of recorders: stop on signals, queue and count messages, write them, summarize.
+
+`record_episode` writes a simulated episode; `LiveRecording` takes live messages from any thread,
+by way of a `TopicQueue`.
+"""
 
 from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from array import array
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from types import FrameType
+from types import FrameType, TracebackType
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
-from tunenet_logs.episode import Episode
-from tunenet_logs.gaps import Gap
-from tunenet_logs.importing import JOINT_PARTS, joint_topics
+from numpy.typing import ArrayLike
+
+from tunenet_logs import messages
+from tunenet_logs.copying import JOINT_PARTS, joint_topics
+from tunenet_logs.episode import Episode, EpisodeInfo, Frame
+from tunenet_logs.errors import LogError
 from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.terminal import Progress
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.timing.stamps import Gap, now_ns
+from tunenet_logs.writing.writer import EpisodeWriter
+
+# ---- Start and end: half-made objects, signals to stop, the summary
+
+
+class _Closable(Protocol):
+    def close(self) -> None: ...
+
+
+@contextmanager
+def closed_on_failure(thing: _Closable) -> Iterator[None]:
+    """Close `thing` if the block raises; else leave it open."""
+    with ExitStack() as failed:
+        failed.callback(thing.close)
+        yield
+        failed.pop_all()
 
 
 @dataclass(frozen=True)
@@ -86,6 +112,9 @@ def stop_flag() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
+# ---- Simulated episode: written as if from sensors
+
+
 def record_episode(
     episode: Episode, path: Path, *, overwrite: bool, progress: Progress, min_free_bytes: int = 0
 ) -> Summary:
@@ -147,3 +176,404 @@ def _samples(episode: Episode) -> Iterator[Callable[[EpisodeWriter], None]]:
                 velocity_rad_s=() if velocity is None else velocity.values[row],
                 effort_nm=() if effort is None else effort.values[row],
             )
+
+
+# ---- Queue: from the receiving threads to the writing one
+
+Payload = TypeVar("Payload")
+
+# For messages to gather before they are written in one go: a small part of the 0.25 s that may be
+# lost with the process, and long enough that waking up costs nothing.
+_PAUSE_S = 0.03
+_MAX_STAMPS = 100_000  # kept of each topic, to measure its rate: half an hour of a camera
+
+
+class Item(NamedTuple, Generic[Payload]):
+    """A queued message.
+
+    Attributes:
+        stamp_ns: of its acquisition.
+        received_ns: when it came, on the clock of `tunenet_logs.timing.stamps`; never decreasing.
+        size_bytes: of the payload.
+        follows_drop: whether the one before it on its topic was dropped.
+    """
+
+    topic: str
+    stamp_ns: int
+    received_ns: int
+    payload: Payload
+    size_bytes: int
+    follows_drop: bool = False
+
+
+@dataclass
+class Tally:
+    """Counts of one topic.
+
+    Attributes:
+        captured: messages put in, including those dropped.
+        dropped: messages that found the queue full.
+        stamps_ns: of the captured ones, the first 100,000.
+    """
+
+    captured: int = 0
+    dropped: int = 0
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+
+    def add(self, stamp_ns: int, *, is_dropped: bool) -> None:
+        """Count one message."""
+        self.captured += 1
+        self.dropped += is_dropped
+        if len(self.stamps_ns) < _MAX_STAMPS:
+            self.stamps_ns.append(stamp_ns)
+
+
+class TopicQueue(Generic[Payload]):
+    """A counting queue for any number of topics and threads, bounded in bytes.
+
+    Bounded in bytes, not in messages: a picture is a thousand times larger than a joint state. A
+    message that is larger than the bound alone passes through an empty queue.
+
+    Args:
+        limit_bytes: of all messages that wait.
+        drops: whether the newest message is dropped when the queue is full; else `put` waits.
+        counts: whether messages count from the beginning; else from `start` on.
+    """
+
+    def __init__(self, limit_bytes: int, *, drops: bool, counts: bool = True) -> None:
+        self._tallies: dict[str, Tally] = {}
+        self._limit_bytes = limit_bytes
+        self._drops = drops
+        self._counts = counts
+        self._items: deque[Item[Payload]] = deque()
+        self._held_bytes = 0
+        self._closed = False
+        self._last_ns = 0
+        self._broken: set[str] = set()
+        self._changed = threading.Condition()
+
+    def put(
+        self,
+        topic: str,
+        stamp_ns: int,
+        payload: Payload,
+        size_bytes: int,
+        received_ns: int | None = None,
+        *,
+        stands_alone: bool = True,
+    ) -> bool:
+        """Add a message; False once the queue is closed: it is not counted then.
+
+        One that does not stand alone is dropped where the one before it on its topic was.
+        """
+        with self._changed:
+            while not self._drops and self._is_full(size_bytes) and not self._closed:
+                self._changed.wait()
+            if self._closed:
+                return False
+            follows_drop = topic in self._broken
+            is_full = self._is_full(size_bytes) or (follows_drop and not stands_alone)
+            if self._counts:
+                tally = self._tallies.get(topic)
+                if tally is None:
+                    tally = self._tallies[topic] = Tally()
+                tally.add(stamp_ns, is_dropped=is_full)
+            if is_full:
+                self._broken.add(topic)
+            else:
+                self._broken.discard(topic)
+                # Stamped under the lock, so that receipts never run backwards in the log.
+                came_ns = now_ns() if received_ns is None else received_ns
+                self._last_ns = max(self._last_ns, came_ns)
+                self._items.append(
+                    Item(topic, stamp_ns, self._last_ns, payload, size_bytes, follows_drop)
+                )
+                self._held_bytes += size_bytes
+            return True
+
+    def take(self) -> Item[Payload] | None:
+        """Return the oldest message without waiting; None when there is none."""
+        with self._changed:
+            if not self._items:
+                return None
+            item = self._items.popleft()
+            self._held_bytes -= item.size_bytes
+            if not self._drops:
+                self._changed.notify_all()
+            return item
+
+    def pause(self) -> None:
+        """Let messages gather for a moment; return at once when the queue is closed.
+
+        Messages do not end it: at a thousand a second, waking up for each is most of the work.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed, _PAUSE_S)
+
+    def start(self) -> None:
+        """Discard the queued messages, and count from here on."""
+        with self._changed:
+            self._items.clear()
+            self._held_bytes = 0
+            self._counts = True
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Accept no more messages; those inside can still be taken."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def cut(self, topic: str, taken: int) -> None:
+        """Accept no more messages; those inside count as if they had never come.
+
+        Args:
+            topic: the only one in use.
+            taken: messages that were taken and do not count either.
+        """
+        with self._changed:
+            if topic in self._tallies:
+                self._tallies[topic].captured -= len(self._items) + taken
+            self._items.clear()
+            self._held_bytes = 0
+            self._closed = True
+            self._changed.notify_all()
+
+    def tally(self, topic: str) -> Tally:
+        """Return the counts of a topic so far."""
+        with self._changed:
+            return self._tallies.get(topic) or Tally()
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics with messages, in order of their first."""
+        with self._changed:
+            return tuple(self._tallies)
+
+    @property
+    def captured(self) -> int:
+        """Number of messages put in, including those dropped."""
+        with self._changed:
+            return sum(tally.captured for tally in self._tallies.values())
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that found the queue full."""
+        with self._changed:
+            return sum(tally.dropped for tally in self._tallies.values())
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it is closed and empty."""
+        with self._changed:
+            return self._closed and not self._items
+
+    def _is_full(self, size_bytes: int) -> bool:
+        return bool(self._items) and self._held_bytes + size_bytes > self._limit_bytes
+
+
+# ---- Live recording: several streams, from several threads, to one log
+
+_Encoded = tuple[str, bytes]  # type name, CDR
+
+
+class LiveRecording:
+    """A log that any thread may put messages into; a thread of its own writes it.
+
+    Messages are encoded in the thread that puts them, so arrays may be reused afterwards, and
+    encoding errors are raised there. When the writer falls behind by `queue_bytes`, the newest
+    messages are dropped and counted. A context manager, it raises at the end what ended it early.
+
+        with stop_flag() as stop, LiveRecording(path, info, stop=stop) as recording:
+            ...  # threads that put
+            recording.wait()
+        print(recording.summary.in_words("messages"))
+
+    Args:
+        path: the finished log.
+        info: metadata beside the samples.
+        stop: ends the recording once it is set, as `stop_flag` does.
+        overwrite: replace an existing log.
+        queue_bytes: messages received and not yet written.
+        min_free_bytes: space to leave free on the disk; 0 for no such bound.
+
+    Attributes:
+        error: what ended the recording early; None if nothing did.
+        summary: counts, once it is over.
+
+    Raises:
+        LogError: `path` exists or cannot be written, or its disk has too little space.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        info: EpisodeInfo,
+        *,
+        stop: threading.Event | None = None,
+        overwrite: bool = False,
+        queue_bytes: int = 64 * 1024 * 1024,
+        min_free_bytes: int = 0,
+    ) -> None:
+        self.error: LogError | None = None
+        self.summary = Summary(0, 0, 0)
+        self._writer = EpisodeWriter(path, info, overwrite=overwrite, min_free_bytes=min_free_bytes)
+        self._writer.tally = self._count
+        self._queue: TopicQueue[_Encoded] = TopicQueue(queue_bytes, drops=True)
+        self._stop = stop or threading.Event()
+        self._types: dict[str, str] = {}
+        self._ended = ""
+        self._counted: dict[str, int] = {}
+        self._is_discarded = False
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="log writer")
+        self._thread.start()
+
+    def put_frame(self, topic: str, frame: Frame) -> bool:
+        """Put an image as it is; False once the recording is over."""
+        type_name, data = messages.frame(frame)
+        return self.put_message(topic, type_name, frame.stamp_ns, data)
+
+    def put_joints(
+        self,
+        topic: str,
+        stamp_ns: int,
+        names: Sequence[str],
+        position_rad: ArrayLike,
+        velocity_rad_s: ArrayLike = (),
+        effort_nm: ArrayLike = (),
+    ) -> bool:
+        """Put a JointState; False once the recording is over.
+
+        The quantities have shape (joints,) [rad, rad/s, N·m]; one that is not known is empty.
+
+        Raises:
+            ValueError: a quantity is neither empty nor one number a joint.
+        """
+        state = messages.joint_state(stamp_ns, names, position_rad, velocity_rad_s, effort_nm)
+        data = messages.encode(state, messages.JOINT_STATE)
+        return self.put_message(topic, messages.JOINT_STATE, stamp_ns, data)
+
+    def put_message(self, topic: str, type_name: str, stamp_ns: int, cdr: bytes) -> bool:
+        """Put a message already encoded as CDR; False once the recording is over.
+
+        Raises:
+            ValueError: the type is unknown, or differs from the topic's.
+        """
+        known = self._types.get(topic)
+        if known is None:
+            messages.definition(type_name)
+            known = self._types.setdefault(topic, type_name)
+        if known != type_name:
+            raise ValueError(f"{topic} holds {known}, so it cannot hold {type_name}")
+        return self._queue.put(topic, stamp_ns, (type_name, cdr), len(cdr))
+
+    def note(self, name: str, text: str) -> None:
+        """Add a note to the log's info while recording."""
+        self._writer.note(name, text)
+
+    def count(self, name: str, number: int) -> None:
+        """Add a number to the counts of the log's info, such as samples lost on a bus."""
+        self._counted[name] = number
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until the recording is over, at most `seconds`; True if it is over."""
+        return self._is_over.wait(seconds)
+
+    def close(self, ended: str = "") -> Summary:
+        """End the recording, and wait until the log is complete. Safe to call twice.
+
+        Args:
+            ended: why, where that is not its usual end.
+
+        Raises:
+            LogError: writing failed, or the disk is nearly full; it says how much is kept, where.
+        """
+        self._ended = ended
+        self._queue.close()
+        self._thread.join()
+        if self.error is not None:
+            raise self.error
+        return self.summary
+
+    def discard(self) -> None:
+        """End the recording and leave no log."""
+        self._is_discarded = True
+        self.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close("" if kind is None else f"broke off ({kind.__name__})")
+
+    @property
+    def captured(self) -> int:
+        """Number of messages put so far, including those dropped."""
+        return self._queue.captured
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages dropped so far."""
+        return self._queue.dropped
+
+    @property
+    def written(self) -> int:
+        """Number of messages in the file, which survive a crash of this process."""
+        return self._writer.written
+
+    def _run(self) -> None:
+        ended = ""
+        try:
+            with self._writer:
+                ended = self._write()
+                if self._is_discarded:
+                    self._writer.discard()
+                else:
+                    self._writer.close(ended)
+        except LogError as error:
+            self.error = error
+        except Exception as error:  # noqa: BLE001 (in a thread, else nobody would hear of it)
+            self.error = LogError(f"{self._writer.path}: writing failed ({error!r})")
+            self.error.__cause__ = error
+        finally:
+            self._queue.close()
+            counts = self._writer.info.counts
+            self.summary = Summary(
+                counts.get("captured", 0),
+                counts.get("written", 0),
+                counts.get("dropped", 0),
+                ended if self.error is None else str(self.error),
+            )
+            self._is_over.set()
+
+    def _write(self) -> str:
+        """Write until the queue is done; return why, "" for the usual end."""
+        queue, writer = self._queue, self._writer
+        ended = ""
+        while not queue.is_done:
+            if not ended and self._stop.is_set():
+                ended = "stopped by a signal"
+                queue.close()
+            item = queue.take()
+            if item is None:
+                writer.tick()
+                queue.pause()
+            else:
+                type_name, data = item.payload
+                writer.write_message(item.topic, type_name, item.stamp_ns, data, item.received_ns)
+        return ended or self._ended
+
+    def _count(self) -> dict[str, int]:
+        """Close the queue; return the counts."""
+        self._queue.close()
+        counts = {"captured": self._queue.captured}
+        for topic in self._queue.topics:
+            if dropped := self._queue.tally(topic).dropped:
+                counts[f"dropped.{topic}"] = dropped
+        return counts | self._counted

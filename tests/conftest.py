@@ -18,14 +18,13 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from analysis.batch.found_logs import find_logs
-from analysis.batch.one_log import Also, Result, Writing
-from analysis.batch.run import Order, run_batch
-from analysis.selection import Options
-from recorders.filmed_drop import FilmOrder, film_drop
-from recorders.session import record_episode
-from recorders.simulated_drop import DropOrder, simulate_drop
-from recorders.simulators.engines import ENGINES, simulated_by
+from tests.wheel import install_wheel
+from tunenet_logs.analysis.batch.logs import find_logs
+from tunenet_logs.analysis.batch.run import Also, Order, Result, Writing, run_batch
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop, simulate_drop
+from tunenet_logs.recorders.simulators.known import ENGINES, simulated_by
 from tunenet_logs.terminal import Progress
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -62,15 +61,15 @@ settings.load_profile("suite")
 
 _MODULES = {
     "tunenet-logs": "tunenet_logs.cli",
-    "tunenet-record": "recorders.cli",
-    "tunenet-tune": "analysis.cli.tune",
-    "tunenet-review": "analysis.cli.review",
-    "tunenet-train": "analysis.cli.train",
-    "tunenet-plan": "analysis.cli.plan",
-    "tunenet-eval": "analysis.evaluation.cli",
-    "tunenet-export": "analysis.cli.export",
-    "tunenet-compare": "analysis.cli.compare",
-    "tunenet-report": "analysis.cli.report",
+    "tunenet-record": "tunenet_logs.recorders.cli",
+    "tunenet-tune": "tunenet_logs.analysis.cli.tune",
+    "tunenet-review": "tunenet_logs.analysis.cli.review",
+    "tunenet-train": "tunenet_logs.analysis.cli.train",
+    "tunenet-plan": "tunenet_logs.analysis.cli.plan",
+    "tunenet-eval": "tunenet_logs.analysis.evaluation.cli",
+    "tunenet-export": "tunenet_logs.analysis.cli.export",
+    "tunenet-compare": "tunenet_logs.analysis.cli.compare",
+    "tunenet-report": "tunenet_logs.analysis.cli.report",
 }
 COMMANDS = tuple(_MODULES)
 
@@ -181,3 +180,9 @@ def each_engine(request: pytest.FixtureRequest) -> Iterator[str]:
         pytest.skip(f"{name} is not installed: it has no wheels for this Python or platform")
     with simulated_by(name):
         yield name
+
+
+@pytest.fixture(scope="session")
+def installed(made: Made) -> Path:
+    """The built wheel in a folder of its own, with the commands in `bin`. Not to be changed."""
+    return made("site", install_wheel)

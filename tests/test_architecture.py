@@ -6,18 +6,22 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Container
 from functools import cache
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("tunenet_logs", "recorders", "analysis")
+from tests.wheel import FOLDERS, LINKED, PACKAGE, ROOT, module_path
+
 ALLOWED = {
     "tunenet_logs": {"tunenet_logs"},
     "recorders": {"tunenet_logs", "recorders"},
     "analysis": {"tunenet_logs", "recorders", "analysis"},
 }
+"""By folder at the top of the tree: from which folders it may import."""
+FRONT_DOOR = f"{PACKAGE}/__init__.py"
+"""It names for type checkers what lies above it; when it runs it imports nothing."""
 HEAVY = {"torch", "pybullet", "rerun", "cv2", "av", "pinocchio", "pandas", "tqdm", "google"}
 HEAVY |= {"mujoco", "pydrake", "newton", "warp"}
 HEAVY |= {
@@ -37,14 +41,19 @@ HEAVY |= {
     "ray",
     "sounddevice",
 }
-# The folders, by name, whose modules may import a library at module level.
 OWNERS = {"rerun": "review", "cyclonedds": "ros2", "matplotlib": "report", "jinja2": "report"}
-# The one package that may import a physics engine at all, or speak its keywords.
-ENGINE_FOLDERS = {name: f"recorders.simulators.{name}" for name in ("pybullet", "mujoco")}
-# The room that writes files for engines: it speaks their words, and its file of an engine's name
-# may import that engine in functions.
-ENGINE_EXPORTS = "analysis.export."
-FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+"""The rooms, by name, folders or modules, that may import a library at module level."""
+SIMULATORS = "tunenet_logs.recorders.simulators."
+ENGINE_MODULES = {
+    "pybullet": (f"{SIMULATORS}pybullet",),
+    "mujoco": (f"{SIMULATORS}mujoco", f"{SIMULATORS}model."),
+}
+"""The only modules that may import a physics engine at all, or speak its keywords."""
+ENGINE_EXPORTS = "tunenet_logs.analysis.export."
+"""The room that writes files for engines: it speaks their words, and its file of an engine's name
+may import that engine in functions."""
+FILES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
+"""Each once, by its folder at the top of the tree: `rglob` does not follow links."""
 
 
 @cache
@@ -75,8 +84,19 @@ def module_level(tree: ast.Module) -> list[str]:
 
 
 def name_of(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = module_path(path).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def folder_of(module: str) -> str | None:
+    """In which folder at the top of the tree a module lies; None for others than ours.
+
+    A part of the package is named by what follows its name, and its old name alone is wrong.
+    """
+    first, _, rest = module.partition(".")
+    second = rest.partition(".")[0]
+    assert first not in LINKED, f"{module} is called {PACKAGE}.{module}"
+    return None if first != PACKAGE else second if second in LINKED else PACKAGE
 
 
 def test_imports_point_down():
@@ -85,8 +105,9 @@ def test_imports_point_down():
         for path in FILES
         for node in ast.walk(tree_of(path))
         for name in imported(node)
-        if name.split(".")[0] in PACKAGES
-        and name.split(".")[0] not in ALLOWED[path.relative_to(ROOT).parts[0]]
+        if (folder := folder_of(name)) is not None
+        and folder not in ALLOWED[path.relative_to(ROOT).parts[0]]
+        and path != ROOT / FRONT_DOOR
     ]
     assert not upward, "\n".join(upward)
 
@@ -97,7 +118,8 @@ def test_heavy_libraries_are_imported_when_needed():
         f"{name_of(path)} imports {name} at module level"
         for path in FILES
         for name in module_level(tree_of(path))
-        if (top := name.partition(".")[0]) in HEAVY and OWNERS.get(top) not in path.parts
+        if (top := name.partition(".")[0]) in HEAVY
+        and OWNERS.get(top) not in path.with_suffix("").parts
     ]
     assert not early, "\n".join(early)
 
@@ -113,10 +135,10 @@ def keywords(tree: ast.Module) -> set[str]:
     return {word for word in words if re.fullmatch("[a-z]+[A-Z][A-Za-z]+", word)}
 
 
-@pytest.mark.parametrize(("library", "folder"), ENGINE_FOLDERS.items())
-def test_a_physics_engine_is_known_in_its_folder_alone(library: str, folder: str):
+@pytest.mark.parametrize(("library", "modules"), ENGINE_MODULES.items())
+def test_a_physics_engine_is_known_in_its_modules_alone(library: str, modules: tuple[str, ...]):
     """Imports inside of functions count too: what is simulated is written for any engine."""
-    inside = {path for path in FILES if name_of(path).startswith(folder)}
+    inside = {path for path in FILES if name_of(path).startswith(modules)}
     spoken: set[str] = set()
     if library == "pybullet":  # MuJoCo's keywords are words of the field: mass, axis
         spoken = spoken.union(*(keywords(tree_of(path)) for path in inside))
@@ -139,7 +161,7 @@ def test_a_physics_engine_is_known_in_its_folder_alone(library: str, folder: str
 
 
 def test_the_product_knows_nothing_of_its_evaluation():
-    evaluation = "analysis.evaluation"
+    evaluation = "tunenet_logs.analysis.evaluation"
     wrong = [
         f"{name_of(path)} imports {name}"
         for path in FILES
@@ -150,12 +172,22 @@ def test_the_product_knows_nothing_of_its_evaluation():
     assert not wrong, "\n".join(wrong)
 
 
+def needed(path: Path, modules: Container[str]) -> set[str]:
+    """All modules of ours that a file names in imports: lazy ones and those for types, too."""
+    found: set[str] = set()
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            whole = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in modules else node.module for name in whole}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return {name for name in found if name in modules}
+
+
 def test_no_module_imports_itself_through_others():
-    modules = {name_of(path): path for path in FILES}
-    edges = {
-        name: {one for one in module_level(tree_of(path)) if one in modules}
-        for name, path in modules.items()
-    }
+    """All imports count, those in functions and those for type checkers, too."""
+    modules = {name_of(path): path for path in FILES if path != ROOT / FRONT_DOOR}
+    edges = {name: needed(path, modules) - {name} for name, path in modules.items()}
     done: set[str] = set()
 
     def visit(name: str, trail: tuple[str, ...]) -> None:
@@ -173,15 +205,15 @@ def test_no_module_imports_itself_through_others():
     "module",
     [
         "tunenet_logs.cli",
-        "recorders.cli",
-        "analysis.cli.tune",
-        "analysis.cli.review",
-        "analysis.cli.train",
-        "analysis.cli.plan",
-        "analysis.cli.export",
-        "analysis.cli.compare",
-        "analysis.cli.report",
-        "analysis.evaluation.cli",
+        "tunenet_logs.recorders.cli",
+        "tunenet_logs.analysis.cli.tune",
+        "tunenet_logs.analysis.cli.review",
+        "tunenet_logs.analysis.cli.train",
+        "tunenet_logs.analysis.cli.plan",
+        "tunenet_logs.analysis.cli.export",
+        "tunenet_logs.analysis.cli.compare",
+        "tunenet_logs.analysis.cli.report",
+        "tunenet_logs.analysis.evaluation.cli",
     ],
 )
 def test_help_loads_nothing_heavy(module: str):
@@ -194,7 +226,10 @@ def test_help_loads_nothing_heavy(module: str):
 
 
 def test_tuning_never_loads_torch():
-    code = "import sys, analysis.batch.run, analysis.tuning; print('torch' in sys.modules)"
+    code = (
+        "import sys, tunenet_logs.analysis.batch.run, tunenet_logs.analysis.tuning; "
+        "print('torch' in sys.modules)"
+    )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout.strip() == "False", result.stderr
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import COMMANDS, Command
-from tunenet_logs.completion import SHELLS
+from tunenet_logs.console import SHELLS
 
 Offered = Callable[..., set[str]]
 
@@ -95,7 +95,7 @@ def test_bash_parses_every_script(command: Command, name: str):
 
 
 def test_help_does_not_load_it():
-    code = "import sys, analysis.cli.tune as t; t.build_parser().format_help(); "
+    code = "import sys, tunenet_logs.analysis.cli.tune as t; t.build_parser().format_help(); "
     code += "print('shtab' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout == "False\n"

@@ -15,17 +15,23 @@ from pathlib import Path
 
 import pytest
 
-from analysis.api import save_tuning, tune
 from tests.conftest import BIN, ROOT
+from tunenet_logs.analysis.api import save_tuning, tune
 
 SAMPLE = ROOT / "sample_logs" / "bouncy.mcap"
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
 MAINS = {
-    **{f"tunenet-{name}": f"analysis.cli.{name}" for name in ("tune", "train", "plan", "report")},
-    **{f"tunenet-{name}": f"analysis.cli.{name}" for name in ("review", "export", "compare")},
+    **{
+        f"tunenet-{name}": f"tunenet_logs.analysis.cli.{name}"
+        for name in ("tune", "train", "plan", "report")
+    },
+    **{
+        f"tunenet-{name}": f"tunenet_logs.analysis.cli.{name}"
+        for name in ("review", "export", "compare")
+    },
     "tunenet-logs": "tunenet_logs.cli",
-    "tunenet-record": "recorders.cli",
-    "tunenet-eval": "analysis.evaluation.cli",
+    "tunenet-record": "tunenet_logs.recorders.cli",
+    "tunenet-eval": "tunenet_logs.analysis.evaluation.cli",
 }
 SIGNALS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from analysis.campaign.build import campaign_of
-from analysis.campaign.rates import overall_rates
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_log
 from tests.conftest import BIN, ROOT, Command
 from tests.engines import needs_pybullet
 from tests.same_log import assert_same_log
+from tunenet_logs.analysis.campaign import campaign_of, overall_rates
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.terminal import Progress
 
 FOLDER = ROOT / "sample_logs"

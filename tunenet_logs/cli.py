@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tunenet_logs.commandline import Parser, read_options_of, reading_options, run
+from tunenet_logs.console import Parser, run
 from tunenet_logs.errors import TuneNetError
-from tunenet_logs.regular_file import real_path
+from tunenet_logs.files import real_path
+from tunenet_logs.formats.options import read_options_of, reading_options
 from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
@@ -164,8 +165,7 @@ def _each(
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from tunenet_logs.describe import describe
-    from tunenet_logs.describe_json import info_fields, unread_info
+    from tunenet_logs.describe import describe, info_fields, unread_info
     from tunenet_logs.reader import read_episode
 
     options = read_options_of(arguments)
@@ -188,8 +188,8 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from tunenet_logs.checking import check
-    from tunenet_logs.describe_json import check_fields, unread_check
+    from tunenet_logs.copying import check
+    from tunenet_logs.describe import check_fields, unread_check
 
     options = read_options_of(arguments)
     progress = Progress(quiet=arguments.quiet)
@@ -218,7 +218,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _print_json(fields: Mapping[str, Any]) -> None:
-    from tunenet_logs.json_lines import json_line
+    from tunenet_logs.files import json_line
 
     print(json_line(fields), flush=True)
 
@@ -232,7 +232,7 @@ def _say(what: str, facts: Sequence[str]) -> None:
 
 
 def _recover(arguments: argparse.Namespace) -> int:
-    from tunenet_logs.recovery import recover
+    from tunenet_logs.copying import recover
 
     log, output = arguments.log, arguments.output
     recovered = recover(log, output, overwrite=arguments.overwrite)
@@ -247,7 +247,7 @@ def _recover(arguments: argparse.Namespace) -> int:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    from tunenet_logs.importing import import_log
+    from tunenet_logs.copying import import_log
 
     log = arguments.log
     output = arguments.output or log.parent / f"{real_path(log).stem}.mcap"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.small_files import read_small_file
+from tunenet_logs.files import read_small_file
 
 _MAX_PASSWORD, _MAX_NETRC = 4096, 1_000_000  # bytes of the files
 # What a netrc file holds beside its words: macros, up to an empty line, and comments.

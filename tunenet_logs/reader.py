@@ -1,61 +1,665 @@
-"""Read any log into an episode, however it was left, and report what was lost."""
+"""Read any log into an episode, however it was left, and report what was lost.
+
+A container (`formats`) delivers records; `TopicContents` counts, decodes and gathers the messages
+of a topic by the rules of its type; `read_episode` makes the episode of them, with warnings. An
+imported log gets back what its notes say (`restored`), and `without_commands` drops what drove.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
-from tunenet_logs.collect import MAX_NUMBERS, JointRows, PictureStamps, SoundStamps
-from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Signal
-from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.audio import noted_rates
+from tunenet_logs.episode import (
+    BY_CLOCK,
+    DAMAGED_MESSAGES,
+    FRAME_NS,
+    LOST,
+    NOT_READ,
+    UNSTATED,
+    Channel,
+    Episode,
+    EpisodeInfo,
+    Frame,
+    Signal,
+    Sound,
+    added,
+    as_note,
+    in_proportion,
+    of_note,
+    share_of_note,
+)
+from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError, NotFoundError
 from tunenet_logs.formats import registry
 from tunenet_logs.formats.base import (
+    DAMAGED,
+    BeyondLimitError,
     Container,
+    Decode,
     Loss,
+    MessageError,
     RawChannel,
     RawMessage,
     RawMessages,
     RawMetadata,
     Record,
+    UnusableError,
+    described,
     lost_share,
 )
-from tunenet_logs.formats.pictures import frames_of, in_order
-from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
-from tunenet_logs.formats.sounds import sound_of
+from tunenet_logs.formats.by_shape import (
+    UNUSED,
+    SchemaBudget,
+    ShapeMessages,
+    shape_messages,
+    unit_of,
+)
+from tunenet_logs.formats.message_types import (
+    DriveType,
+    JointType,
+    NumbersType,
+    PictureType,
+    PlanType,
+    PositionType,
+    SoundType,
+    message_type_of,
+    type_key,
+)
+from tunenet_logs.formats.options import AS_IT_SAYS, FIELDS, ReadOptions
+from tunenet_logs.formats.ros import Stacked, known_types, plain_type, ros_name, stacked_decoder
 from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
-from tunenet_logs.import_notes import restored
-from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
-from tunenet_logs.left_out import BY_CLOCK, added, share_of_note
-from tunenet_logs.messages import INFO_RECORD, RECOVERY_RECORD
-from tunenet_logs.one_clock import jump_warnings, with_jumps_of_pictures
-from tunenet_logs.position_rows import PositionRows
-from tunenet_logs.sound import Sound
-from tunenet_logs.sound_notes import noted_rates
-from tunenet_logs.terminal import short_name
-from tunenet_logs.topic_contents import DriveRows, ReadingPlan, TopicContents
-from tunenet_logs.unused_reading import unused_of_messages, unused_reading
+from tunenet_logs.media_messages import (
+    Decoders,
+    checked_pictures,
+    checked_sound,
+    frames_of,
+    in_order,
+    sound_of,
+)
+from tunenet_logs.messages import HEADER, INFO_RECORD, RECOVERY_RECORD, TASK_OUTCOME
+from tunenet_logs.signals import (
+    MAX_NUMBERS,
+    JointRows,
+    NumberRows,
+    PictureStamps,
+    PlannedRows,
+    PointBudget,
+    PositionRows,
+    SoundStamps,
+    WrenchRows,
+)
+from tunenet_logs.terminal import FEW_NAMES, listed, short_name
+from tunenet_logs.timing.arrivals import BY_ARRIVALS, STAMPS_NOTE
+from tunenet_logs.timing.stamps import jump_warnings, with_jumps_of_pictures
+from tunenet_logs.user_columns import UserColumnRows, UserColumns
 
-# Of the pictures of a whole log, whatever its size is: a second of decoding.
-_FREE_PIXELS = 50_000_000
 
-# Of a log, beyond those: a camera's pictures have 20, rendered ones without noise 300.
-_PIXELS_A_BYTE = 500
+def check_start(start_s: float | None, length_s: float) -> None:
+    """Refuse a part that begins after the end of a recording.
 
-# Cameras of a log whose pictures are read, however many other messages it has; and of its
-# microphones, no more.
-_FEW_TOPICS = 8
+    Args:
+        start_s: Start of the part [s since the first sample]; None for that sample.
+        length_s: From the first sample to the last.
 
-# That all picture topics together may pass: each is read by a pass over the file. Those of any log,
-# and its bytes for each beyond.
+    Raises:
+        NotFoundError: It does; the message states the length.
+    """
+    if start_s is not None and start_s > length_s:
+        raise NotFoundError(
+            f"--start {start_s:g} is past the end: the recording is {length_s:.2f} s long",
+            "give an earlier one, or leave it out",
+        )
+
+
+def no_topic(topic: str, usable: Iterable[str]) -> NotFoundError:
+    """Build the error for a topic that shows nothing; the message lists `usable` ones."""
+    known = listed(sorted(usable), FEW_NAMES)
+    remedy = "name one of these with --topic, or leave it out"
+    if not known:
+        remedy = "leave --topic out; see with tunenet-logs info what the log holds"
+    return NotFoundError(f"no usable topic {topic} (there is: {known or 'none'})", remedy)
+
+
+# ---- Notes of an import: units that nobody named, left-out samples
+# Messages cannot say these, so an import notes them by topic: an imported log is then tuned as what
+# it was imported from.
+
+# How notes begin, before a signal's name.
+_UNIT, _COUNTS, _IMPACTS, _LEFT_OUT = "length_unit:", "counts_frames:", "impacts:", "left_out:"
+
+_UNTIMED = "frames_untimed"  # note of a log whose pictures are stamped by their count
+_YES = "1"
+_UNKNOWN = "unknown"  # a unit of length that nobody names
+
+
+def is_impacts(signal: Signal) -> bool:
+    """Check whether a signal is a series of impact times, with no other content."""
+    return signal.columns == ("impact",)
+
+
+def notes_of(signal: Signal, name: str) -> dict[str, str]:
+    """Return the notes on a signal, under its `name` in the imported log."""
+    notes: dict[str, str] = {}
+    if signal.is_position and signal.unit != "m":
+        notes[_UNIT + name] = signal.unit or _UNKNOWN
+    if signal.counts_frames:
+        notes[_COUNTS + name] = _YES
+    if is_impacts(signal):
+        notes[_IMPACTS + name] = _YES
+    if signal.left_out:
+        notes[_LEFT_OUT + name] = as_note(signal.left_out)
+    return notes
+
+
+def notes_of_frames(episode: Episode) -> dict[str, str]:
+    """Return the note on an episode's pictures, if there is one."""
+    return {_UNTIMED: _YES} if episode.frames_untimed else {}
+
+
+def notes_of_channels(episode: Episode, topic_of: Callable[[str], str]) -> dict[str, str]:
+    """Return the notes on what pictures and sounds lack, by their topics after the import."""
+    return {
+        _LEFT_OUT + topic_of(one.topic): as_note(one.left_out)
+        for one in episode.channels
+        if any(one.left_out.values()) and one.skipped is None
+    }
+
+
+def restored(episode: Episode, options: ReadOptions) -> Episode:
+    """Restore what an imported log's notes say; the user's options go before them."""
+    notes = episode.info.notes
+    if not any(key.startswith((_UNIT, _COUNTS, _IMPACTS, _LEFT_OUT, _UNTIMED)) for key in notes):
+        return episode
+    impacts = {
+        one.topic: _impacts(one)
+        for one in episode.channels
+        if one.type_name == HEADER and notes.get(_IMPACTS + one.topic) == _YES and one.messages
+    }
+    channels = tuple(
+        replace(
+            one,
+            skipped=None if one.topic in impacts else one.skipped,
+            left_out=added(one.left_out, of_note(notes.get(_LEFT_OUT + one.topic, "")))
+            if one.pictures or one.sounds
+            else {},
+        )
+        for one in episode.channels
+    )
+    signals = {**episode.signals, **impacts}
+    found = replace(
+        episode,
+        signals={name: _restored(one, notes, options) for name, one in signals.items()},
+        channels=channels,
+    )
+    if notes.get(_UNTIMED) != _YES or episode.open_frames is None:
+        return found
+    if not options.rate_hz:
+        return replace(found, frames_untimed=True)
+    opened, rate_hz = episode.open_frames, options.rate_hz
+
+    def timed(topic: str) -> Iterator[Frame]:
+        for frame in opened(topic):
+            stamp_ns = int(_timed(np.array([frame.stamp_ns]), rate_hz)[0])
+            yield replace(frame, stamp_ns=stamp_ns)
+
+    return replace(found, open_frames=timed)
+
+
+def rate_is_unused(episode: Episode, options: ReadOptions) -> bool:
+    """Check whether a frame rate was given for messages that all have times of their own."""
+    keys = (_COUNTS, _UNTIMED)
+    return options.rate_hz is not None and not any(
+        key.startswith(keys) for key in episode.info.notes
+    )
+
+
+def _restored(signal: Signal, notes: Mapping[str, str], options: ReadOptions) -> Signal:
+    unit = notes.get(_UNIT + signal.name, "")
+    if signal.is_position and unit and not options.length_unit:
+        signal = replace(signal, unit=UNSTATED if unit == _UNKNOWN else "px")
+    if before := of_note(notes.get(_LEFT_OUT + signal.name, "")):
+        signal = replace(signal, left_out=added(signal.left_out, before))
+    if notes.get(_COUNTS + signal.name) != _YES:
+        return signal
+    if not options.rate_hz:
+        return replace(signal, counts_frames=True)
+    return replace(signal, stamps_ns=_timed(signal.stamps_ns, options.rate_hz))
+
+
+def _timed(stamps_ns: NDArray[np.int64], rate_hz: float) -> NDArray[np.int64]:
+    """Convert stamps that count frames to those of a rate [ns], shape (T,)."""
+    return np.round(stamps_ns * (1e9 / rate_hz / FRAME_NS)).astype(np.int64)
+
+
+def _impacts(channel: Channel) -> Signal:
+    """Return impacts by the log's own stamps of their messages, which an import makes the same."""
+    stamps_ns = np.unique(channel.log_ns)
+    return Signal(channel.topic, stamps_ns, np.ones((len(stamps_ns), 1)), ("impact",), "1")
+
+
+# ---- Measurements alone: an episode without commands and forces
+
+
+def without_commands(episode: Episode) -> Episode:
+    """Return the episode without commands, forces, and warnings about their channels.
+
+    A commanded trajectory is no joint's state, and a sensor's torque no joint's: whoever looks for
+    something in a log by its units looks at this. One without any is given back as it is.
+    """
+    driving = {name for name, signal in episode.signals.items() if signal.drives}
+    channels = [channel for channel in episode.channels if channel.drives]
+    if not driving and not channels:
+        return episode
+    others = {channel.topic for channel in episode.channels if not channel.drives}
+    names = driving | ({channel.topic for channel in channels} - others)
+    starts = tuple(f"{one}: " for name in names for one in (name, short_name(name)))
+
+    def kept(lines: Iterable[str]) -> tuple[str, ...]:
+        return tuple(line for line in lines if not line.startswith(starts))
+
+    return replace(
+        episode,
+        signals={name: one for name, one in episode.signals.items() if name not in driving},
+        channels=tuple(
+            replace(one, skipped=UNUSED) if one.drives else one for one in episode.channels
+        ),
+        warnings=kept(episode.warnings),
+        losses=kept(episode.losses),
+    )
+
+
+# ---- Topic: count, decode and gather its messages by the rules of their type
+
+# Messages that are decoded together, at least; bytes of each and layouts of them, at most: with few
+# of a layout it would take longer than one by one.
+_MIN_STACKED, _MAX_STACKED, _MAX_LAYOUTS = 16, 64 * 1024, 8
+
+_MAX_WAITING = 1024  # messages that came one by one, and wait to be decoded together
+_LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
+DriveRows = PlannedRows | NumberRows | WrenchRows  # what gathers commands and forces
+# What gathers messages.
+_Rows = PositionRows | JointRows | PictureStamps | SoundStamps | DriveRows | UserColumnRows
+
+
+class ReadingPlan:
+    """State shared by the topics of a log while it is read.
+
+    Attributes:
+        budget: for definitions of types.
+        decoders: of the types that are known.
+        picks: the fields that are named; None where none is.
+        most_numbers: that are kept of the joints of a topic.
+    """
+
+    def __init__(self, path: Path, options: ReadOptions, most_numbers: float) -> None:
+        self.most_numbers = most_numbers
+        self.budget = SchemaBudget()
+        self.decoders = Decoders(self.budget)
+        self.picks = UserColumns(path, options, self.budget) if options.columns else None
+        self._path = path
+        self._options = options
+
+    @cached_property
+    def points(self) -> PointBudget:
+        """Budget of trajectory points."""
+        return PointBudget(registry.file_bytes(self._path))
+
+    def drive_rows(self, topic: str, kind: DriveType) -> DriveRows:
+        """Return the collector for a type of commands or forces."""
+        if isinstance(kind, PlanType):
+            return PlannedRows(topic, self.points)
+        return NumberRows(topic) if isinstance(kind, NumbersType) else WrenchRows(topic)
+
+    def length(self, unit: str) -> tuple[str, float]:
+        """Return the unit of positions, and the factor to it from `unit`, the messages' own."""
+        said = self._options.length_unit
+        if not said:
+            return unit, 1.0
+        return ("px", 1.0) if self._options.length_m is None else ("m", self._options.length_m)
+
+    def named_signals(self) -> tuple[dict[str, Signal], list[str]]:
+        """Return the signals of the user's columns, and notes on what was repaired.
+
+        Raises:
+            LogError: something of it is not there.
+        """
+        found, notes = self.picks.signals() if self.picks else ([], [])
+        return {signal.name: signal for signal in found}, notes
+
+
+class TopicContents:
+    """Messages of one topic, in one type: counted, decoded, gathered.
+
+    Attributes:
+        rows: what they hold, as far as it was read; None where the type or encoding is not.
+        damaged: messages that cannot be read.
+        refused: those that may be whole, but of a kind or size that is not read.
+        used: those that were read.
+    """
+
+    def __init__(self, channel: RawChannel, plan: ReadingPlan) -> None:
+        self.channel = channel
+        self.rows: _Rows | None = None
+        self.damaged = 0
+        self.refused = 0
+        self._log_ns = array("q")
+        self._unusable: str | None = None
+        self._why = ""  # the first message that was left out was
+        self.used = 0
+        self._type = message_type_of(channel)
+        self._decode: Decode | None = None
+        self._shape: ShapeMessages | None = None
+        self._stacked: Callable[[NDArray[np.uint8]], Stacked] | None = None
+        self._waiting: list[tuple[int, bytes]] = []
+        try:
+            if not plan.picks or isinstance(self._type, PictureType | SoundType):
+                self._read_by_type(plan)
+            else:
+                self._read_by_hand(plan)
+        except UnusableError as reason:
+            self._unusable = str(reason)
+
+    def _read_by_type(self, plan: ReadingPlan) -> None:
+        """Read by the channel's type, or by the shape of its messages; else UnusableError."""
+        channel, kind = self.channel, self._type
+        if kind is None and channel.encoding in registry.DECODERS:
+            is_outcome = type_key(channel.type_name) == TASK_OUTCOME
+            shape = None if is_outcome else shape_messages(channel, plan.budget)
+            if shape is None:
+                use = "for tunenet-review" if is_outcome else UNUSED
+                raise UnusableError(use)
+            self._shape, self._decode, self._read = shape, shape.decode, shape.read
+            self.rows = PositionRows(channel.topic, *plan.length(unit_of(channel.type_name)))
+            self._gather = self.rows.add
+            return
+        self._decode = plan.decoders.of(channel)
+        assert kind is not None
+        if isinstance(kind, PositionType):
+            self.rows = PositionRows(channel.topic, *plan.length("m"), names_one=kind.names_one)
+        elif isinstance(kind, JointType):
+            self.rows = JointRows(channel.topic, plan.most_numbers)
+            if channel.encoding in ("cdr", "ros1"):
+                is_ros1 = channel.encoding == "ros1"
+                types, name = known_types(is_ros1=is_ros1), ros_name(channel.type_name)
+                self._stacked = stacked_decoder(types, name, is_ros1=is_ros1)
+        elif isinstance(kind, DriveType):
+            self.rows = plan.drive_rows(channel.topic, kind)
+            self._decode = _bounded(self._decode, self.rows.check)
+        elif isinstance(kind, SoundType):
+            self.rows = SoundStamps(channel.topic)
+        else:
+            self.rows = PictureStamps(channel.topic, kind.is_video)
+        self._read: Callable[[Any], Any] = kind.read
+        if isinstance(kind, PictureType):
+            self._read = checked_pictures(kind)
+        elif isinstance(kind, SoundType):
+            self._read = checked_sound(kind)
+        self._gather: Callable[[int, Any], None] = self.rows.add
+
+    def _read_by_hand(self, plan: ReadingPlan) -> None:
+        """Read the user's columns; UnusableError where none is of this channel."""
+        rows = plan.picks.rows_of(self.channel) if plan.picks else None
+        if rows is None:
+            raise UnusableError("--columns names none of its fields")
+        self.rows, self._decode, self._gather = rows, rows.decode, rows.add
+        self._read = lambda message: message
+
+    @property
+    def is_by_shape(self) -> bool:
+        """Whether positions are recognised by the names of message fields."""
+        return self._shape is not None
+
+    @property
+    def drives(self) -> bool:
+        """Whether its messages are commands or forces."""
+        return isinstance(self.rows, DriveRows)
+
+    @property
+    def is_video(self) -> bool:
+        """Whether its frames depend on earlier ones."""
+        return isinstance(self._type, PictureType) and self._type.is_video
+
+    def checked_shape(self) -> list[str] | None:
+        """Return notes on what was recognised by shape; None where that is implausible."""
+        if self._shape is None:
+            return []
+        reason, said = self._shape.outcome(self.channel.topic)
+        if not self.used and self.damaged:  # laid out in another way than is known here
+            reason = f"its messages cannot be read{self.first}"
+            self.damaged = 0
+        if reason:
+            self._unusable = reason
+            return None
+        return said
+
+    def add(self, log_ns: int, data: bytes | memoryview) -> None:
+        """Add one message, received at `log_ns` [ns]; it may wait for more to be read with."""
+        if self._stacked is None or len(data) > _MAX_STACKED or not 0 <= log_ns <= _LAST_NS:
+            self.finish()
+            self._add(log_ns, data)
+            return
+        self._waiting.append((log_ns, bytes(data)))
+        if len(self._waiting) >= _MAX_WAITING:
+            self.finish()
+
+    def finish(self) -> None:
+        """Read the messages that wait."""
+        waiting, self._waiting = self._waiting, []
+        if not waiting:
+            return
+        stamps, data = zip(*waiting, strict=True)
+        ends = np.cumsum([len(one) for one in data])
+        begins = np.concatenate([[0], ends[:-1]])
+        heads = np.array(list(zip(stamps, strict=True)), [("log_ns", "<u8")])
+        plain = memoryview(b"".join(data))
+        self.add_all(RawMessages(plain, {}, heads, begins, ends))
+
+    def _add(self, log_ns: int, data: bytes | memoryview) -> None:
+        if not 0 <= log_ns <= _LAST_NS:
+            self.damaged += 1
+            self._why = self._why or "its time lies beyond the year 2262"
+            return
+        self._log_ns.append(log_ns)
+        if self._decode is None:
+            return
+        try:
+            self._gather(log_ns, self._read(self._decode(data)))
+            self.used += 1
+        except (UnusableError, BeyondLimitError) as reason:
+            self.refused += 1
+            self._why = self._why or str(reason)
+        except (MessageError, *DAMAGED) as error:
+            self.damaged += 1
+            self._why = self._why or described(error)
+
+    def add_all(self, messages: RawMessages) -> None:
+        """Add contiguous messages, decoding those of one layout at once."""
+        self.finish()
+        if self._stacked is not None and self._add_stacked(self._stacked, messages):
+            return
+        stamps = messages.heads["log_ns"].tolist()
+        for log_ns, begin, end in zip(
+            stamps, messages.begins.tolist(), messages.ends.tolist(), strict=True
+        ):
+            self._add(log_ns, messages.plain[begin:end])
+
+    def _add_stacked(
+        self, decode: Callable[[NDArray[np.uint8]], Stacked], messages: RawMessages
+    ) -> bool:
+        """Decode messages of few layouts at once; False if there are more, or one is damaged."""
+        log_ns = messages.heads["log_ns"]
+        sizes = messages.ends - messages.begins
+        if len(sizes) < _MIN_STACKED or log_ns.max() > _LAST_NS or sizes.max() > _MAX_STACKED:
+            return False
+        log_ns = log_ns.astype(np.int64)
+        parts: list[tuple[NDArray[np.intp], NDArray[np.int64], Any]] = []
+        try:
+            for size in np.unique(sizes).tolist():
+                places = np.flatnonzero(sizes == size)
+                rows = messages.rows(places, size)
+                while len(places):
+                    if len(parts) >= _MAX_LAYOUTS:
+                        return False
+                    message, same = decode(rows)
+                    parts.append((places[same], log_ns[places[same]], self._read(message)))
+                    places, rows = places[~same], rows[~same]
+            assert isinstance(self.rows, JointRows)
+            self.rows.add_all(sorted(parts, key=lambda part: part[0][0]))
+        except DAMAGED:
+            return False
+        self.used += len(log_ns)
+        self._log_ns.frombytes(log_ns.tobytes())
+        return True
+
+    @property
+    def first(self) -> str:
+        """Why the first message was left out, in parentheses; "" where none was."""
+        return f" (the first: {self._why})" if self._why else ""
+
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        return len(self._log_ns)
+
+    def lost_of(self, samples: int, share: float) -> dict[str, int]:
+        """Estimate the missing samples by reason; `share` of the whole log is lost."""
+        return {
+            DAMAGED_MESSAGES: in_proportion(samples, self.damaged, self.used),
+            NOT_READ: in_proportion(samples, self.refused, self.used),
+            LOST: in_proportion(samples, share, 1 - share),
+        }
+
+    def another_name(self, taken: Iterable[str]) -> str:
+        """Return an unused name for a topic whose name another channel's signals have, too."""
+        name, number = f"{self.channel.topic}@{plain_type(self.channel.type_name)}", 1
+        names = set(taken)
+        while any(f"{one}.".startswith(f"{name}{number if number > 1 else ''}.") for one in names):
+            number += 1
+        return f"{name}{number if number > 1 else ''}"
+
+    def summary(self) -> Channel:
+        """Summarise as a `Channel`."""
+        skipped = self._unusable
+        if skipped is None and not self.used:
+            if not self._log_ns and not self.damaged:
+                skipped = "it holds no message"
+            else:
+                skipped = self._why if self.refused else f"all its messages are damaged{self.first}"
+        return Channel(
+            topic=self.channel.topic,
+            type_name=self.channel.type_name,
+            encoding=self.channel.encoding,
+            log_ns=np.frombuffer(self._log_ns, np.int64),
+            skipped=skipped,
+            pictures=isinstance(self._type, PictureType),
+            drives=self.drives,
+            sounds=isinstance(self._type, SoundType),
+        )
+
+
+def _bounded(decode: Decode, check: Callable[[bytes | memoryview], None]) -> Decode:
+    """Return a decoder that first checks the bytes of a message."""
+
+    def decode_checked(data: bytes | memoryview) -> Any:
+        check(data)
+        return decode(data)
+
+    return decode_checked
+
+
+# ---- Reading options that made no difference
+
+_CHANGED_NOTHING = "not used: the file reads the same without"
+
+_NO_RATE = "--fps not used: its messages have times of their own"
+_NO_CURRENTS = (
+    "--torque-constants not used: no current is read of its messages (where its efforts are "
+    "currents, add --effort-unit A)"
+)
+
+
+def said_unused(name: str, warnings: Iterable[str]) -> bool:
+    """Check whether one of the warnings says that an option changed nothing."""
+    return any(warning.startswith(f"{name} not used") for warning in warnings)
+
+
+def unused_of_messages(episode: Episode, options: ReadOptions) -> tuple[str, ...]:
+    """Return a line for each option that counts for nothing in a log of messages."""
+    reads_currents = any(name.startswith("current") for name in options.columns)
+    has_constants = bool(options.torque_constants)
+    lines = {
+        _NO_RATE: rate_is_unused(episode, options),
+        _NO_CURRENTS: has_constants and not reads_currents,
+    }
+    return tuple(filter(lines.get, lines))
+
+
+def unused_reading(
+    path: Path,
+    episode: Episode,
+    options: ReadOptions,
+    read: Callable[[Path, ReadOptions], Container | Episode],
+) -> tuple[str, ...]:
+    """Return a line for each option without which a file reads the same.
+
+    Pictures and tables are not asked about what always counts there: their rate, their columns.
+    """
+    has_pictures = episode.open_frames is not None
+    is_table = episode.info.source.startswith("table ")
+    counts = {"--fps": has_pictures, "--columns": is_table}
+    found: list[str] = []
+    for name in options.given:
+        if counts.get(name):
+            continue
+        if not has_pictures or episode.signals:
+            field = FIELDS[name]
+            without = replace(options, **{field: getattr(AS_IT_SAYS, field)})
+            try:
+                other = read(path, without)
+            except LogError:
+                continue
+            if not isinstance(other, Episode) or not _is_same(episode, other):
+                continue
+        found.append(f"{name} {_CHANGED_NOTHING}")
+    return tuple(found)
+
+
+def _is_same(one: Episode, other: Episode) -> bool:
+    return list(one.signals) == list(other.signals) and all(
+        map(_is_same_signal, one.signals.values(), other.signals.values())
+    )
+
+
+def _is_same_signal(one: Signal, other: Signal) -> bool:
+    facts = [(each.columns, each.unit, each.counts_frames) for each in (one, other)]
+    return (
+        facts[0] == facts[1]
+        and np.array_equal(one.stamps_ns, other.stamps_ns)
+        and np.array_equal(one.values, other.values, equal_nan=True)
+    )
+
+
+# ---- Reading: from the records of a container to an episode
+
+# Pixels of all pictures of a log, whatever its size is (a second of decoding), and further ones for
+# each of its bytes: a camera's pictures have 20, rendered ones without noise 300.
+_FREE_PIXELS, _PIXELS_A_BYTE = 50_000_000, 500
+
+_FEW_TOPICS = 8  # cameras that are read, however long the log is; and microphones, at most
+# Messages that all picture topics together may pass, since each is read by a pass over the file: of
+# any log, and the bytes of a log for each beyond.
 _FREE_MESSAGES, _BYTES_A_MESSAGE = 5_000_000, 50
 
-# Places of damage that are named one by one among the warnings; the rest is counted.
-_MAX_LOSSES = 5
-
-_LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
+_MAX_LOSSES = 5  # damaged places that the warnings name; the rest is counted
 
 
 def read_episode(

@@ -1,4 +1,8 @@
-"""Print safely to a terminal: others' words as printable characters, and progress bars."""
+"""Report to a person at a terminal: progress of slow work, and others' words as printable text.
+
+Slow work reports by `teller` or `told`, whoever listens (`heard_by`); `Progress` listens, and shows
+bars or, without a terminal, a line now and then. `one_line` lets no name in a log move the cursor.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +11,73 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from tunenet_logs.addresses import without_secrets
-from tunenet_logs.progress import heard_by
+
+Item = TypeVar("Item")
+
+# Takes what is being done, in words, and which fraction of it is done: 0 to 1, 0 at first.
+Listener = Callable[[str, float], object]
+
+_listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
+
+_SOON_S = 0.1  # between two reports: a terminal shows no more, and a callback may be slow
+_NEARLY = 0.999  # reported at most of what is not done yet
+
+
+@contextmanager
+def heard_by(listener: Listener | None) -> Generator[None]:
+    """Let `listener` hear of the work in this block; nobody if it is None."""
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
+
+
+def teller(what: str) -> Callable[[float], object]:
+    """Make a callback that reports the fraction done of `what`, rate-limited for the listener."""
+    listener = _listener.get()
+    if listener is None:
+        return silent
+    listener(what, 0.0)
+    next_s = time.monotonic() + _SOON_S
+
+    def tell(fraction: float) -> None:
+        nonlocal next_s
+        now_s = time.monotonic()
+        if now_s >= next_s or fraction >= 1.0:
+            listener(what, min(fraction, 1.0))
+            next_s = now_s + _SOON_S
+
+    return tell
+
+
+def silent(_fraction: float) -> None:
+    """Report to nobody."""
+
+
+def told(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
+    """Yield the items, reporting `what` and how many of roughly `total` are done."""
+    tell = teller(what)
+    for done, item in enumerate(items):
+        tell(min(done / max(total, 1), _NEARLY))
+        yield item
+    tell(1.0)
+
+
+# ---- Printable text, and bars
 
 _MAX_CHARACTERS = 60  # of a name: with them, the rest of its line still fits a wide terminal
 FEW_NAMES = 6  # names that a reason lists: it is one line
 _MAX_NAMES = 20  # in one sentence; the rest is counted: nobody reads more of them
 _STAGE_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {remaining} left"
 
-# For which a stage is watched before it is said how long it will last, from when it is, and after
-# which it is said again.
+# A stage is watched so long before it is said how much longer it lasts; that is said if it is worth
+# a word, and again after a while.
 _WATCHED_S, _WORTH_A_WORD_S, _AGAIN_S = 2.0, 10.0, 30.0
 
 _IN_SECONDS_S = 90.0  # times below it are told in seconds; so many minutes in minutes

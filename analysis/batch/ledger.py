@@ -1,33 +1,137 @@
 """Ledger of a batch: an append-only journal while logs are tuned, a Parquet table at the end.
 
-A kill at any moment loses at most the line being written; the next run resumes from the rest.
-There is one row per log: a later one replaces an earlier.
+There is one row per log: a later one replaces an earlier. A kill at any moment loses at most the
+line being written; the next run resumes from the rest. A row has a digest of the options, which
+tells whether the next run would tune the log alike.
 """
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
+import re
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, get_args
 
-from analysis.batch.ledger_row import Cell, LedgerRow
-from analysis.batch.result_names import OF_BATCH
-from analysis.checks import Verdict
-from analysis.result_files import recording, writable
+import numpy as np
+
+from tunenet_logs.addresses import Address
+from tunenet_logs.analysis.batch.logs import OF_BATCH, FoundLog, LogState
+from tunenet_logs.analysis.checks import Verdict
+from tunenet_logs.analysis.record import Estimate, Record
+from tunenet_logs.analysis.result_files import log_sha256, recording, table, writable
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.formats.exports.arrays.parquet_columns import parquet_rows
-from tunenet_logs.output.new_file import write_new
-from tunenet_logs.output.owned_file import OutputPlace, begins_with
-from tunenet_logs.small_files import parse_json
+from tunenet_logs.files import csv_line, parse_json, real_path, text_of
+from tunenet_logs.formats.readers.parquet import parquet_rows
+from tunenet_logs.recorders.simulators.known import ENGINE_VARIABLE
 from tunenet_logs.terminal import short_name
+from tunenet_logs.writing.owned_path import OutputPlace, begins_with, write_new
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+# ---- Text files beside the results: check their place before the work.
+
+
+def check_batch_file(place: OutputPlace, logs: Iterable[FoundLog], folder: Path | None) -> None:
+    """Check before hours of work that a file can be written, and replaces no log.
+
+    The `folder` of the results may not exist yet; None is for beside each log.
+
+    Raises:
+        UsageError: It cannot be written.
+    """
+    path = place.path
+    real = real_path(path)
+    if any(isinstance(one.log, Path) and real_path(one.log) == real for one in logs):
+        raise UsageError(f"{path}: is a log of this batch; {place.elsewhere}")
+    if path.parent.is_dir() or folder is None or real_path(path.parent) != real_path(folder):
+        place.check()
+
+
+# ---- Rows: one per log, flat, every cell a number or a text.
+
+Cell = str | int | float | bool | None
+
+# Cells by the names of their columns; those without a value may be left out.
+LedgerRow = Mapping[str, Cell]
+
+
+def ledger_key(log: Path | Address) -> str:
+    """Return a log's key in the ledger: its absolute path, or its address without secrets."""
+    text = str(log if isinstance(log, Address) else real_path(log))
+    return os.fsencode(text).decode(errors="replace")
+
+
+def ledger_row(
+    log: Path | Address, name: Path, record: Record, state: LogState, error: str | None
+) -> dict[str, Cell]:
+    """Build the ledger's row of one log.
+
+    Args:
+        log: Where it is.
+        name: Where its results go, without the suffix.
+        record: Its result, with the provenance.
+        state: Of the log when it was read.
+        error: Why it failed; None otherwise, even if it was rejected.
+    """
+    provenance, fit = record.provenance, record.motion.fit
+    row: dict[str, Cell] = {
+        "log": ledger_key(log),
+        "verdict": record.verdict,
+        "reason": record.reason,
+        "error": error,
+        "task": record.task,
+        "method": record.method,
+        "ball": record.ball,
+        "topic": record.topic,
+        "rollouts": record.rollouts,
+        "seconds": record.seconds.get("total"),
+        "sha256": None if provenance is None else provenance.log_sha256,
+        "bytes": state.size,
+        "modified_ns": state.modified_ns,
+        "results": ledger_key(name),
+        "tuned": None if provenance is None else provenance.date,
+        "version": None if provenance is None else provenance.version,
+        "engine": None if provenance is None else provenance.engine,
+    }
+    for estimate in record.estimates:
+        row.update(_cells(estimate))
+    if fit is not None and record.estimates:
+        row |= {
+            "fit_rms_percent": fit.rms_percent,
+            "fit_worst_percent": fit.worst_percent,
+            "fit_noise_percent": fit.noise_percent,
+            "fit_excess_percent": fit.excess_percent,
+            "fit_held_out_percent": fit.held_out_percent,
+        }
+    return row
+
+
+def _cells(estimate: Estimate) -> dict[str, Cell]:
+    """Flatten a value, its interval as `_low` and `_high`, a vector by its axes."""
+    unit = re.sub(r"[^A-Za-z0-9]+", "_", estimate.unit).strip("_")
+    ending = "" if estimate.unit == "1" else f"_{unit}"
+    cells: dict[str, Cell] = {}
+    for part in estimate.components:
+        name = part.name + ending
+        cells[name] = part.value
+        if part.interval95 is not None:
+            cells |= dict(zip((f"{name}_low", f"{name}_high"), part.interval95, strict=True))
+    return cells
+
+
+# ---- Journal and table: append rows under a lock, then compact them to Parquet.
 
 TEXTS = ("log", "verdict", "reason", "error", "task", "method", "ball", "topic", "sha256")
 TEXTS += ("results", "tuned", "version", "engine", "options")
@@ -39,20 +143,19 @@ _GO_ON = "free some space, then go on with --resume"  # what to do where a disk 
 _ELSEWHERE = "choose another folder with -o"
 _MOVE = f"move it away, or {_ELSEWHERE}"
 
-_MAX_LINE = 100_000  # bytes of a line of the journal
-# Of a journal that is read; while it grows, it becomes part of the table in time.
+# Of a journal that is read: `append` compacts it at half, and a row of ours has hundreds of bytes.
 _MAX_JOURNAL_BYTES = 50_000_000
-
-_MAX_LINES = 60_000  # of a journal that is read: a row of ours has hundreds of bytes
+_MAX_LINES = 60_000
+_MAX_LINE_BYTES = 100_000
 _MAX_COLUMNS = 2000
 # Of a ledger that is read: 125,000 logs, and fewer where it has more columns.
 _MAX_CELLS, _TYPICAL_COLUMNS = 5_000_000, 40
 
 _HEAD = b'{"journal": "tunenet-tune"}\n'
-_ROW = b'{"log": '  # how a journal begins, and each of its lines
+_ROW = b'{"log": '  # how a journal begins, and each line after that
+# What a table says of itself, how that stands in its file, and in how many of the last bytes.
 _PARQUET_MARK = {b"tunenet-logs": b"ledger"}
 _IN_PARQUET = b"tunenet-logs\x18\x06ledger"
-# What a table says of itself, how that stands in a file, and in how many of its last bytes.
 _FOOTER_BYTES = 2**20
 
 
@@ -278,12 +381,12 @@ def _journal_rows(path: Path, file: BinaryIO) -> list[LedgerRow]:
     file.seek(0)
     rows: list[LedgerRow] = []
     whole = number = 0
-    while line := file.readline(_MAX_LINE):
+    while line := file.readline(_MAX_LINE_BYTES):
         number += 1
         if number > _MAX_LINES:
             raise LogError(f"{path}: has over {_MAX_LINES} lines; {_MOVE}")
         if not line.endswith(b"\n"):
-            is_torn = number > 1 and len(line) < _MAX_LINE and line[: len(_ROW)] in _ROW
+            is_torn = number > 1 and len(line) < _MAX_LINE_BYTES and line[: len(_ROW)] in _ROW
             if not is_torn:
                 raise _no_row(path, number, "does not end")
             break
@@ -352,3 +455,86 @@ def _table_rows(path: Path) -> Iterator[LedgerRow]:
         raise LogError(f"{path}: is no ledger ({error}); {_MOVE}") from error
     except LogError as error:
         raise LogError(error.what, _MOVE) from error
+
+
+# ---- Options digest: a hash of all that decides a log's result.
+
+_DIGITS = 16
+
+
+def options_digest(options: Options) -> str:
+    """Hash the options, the contents of the files they name, the engine and our version."""
+    known = hashlib.sha256()
+    engine = os.environ.get(ENGINE_VARIABLE, "")
+    known.update(f"{version('tunenet-logs')} {engine}\n".encode())
+    _add(known, options)
+    return known.hexdigest()[:_DIGITS]
+
+
+def _add(known: Any, value: Any) -> None:
+    if isinstance(value, Path):
+        try:
+            known.update(log_sha256(value).encode())
+        except OSError:  # every log will be rejected for it
+            known.update(str(value).encode(errors="replace"))
+    elif isinstance(value, np.ndarray):
+        known.update(f"{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value) and not isinstance(value, Episode):
+        for field in fields(value):
+            known.update(field.name.encode())
+            _add(known, getattr(value, field.name))
+    elif isinstance(value, tuple | list):
+        known.update(f"({len(value)}".encode())
+        for one in value:
+            _add(known, one)
+    elif isinstance(value, dict):
+        for name in sorted(value):
+            known.update(str(name).encode())
+            _add(known, value[name])
+    else:
+        known.update(f"{value!r};".encode())
+
+
+# ---- CSV: the ledger as a text table (`--csv`).
+
+_NOT_ITS = (".json", ".rrd", ".parquet", ".jsonl")  # suffixes of what a batch writes beside it
+
+
+def csv_place(path: Path, folder: Path, *, overwrite: bool) -> OutputPlace:
+    """Return the output place of the CSV, which may replace one of the same folder."""
+    own = ledger_key(folder)
+
+    def lost(row: Mapping[str, str]) -> str | None:
+        results = Path(text_of(row["results"]))
+        return None if results.is_relative_to(own) else str(results.parent)
+
+    elsewhere = "give --csv another file"
+    return OutputPlace(path, "ledger", table(COLUMNS, lost), own, elsewhere, overwrite=overwrite)
+
+
+def check_csv(place: OutputPlace, folder: Path, logs: Iterable[FoundLog] = ()) -> None:
+    """Check before hours of work that the table can be written, and replaces no log.
+
+    Raises:
+        UsageError: It cannot be written.
+    """
+    path = place.path
+    if path.suffix.lower() in _NOT_ITS:
+        raise UsageError(f"{path}: is a name of other results; give --csv a name such as all.csv")
+    check_batch_file(place, logs, folder)
+
+
+def write_csv(ledger: Ledger, place: OutputPlace) -> None:
+    """Write the ledger as CSV.
+
+    Raises:
+        LogError: A file in its place may not be replaced.
+        OSError: It cannot be written.
+    """
+    columns = list(dict.fromkeys((*COLUMNS, *ledger.columns)))
+    with (
+        place.replacing() as unfinished,
+        unfinished.open("w", newline="", encoding="utf-8") as file,
+    ):
+        file.write(csv_line(columns))
+        file.writelines(csv_line(row.get(name) for name in columns) for row in ledger.rows())

@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tunenet_logs.commandline import Parser, run
+from tunenet_logs.console import Parser, run
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
-    from analysis.comparison import Comparison
-    from analysis.record import Record
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.compare import Comparison
+    from tunenet_logs.analysis.record import Record
+    from tunenet_logs.writing.owned_path import OutputPlace
 
 _OPTIONS = {"pairs": "csv"}  # by which an output is asked for that has no option of its own
 _DESCRIPTION = """\
@@ -58,10 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _compare(arguments: argparse.Namespace) -> int:
-    from analysis.comparison import compare
-    from analysis.comparison_text import comparison_text
-    from analysis.optional_dependencies import needed
-    from analysis.tuning_files import read_tunings
+    from tunenet_logs.analysis.campaign import read_tunings
+    from tunenet_logs.analysis.compare import compare
+    from tunenet_logs.analysis.presentation import comparison_text
+    from tunenet_logs.analysis.registry import needed
 
     tunings = read_tunings(arguments.places, _warn)
     places = _places(arguments, [tuning.record for tuning in tunings])
@@ -81,9 +81,9 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 def _places(arguments: argparse.Namespace, records: Sequence[Record]) -> dict[str, OutputPlace]:
     """Return the output places that were asked for: "csv", "pairs", "html", "png"."""
-    from analysis.comparison import COLUMNS, PAIR_COLUMNS
-    from analysis.result_files import in_words, logs_of, marked, review_name, table
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.compare import COLUMNS, PAIR_COLUMNS
+    from tunenet_logs.analysis.result_files import in_words, logs_of, marked, review_name, table
+    from tunenet_logs.writing.owned_path import OutputPlace
 
     logs = logs_of(records)
 
@@ -116,7 +116,7 @@ def _places(arguments: argparse.Namespace, records: Sequence[Record]) -> dict[st
 
 
 def _check_outputs(places: Mapping[str, OutputPlace], inputs: Sequence[Path]) -> None:
-    from analysis.result_files import check_place
+    from tunenet_logs.analysis.result_files import check_place
 
     for name, place in places.items():
         option = _OPTIONS.get(name, name)
@@ -128,7 +128,7 @@ def _pairs_path(path: Path) -> Path:
 
 
 def _write(places: Mapping[str, OutputPlace], comparison: Comparison) -> list[Path]:
-    from tunenet_logs.csv_lines import csv_line
+    from tunenet_logs.files import csv_line
 
     for name, told in (("csv", comparison.to_frame), ("pairs", comparison.pairs_frame)):
         if name in places:
@@ -137,14 +137,14 @@ def _write(places: Mapping[str, OutputPlace], comparison: Comparison) -> list[Pa
             with places[name].replacing() as partial:
                 partial.write_text("".join(lines), "utf-8")
     if "html" in places:
-        from analysis.report.page import comparison_page
+        from tunenet_logs.analysis.report.page import comparison_page
 
         with places["html"].replacing() as partial:
             partial.write_text(comparison_page(comparison), "utf-8")
     if "png" in places:
-        from analysis.report.compared_figures import comparison_drawings
-        from analysis.report.embedded import write_figure
-        from analysis.result_files import logs_of, mark
+        from tunenet_logs.analysis.report.figures import comparison_drawings
+        from tunenet_logs.analysis.report.page import write_figure
+        from tunenet_logs.analysis.result_files import logs_of, mark
 
         path = places["png"].path
         drawings = comparison_drawings(comparison)

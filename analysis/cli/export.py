@@ -8,16 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.export.registry import FORMATS
-from tunenet_logs.commandline import Parser, number, run
+from tunenet_logs.analysis.export.registry import FORMATS, export_format, usual_suffix
+from tunenet_logs.console import Parser, number, run
 from tunenet_logs.errors import TuneNetError, UsageError
-from tunenet_logs.regular_file import real_path
+from tunenet_logs.files import real_path
 from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
-    from analysis.export.exported import ExportedBall, ExportedPayload
-    from analysis.export.registry import ExportFormat
-    from analysis.record import Record
+    from tunenet_logs.analysis.export.exported import ExportedBall, ExportedPayload
+    from tunenet_logs.analysis.export.registry import ExportFormat
+    from tunenet_logs.analysis.record import Record
 
 _DESCRIPTION = """\
 Write what was tuned as a file for a physics engine: a ball's contact, or a payload's
@@ -93,10 +93,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from analysis.export.exported import ExportedBall
-    from analysis.export.registry import export_format
-    from analysis.result_files import exported_file
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.export.exported import ExportedBall
+    from tunenet_logs.analysis.result_files import exported_file
+    from tunenet_logs.writing.owned_path import OutputPlace
 
     engine = export_format(arguments.to)
     record, item = _item(arguments, engine)
@@ -126,7 +125,7 @@ def _export(arguments: argparse.Namespace) -> int:
 
 def _check_words(engine: ExportFormat, path: Path, ball: ExportedBall) -> str:
     """Format as a table how the engine drops the exported ball."""
-    from analysis.export.check import checked
+    from tunenet_logs.analysis.export.files import checked
 
     check = checked(engine, path, ball)
     if isinstance(check, str):
@@ -147,9 +146,9 @@ def _check_words(engine: ExportFormat, path: Path, ball: ExportedBall) -> str:
 def _item(
     arguments: argparse.Namespace, engine: ExportFormat
 ) -> tuple[Record, ExportedBall | ExportedPayload]:
-    from analysis.export.files import exported_for
-    from analysis.export.from_record import ExportOptions
-    from analysis.record_json import read_record
+    from tunenet_logs.analysis.export.exported import ExportOptions
+    from tunenet_logs.analysis.export.files import exported_for
+    from tunenet_logs.analysis.record import read_record
 
     said = ExportOptions(arguments.speed, arguments.radius, arguments.mass, arguments.step)
     record = read_record(arguments.tuning)
@@ -163,8 +162,7 @@ def _texts(
     arguments: argparse.Namespace, engine: ExportFormat, item: ExportedBall | ExportedPayload
 ) -> dict[Path, str]:
     """Return the files to write."""
-    from analysis.export.files import export_texts
-    from analysis.export.registry import usual_suffix
+    from tunenet_logs.analysis.export.files import export_texts
 
     path = arguments.output
     if path is None:

@@ -10,17 +10,17 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.cli.options import json_option
-from recorders.engine_option import engine_option, in_engine
-from tunenet_logs.commandline import Parser, is_stdout, number, run, whole
+from tunenet_logs.analysis.options import json_option
+from tunenet_logs.console import Parser, is_stdout, number, run, whole
 from tunenet_logs.errors import UsageError
-from tunenet_logs.regular_file import real_path
+from tunenet_logs.files import real_path
+from tunenet_logs.recorders.simulators.known import engine_option, in_engine
 from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
-    from analysis.planning.known_ball import KnownBall
-    from recorders.simulators.shot.rig import ShotRig
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.planning import KnownBall
+    from tunenet_logs.recorders.simulators.shot import ShotRig
+    from tunenet_logs.writing.owned_path import OutputPlace
 
 _DESCRIPTION = """\
 Choose the height from which to let a ball go above an inclined plane, so that it
@@ -91,9 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    from analysis.result_files import write_json
-    from recorders.simulators.shot.rig import ShotRig
-    from recorders.simulators.shot.rig_file import read_rig, rig_text
+    from tunenet_logs.analysis.result_files import write_json
+    from tunenet_logs.recorders.simulators.shot import ShotRig, read_rig, rig_text
 
     rig = ShotRig() if arguments.rig is None else read_rig(arguments.rig)
     if arguments.save_rig is not None:
@@ -110,9 +109,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     if arguments.rrd is not None and arguments.rrd.suffix != ".rrd":
         raise UsageError(f"{arguments.rrd}: Rerun opens .rrd; give --rrd a name that ends so")
 
-    from analysis.planning.plan import plan_shot
-    from analysis.planning.plan_report import plan_json, plan_table
-    from analysis.planning.replay import replayed
+    from tunenet_logs.analysis.planning import plan_json, plan_shot, plan_table, replayed
 
     plan = plan_shot(rig, ball, arguments.shots)
     replay = replayed(plan)
@@ -124,7 +121,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_json(places[arguments.json], plan_json(plan, replay))
     if arguments.rrd is not None:
-        from analysis.review.shot import write_shots
+        from tunenet_logs.analysis.review.tuning import write_shots
 
         with places[arguments.rrd].replacing() as partial:
             write_shots(plan, partial)
@@ -135,8 +132,8 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 def _places(arguments: argparse.Namespace, ball: KnownBall) -> dict[Path, OutputPlace]:
     """Return the output places of the plan by the paths that were given."""
-    from analysis.result_files import in_words, marked, recording, subject_of
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.result_files import in_words, marked, recording, subject_of
+    from tunenet_logs.writing.owned_path import OutputPlace
 
     kinds = {
         "json": ("plan", marked("json", "plan", ball.logs)),
@@ -157,7 +154,7 @@ def _places(arguments: argparse.Namespace, ball: KnownBall) -> dict[Path, Output
 
 
 def _ball(arguments: argparse.Namespace, rig: ShotRig) -> KnownBall:
-    from analysis.planning.known_ball import TOLD_SD, contradiction, read_tuning, told_ball
+    from tunenet_logs.analysis.planning import TOLD_SD, contradiction, read_tuning, told_ball
 
     if (arguments.tuning is None) == (arguments.restitution is None):
         both = arguments.tuning is not None
@@ -203,7 +200,7 @@ def _is_same(one: Path, other: Path) -> bool:
 
 def _save_new(path: Path, text: str) -> None:
     """Write a new file; an existing one may have been edited and is not replaced."""
-    from tunenet_logs.output.new_file import write_new
+    from tunenet_logs.writing.owned_path import write_new
 
     try:
         write_new(path, text.encode())

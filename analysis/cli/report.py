@@ -8,16 +8,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.cli.options import jobs_option
-from tunenet_logs.commandline import Parser, run
+from tunenet_logs.analysis.options import jobs_option
+from tunenet_logs.analysis.registry import needed
+from tunenet_logs.console import Parser, run
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
-    from analysis.report.embedded import Kind
-    from analysis.result_files import Logs
-    from analysis.tuning_files import TuningFile
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.campaign import TuningFile
+    from tunenet_logs.analysis.report.page import Kind
+    from tunenet_logs.analysis.result_files import Logs
+    from tunenet_logs.writing.owned_path import OutputPlace
 
 _DESCRIPTION = """\
 One page of what was tuned, with everything in it: no network, under 3 MB. The verdict
@@ -60,15 +61,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from analysis.optional_dependencies import needed
-
     if not (arguments.output or arguments.png or arguments.pdf):
         raise UsageError("say what to write: -o REPORT.html, --png or --pdf")
     needed("matplotlib", "report")
     needed("jinja2", "report")
-    from analysis.campaign.files import files_of
-    from analysis.report.reported import read_reported
-    from analysis.result_files import check_place, logs_of
+    from tunenet_logs.analysis.campaign import files_of
+    from tunenet_logs.analysis.report.page import read_reported, report_page
+    from tunenet_logs.analysis.result_files import check_place, logs_of
 
     inputs = list(files_of(arguments.places, _warn))
     if arguments.output:  # a campaign takes a while, and then says of which logs it is
@@ -82,8 +81,6 @@ def _report(arguments: argparse.Namespace) -> int:
         page.check()
     figures = _figure_files(arguments, reported.tunings, inputs)
     if page:
-        from analysis.report.page import report_page
-
         with page.replacing() as partial:
             partial.write_text(report_page(reported), "utf-8")
         written.append(arguments.output)
@@ -93,8 +90,8 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _page(arguments: argparse.Namespace, logs: Logs, *, overwrite: bool) -> OutputPlace:
-    from analysis.result_files import in_words, marked
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.result_files import in_words, marked
+    from tunenet_logs.writing.owned_path import OutputPlace
 
     knows = marked("html", "page", logs)
     elsewhere = "give -o another file"
@@ -107,7 +104,7 @@ def _figure_files(
     arguments: argparse.Namespace, tunings: Sequence[TuningFile], inputs: Sequence[Path]
 ) -> list[Path]:
     """Write the figures that were asked for."""
-    from analysis.report.paper import FigureOrder, write_figures
+    from tunenet_logs.analysis.report.page import FigureOrder, write_figures
 
     places: dict[Kind, Path | None] = {"png": arguments.png, "pdf": arguments.pdf}
     orders = [

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.cli.options import jobs_option
-from tunenet_logs.commandline import Parser, run
+from tunenet_logs.analysis.options import jobs_option
+from tunenet_logs.console import Parser, run
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress, listed, one_line, short_name
 
 if TYPE_CHECKING:
-    from analysis.campaign.rates import Rate
+    from tunenet_logs.analysis.campaign import Rate
 
 _DESCRIPTION = """\
 A campaign on one timeline: the drops, what was tuned from them, the shots, and how each
@@ -60,11 +60,16 @@ def _review(arguments: Any) -> int:
     output: Path = arguments.output
     if output.suffix != ".rrd":
         raise UsageError(f"{output}: what is written is a recording; name it {output.stem}.rrd")
-    from analysis.campaign.build import campaign_of, places_of
-    from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
-    from analysis.result_files import recording, subject_of
-    from analysis.review.campaign import write_campaign
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.campaign import (
+        ball_rates,
+        campaign_of,
+        overall_rates,
+        places_of,
+        restitutions_by_ball,
+    )
+    from tunenet_logs.analysis.result_files import recording, subject_of
+    from tunenet_logs.analysis.review.campaign import write_campaign
+    from tunenet_logs.writing.owned_path import OutputPlace
 
     named = places_of(arguments.places)
     knows = recording("campaign", subject_of(named))

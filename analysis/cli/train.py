@@ -6,13 +6,14 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from analysis.cli.options import jobs_option, preset_option, ray_option
-from analysis.registry import EXPERIMENTS, experiment_named
-from recorders.engine_option import engine_option, in_engine
-from tunenet_logs.commandline import Parser, run, whole
+from tunenet_logs.analysis.options import jobs_option, preset_option, ray_option
+from tunenet_logs.analysis.registry import EXPERIMENTS, experiment_named, needed
+from tunenet_logs.console import Parser, run, whole
 from tunenet_logs.errors import UsageError, WeightsError
+from tunenet_logs.recorders.simulators.known import engine_option, in_engine
 from tunenet_logs.terminal import Progress, one_line
 
 _DESCRIPTION = """\
@@ -30,7 +31,7 @@ _EXAMPLES = """\
   tunenet-train drop --ray 10.0.0.5:6379 -o drop.safetensors   (extra 'cluster')
   tunenet-tune drop.mcap --weights drop.safetensors"""
 
-_HELD_OUT = 100
+_HELD_OUT = 100  # fresh pairs, on which the error is measured
 
 
 def build_parser() -> Parser:
@@ -83,21 +84,17 @@ def _train(arguments: argparse.Namespace) -> int:
     if not path.parent.is_dir():
         raise WeightsError(f"{path.parent}: no such folder; create it, or choose another with -o")
 
-    from dataclasses import replace
-
-    from analysis.tunenet.checkpoint import save_model, weights_place
+    from tunenet_logs.analysis.tunenet.weights import save_model, weights_place
 
     if why := weights_place(path).why_not():
         raise WeightsError(why)
     if path.exists() and not arguments.overwrite:
         raise WeightsError(f"{path}: exists; choose another name with -o, or pass --overwrite")
-    from analysis.optional_dependencies import needed
-
     needed("torch", extra="train")  # loading it is start-up, not training
 
-    from analysis.cluster import Cluster
-    from analysis.tunenet.training import one_step_error, train
-    from recorders.simulators.engines import engine
+    from tunenet_logs.analysis.parallel import Cluster
+    from tunenet_logs.analysis.tunenet.network import one_step_error, train
+    from tunenet_logs.recorders.simulators.known import engine
 
     presets = experiment_named(arguments.task).presets
     if arguments.preset not in presets:

@@ -10,21 +10,25 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.cli.options import check_card_place
-from analysis.cli.tune_words import build_parser
-from recorders.engine_option import in_engine
-from tunenet_logs.commandline import is_stdout, run
+from tunenet_logs.analysis.options import (
+    ball_doubts,
+    build_parser,
+    check_card_place,
+    options_of,
+    parse_mapping,
+)
+from tunenet_logs.console import is_stdout, run
 from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.recorders.simulators.known import in_engine
 from tunenet_logs.terminal import Progress, listed
 
 if TYPE_CHECKING:
-    from analysis.batch.found_logs import FoundLog
-    from analysis.batch.one_log import Writing
-    from analysis.batch.run import Order
-    from analysis.record import Tuning
-    from analysis.selection import Options, Selection
-    from analysis.tune_options import TuneOptions
-    from tunenet_logs.output.owned_file import OutputPlace
+    from tunenet_logs.analysis.batch.logs import FoundLog
+    from tunenet_logs.analysis.batch.run import Order, Writing
+    from tunenet_logs.analysis.experiment import Tuning
+    from tunenet_logs.analysis.options import TuneOptions
+    from tunenet_logs.analysis.selection import Options, Selection
+    from tunenet_logs.writing.owned_path import OutputPlace
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,11 +37,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _tune(arguments: argparse.Namespace) -> int:
-    from analysis.batch.found_logs import find_logs
-    from analysis.batch.result_lines import result_lines
-    from analysis.batch.run import Order, run_batch
-    from analysis.batch.summary import closing, print_details, print_remarks, print_table, summary
-    from analysis.tune_options import ball_doubts, options_of
+    from tunenet_logs.analysis.batch.logs import find_logs
+    from tunenet_logs.analysis.batch.run import (
+        Order,
+        closing,
+        on_ray,
+        print_details,
+        print_remarks,
+        print_table,
+        result_lines,
+        run_batch,
+        summary,
+    )
 
     _check_places(arguments)
     shows_table = arguments.json is None or not is_stdout(arguments.json)
@@ -68,8 +79,7 @@ def _tune(arguments: argparse.Namespace) -> int:
     csv, lines = _table_places(arguments, order)
     stream = None
     if arguments.ray is not None:
-        from analysis.batch.ray_cluster import on_ray
-        from analysis.cluster import Cluster
+        from tunenet_logs.analysis.parallel import Cluster
 
         stream = partial(on_ray, Cluster(arguments.ray, arguments.jobs))
     after = partial(closing, order, csv)
@@ -87,7 +97,7 @@ def _tune(arguments: argparse.Namespace) -> int:
 
 def _plan(logs: Sequence[FoundLog], options: Options) -> int:
     """Print which of each log's signals would drive the user's model, and which be fitted."""
-    from analysis.sysid.plan import print_plan
+    from tunenet_logs.analysis.sysid.experiment import print_plan
 
     if options.source is None:
         raise UsageError("--dry-run shows how a log drives a model of one's own; add --model")
@@ -104,12 +114,12 @@ def _table_places(
     """Return the output places of --csv and --json, checked before the work."""
     csv, lines, overwrite = None, None, arguments.overwrite
     if arguments.csv is not None:
-        from analysis.batch.text_table import check_csv, csv_place
+        from tunenet_logs.analysis.batch.ledger import check_csv, csv_place
 
         csv = csv_place(arguments.csv, arguments.output, overwrite=overwrite)
         check_csv(csv, arguments.output, order.logs)
     if arguments.json is not None:
-        from analysis.batch.result_lines import check_lines, lines_place
+        from tunenet_logs.analysis.batch.run import check_lines, lines_place
 
         check_lines(arguments.json, order, overwrite=overwrite)
         lines = lines_place(arguments.json, order, overwrite=overwrite)
@@ -118,8 +128,6 @@ def _table_places(
 
 def given_options(arguments: argparse.Namespace) -> TuneOptions:
     """Return the command line's options under their Python names."""
-    from analysis.sysid.source import told_by
-
     return {
         "task": arguments.task,
         "preset": arguments.preset,
@@ -147,7 +155,7 @@ def given_options(arguments: argparse.Namespace) -> TuneOptions:
         "arm_card": arguments.arm_card,
         "model": arguments.model,
         "parameters": arguments.tune or (),
-        "mapping": told_by(arguments.map or ()),
+        "mapping": parse_mapping(arguments.map or ()),
         "columns": arguments.columns,
         "fps": arguments.fps,
         "length_unit": arguments.length_unit,
@@ -157,7 +165,7 @@ def given_options(arguments: argparse.Namespace) -> TuneOptions:
 
 def _writing(arguments: argparse.Namespace) -> Writing:
     """Return what is written for each log."""
-    from analysis.batch.one_log import Writing
+    from tunenet_logs.analysis.batch.run import Writing
 
     reviewed = Writing().reviewed
     if arguments.no_review:
@@ -171,7 +179,7 @@ def _saving_card(arguments: argparse.Namespace) -> Callable[[Tuning], None] | No
     """Return a callback that saves the arm card; None if nobody asks for it."""
     if arguments.save_arm_card is None:
         return None
-    from analysis.payload.card_saving import save_arm_card
+    from tunenet_logs.analysis.payload.experiment import save_arm_card
 
     return partial(save_arm_card, path=arguments.save_arm_card, overwrite=arguments.overwrite)
 
@@ -193,7 +201,7 @@ def _check_preview(arguments: argparse.Namespace) -> None:
 
 def _marked(log: Path | str, selection: Selection, progress: Progress) -> Selection:
     """Return the selection with the ball that the user marks in a preview page."""
-    from analysis.tracking.ball_picker import mark_ball
+    from tunenet_logs.analysis.tracking.picker import mark_ball
     from tunenet_logs.reader import read_episode
 
     if not isinstance(log, Path):

@@ -1,32 +1,257 @@
-"""Bouncing ball seen by a camera or by motion capture: its unknowns and their priors.
+"""Model a bouncing ball seen by a camera or by motion capture: its unknowns and their priors.
 
 The ball is in closed form (`Bounce`): its restitution e at the first impact, how that falls with
-speed, and the air's drag. The camera is a projective map of the vertical (`Projection`). Recorded
-positions are a film whose camera is known: it has no perspective, and its span is the drop height,
-as far as the log's metres are metres. Impacts that were heard, too, are further measurements
-(`HeardTouches`): the sound is late by an offset that is unknown, and contacts last.
+speed, and the air's drag. The camera is a projective map of the vertical: a height u [drop heights]
+above contact appears at A + B phi(u), phi(u) = e^k u / (1 + (e^k - 1) u). Recorded positions are a
+film whose camera is known: no perspective k, and the span B is the drop height, as far as the log's
+metres are metres. Impacts that were heard, too, are further measurements (`AudioImpacts`): the
+sound is late by an offset that is unknown, and contacts last.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.heard_touches import (
-    HEARD_FREEDOM,
-    OFFSET_SD_S,
-    TOUCH_S,
-    TOUCH_SD_S,
-    HeardTouches,
-)
-from analysis.drop.prior import Prior
-from analysis.drop.projection import PERSPECTIVE_SD, projected
-from recorders.simulators.base import GRAVITY_M_S2
-from recorders.simulators.closed_form.bounce import Bounce
-from recorders.simulators.speed_law import MIN_SPEED_M_S
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.drop.times.model import since_impacts_s
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.ball import MIN_SPEED_M_S, Bounce
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
+
+# By how much sound may be late, or early, beside the pictures: what phones and cameras do.
+OFFSET_SD_S = 0.1
+
+# How long a contact lasts: from .3 ms (steel on glass) to 8 ms (a soft ball on a table).
+TOUCH_S, TOUCH_SD_S = 0.002, 0.0025
+
+HEARD_FREEDOM = 4.0  # degrees of freedom of Student's t of a heard time: an onset may be an echo's
+# Prior probability of each standard deviation of an impact's own restitution about the law, as a
+# fraction of it.
+SCATTERS = {0.0005: 0.5, 0.002: 0.3, 0.006: 0.15, 0.02: 0.05}
+
+
+@dataclass(frozen=True, eq=False)
+class AudioImpacts:
+    """Times at which the ball is heard to touch the table.
+
+    Attributes:
+        numbers: of the impacts, 0 the first of the drop, shape (N,).
+        times_s: on the samples' clock, but late by an offset, shape (N,).
+        sds_s: standard deviations of the onsets, shape (N,).
+        scatter: of each impact's own restitution about the law, as a fraction.
+    """
+
+    numbers: NDArray[np.intp]
+    times_s: Array
+    sds_s: Array
+    scatter: float = 0.0
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the times about a law's [s²]: a faster return delays all that follows."""
+        later_s = since_impacts_s(self.times_s, self.numbers)
+        return np.diag(self.sds_s**2) + self.scatter**2 * later_s @ later_s.T
+
+    @cached_property
+    def whitening(self) -> Array:
+        """Whitening matrix of the times' residuals, shape (N, N)."""
+        rows = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        return np.asarray(rows, dtype=np.float64)
+
+    def only(self, chosen: NDArray[np.bool_]) -> AudioImpacts:
+        """Return the touches of a mask, shape (N,)."""
+        return replace(
+            self,
+            numbers=self.numbers[chosen],
+            times_s=self.times_s[chosen],
+            sds_s=self.sds_s[chosen],
+        )
+
+    def beside(self, more: AudioImpacts) -> AudioImpacts:
+        """Append other touches, which come later."""
+        return replace(
+            self,
+            numbers=np.concatenate([self.numbers, more.numbers]),
+            times_s=np.concatenate([self.times_s, more.times_s]),
+            sds_s=np.concatenate([self.sds_s, more.sds_s]),
+        )
+
+
+# ---- Priors and measurements, each on one linear combination of the unknowns
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior on one linear combination of the unknowns.
+
+    Attributes:
+        slopes: of the combination over the unknowns in it, by index.
+        off: from the likeliest.
+        sd: standard deviation.
+        freedom: of Student's t; infinite for a normal distribution.
+        measured: whether it is a measurement, not a prior of balls and cameras.
+    """
+
+    slopes: dict[int, float]
+    off: float
+    sd: float
+    freedom: float = np.inf
+    measured: bool = False
+
+    @property
+    def cost(self) -> float:
+        """Negative log density, without constants."""
+        square = (self.off / self.sd) ** 2
+        if np.isinf(self.freedom):
+            return 0.5 * square
+        return 0.5 * (self.freedom + 1) * float(np.log1p(square / self.freedom))
+
+    @property
+    def weight(self) -> float:
+        """Weight of its squared residual, where t is fitted by reweighting."""
+        if np.isinf(self.freedom):
+            return self.sd**-2
+        square = (self.off / self.sd) ** 2
+        return (self.freedom + 1) / (self.freedom + square) / self.sd**2
+
+
+# ---- Uncalibrated camera: a projective map of the vertical (Hartley and Zisserman 2004)
+# Three points fix the map of a line, and it keeps the cross-ratio of four. For each k, A and B
+# follow in closed form: what the best map leaves of a track is the error of the curve alone.
+
+PERSPECTIVE_SD = 0.7  # prior of k, normal about 0: from the camera poses that people use
+_COARSE = np.arange(-2.0, 2.01, 0.25)
+# Perspectives that are tried, and then differences from the best of them.
+_FINE = np.arange(-0.25, 0.26, 0.0625)
+
+# Least depth [depth of the contact]: a height above the camera has no image. A best map, which is
+# for any curve, keeps farther away.
+_NEAREST, _NEAREST_OF_MAP = 1e-3, 0.05
+
+_MIN_NOISE = 1e-9  # in place of 0
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Camera along the image's vertical, and the ball that it sees.
+
+    Attributes:
+        contact: A, along the image's vertical, up positive.
+        span: B.
+        perspective: k.
+        bends: from when on [s] A moves by how much a second, each on top of the others: a ball that
+            goes sideways comes nearer to the camera or goes away from it, otherwise after each
+            bounce.
+        impact_s: the first impact [s].
+        fall_time_s: T0, without air [s].
+        bounce: the ball.
+        residual_rms: root mean square of the track's residuals.
+        residual_max: the largest of them.
+    """
+
+    contact: float
+    span: float
+    perspective: float
+    impact_s: float
+    fall_time_s: float
+    bounce: Bounce
+    residual_rms: float
+    residual_max: float
+    bends: tuple[tuple[float, float], ...] = ()
+
+    def contacts(self, seconds: Array) -> Array:
+        """Return where contact is at these times, shape (T,)."""
+        moved = [rate * np.maximum(seconds - since_s, 0.0) for since_s, rate in self.bends]
+        return self.contact + np.sum([np.zeros(len(seconds)), *moved], axis=0)
+
+    def heights(self, positions: Array, seconds: Array) -> Array:
+        """Convert positions along the vertical at these times to [drop heights], shape (T,)."""
+        fraction = (positions - self.contacts(seconds)) / self.span
+        grow = np.exp(self.perspective)
+        return fraction / np.maximum(grow - (grow - 1) * fraction, _NEAREST)
+
+    def positions(self, heights: Array, seconds: Array) -> Array:
+        """Project heights [drop heights] at these times onto the vertical, shape (T,)."""
+        return self.contacts(seconds) + self.span * projected(heights, self.perspective)
+
+    def fall_times(self, seconds: Array) -> Array:
+        """Convert times [s] to times [fall times after the first impact], shape (T,)."""
+        return (seconds - self.impact_s) / self.fall_time_s
+
+    def impacts(self, until_s: float) -> Array:
+        """Return all impacts until then, in order [fall times after the first]; the first is 0."""
+        last = (until_s - self.impact_s) / self.fall_time_s
+        starts, _ = self.bounce.flights(last)
+        return starts[starts <= max(last, 0.0)]
+
+
+@dataclass(frozen=True)
+class ProjectiveMap:
+    """Projective map from heights to positions in the picture.
+
+    Attributes:
+        contact: A, where height 0 is.
+        span: B, from there to where height 1 is.
+        perspective: k.
+    """
+
+    contact: float
+    span: float
+    perspective: float
+
+    def positions(self, heights: Array) -> Array:
+        """Project heights [drop heights] into the picture, in the unit of `contact`, shape (T,)."""
+        return self.contact + self.span * projected(heights, self.perspective, _NEAREST_OF_MAP)
+
+
+def projected(heights: Array, perspective: float | Array, nearest: float = _NEAREST) -> Array:
+    """Evaluate phi(u) at heights [drop heights]; k broadcasts with them."""
+    grow = np.exp(perspective)
+    return grow * heights / np.maximum(1 + (grow - 1) * heights, nearest)
+
+
+def best_map(heights: Array, positions: Array, noise: float) -> ProjectiveMap:
+    """Fit the projective map that puts a curve of heights nearest to a track, by least squares.
+
+    Args:
+        heights: of the curve [drop heights], shape (T,); NaN is left out.
+        positions: of the track at the same times, in any unit, shape (T,); NaN is left out. At
+            least three of both.
+        noise: standard deviation of a position: how much the track counts against k's prior.
+    """
+    known = np.isfinite(heights) & np.isfinite(positions)
+    heights, positions = heights[known], positions[known]
+    noise = max(noise, _MIN_NOISE)
+    off = positions - positions.mean()
+    best = 0.0
+    for grid in (_COARSE, _FINE):
+        tried = best + grid
+        curves = projected(heights, tried[:, None], _NEAREST_OF_MAP)
+        curves = curves - curves.mean(axis=1, keepdims=True)
+        power = np.maximum(np.einsum("kt,kt->k", curves, curves), _MIN_NOISE)
+        squares = off @ off - (curves @ off) ** 2 / power  # that the best A and B of each k leave
+        best = _lowest(tried, squares / noise**2 + (tried / PERSPECTIVE_SD) ** 2)
+    curve = projected(heights, np.array(best), _NEAREST_OF_MAP)
+    off_curve = curve - curve.mean()
+    span = float(off_curve @ positions / max(off_curve @ off_curve, _MIN_NOISE))
+    return ProjectiveMap(float(positions.mean() - span * curve.mean()), span, best)
+
+
+def _lowest(values: Array, costs: Array) -> float:
+    """Locate the vertex of the parabola through the lowest of even points and its neighbours."""
+    at = int(np.argmin(costs))
+    if not 0 < at < len(costs) - 1:
+        return float(values[at])
+    before, here, after = costs[at - 1 : at + 2]
+    bend = before - 2 * here + after
+    fraction = 0.0 if bend <= 0 else 0.5 * (before - after) / bend
+    return float(values[at] + fraction * (values[at + 1] - values[at]))
+
+
+# ---- Unknowns of a bounce, and the samples that they are fitted to
 
 # Indices of the unknowns: e, t1 [s], log T0, A, B, k, p, drag times drop height.
 #
@@ -75,7 +300,7 @@ class BounceSamples:
         noise: standard deviation of a position, at least.
         in_metres: whether the positions are heights, and not of a picture.
         scale_known: whether heights are in true metres, as far as a log's metres are.
-        flies_in: whether the ball flew before the first sample, too.
+        starts_in_flight: whether the ball flew before the first sample, too.
         distortion_variance_fraction: share of a lens's distortion in the noise's variance.
         drag_1_m: drag that is known [1/m]; None where it is not.
         exposure_s: for which a shutter may have been open, around the time of a sample.
@@ -89,12 +314,12 @@ class BounceSamples:
     noise: float
     in_metres: bool = False
     scale_known: bool = True
-    flies_in: bool = False
+    starts_in_flight: bool = False
     distortion_variance_fraction: float = 0.0
     drag_1_m: float | None = None
     exposure_s: float = 0.0
     bends_s: tuple[float, ...] = ()
-    heard: HeardTouches | None = None
+    heard: AudioImpacts | None = None
 
     @property
     def own_noise(self) -> float:
@@ -127,7 +352,7 @@ class BounceSamples:
             ball.slope,
             ball.drag,
             constant_below=slowest,
-            flies_in=self.flies_in,
+            starts_in_flight=self.starts_in_flight,
             contact=float(unknowns[TOUCH] / np.exp(unknowns[FALL])) if self.heard else 0.0,
         )
 
@@ -201,7 +426,7 @@ class BounceSamples:
         likely = self._likely(unknowns)
         return likely if self.heard is None else [*likely, *self._heard(self.heard, unknowns)]
 
-    def _heard(self, heard: HeardTouches, unknowns: Array) -> list[Prior]:
+    def _heard(self, heard: AudioImpacts, unknowns: Array) -> list[Prior]:
         """Return the heard impact times as measurements, and the priors of offset and contact."""
         times_s = self.touches_s(unknowns, heard.numbers)
         slopes: dict[int, Array] = {}

@@ -11,17 +11,358 @@ by as much as the profile likelihood is wider, or narrower, than the normal one.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.drop.bounce_fit import BounceFit, fit_bounce
-from analysis.drop.bounce_likelihood import ANY_RESTITUTION_SD, BallLikelihood, ball_likelihoods
-from analysis.drop.bounce_model import DRAG, FALL, KNOWN_DRAG, RESTITUTION, SLOPE
-from analysis.drop.times.impact_prior import NO_DRAG, NO_SLOPE
-from analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
-from recorders.simulators.base import GRAVITY_M_S2
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.drop.bounce_fit import (
+    MAX_IMPACTS,
+    BounceFit,
+    fit_bounce,
+    fit_positions,
+    noise_floor,
+)
+from tunenet_logs.analysis.drop.bounce_model import (
+    ANY_SCALE_SD,
+    CONTACT,
+    DRAG,
+    FALL,
+    FREEDOM,
+    IMPACT,
+    KNOWN_DRAG,
+    METRE_SD,
+    PERSPECTIVE,
+    PERSPECTIVE_SD,
+    RESTITUTION,
+    SCATTERS,
+    SLOPE,
+    SPAN,
+    TOUCH,
+    BounceSamples,
+    projected,
+)
+from tunenet_logs.analysis.drop.free_flight import Drop
+from tunenet_logs.analysis.drop.times.readings import NO_DRAG, NO_SLOPE
+from tunenet_logs.analysis.record import Rebound
+from tunenet_logs.analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.ball import Bounce
+from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2
+
+# ---- Contact duration of a heard ball, above 0: a truncated normal distribution
+# In a normal approximation the duration is normal for each slope and drag, with the restitution
+# linear in it. Its part below 0 is cut off.
+
+_FAR = -30.0  # standard deviations below 0 beyond which a contact is as unlikely as at them
+
+
+@dataclass(frozen=True, eq=False)
+class ContactBound:
+    """Contact duration before the bound, as a function of slope and drag.
+
+    Attributes:
+        value_s: at the likelihood's middle.
+        moves: its derivatives by slope and drag, shape (2,).
+        sd_s: standard deviation given the two.
+        restitution_sd: of the restitution, by the contact alone; negative where a longer contact
+            means a lower restitution.
+    """
+
+    value_s: float
+    moves: Array
+    sd_s: float
+    restitution_sd: float
+
+    def log_likelihood(self, off: Array) -> Array:
+        """Return the log probability of a contact above 0, shape (M,), off the middle by (M, 2)."""
+        from scipy.special import log_ndtr
+
+        return np.asarray(log_ndtr(self._above(off)), dtype=np.float64)
+
+    def restitution_moved(self, off: Array) -> Array:
+        """Return how far the bound moves the restitution, shape (M,)."""
+        return self.restitution_sd * self._cut(off)[0]
+
+    def variance_taken(self, off: Array) -> Array:
+        """Return how much the bound lowers the restitution's variance, shape (M,)."""
+        return self.restitution_sd**2 * self._cut(off)[1]
+
+    def _above(self, off: Array) -> Array:
+        """Return the contact before the bound, in standard deviations, shape (M,)."""
+        return np.maximum((self.value_s + off @ self.moves) / self.sd_s, _FAR)
+
+    def _cut(self, off: Array) -> tuple[Array, Array]:
+        """Return the truncated standard normal's mean and loss of variance, shape (M,)."""
+        from scipy.special import log_ndtr
+
+        above = self._above(off)
+        mean = np.exp(-0.5 * above**2 - log_ndtr(above)) / np.sqrt(2 * np.pi)
+        return mean, mean * (mean + above)
+
+
+# ---- Derivatives of positions and times by each impact's own restitution
+
+_FASTER = 1e-5  # fraction of a restitution by which positions and times are differentiated
+
+
+def moved_by_own(samples: BounceSamples, unknowns: Array) -> tuple[Array, Array]:
+    """Differentiate positions and touch times by each impact's own restitution, relative.
+
+    Args:
+        samples: with impacts that were heard.
+        unknowns: of the law, shape (16,).
+
+    Returns:
+        Of the positions, shape (T, K), and of the times of the touches [s], shape (N, K), over the
+        K impacts that are seen, or come before the last that is heard.
+    """
+    assert samples.heard is not None
+    numbers = samples.heard.numbers
+    ball = samples.bounce(unknowns)
+    last = float(samples.times(unknowns)[-1])
+    heard_s = float(samples.touches_s(unknowns, numbers[-1:])[0] - unknowns[IMPACT])
+    starts, speeds = ball.flights(max(last, heard_s / float(np.exp(unknowns[FALL]))))
+    count = max(int(np.searchsorted(starts, last)), int(numbers[-1]))
+    kept = (speeds / ball.arrivals(speeds)).tolist()
+    positions = samples.residuals(unknowns)
+    times_s = samples.touches_s(unknowns, numbers)
+    seen: list[Array] = []
+    heard: list[Array] = []
+    for impact in range(min(count, len(kept))):
+        own = replace(ball, each=(*kept[:impact], kept[impact] * (1 + _FASTER)))
+        seen.append((samples.residuals(unknowns, own) - positions) / _FASTER)
+        heard.append((samples.touches_s(unknowns, numbers, own) - times_s) / _FASTER)
+    return np.column_stack(seen), np.column_stack(heard)
+
+
+# ---- Laplace approximation of the likelihood in slope and drag
+# Where impacts were heard, each may return the ball a little faster or slower than the law has it:
+# unknowns, too, which pictures and sound share. How large they are is left open (`SCATTERS`).
+
+# Standard deviations of slope and drag [1 / drop height] where the samples tell nothing.
+WIDEST = (0.3, 0.5)
+
+ANY_RESTITUTION_SD = 0.3  # of a restitution of which the samples tell nothing near the fit
+# Added to each unknown's scaled weight of 1: unknowns that no sample moves stay where they are.
+_UNKNOWN = 1e-12
+
+# Rounds of reweighting the samples by their residuals, as the deviations explain these.
+_REWEIGHTED = 6
+
+
+@dataclass(frozen=True, eq=False)
+class BallLikelihood:
+    """Normal likelihood of slope and drag, without their priors.
+
+    Attributes:
+        middle: most likely slope and drag times drop height, shape (2,).
+        precision: of the two, shape (2, 2).
+        value: the restitution there.
+        moves: derivatives of the restitution by each of the two, shape (2,).
+        restitution_sd: standard deviation given the two.
+        log_evidence: logarithm of the likelihood there, without a constant.
+        bound: on the contact's duration, where impacts were heard.
+    """
+
+    middle: Array
+    precision: Array
+    value: float
+    moves: Array
+    restitution_sd: float
+    log_evidence: float = 0.0
+    bound: ContactBound | None = None
+
+    @property
+    def sds(self) -> Array:
+        """Standard deviations of slope and drag, shape (2,)."""
+        return np.sqrt(np.diag(np.linalg.inv(self.precision + np.diag(np.array(WIDEST) ** -2))))
+
+    @property
+    def correlation(self) -> float:
+        """Correlation of slope and drag."""
+        covariance = np.linalg.inv(self.precision + np.diag(np.array(WIDEST) ** -2))
+        return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
+
+    def log_density(self, slopes: Array, drags: Array) -> Array:
+        """Return the log density (no constant) at slopes and drags * drop height, shape (M,)."""
+        off = np.column_stack([slopes, drags]) - self.middle
+        log = self.log_evidence - 0.5 * np.einsum("mi,ij,mj->m", off, self.precision, off)
+        return log if self.bound is None else log + self.bound.log_likelihood(off)
+
+    def restitution(self, slopes: Array, drags: Array) -> Array:
+        """Return the likeliest restitution at each slope and drag, shape (M,)."""
+        off = np.column_stack([slopes, drags]) - self.middle
+        found = self.value + off @ self.moves
+        return found if self.bound is None else found + self.bound.restitution_moved(off)
+
+    def sd_of_all(self, slopes: Array, drags: Array, weights: Array) -> float:
+        """Return the restitution's sd given slope and drag, averaged over both."""
+        if self.bound is None:
+            return self.restitution_sd
+        off = np.column_stack([slopes, drags]) - self.middle
+        taken = float(weights @ self.bound.variance_taken(off))
+        return float(np.sqrt(max(self.restitution_sd**2 - taken, 0.0)))
+
+
+def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
+    """Marginalise a fit's likelihood, `factor` samples as one; if impacts are heard, by scatter."""
+    if fit.samples.heard is None:
+        linear = _Linear.of(fit, factor)
+        return [_of_law(fit, *linear.equations(*linear.weights()))]
+    law = replace(fit.samples, heard=replace(fit.samples.heard, scatter=0.0))
+    linear = _Linear.of(replace(fit, samples=law), factor)
+    own = np.arange(len(fit.free), linear.jacobian.shape[1])
+    known = np.diag(_known(fit, len(own)))
+    weights = linear.weights()[0], np.ones(len(linear.off))
+    for _ in range(_REWEIGHTED):
+        normal, gradient = linear.equations(*weights)
+        peaks = [_peak(one + known, gradient) for one in _scattered(normal, own)]
+        log = np.array([peak[1] for peak in peaks]) + _log_priors(len(own))
+        likely = np.exp(log - log.max())
+        weights = linear.weights(likely @ np.array([peak[0] for peak in peaks]) / likely.sum())
+    normal, gradient = linear.equations(*weights)
+    found = [_of_law(fit, one, gradient) for one in _scattered(normal, own)]
+    return [
+        replace(one, log_evidence=one.log_evidence + float(prior))
+        for one, prior in zip(found, _log_priors(len(own)), strict=True)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """Samples and priors of a fit, linearised in its unknowns.
+
+    Attributes:
+        jacobian: of the positions over the fit's unknowns, and over each impact's deviation from
+            the law where impacts were heard, shape (T, U).
+        residuals: shape (T,).
+        scale: of a residual.
+        factor: how many samples count as one.
+        rows: of the priors, in their standard deviations, shape (P, U).
+        off: likewise, shape (P,).
+        freedom: of each prior's t, shape (P,).
+    """
+
+    jacobian: Array
+    residuals: Array
+    scale: float
+    factor: float
+    rows: Array
+    off: Array
+    freedom: Array
+
+    @classmethod
+    def of(cls, fit: BounceFit, factor: float) -> _Linear:
+        """Linearise a fit, without the priors of slope and drag."""
+        samples, free = fit.samples, fit.free
+        priors = [
+            one
+            for one in samples.priors(fit.unknowns)
+            if one.measured or {SLOPE, DRAG}.isdisjoint(one.slopes)
+        ]
+        rows = np.array([[one.slopes.get(index, 0.0) / one.sd for index in free] for one in priors])
+        jacobian = samples.jacobian(fit.unknowns, free)
+        if samples.heard is not None:
+            own, touches = moved_by_own(samples, fit.unknowns)
+            beside = np.zeros((len(rows), own.shape[1]))
+            beside[[one.measured for one in priors]] = samples.heard.whitening @ touches
+            jacobian, rows = np.hstack([jacobian, own]), np.hstack([rows, beside])
+        off = np.array([one.off / one.sd for one in priors])
+        freedom = np.array([one.freedom for one in priors])
+        return cls(jacobian, fit.residuals, fit.scale, factor, rows, off, freedom)
+
+    def weights(self, step: Array | None = None) -> tuple[Array, Array]:
+        """Reweight samples and priors by how far they are off after a step, shape (U,)."""
+        residuals, off = self.residuals, self.off
+        if step is not None:
+            residuals, off = residuals + self.jacobian @ step, off + self.rows @ step
+        seen = (FREEDOM + 1) / (FREEDOM + (residuals / self.scale) ** 2)
+        is_normal = np.isinf(self.freedom)
+        freedom = np.where(is_normal, 1.0, self.freedom)
+        likely = np.where(is_normal, 1.0, (freedom + 1) / (freedom + off**2))
+        return seen / (self.scale**2 * self.factor), likely
+
+    def equations(self, seen: Array, likely: Array) -> tuple[Array, Array]:
+        """Return the normal matrix and minus the gradient for such weights."""
+        normal = self.jacobian.T @ (seen[:, None] * self.jacobian)
+        normal += self.rows.T @ (likely[:, None] * self.rows)
+        gradient = -self.jacobian.T @ (seen * self.residuals) - self.rows.T @ (likely * self.off)
+        return normal, gradient
+
+
+def _scattered(normal: Array, own: NDArray[np.intp]) -> list[Array]:
+    """Add each scatter as the standard deviation of the deviations."""
+    found: list[Array] = []
+    for scatter in SCATTERS:
+        found.append(normal.copy())
+        found[-1][own, own] += scatter**-2
+    return found
+
+
+def _log_priors(count: int) -> Array:
+    """Return each scatter's log prior, with the normalisation of so many deviations."""
+    return np.log(list(SCATTERS.values())) - count * np.log(list(SCATTERS))
+
+
+def _known(fit: BounceFit, more: int) -> Array:
+    """Return the least that is known of a fit's unknowns, as weights, shape (U,)."""
+    least = {RESTITUTION: ANY_RESTITUTION_SD, SLOPE: WIDEST[0], DRAG: WIDEST[1]}
+    return np.array([least.get(index, np.inf) for index in fit.free] + [np.inf] * more) ** -2
+
+
+def _peak(normal: Array, gradient: Array) -> tuple[Array, float]:
+    """Return a normal likelihood's mode and the logarithm of its integral."""
+    diagonal = np.diag(normal)
+    unit = np.where(diagonal > 0, diagonal, 1.0) ** -0.5
+    scaled = normal * np.outer(unit, unit) + _UNKNOWN * np.eye(len(unit))
+    step = unit * np.linalg.solve(scaled, unit * gradient)
+    log = 0.5 * gradient @ step - 0.5 * np.linalg.slogdet(scaled)[1] + np.log(unit).sum()
+    return step, float(log)
+
+
+def _of_law(fit: BounceFit, normal: Array, gradient: Array) -> BallLikelihood:
+    """Marginalise all unknowns but slope and drag."""
+    free = list(fit.free)
+    normal = normal.copy()
+    known = free.index(RESTITUTION)
+    normal[known, known] += ANY_RESTITUTION_SD**-2  # a hop that is not seen tells little
+    order = np.array([free.index(SLOPE), free.index(DRAG)])
+    others = np.delete(np.arange(len(normal)), order)
+    inverse = np.linalg.pinv(normal[np.ix_(others, others)])
+    across = normal[np.ix_(others, order)]
+    precision = normal[np.ix_(order, order)] - across.T @ inverse @ across
+    pull = gradient[order] - across.T @ inverse @ gradient[others]
+    step = np.linalg.inv(precision + np.diag(np.array(WIDEST) ** -2)) @ pull
+    log = _peak(normal[np.ix_(others, others)], gradient[others])[1]
+
+    def alone(index: int) -> tuple[float, Array, int]:
+        """Return an unknown's likeliest value, how it moves with the two, and its row."""
+        at = int(np.flatnonzero(others == free.index(index))[0])
+        moves = -(inverse @ across)[at]
+        value = fit.unknowns[index] + (inverse @ gradient[others])[at] + moves @ step
+        return float(value), moves, at
+
+    value, moves, at = alone(RESTITUTION)
+    found = BallLikelihood(
+        fit.unknowns[[SLOPE, DRAG]] + step,
+        precision,
+        value,
+        moves,
+        float(np.sqrt(inverse[at, at])),
+        log + float(pull @ step - 0.5 * step @ precision @ step),
+    )
+    if fit.samples.heard is None:
+        return found
+    lasts_s, lasts_moves, row = alone(TOUCH)
+    sd_s = float(np.sqrt(inverse[row, row]))
+    bound = ContactBound(lasts_s, lasts_moves, sd_s, float(inverse[at, row]) / sd_s)
+    return replace(found, bound=bound)
+
+
+# ---- Model average over slope and drag on a grid, and the profile likelihood's width
 
 # Prior probabilities of a ball that keeps its restitution, and of one that the air does not slow:
 # simulators drop such balls. In a picture lens and blur look like a little drag, too.
@@ -242,3 +583,334 @@ def _profiled(fit: BounceFit, factor: float, side: int, sd: float) -> float:
     rise = held.misfit_cost(fit.scale) / factor + held.prior_cost() - best
     fraction = float(np.sqrt(max(rise, 0.0) / _RISE)) * TWO_SIDED * sd / reached
     return 1 / max(fraction, 1e-6)
+
+
+# ---- Recorded drop: widened by a second estimate if the ball was thrown
+# The air bends a spinning ball's flight, and a marker off its middle wobbles. Parabolas next to the
+# impact have other errors: where they differ beyond chance, the interval covers both.
+
+_NEAR = (0.2, 0.27, 0.35)  # fall times on either side of the impact
+_TOUCHING_PERIODS = 1.0  # sample periods on either side in which the ball may touch the ground
+_MIN_COUNT = 6  # samples of a parabola with an error of its own
+_CHANCE = 2.0  # standard errors that two estimates may be apart by chance
+
+
+@lru_cache(maxsize=64)
+def drop_posterior(drop: Drop, drag_1_m: float | None) -> BallPosterior | None:
+    """Compute the ball's posterior; None where the samples are too few for a fit.
+
+    The search, the problem and the checks all ask for it: it is cached.
+    """
+    fit = fit_positions(drop, drag_1_m)
+    if fit is None:
+        return None
+    posterior = ball_posterior(fit)
+    return _widened(drop, posterior) if drop.launched else posterior
+
+
+def _widened(drop: Drop, posterior: BallPosterior) -> BallPosterior:
+    """Widen the interval to hold what parabolas next to the impact say, too."""
+    beyond = max(_beyond_chance(drop, posterior, near) for near in _NEAR)
+    ends = posterior.interval95.copy()
+    reach = np.hypot(ends[0] - posterior.values[0], TWO_SIDED * beyond)
+    reach = np.hypot(reach, _touch(drop, posterior))
+    ends[0] = np.clip(posterior.values[0] + reach * np.array([-1, 1]), 0.0, 1.0)
+    return replace(posterior, interval95=ends)
+
+
+def _touch(drop: Drop, posterior: BallPosterior) -> float:
+    """Return how far the restitution depends on where in a long touch its speeds are taken.
+
+    The flights are prolonged to where they meet. A soft ball has touched down before, and leaves
+    the ground after that, with gravity at work in between.
+    """
+    period_s = float(np.median(np.diff(drop.seconds)))
+    impacts = len(posterior.fit.projection().impacts(float(drop.seconds[-1])))
+    half_s = drop.touching * period_s / max(impacts, 1) / 2
+    gained = drop.gravity_m_s2 * half_s / drop.impact_speed_m_s
+    return float(gained * (1 + posterior.values[0]) / 2)
+
+
+def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
+    """Return how far the parabolas' restitution is off, without what chance makes of it."""
+    view = posterior.fit.projection()
+    since = drop.seconds - view.impact_s
+    touching_s = _TOUCHING_PERIODS * float(np.median(np.diff(drop.seconds)))
+    starts = view.impacts(float(drop.seconds[-1]))
+    next_s = float(starts[1]) * view.fall_time_s if len(starts) > 1 else np.inf
+    near_s = near * view.fall_time_s
+    before = (since < -touching_s) & (since > -near_s)
+    after = (since > touching_s) & (since < min(near_s, next_s - touching_s))
+    if min(np.count_nonzero(before), np.count_nonzero(after)) < _MIN_COUNT:
+        return 0.0
+    ball_m = view.positions(view.bounce.heights(view.fall_times(drop.seconds)), drop.seconds)
+    noise_m = max(noise_floor(drop), posterior.fit.scale)
+    sides = (
+        _speeds(since[side], drop.heights_m[side], ball_m[side], noise_m)
+        for side in (before, after)
+    )
+    (fall, ball_fall, fall_sd), (rise, ball_rise, rise_sd) = sides
+    if fall >= 0 or ball_fall >= 0:
+        return 0.0
+    apart = rise / -fall - ball_rise / -ball_fall
+    chance = float(np.hypot(rise_sd, fall_sd * ball_rise / ball_fall)) / -ball_fall
+    return max(apart**2 - (_CHANCE * chance) ** 2, 0.0) ** 0.5
+
+
+def _speeds(
+    since: Array, seen_m: Array, ball_m: Array, noise_m: float
+) -> tuple[float, float, float]:
+    """Fit parabolas: the impact's speeds as seen and of the ball, and the error [m/s]."""
+    inverse = np.linalg.pinv(np.vander(since, 3))
+    seen, ball = inverse[1] @ seen_m, inverse[1] @ ball_m
+    return float(seen), float(ball), float(noise_m * np.linalg.norm(inverse[1]))
+
+
+# ---- Restitution of each impact without a law, and the ratio of two flights' durations
+# `flight_ratio` needs no camera and no scale: flights are smooth curves that meet at impacts, and
+# the second one's duration over the first's is the restitution of the second impact.
+
+_CLEAR_HOP = 4.0  # standard deviations of a position that a flight has to be high
+# Prior of each restitution about the fit's: no law, but no impact is far from all others.
+_PRIOR_SD = 0.15
+
+_CAMERA = (IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
+# Unknowns that are fitted with the restitutions, and by how much they are differentiated.
+_STEPS = np.array([1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
+
+_FIXED = 1e12  # precision of an unknown that is known
+# Gauss-Newton iterations, which begin nearly at the end, at the fit; and the standard errors below
+# which a step is the last.
+_ITERATIONS, _SETTLED = 6, 1e-5
+
+# Samples of a flight: for a restitution of its own (a parabola has three coefficients), for a
+# parabola through them, and for a cubic, which perspective asks for.
+_MIN_SAMPLES, _PARABOLA, _CUBIC = 4, 5, 9
+
+_OUTLIER = 5.0  # standard deviations from the fit, beyond which a sample is not the ball
+
+
+def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
+    """Fit the restitution of each impact whose flight is seen to its end, by Gauss-Newton.
+
+    The first has the posterior's. The camera is fitted with them; no law binds them but that none
+    is far (0.15) from the fit's.
+    """
+    fit = posterior.fit
+    law = fit.samples.bounce(fit.unknowns)
+    times = fit.samples.times(fit.unknowns)
+    starts, speeds = law.flights(float(times[-1]))
+    count = 0  # of flights that are high enough, and seen to their end
+    for begin, end, speed in zip(starts[:MAX_IMPACTS], starts[1:], speeds, strict=False):
+        hop = fit.unknowns[SPAN] * speed**2 / 4
+        seen = np.count_nonzero((times > begin) & (times < end))
+        if end > times[-1] or hop < _CLEAR_HOP * fit.scale or seen < _MIN_SAMPLES:
+            break
+        count += 1
+    if not count:
+        return ()
+    arrivals = _impact_speeds(law, speeds[:count])
+    first = np.clip(speeds[:count] / arrivals, 0.01, 1.0)
+    values, sds = _fitted(fit, law, first)
+    # What slope and drag leave open of the first one's restitution, they leave open of each.
+    open_sd = float(np.ptp(posterior.interval95[0])) / 2 / TWO_SIDED
+    sds = np.hypot(sds, np.sqrt(max(open_sd**2 - sds[0] ** 2, 0.0)))
+    each = replace(law, restitution=float(values[0]), each=tuple(values), constant_below=0.0)
+    own_starts, own_speeds = each.flights(float(times[-1]))
+    fall_s = float(np.exp(fit.unknowns[FALL]))
+    unit_m_s = CALIBRATED.gravity_m_s2 * fall_s / 2
+    hits = _impact_speeds(each, own_speeds[:count])
+    found = [
+        Rebound(
+            impact_s=float(fit.unknowns[IMPACT] + fall_s * own_starts[index]),
+            restitution=float(values[index]),
+            interval95=(
+                float(max(values[index] - TWO_SIDED * sds[index], 0.0)),
+                float(min(values[index] + TWO_SIDED * sds[index], 1.0)),
+            ),
+            impact_speed_m_s=float(hits[index]) * unit_m_s,
+        )
+        for index in range(min(count, len(own_starts)))
+    ]
+    low, high = posterior.interval95[0].tolist()
+    found[0] = replace(found[0], restitution=float(posterior.values[0]), interval95=(low, high))
+    return tuple(found)
+
+
+def first_rebound(posterior: BallPosterior) -> Rebound:
+    """Return the first impact, whose flight need not be seen to its end."""
+    view = posterior.fit.projection()
+    low, high = posterior.interval95[0].tolist()
+    unit_m_s = CALIBRATED.gravity_m_s2 * view.fall_time_s / 2
+    speed_m_s = view.bounce.impact_speed * unit_m_s
+    return Rebound(view.impact_s, float(posterior.values[0]), (low, high), speed_m_s)
+
+
+def _impact_speeds(ball: Bounce, leaving: Array) -> Array:
+    """Return the speeds before impacts left with these speeds [drop heights, sqrt(2 H / g)]."""
+    later = [ball.flight(float(speed))[1] for speed in leaving[:-1]]
+    return np.array([ball.impact_speed, *later])
+
+
+def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
+    """Fit N restitutions and their standard errors by Gauss-Newton's method, without outliers."""
+    weights = np.where(np.abs(fit.residuals) < 4 * fit.scale, 1.0, 0.0)
+    scale = fit.scale * np.sqrt(correlation_time(fit.residuals, len(fit.free)))
+    camera = fit.unknowns[list(_CAMERA)]
+    seconds, view = fit.samples.seconds, fit.projection()
+    seen = fit.samples.positions - (view.contacts(seconds) - view.contact)
+    values = np.concatenate([camera, first])
+    steps = np.concatenate([_STEPS, np.full(len(first), 1e-6)])
+    free = [0.0, 0.0, 0.0, 0.0, PERSPECTIVE_SD**-2]
+    if fit.samples.in_metres:  # this camera is known, and as far as metres are metres its scale
+        metre_sd = METRE_SD if fit.samples.scale_known else ANY_SCALE_SD
+        free[3:] = [(metre_sd * camera[3]) ** -2, _FIXED]
+    prior = np.concatenate([free, np.full(len(first), _PRIOR_SD**-2)])
+    target = np.concatenate([[0.0, 0.0, 0.0, camera[3], 0.0], first])
+    covariance = np.eye(len(values))
+    for _ in range(_ITERATIONS):
+        moves = np.diag(steps)
+        trials: list[Array] = []
+        known: dict[tuple[float, ...], Array] = {}  # the camera's own unknowns move no ball
+        for trial in (values, *(values + moves), *(values - moves)):
+            impact_s, log_fall, contact, span, perspective = trial[:5]
+            moves_as = (impact_s, log_fall, *trial[5:].tolist())
+            if moves_as not in known:
+                ball = replace(law, each=moves_as[2:], constant_below=0.0)
+                known[moves_as] = ball.heights((seconds - impact_s) / np.exp(log_fall))
+            positions = contact + span * projected(known[moves_as], float(perspective))
+            trials.append(positions - seen)
+        residuals, above, below = np.split(np.column_stack(trials), [1, 1 + len(steps)], axis=1)
+        jacobian = (above - below) / (2 * steps)
+        normal = jacobian.T @ (weights[:, None] * jacobian) / scale**2 + np.diag(prior)
+        gradient = -jacobian.T @ (weights * residuals[:, 0]) / scale**2 - prior * (values - target)
+        covariance = np.linalg.pinv(normal)
+        step = covariance @ gradient
+        values = values + step
+        values[5:] = np.clip(values[5:], 0.01, 1.0)
+        if np.all(np.abs(step) <= _SETTLED * np.sqrt(np.diag(covariance))):
+            break
+    return values[5:], np.sqrt(np.diag(covariance))[5:]
+
+
+@dataclass(frozen=True)
+class FlightRatio:
+    """Ratio of the second flight's duration to the first's.
+
+    Attributes:
+        value: as seen.
+        fitted: as the fitted ball has it.
+        sd: standard error of the value.
+    """
+
+    value: float
+    fitted: float
+    sd: float
+
+
+def flight_ratio(fit: BounceFit) -> FlightRatio | None:
+    """Measure the ratio by the first three impacts; None where they are not seen well enough."""
+    times = fit.samples.times(fit.unknowns)
+    starts, _ = fit.samples.bounce(fit.unknowns).flights(float(times[-1]))
+    if len(starts) < 4 or starts[2] > times[-1]:
+        return None
+    edges = np.array([-1.0, *starts[:4]])
+    edges[-1] = min(edges[-1], times[-1])
+    half = 0.5 * float(np.median(np.diff(times)))
+    flights: list[_Flight] = []
+    for begin, end in itertools.pairwise(edges):
+        inside = (times > begin + half) & (times < end - half)
+        inside &= np.abs(fit.residuals) < _OUTLIER * fit.scale
+        count = int(np.count_nonzero(inside))
+        if count < _PARABOLA:
+            return None
+        middle = float(times[inside].mean())
+        columns = np.vander(times[inside] - middle, 4 if count >= _CUBIC else 3)
+        powers, *_ = np.linalg.lstsq(columns, fit.samples.positions[inside], rcond=None)
+        covariance = np.linalg.pinv(columns.T @ columns) * fit.scale**2
+        flights.append(_Flight(middle, powers.astype(np.float64), covariance.astype(np.float64)))
+    reach = 4 * half + 0.03
+    impacts: list[tuple[float, float]] = []
+    for (before, after), near in zip(itertools.pairwise(flights), starts[:3], strict=True):
+        impact = before.meets(after, near, reach)
+        if impact is None:
+            return None
+        impacts.append(impact)
+    (first, second, third), sds = np.array(impacts).T
+    ratio = (third - second) / (second - first)
+    slopes = np.array([ratio, -1 - ratio, 1.0]) / (second - first)
+    fitted = float((starts[2] - starts[1]) / starts[1])
+    return FlightRatio(float(ratio), fitted, float(np.linalg.norm(slopes * sds)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Flight:
+    """Flight as a polynomial of time.
+
+    Attributes:
+        middle: time that it is about [fall times].
+        powers: coefficients [px], highest power first, shape (3,) or (4,).
+        covariance: of them.
+    """
+
+    middle: float
+    powers: Array
+    covariance: Array
+
+    def meets(self, then: _Flight, near: float, reach: float) -> tuple[float, float] | None:
+        """Return when this flight ends in the next, and the standard error; None if it does not."""
+        grid = np.linspace(near - reach, near + reach, 201)
+        apart = np.polyval(self.powers, grid - self.middle)
+        apart = apart - np.polyval(then.powers, grid - then.middle)
+        crossed = np.flatnonzero((apart[:-1] > 0) & (apart[1:] <= 0))
+        if not len(crossed):
+            return None
+        at = int(min(crossed, key=lambda index: abs(grid[index] - near)))
+        slope = (apart[at + 1] - apart[at]) / (grid[1] - grid[0])
+        when = float(grid[at] - apart[at] / slope)
+        variance = sum(
+            float(row @ flight.covariance @ row)
+            for flight in (self, then)
+            for row in [np.vander([when - flight.middle], len(flight.powers))[0]]
+        )
+        return when, float(np.sqrt(variance) / abs(slope))
+
+
+# ---- Parameters that a log cannot determine: slope and drag that only their priors say
+
+SLOPE_AND_DRAG = 2  # index of the last of the parameters that this is about, in the task's order
+_TRADE = 0.9  # correlation of slope and drag from which on these trade places
+# Fraction of a prior's width that a log has to take away, or it tells little of a parameter.
+_TOLD = 0.5
+
+_MAX_COUNTED = 6  # flights; more have other reasons than their number
+
+
+def unidentifiable(posterior: BallPosterior) -> tuple[str, ...]:
+    """Return one sentence for each parameter that the samples leave to its prior."""
+    unknown = [
+        name for name, told in zip(("slope", "drag"), posterior.told, strict=True) if told < _TOLD
+    ]
+    if not unknown:
+        return ()
+    if abs(posterior.correlation) > _TRADE:
+        return (f"drag and slope cannot be separated in this log: {_seen(posterior)}",)
+    return tuple(
+        f"this log cannot determine the {name}: its interval is what is known of balls, from "
+        f"{low:.3f} to {high:.3f}"
+        for name, (low, high) in zip(
+            ("slope", "drag"), posterior.interval95[1:].tolist(), strict=True
+        )
+        if name in unknown
+    )
+
+
+def _seen(posterior: BallPosterior) -> str:
+    """Describe how many flights the fit has, the one that is cut off too."""
+    fit = posterior.fit
+    seconds = fit.samples.seconds
+    count = len(fit.projection().impacts(float(seconds[-1]))) if len(seconds) else 0
+    if not 0 < count <= _MAX_COUNTED:
+        return f"their correlation is {np.round(posterior.correlation, 2):+.2f}"
+    words = ("one flight", "two flights", "three flights", "four flights", "five flights")
+    return words[count - 1] if count <= len(words) else f"{count} flights"

@@ -8,31 +8,42 @@ from functools import cached_property
 
 import numpy as np
 
-from analysis.drop import observations as views
-from analysis.drop.bounce_fit import BounceFit, fit_bounce
-from analysis.drop.bounce_model import BounceSamples
-from analysis.drop.bounce_posterior import BallPosterior
-from analysis.drop.bounce_samples import MIN_SAMPLES
-from analysis.drop.ear_and_eye import EarAndEye
-from analysis.drop.film import FilmedDrop, canonical_film, drop_by, find_filmed_drop, image_rows
-from analysis.drop.free_fall import Drop
-from analysis.drop.local_rebound import drop_posterior
-from analysis.drop.positions_fit import fit_positions, fitted_drop, samples_of
-from analysis.drop.rebounds import first_rebound, fitted_rebounds
-from analysis.drop.sound_beside import SoundBeside
-from analysis.estimators.base import Observation
-from analysis.motion import Units
-from analysis.record import Rebound
-from analysis.tracking.track import Track
-from recorders.simulators.balls import Ball
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.drop.audio import FusedEstimate, SoundBeside
+from tunenet_logs.analysis.drop.bounce_fit import (
+    MIN_SAMPLES,
+    BounceFit,
+    fit_bounce,
+    fit_positions,
+    fitted_drop,
+    samples_of,
+)
+from tunenet_logs.analysis.drop.bounce_model import BounceSamples
+from tunenet_logs.analysis.drop.bounce_posterior import (
+    BallPosterior,
+    drop_posterior,
+    first_rebound,
+    fitted_rebounds,
+)
+from tunenet_logs.analysis.drop.film import (
+    FilmedDrop,
+    canonical_film,
+    drop_by,
+    find_filmed_drop,
+    image_rows,
+)
+from tunenet_logs.analysis.drop.free_flight import Drop
+from tunenet_logs.analysis.drop.presets import canonical, paper_heights, paper_start_s
+from tunenet_logs.analysis.estimators.base import Observation
+from tunenet_logs.analysis.record import Rebound, Units
+from tunenet_logs.analysis.tracking.track import Track
+from tunenet_logs.episode import Array, LeftOut
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.left_out import LeftOut
+from tunenet_logs.recorders.simulators.known import Ball
 
 # What to do where a cross-check of a drop disagrees.
 DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
 
-_MAX_HEIGHT_M, _MAX_DIAMETER_M = 4.0, 0.4  # by the clock; above, slow motion without a tag
+_MAX_HEIGHT_M, _MAX_DIAMETER_M = 4.0, 0.4  # by the clock; above, most likely untagged slow motion
 _BY_HEIGHT, _BY_DIAMETER = 1.3, 1.8  # factors by which a known length may be off: blur widens
 
 _MAX_NAMED = 5  # later drops that a warning lists
@@ -95,7 +106,7 @@ class DropDetection:
         return drop_posterior(self.found, self.ball.drag_1_m)
 
     @cached_property
-    def ear(self) -> EarAndEye | None:
+    def ear(self) -> FusedEstimate | None:
         """Joint fit with the sound; None where there is none, or no fit to join."""
         if self.sound is None or not self.physical:
             return None
@@ -119,8 +130,8 @@ class DropDetection:
             NotFoundError: the log is too short for the paper's network.
         """
         if self.physical:
-            return views.canonical(self.drop)
-        target = views.paper_heights(self.drop)
+            return canonical(self.drop)
+        target = paper_heights(self.drop)
         if np.isnan(target.values).any():
             raise NotFoundError(TOO_SHORT)
         return target
@@ -162,7 +173,7 @@ class DropDetection:
     def extent(self) -> tuple[str, str]:
         """Drop height or, of a thrown ball, impact speed, as label and text."""
         if not self.tells_speed:
-            return "drop", "height not told"
+            return "drop", "height unknown"
         if self.found.launched:
             return "impact", f"{self.drop.impact_speed_m_s:.2f} m/s"
         return "drop", f"{self.drop.drop_height_m:.3f} m"
@@ -295,7 +306,7 @@ class FilmDetection:
         return self.film.posterior if self.ear is None else self.ear.posterior
 
     @cached_property
-    def ear(self) -> EarAndEye | None:
+    def ear(self) -> FusedEstimate | None:
         """Joint fit with the sound; None where there is none."""
         if self.sound is None or not self.physical:
             return None
@@ -331,7 +342,7 @@ class FilmDetection:
     def extent(self) -> tuple[str, str]:
         """Drop height, as label and text."""
         if not self.tells_speed:
-            return "drop", "height not told"
+            return "drop", "height unknown"
         return "drop", f"{self.drop.drop_height_m:.3f} m"
 
     @property
@@ -348,7 +359,7 @@ class FilmDetection:
         """
         if self.physical:
             return canonical_film(self.film)
-        target = image_rows(self.film, views.paper_start_s(self.drop))
+        target = image_rows(self.film, paper_start_s(self.drop))
         if np.isnan(target.values).any():
             raise NotFoundError(TOO_SHORT)
         return target

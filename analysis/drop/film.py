@@ -1,4 +1,8 @@
-"""Filmed drop: from the ball's track in the picture to its heights.
+"""Find a drop in the track of a filmed ball, and fit ball and camera to it.
+
+From each impact that may be the first, fits of a bounce start from the best points of a grid. Late
+faults of clock or flights are cut off. A track without a drop says why. Finally, pictures whose
+stamps are in doubt are placed by the ball's flight.
 
 The scale is time: a fall that lasts T0 is g T0^2 / 2 high. So a film's frame rate must be its true
 one for the heights to be true; the restitution does not depend on it.
@@ -6,29 +10,646 @@ one for the heights to be true; the restitution does not depend on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.bounce_fit import BounceFit
-from analysis.drop.bounce_model import IMPACT, BounceSamples
-from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
-from analysis.drop.bounce_samples import MIN_SAMPLES
-from analysis.drop.film_faults import late_fault
-from analysis.drop.film_reasons import too_small, why_not
-from analysis.drop.film_search import FilmFit, bounces_end, film_impacts, fit_from, is_good, misfit
-from analysis.drop.free_fall import Drop
-from analysis.drop.observations import canonical_axis, canonical_observation, paper_axis
-from analysis.drop.projection import Projection
-from analysis.drop.remedies import FILM_MORE
-from analysis.estimators.base import Observation, resample
-from analysis.statistics import noise_of
-from analysis.tracking.track import Track
-from recorders.simulators.balls import Ball
-from recorders.simulators.contact import CALIBRATED
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.drop import FILM_MORE
+from tunenet_logs.analysis.drop.bounce_fit import (
+    MAX_IMPACTS,
+    MIN_SAMPLES,
+    BounceFit,
+    best_of,
+    fit_bounce,
+    with_pre_release_samples,
+    without_impact_samples,
+)
+from tunenet_logs.analysis.drop.bounce_model import (
+    CONTACT,
+    DRAG,
+    FALL,
+    IDEAL,
+    IMPACT,
+    LOW,
+    MAX_BENDS,
+    PERSPECTIVE,
+    RESTITUTION,
+    SLOPE,
+    SPAN,
+    BounceSamples,
+    Projection,
+    projected,
+)
+from tunenet_logs.analysis.drop.bounce_posterior import BallPosterior, ball_posterior
+from tunenet_logs.analysis.drop.free_flight import Drop, run_slopes, slope_corners
+from tunenet_logs.analysis.drop.presets import canonical_axis, canonical_observation, paper_axis
+from tunenet_logs.analysis.estimators.base import Observation, resample
+from tunenet_logs.analysis.statistics import correlation_time, noise_of
+from tunenet_logs.analysis.tracking.track import Track
+from tunenet_logs.episode import Array
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulators.base import CALIBRATED
+from tunenet_logs.recorders.simulators.known import Ball
+from tunenet_logs.timing.arrivals import CorrectedStamps
+
+# ---- Starting points: a grid over ball, fall time and camera, as the cost has dozens of minima
+
+# Fall times in durations of the part of the fall that is seen; perspectives within about one
+# standard deviation of their prior.
+_RESTITUTIONS = np.linspace(0.02, 0.995, 40)
+_STRETCHES = np.exp(np.linspace(np.log(0.92), np.log(3.2), 22))
+_PERSPECTIVES = np.array([-0.8, -0.25, 0.3, 0.9])
+
+# Samples that the 3520 points of the grid are compared with: more cost more than they gain.
+_MAX_SAMPLES = 96
+
+_COMPARED = 5.0  # seen fall durations after the impact that are compared
+
+
+def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> list[Array]:
+    """Find the best points of a grid over ideal ball, fall time and perspective.
+
+    No two of them are neighbours. Contact and span are in closed form for each point.
+
+    Args:
+        seconds: shape (T,): the fall, the bounces, nothing before or after.
+        along: positions along the image's vertical, up positive, shape (T,).
+        impact_s: the first impact, to half a sample.
+        count: how many are wanted.
+
+    Returns:
+        The unknowns of a `BounceFit`, shape (14,) each, best first.
+    """
+    seen_s = impact_s - float(seconds[0])
+    near = seconds < impact_s + _COMPARED * seen_s
+    every = max(1, -(-int(near.sum()) // _MAX_SAMPLES))
+    clock, positions = seconds[near][::every] - impact_s, along[near][::every]
+    falls = seen_s * _STRETCHES
+    times, kept = clock / falls[:, None], _RESTITUTIONS[:, None, None]
+    after = np.clip(times, 0.0, None)
+    bouncing = 1 - after * (1 - kept) / (2 * kept)  # e^n when flight n begins
+    speeds = kept ** np.floor(np.log(np.maximum(bouncing, 1e-12)) / np.log(kept))
+    since = after - 2 * kept * (1 - speeds) / (1 - kept)
+    flying = np.clip(since * (2 * kept * speeds - since), 0.0, None)
+    falling = 1 - np.clip(times + 1, 0.0, None) ** 2
+    heights = np.where(times < 0, falling, np.where(bouncing > 0, flying, 0.0))
+    shapes = projected(heights, _PERSPECTIVES[:, None, None, None])
+    middle = shapes.mean(axis=-1, keepdims=True)
+    off, about = shapes - middle, positions - positions.mean()
+    spread = (off**2).sum(axis=-1)
+    spans = (off @ about) / np.maximum(spread, 1e-12)
+    squares = float(about @ about) - spans**2 * spread
+    squares = np.where(spans > 0, squares, np.inf) + 1e-9
+    starts: list[Array] = []
+    taken = np.zeros(squares.shape, dtype=bool)
+    while len(starts) < count and not taken.all():
+        at = np.unravel_index(np.where(taken, np.inf, squares).argmin(), squares.shape)
+        if not np.isfinite(squares[at]):
+            break
+        view, ball, fall = (int(index) for index in at)
+        span = float(spans[at])
+        contact = float(positions.mean() - span * middle[view, ball, fall, 0])
+        start = np.zeros(len(LOW))
+        start[[RESTITUTION, IMPACT, FALL]] = _RESTITUTIONS[ball], impact_s, np.log(falls[fall])
+        start[[CONTACT, SPAN, PERSPECTIVE]] = contact, span, _PERSPECTIVES[view]
+        starts.append(start)
+        taken[:, max(0, ball - 1) : ball + 2, max(0, fall - 2) : fall + 3] = True
+    return starts
+
+
+# ---- Late faults in the clock (Rao's score test) or in a flight: what comes later is left out
+# A picture that was lost, or a flight that hits an edge, touches what comes after it. As long as
+# the first flight is whole, so is its result.
+
+MAX_CLOCK_GAIN = 12.0  # log likelihood ratio: of 120 tries chance alone reaches about 5
+_FREEDOM = 8.0  # degrees of freedom of Student's t, as in the fit
+# Moments at which a jump is looked for, and samples to either end where none can be told.
+_MOMENTS, _EDGE = 60, 3
+
+_MIN_COUNT = 12  # samples for a test of the clock
+# Log likelihood below that of the likeliest moment, down to which it may have been an earlier one.
+_LIKELY = 4.0
+
+# Px and fractions of the fall, of which the larger is a step between pictures that tells.
+_STEP_PX, _STEP = 6.0, 0.03
+
+_GAP = 1.5  # usual periods: what is longer is a stamped gap
+# A step is too long that is longer than the others by this fraction, and by so many of their
+# standard deviations, which are at least the last.
+_LONGER, _LONGER_SDS, _MIN_SPREAD = 0.3, 5.0, 0.02
+
+# A flight is not the fitted ball's where its median sample is so many standard deviations off, and
+# it has so many samples.
+_ASTRAY, _MIN_ASTRAY = 5.0, 4
+
+
+def clock_test(fit: BounceFit) -> tuple[float, float]:
+    """Test by Rao's score test whether the clock jumps, or changes its rate, at some moment.
+
+    It is one more unknown, linear about the fit, the best of all moments. Samples count as little
+    as in the fit where they are far off: a picture of an impact is no jump.
+
+    Returns:
+        The gain in log likelihood, and the moment [s].
+    """
+    gains, moments = _clock_gains(fit)
+    best = int(gains.argmax())
+    return float(gains[best]), float(moments[best])
+
+
+@dataclass(frozen=True)
+class LateFault:
+    """Moment from which a track cannot be trusted, after its second impact at the earliest.
+
+    Attributes:
+        seconds: the time of the samples [s].
+        flights: how many are whole before a flight that is not the ball's; None where the clock
+            is at fault.
+    """
+
+    seconds: float
+    flights: int | None
+
+
+def late_fault(fit: BounceFit) -> LateFault | None:
+    """Find the first late fault of a fitted track; None without one."""
+    impacts_s = _impacts_s(fit)
+    if len(impacts_s) < 2:
+        return None
+    gains, moments = _clock_gains(fit)
+    if gains.max() > MAX_CLOCK_GAIN:
+        first_s = float(moments[gains > gains.max() - _LIKELY].min())
+        if first_s >= impacts_s[1]:  # what it sets astray is no other bounce
+            return LateFault(first_s, None)
+    return _astray(fit, impacts_s)
+
+
+def long_steps(fit: BounceFit) -> int:
+    """Count steps of the ball between pictures that are far longer than all others.
+
+    There pictures are missing of which no stamp tells. Steps over an impact, of slow parts, and
+    over stamped gaps are not counted.
+    """
+    samples = fit.samples
+    times, period_s = samples.times(fit.unknowns), np.diff(samples.seconds)
+    usual_s = float(np.median(period_s))
+    starts, _ = samples.bounce(fit.unknowns).flights(float(times[-1]))
+    apart = np.abs(times[:, None] - starts).min(axis=1) * float(np.exp(fit.unknowns[FALL]))
+    flight = np.searchsorted(starts, times)
+    expected = np.diff(samples.positions + fit.residuals)
+    chosen = (flight[1:] == flight[:-1]) & (times[:-1] > -1) & (period_s < _GAP * usual_s)
+    chosen &= np.minimum(apart[1:], apart[:-1]) > usual_s / 2
+    chosen &= np.abs(expected) > max(_STEP_PX, _STEP * float(fit.unknowns[SPAN]))
+    if np.count_nonzero(chosen) < _MIN_COUNT:
+        return 0
+    ratios = np.diff(samples.positions)[chosen] / expected[chosen]
+    off = ratios - np.median(ratios)
+    spread = 1.4826 * float(np.median(np.abs(off))) + _MIN_SPREAD
+    return int(np.count_nonzero(off > max(_LONGER, _LONGER_SDS * spread)))
+
+
+def _impacts_s(fit: BounceFit) -> Array:
+    """Return the impacts, the first included, as far as samples go [s]."""
+    samples, fall_s = fit.samples, float(np.exp(fit.unknowns[FALL]))
+    starts, _ = samples.bounce(fit.unknowns).flights(float(samples.times(fit.unknowns)[-1]))
+    seconds = float(fit.unknowns[IMPACT]) + fall_s * starts
+    return seconds[seconds < samples.seconds[-1]]
+
+
+def _astray(fit: BounceFit, impacts_s: Array) -> LateFault | None:
+    """Find the first flight most of whose samples are far off."""
+    seconds = fit.samples.seconds
+    off = np.abs(fit.residuals) / fit.scale
+    for flights, begin in enumerate(impacts_s[1:], start=1):
+        end = impacts_s[flights + 1] if flights + 1 < len(impacts_s) else np.inf
+        flight = off[(seconds > begin) & (seconds < end)]
+        if len(flight) >= _MIN_ASTRAY and np.median(flight) > _ASTRAY:
+            return LateFault(float(begin), flights)
+    return None
+
+
+def _clock_gains(fit: BounceFit) -> tuple[Array, Array]:
+    """Score a jump, and another rate, from each moment on; return gains and moments [s]."""
+    samples = fit.samples
+    seconds = samples.seconds
+    if len(seconds) < _MIN_COUNT:
+        return np.zeros(1), seconds[:1]
+    weights = np.sqrt((_FREEDOM + 1) / (_FREEDOM + (fit.residuals / fit.scale) ** 2))
+    known, _ = np.linalg.qr(weights[:, None] * samples.jacobian(fit.unknowns, fit.free))
+    speed = -samples.jacobian(fit.unknowns, (IMPACT,))[:, 0]
+    every = max(1, len(seconds) // _MOMENTS)
+    moments = seconds[_EDGE:-_EDGE:every]
+    since = seconds[:, None] - moments
+    shifts = np.hstack([since > 0, np.maximum(since, 0.0)]) * (weights * speed)[:, None]
+    new = shifts - known @ (known.T @ shifts)
+    power = np.maximum((new**2).sum(axis=0), 1e-9 * (shifts**2).sum(axis=0) + 1e-12)
+    gains = (new.T @ (weights * fit.residuals)) ** 2 / power / fit.scale**2
+    return gains / fit.effective_sample_factor / 2, np.tile(moments, 2)
+
+
+# ---- Bounce fitted from an impact on: the samples and flights that one law explains
+
+# Lower parts of a descent that are tried as its free fall, the largest first.
+_FALL_FRACTIONS = (0.96, 0.8, 0.6)
+
+_STARTS = 6
+# Points of the grid that are fitted from (the best alone ends in the wrong minimum at times), and
+# iterations and gain in cost that end those fits, which are only compared.
+_ROUGHLY = (10, 1e-4)
+
+_MIN_FALL_SAMPLES = 4  # samples of a fall, and of what follows it
+# Fall times of a rest that are fitted: more of them would only repeat the contact's position.
+_REST_SEEN = 2.0
+
+# Where the fit of a law begins: what most balls have, and a fraction of that for a second fit.
+_TYPICAL, _SLIGHT = {SLOPE: 0.08, DRAG: 0.05}, 0.2
+
+# By how much starts differ that may lead to different ends.
+_SHAPE, _SAME = (RESTITUTION, FALL, PERSPECTIVE), np.array([0.01, 0.02, 0.05])
+
+# Fractions of the fall: residuals beyond noise that pass, of all flights, and of the first.
+_LITTLE, _EXACT = 0.004, 0.001
+
+_HOPELESS = 0.12  # fraction of the fall, rms: a rough fit with more becomes no drop's
+# Log likelihood that bends of the contact have to gain: of 100 straight ones 1 gains as much.
+_CLEARLY = 8.0
+
+_STEEP = 0.25  # a slope beyond those of real balls
+# Fall times before the impact, from which on a ball is where it is let go, to that fraction.
+_HELD, _AT_RELEASE = 1.5, 0.05
+
+# Noise of a slope, as a fraction of the steepest, at which runs of samples are long enough.
+_SURE_SLOPE = 0.06
+
+# An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it. They are
+# higher than for recorded positions: a picture has perspective, and other things that move.
+_FAST, _SHARP = 0.25, 0.25
+
+# Fractions of a fall: above the one the ball is lifted, below the other it lies.
+_LIFTED, _LYING = 1.15, 0.05
+
+_GAP_S = 1.0  # a longer time in which the ball is not found ends its bounces
+
+
+class FilmFit(NamedTuple):
+    """Bounce fitted to a film.
+
+    Attributes:
+        fit: of all unknowns.
+        flights: how many are explained of a ball that then bounces otherwise; None where all are.
+    """
+
+    fit: BounceFit
+    flights: int | None = None
+
+
+def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> FilmFit | None:
+    """Fit a bounce whose first impact is the first of these; None where no fall is seen before."""
+    index, last = impacts[0], bounces_end(whole.seconds, whole.positions, impacts)
+    best: BounceFit | None = None
+    for fraction in _FALL_FRACTIONS:
+        first = fall_start(whole.positions, index, fraction, whole.noise)
+        if index - first < _MIN_FALL_SAMPLES or last - index < _MIN_FALL_SAMPLES:
+            continue
+        rough = _rough_fits(whole.part(first, last), float(whole.seconds[index]))
+        if not rough:
+            continue
+        view = rough[0].projection()
+        hopeful = view.residual_rms / view.span < _HOPELESS
+        fit = _finished(whole, rough) if hopeful else rough[0]
+        if best is None or misfit(fit) < 0.7 * misfit(best):
+            best = fit
+        if is_good(fit):
+            return FilmFit(_likelier(fit, with_bends(fit)))
+    if best is not None and misfit(best) < _HOPELESS:
+        bent = with_bends(best)
+        if is_good(bent):
+            return FilmFit(bent)
+    return _of_first_flights(whole, impacts, best) if best else None
+
+
+def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceFit) -> FilmFit:
+    """Fit as many flights as one law explains, or keep the fit to all if it explains none.
+
+    A ball that is out of round, or later hits an edge, is a ball up to there.
+    """
+    start_s, end_s = fit.samples.seconds[[0, -1]]
+    first = int(np.searchsorted(whole.seconds, start_s))
+    for flights in range(min(len(impacts), MAX_IMPACTS) - 1, 0, -1):
+        end = impacts[flights]
+        if whole.seconds[end] >= end_s or end - impacts[0] < _MIN_FALL_SAMPLES:
+            continue
+        begun = whole.part(0, end)
+        rough = _rough_fits(begun.part(first, end), float(whole.seconds[impacts[0]]))
+        shorter = _finished(begun, rough) if rough else None
+        if shorter and is_good(shorter, _EXACT) and _is_usual(whole, shorter):
+            return FilmFit(shorter, flights)
+    return FilmFit(fit)
+
+
+def _likelier(fit: BounceFit, bent: BounceFit) -> BounceFit:
+    """Choose the fit without bends unless they explain clearly more: any noise is bent a little."""
+    scale = min(fit.scale, bent.scale)
+    factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
+    gained = (fit.misfit_cost(scale) - bent.misfit_cost(scale)) / factor
+    return bent if gained - bent.prior_cost() + fit.prior_cost() > _CLEARLY else fit
+
+
+def with_bends(fit: BounceFit) -> BounceFit:
+    """Refit with a contact that may move through the picture from each impact on."""
+    impacts_s = fit.projection().impacts(float(fit.samples.seconds[-1]))
+    impacts_s = float(fit.unknowns[IMPACT]) + float(np.exp(fit.unknowns[FALL])) * impacts_s
+    samples = replace(fit.samples, bends_s=tuple(impacts_s[:MAX_BENDS].tolist()))
+    return fit_bounce(samples, fit.unknowns, samples.unknowns, most=60)
+
+
+def _rough_fits(samples: BounceSamples, impact_s: float) -> list[BounceFit]:
+    """Fit the ideal ball from the best points of the grid, best first."""
+    starts = grid_starts(samples.seconds, samples.positions, impact_s, _STARTS)
+    fits = [fit_bounce(samples, start, IDEAL, *_ROUGHLY) for start in starts]
+    scale = min((fit.scale for fit in fits), default=1.0)
+    return sorted(fits, key=lambda fit: fit.cost(scale))
+
+
+def _finished(whole: BounceSamples, rough: list[BounceFit]) -> BounceFit:
+    """Fit the bounces that count and the ball before it was let go."""
+    starts: list[Array] = []
+    for start in (fit.unknowns for fit in rough[:3]):  # without those that lead to the same end
+        if not any(np.all(np.abs(start - kept)[list(_SHAPE)] < _SAME) for kept in starts):
+            starts.append(start)
+    fit = _from_any(rough[0].samples, starts, *_ROUGHLY)
+    samples = _counting(whole, fit)
+    fit = _from_any(samples, [fit.unknowns])
+    samples = with_pre_release_samples(whole, fit)
+    if samples is not fit.samples:
+        held = fit_bounce(samples, fit.unknowns, fit.free)
+        if held.tail_sd < 1.5 * max(fit.tail_sd, whole.noise):
+            fit = held
+    return _from_any(without_impact_samples(fit), [fit.unknowns, rough[0].unknowns])
+
+
+def _from_any(
+    samples: BounceSamples, starts: Sequence[Array], most: int = 30, gain: float = 1e-6
+) -> BounceFit:
+    """Fit from all starts and keep the best, with a usual slope and drag where they have none.
+
+    From too steep a law a fit may not find back to a slight one, so a slight one is tried too.
+    """
+    fits: list[BounceFit] = []
+    for start in starts:
+        unset = not any(start[law] for law in _TYPICAL)
+        for fraction in (1.0, _SLIGHT) if unset else (1.0,):
+            begin = start.copy()
+            for law, usual in _TYPICAL.items():
+                begin[law] = begin[law] or fraction * usual
+            fits.append(fit_bounce(samples, begin, samples.unknowns, most, gain))
+    return best_of(fits)
+
+
+def _counting(whole: BounceSamples, fit: BounceFit) -> BounceSamples:
+    """Remove the bounces after the sixth, and most of a rest."""
+    impact_s, fall_s = float(fit.unknowns[IMPACT]), float(np.exp(fit.unknowns[FALL]))
+    seconds = fit.samples.seconds
+    last = float((seconds[-1] - impact_s) / fall_s)
+    starts, speeds = whole.bounce(fit.unknowns).flights(last)
+    if len(starts) > MAX_IMPACTS:
+        end = float(starts[MAX_IMPACTS])
+    else:
+        end = float(starts[-1]) if speeds[-1] == 0 else np.inf
+    first = int(np.searchsorted(whole.seconds, seconds[0]))
+    end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
+    last_at = int(np.searchsorted(whole.seconds, end_s, side="right"))
+    return whole.part(first, last_at) if last_at - first > MIN_SAMPLES else fit.samples
+
+
+def misfit(fit: BounceFit) -> float:
+    """Return the tail of the residuals, as a fraction of the fall."""
+    return fit.tail_sd / float(fit.unknowns[SPAN])
+
+
+def is_good(fit: BounceFit, little: float = _LITTLE) -> bool:
+    """Return whether the residuals are noise, or little of the fall."""
+    return misfit(fit) < 1.5 * fit.samples.noise / float(fit.unknowns[SPAN]) + little
+
+
+def _is_usual(whole: BounceSamples, fit: BounceFit) -> bool:
+    """Return whether a law is usual for balls, and releases the ball where it is seen held.
+
+    Few flights are explained by many laws.
+    """
+    times = whole.times(fit.unknowns)
+    held = (times > -_HELD) & (times < -1.0)
+    off = np.median(whole.residuals(fit.unknowns)[held]) if np.any(held) else 0.0
+    return abs(fit.unknowns[SLOPE]) < _STEEP and abs(off) < _AT_RELEASE * fit.unknowns[SPAN]
+
+
+def film_impacts(seconds: Array, along_px: Array, noise_px: float) -> list[int]:
+    """Locate the samples at which a fast fall ends, in order.
+
+    The slopes are taken over as many samples as the noise requires.
+
+    Args:
+        seconds: shape (T,).
+        along_px: positions along the image's vertical, up positive, shape (T,).
+        noise_px: standard deviation of a position.
+    """
+    period_s = float(np.median(np.diff(seconds)))
+    width = 2
+    while True:
+        if len(along_px) <= 2 * width + 1:
+            return []
+        slopes = run_slopes(seconds, along_px, width)
+        half = (width + 1) // 2
+        noise = noise_px * np.sqrt(2 / half) / ((width + 1 - half) * period_s)
+        if noise < -_SURE_SLOPE * slopes.min() or 8 * width > len(along_px):
+            break
+        width += max(1, width // 3)
+    return slope_corners(slopes, width, _FAST * min(slopes.min(), 0.0), _SHARP)
+
+
+def fall_start(along_px: Array, index: int, fraction: float, noise_px: float) -> int:
+    """Locate the first sample of the fall to `index`, its slow upper part left out.
+
+    There a hand may still be.
+
+    Args:
+        along_px: positions, up positive, shape (T,).
+        index: of the impact.
+        fraction: of the fall that is kept, from below.
+        noise_px: standard deviation of a position.
+    """
+    low = float(along_px[max(index - 1, 0) : index + 2].min())
+    top, first = low, index
+    while first > 0 and along_px[first - 1] > top - 4 * noise_px - 0.03 * (top - low):
+        first -= 1
+        top = max(top, float(along_px[first]))
+    high = np.flatnonzero(along_px[first:index] > low + fraction * (top - low))
+    return first + (int(high[-1]) + 1 if len(high) else 0)
+
+
+def bounces_end(seconds: Array, along_px: Array, impacts: Sequence[int]) -> int:
+    """Locate where the bounces after the first impact end: lifted, or long not found.
+
+    Args:
+        seconds: shape (T,).
+        along_px: positions, up positive, shape (T,).
+        impacts: as `film_impacts` finds them, from the first one on.
+    """
+    index = impacts[0]
+    low = float(along_px[max(index - 1, 0) : index + 2].min())
+    top = float(along_px[max(0, index - 200) : index].max())
+    last = len(along_px)
+    limits = [(index, low + _LIFTED * (top - low))]
+    if len(impacts) > 1 and impacts[1] > index + 2:  # no bounce is higher than the first
+        apex = float(along_px[index : impacts[1]].max())
+        limits.append((impacts[1], apex + (_LIFTED - 1) * (top - low)))
+    for begin, most in limits:
+        above = np.flatnonzero(along_px[begin:last] > most)
+        if len(above):
+            lying = np.flatnonzero(along_px[begin : begin + above[0]] < low + _LYING * (top - low))
+            last = begin + int(lying[-1] if len(lying) else above[0])
+    gaps = np.flatnonzero(np.diff(seconds[index:last]) > _GAP_S)
+    return index + int(gaps[0]) + 1 if len(gaps) else last
+
+
+# ---- Reasons why a track shows no drop, in words that say what to do
+
+# Fraction of a way that is free flight below which nothing is let go, and windows of it that tell:
+# short flights of a dull ball fill few.
+MIN_FREE, ENOUGH_WINDOWS = 0.1, 20
+
+# Px and radii, of which the larger is how far a fall sags in a window: more than noise does.
+_SAG_PX, _SAG = 3.0, 0.3
+
+# Px and radii, of which the larger is how far what moves goes in a window.
+_MOVES_PX, _MOVES = 2.0, 0.2
+
+_LIKE_GRAVITY = 0.4  # of the flight's own acceleration, within which another window's is the same
+_APART = 3  # windows between two flights: fewer are a wrong position
+_ONE_FLIGHT = 0.6  # fraction of the windows that are one flight, if nothing else happens
+_ROLLS = 3.0  # times as far across as along the image's vertical: it rolls
+_MAX_GAP_PERIODS = 1.9  # a longer gap is without a picture of the ball
+# Radii from the edge of a picture, at least: a falling ball is out of it one picture later.
+_AT_EDGE = 2.0
+
+
+@dataclass(frozen=True)
+class FreeFlight:
+    """Share of a track that is free flight.
+
+    Attributes:
+        windows: short parts of the way in which the ball moves, one about each picture.
+        share: of them that bend as the flight does by which the ball was found.
+        flights: how many there are, one after another.
+    """
+
+    windows: int
+    share: float
+    flights: int
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether the ball is carried by a hand, or rolls."""
+        return self.windows >= ENOUGH_WINDOWS and self.share < MIN_FREE
+
+
+def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFlight:
+    """Compare accelerations in short windows of the `chosen` pictures, (T,), with the flight's."""
+    known = np.flatnonzero(track.found if chosen is None else track.found & chosen)
+    if len(known) < MIN_SAMPLES:
+        return FreeFlight(0, 0.0, 0)
+    seconds, places = track.stamps_ns[known] * 1e-9, track.places_px[known]
+    radius = float(np.nanmedian(track.radius_px[known]))
+    gravity = float(np.linalg.norm(track.gravity_px))
+    period_s = float(np.median(np.diff(seconds)))
+    wide_s = np.sqrt(8 * max(_SAG_PX, _SAG * radius) / gravity)
+    half = max(2, round(wide_s / period_s / 2))
+    free: list[bool] = []
+    for middle in range(half, len(seconds) - half):
+        part = slice(middle - half, middle + half + 1)
+        clock, way = seconds[part] - seconds[middle], places[part]
+        gapped = float(np.ptp(clock)) > 3 * half * period_s
+        if gapped or np.linalg.norm(np.ptp(way, axis=0)) < max(_MOVES_PX, _MOVES * radius):
+            continue
+        bend = 2 * np.polyfit(clock, way, 2)[0] - track.gravity_px
+        free.append(bool(np.linalg.norm(bend) < _LIKE_GRAVITY * gravity))
+    runs = [(is_free, len(list(run))) for is_free, run in groupby(free)]
+    parted = [is_free or length >= _APART for is_free, length in runs]
+    kinds = [is_free for (is_free, _), kept in zip(runs, parted, strict=True) if kept]
+    flights = sum(kind for kind, _ in groupby(kinds))
+    return FreeFlight(len(free), sum(free) / max(len(free), 1), flights)
+
+
+def too_small(track: Track, span: float) -> str:
+    """Explain that the ball moves by only `span` px along the image's vertical."""
+    down = track.gravity_px / np.linalg.norm(track.gravity_px)
+    across = track.places_px[track.found] @ np.array([down[1], -down[0]])
+    wide_px = float(np.ptp(across))
+    if wide_px > _ROLLS * max(span, 1.0) and wide_px > 4 * np.nanmedian(track.radius_px):
+        return (
+            f"the ball never falls: it goes {wide_px:.0f} px across the picture and {span:.0f} "
+            "px down, as a ball that rolls, or is filmed from above; at the next drop: let it fall "
+            "onto the table, filmed from the side"
+        )
+    return f"the ball moves by only {span:.0f} px; at the next drop: film it larger, from closer"
+
+
+def why_not(track: Track, whole: BounceSamples, impacts: list[int], *, fitted: bool) -> str:
+    """Explain why no bounce could be fitted; `fitted` if any impact follows a free fall."""
+    flight = free_flight(track)
+    one_flight = flight.flights == 1 and flight.share > _ONE_FLIGHT
+    if flight.is_carried:
+        return (
+            "no bounce is seen: the ball hardly flies, it is carried, held or rolls (free flight "
+            f"in {100 * flight.share:.0f} % of its way); at the next drop: let go above the "
+            "table, in view, the camera still"
+        )
+    if impacts and _leaves_at(track, whole, impacts[0]):
+        return (
+            "no bounce is seen: the ball falls out of the picture, and where it hits is not in "
+            "view; at the next drop: keep the table in view"
+        )
+    if not impacts or one_flight:
+        return (
+            "no bounce is seen: the ball never falls onto anything in view; at the next drop: "
+            "keep the table in view"
+        )
+    after = len(whole.seconds) - impacts[-1]
+    if len(impacts) == 1 and after < MIN_SAMPLES:
+        return (
+            f"the recording, or what is seen of the ball, ends {after} pictures after the impact; "
+            "at the next drop: record until the ball lies still, all in view"
+        )
+    if not fitted:
+        return (
+            "no free fall is seen before an impact (carried, caught, or too few pictures); at the "
+            "next drop: let go above the table, in view, and record until the ball lies still"
+        )
+    return (
+        "what the ball does is no drop: it does not bounce along parabolas of one acceleration; at "
+        "the next drop: let it bounce on a flat table, untouched, the camera still"
+    )
+
+
+def _leaves_at(track: Track, whole: BounceSamples, impact: int) -> bool:
+    """Return whether a fall ends at the picture's edge, without the ball about its end."""
+    seconds = whole.seconds
+    gap_s = np.diff(seconds[max(impact - 1, 0) : impact + 2]).max(initial=0.0)
+    if gap_s < _MAX_GAP_PERIODS * float(np.median(np.diff(seconds))):
+        return False
+    down = track.gravity_px / np.linalg.norm(track.gravity_px)
+    axis = int(np.argmax(np.abs(down)))
+    low = track.places_px[track.found][max(impact - 2, 0) : impact + 2, axis]
+    edge = track.size_px[axis] - 1 if down[axis] > 0 else 0
+    near_px = max(_AT_EDGE * float(np.nanmedian(track.radius_px)), np.abs(np.diff(low)).max())
+    return bool(np.abs(low - edge).min() < near_px)
+
+
+# ---- Drop of a track: the first plausible bounce, its camera, and its heights
 
 _MIN_SPAN_PX = 15.0  # below it no bounce is told from the noise of a track; the checks ask for 40
 _MARGIN_S = 0.5  # kept before what is fitted, to be seen in a review
@@ -310,3 +931,75 @@ def _deep_falls_s(samples: BounceSamples, least_px: float) -> list[float]:
         for begin, at in zip(begins, impacts, strict=False)
         if positions[begin : at + 1].max() - positions[at] > least_px
     ]
+
+
+# ---- Pictures placed by the ball's motion where their arrival leaves a stamp in doubt
+# Where pictures are lost on their way, those around the loss may be a tick earlier or later. A ball
+# that falls is elsewhere a tick later, so its flight in the other pictures shows which.
+
+_ROUNDS = 2
+_MIN_PX = 0.3  # standard deviation of a place, at least
+_MAX_COST = 12.0  # log likelihood that a single place may cost: a wrong one is not the ball's
+_AFTER_RELEASE = -0.95  # fall times from which on the ball flies for sure
+
+
+def placed_by_motion(
+    track: Track, arrivals: CorrectedStamps, start_ns: int, ball: Ball | None
+) -> tuple[Track, CorrectedStamps]:
+    """Place unsure pictures of a track, and its stamps, where the ball's flight wants them.
+
+    Both are unchanged where no picture is unsure, or no drop is found. `track` is at the corrected
+    stamps of `arrivals`, which are of all pictures.
+    """
+    numbers = np.searchsorted(arrivals.stamps_ns, track.stamps_ns)
+    for _ in range(_ROUNDS):
+        clock = arrivals.clock
+        if clock is None or not clock.unsure.any():
+            break
+        film = _film_of(track, clock.unsure[numbers], start_ns, ball)
+        if film is None:
+            break
+        along = np.full(len(clock.ticks), np.nan)
+        along[numbers] = -(track.places_px @ film.down_px)
+        since_s = float(clock.arrivals_ns[0] - start_ns) * 1e-9
+
+        def cost(
+            asked: NDArray[np.intp],
+            times_ms: Array,
+            *,
+            film: FilmedDrop = film,
+            along: Array = along,
+            since_s: float = since_s,
+        ) -> Array:
+            return _misfit(film, along[asked], since_s + 1e-3 * times_ms)
+
+        placed = clock.placed_by(cost)
+        arrivals = replace(arrivals, clock=placed, stamps_ns=placed.stamps_ns)
+        track = replace(track, stamps_ns=arrivals.stamps_ns[numbers])
+    return track, arrivals
+
+
+def _film_of(
+    track: Track, unsure: NDArray[np.bool_], start_ns: int, ball: Ball | None
+) -> FilmedDrop | None:
+    """Fit the drop to the sure pictures, or to all where those are too few."""
+    sure = replace(track, places_px=np.where(unsure[:, None], np.nan, track.places_px))
+    for tried in (sure, track):
+        try:
+            return find_filmed_drop(tried, start_ns, ball)
+        except NotFoundError:
+            continue
+    return None
+
+
+def _misfit(film: FilmedDrop, along: Array, seconds: Array) -> Array:
+    """Return the negative log likelihood of places (N,) at times (N, S); 0 where nothing flies."""
+    flat, fit = seconds.ravel(), film.projection
+    times = fit.fall_times(flat)
+    heights = fit.bounce.heights(np.maximum(times, _AFTER_RELEASE))
+    off = (fit.positions(heights, flat).reshape(seconds.shape) - along[:, None]) / max(
+        fit.residual_rms, _MIN_PX
+    )
+    cost = np.minimum(0.5 * off**2, _MAX_COST)
+    flies = (times >= _AFTER_RELEASE) & (flat <= film.end_s)
+    return np.where(flies.reshape(seconds.shape) & np.isfinite(off), cost, 0.0)

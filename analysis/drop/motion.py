@@ -1,38 +1,186 @@
 """Tuned simulator compared with the observation: sample by sample, nothing interpolated.
 
 Positions are compared in m, films in px through the fitted camera, and both are reported in % of
-the drop height. What counts is from the release to the last bounce in view.
+the drop height. What counts is from the release to the last bounce in view. The problem that the
+simulator is tuned by comes last.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.drop.bounce_model import BounceSamples
-from analysis.drop.bounce_posterior import ball_posterior
-from analysis.drop.bounce_samples import MIN_SAMPLES
-from analysis.drop.contact_clock import contact_clock
-from analysis.drop.detection import AnyDetection
-from analysis.drop.equivalent import equivalents
-from analysis.drop.projection import Projection
-from analysis.drop.untold import SLOPE_AND_DRAG, untold
-from analysis.estimators.base import Step, Trace
-from analysis.motion import (
+from tunenet_logs.analysis.drop import DENSER, GOOD_DROP, RIGHT_LENGTHS
+from tunenet_logs.analysis.drop.bounce_fit import MIN_SAMPLES
+from tunenet_logs.analysis.drop.bounce_model import BounceSamples, Projection
+from tunenet_logs.analysis.drop.bounce_posterior import (
+    SLOPE_AND_DRAG,
+    ball_posterior,
+    unidentifiable,
+)
+from tunenet_logs.analysis.drop.detection import AnyDetection
+from tunenet_logs.analysis.drop.presets import (
+    CANONICAL_SPAN,
+    PAPER_RADIUS_M,
+    PAPER_RATE_HZ,
+    canonical,
+    paper_rollout,
+    paper_start_s,
+    paper_unit_heights,
+    rollout_drop,
+)
+from tunenet_logs.analysis.estimators.base import FitResult, Problem, Step, Trace
+from tunenet_logs.analysis.record import (
     MAX_SAMPLES,
     Curves,
+    Equivalent,
     Equivalents,
     Motion,
     SimulationFit,
     excess,
 )
-from analysis.statistics import surer_noise_of
-from recorders.simulators.contact import CALIBRATED
-from recorders.simulators.drop import DRAG
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.statistics import surer_noise_of
+from tunenet_logs.episode import Array
+from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.recorders.simulators.ball import DRAG, Bounce, DropRig, DropSimulator
+from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2, PAPER, ContactSettings
+
+# ---- Clock without contacts: a simulator's are far shorter than those of a ball that was heard
+
+_WHILE_TOUCHING = 1e-3  # fraction of a contact's time that still passes, so that stamps increase
+
+
+@dataclass(frozen=True, eq=False)
+class ContactClock:
+    """Clock of the log, and one that almost stands still while the ball touches.
+
+    Attributes:
+        log_s: when contacts begin and end, one after the other, shape (2 N,); none where they
+            last no time.
+        free_s: the same on the other clock, shape (2 N,).
+    """
+
+    log_s: Array
+    free_s: Array
+
+    def to_free(self, seconds: Array) -> Array:
+        """Convert times on the log's clock to the contact-free one, shape (T,)."""
+        return _moved(seconds, self.log_s, self.free_s)
+
+    def to_log(self, seconds: Array) -> Array:
+        """Convert contact-free times to the log's clock, shape (T,)."""
+        return _moved(seconds, self.free_s, self.log_s)
+
+
+def contact_clock(detection: AnyDetection) -> ContactClock:
+    """Build the clock of the fitted ball's contacts, as far as it is seen."""
+    posterior = detection.posterior if detection.physical else None
+    if posterior is None or not posterior.fit.samples.bounce(posterior.fit.unknowns).contact > 0:
+        return ContactClock(np.zeros(0), np.zeros(0))
+    view = posterior.fit.projection()
+    ball, fall_s = view.bounce, view.fall_time_s
+    until_s = float(detection.observed.seconds[-1])
+    ends, _ = ball.flights(max((until_s - view.impact_s) / fall_s, 0.0))
+    lasts_s = ball.contact * fall_s
+    ends_s = view.impact_s + fall_s * ends
+    log_s = np.column_stack([ends_s - lasts_s, ends_s]).ravel()
+    passed = np.ones(len(log_s)) * (1 - _WHILE_TOUCHING) * lasts_s
+    passed[::2] = 0.0
+    return ContactClock(log_s, log_s - np.cumsum(passed))
+
+
+def _moved(seconds: Array, known: Array, wanted: Array) -> Array:
+    if not len(known):
+        return seconds
+    before, after = wanted[0] - known[0], wanted[-1] - known[-1]
+    inside = np.interp(seconds, known, wanted)
+    moved = np.where(seconds < known[0], seconds + before, inside)
+    return np.where(seconds > known[-1], seconds + after, moved)
+
+
+# ---- Equivalent ball for simulators without air: one restitution, the same at every impact
+
+# Restitutions that are tried, and then differences from the best of them: the cost has many minima.
+_GRID = np.linspace(0.02, 1.0, 99)
+_FINE = np.linspace(-0.01, 0.01, 81)
+
+_MAX_SPEEDS = 20  # impacts that are listed
+
+
+def equivalents(view: Projection, seconds: Array, heights: Array) -> Equivalents | None:
+    """Fit drag-free balls, dropped alike: to the first rebound, and to all samples.
+
+    Args:
+        view: of the tuned ball.
+        seconds: of the samples from the release to the last bounce in view, shape (T,).
+        heights: observed there [drop heights], shape (T,).
+    """
+    if not len(seconds):
+        return None
+    ball = view.bounce
+    starts, speeds = ball.flights(_later(view, float(seconds[-1])))
+    if not len(starts) or not speeds[0]:
+        return None
+    rise = _rebound(ball, float(speeds[0]))
+    release_s = view.impact_s - view.fall_time_s * ball.fall_time
+    times = (seconds - release_s) / view.fall_time_s - 1.0  # it falls for one fall time
+    best = _best(times, heights, _GRID)
+    best = _best(times, heights, np.clip(best + _FINE, 0.0, 1.0))
+    return Equivalents(
+        _equivalent(float(np.sqrt(rise)), view, times, heights),
+        _equivalent(best, view, times, heights),
+    )
+
+
+def _later(view: Projection, until_s: float) -> float:
+    return max((until_s - view.impact_s) / view.fall_time_s, 0.0)
+
+
+def _rebound(ball: Bounce, speed: float) -> float:
+    """Return the height [drop heights] of a ball that leaves with a speed."""
+    if ball.drag < 1e-7:
+        return speed**2 / 4
+    return float(np.log1p(ball.drag * speed**2 / 2) / (2 * ball.drag))
+
+
+def _best(times: Array, heights: Array, tried: Array) -> float:
+    """Return the least-squares restitution, all of them compared at once."""
+    kept = tried[:, None]
+    after = np.maximum(times, 0.0)
+    bouncing = 1 - after * (1 - kept) / (2 * np.maximum(kept, 1e-9))  # e^n when flight n begins
+    inside = np.clip(kept, 1e-9, 1 - 1e-9)
+    speeds = inside ** np.floor(np.log(np.maximum(bouncing, 1e-12)) / np.log(inside))
+    since = after - 2 * inside * (1 - speeds) / (1 - inside)
+    flying = np.where(bouncing > 0, np.maximum(since * (2 * inside * speeds - since), 0.0), 0.0)
+    falling = 1 - np.maximum(times + 1, 0.0) ** 2
+    off = np.where(times < 0, falling, flying) - heights
+    return float(tried[int(np.argmin(np.einsum("rt,rt->r", off, off)))])
+
+
+def _rms(restitution: float, times: Array, heights: Array) -> float:
+    off = replace(_AIRLESS, restitution=restitution).heights(times) - heights
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def _equivalent(restitution: float, view: Projection, times: Array, heights: Array) -> Equivalent:
+    restitution = float(np.clip(restitution, 0.0, 1.0))
+    starts, _ = replace(_AIRLESS, restitution=restitution).flights(float(times[-1]))
+    count = min(int(np.count_nonzero(starts <= times[-1])), _MAX_SPEEDS)
+    first_m_s = GRAVITY_M_S2 * view.fall_time_s
+    return Equivalent(
+        restitution,
+        100 * _rms(restitution, times, heights),
+        tuple(first_m_s * restitution**bounce for bounce in range(max(count, 1))),
+    )
+
+
+_AIRLESS = Bounce(0.5)  # a ball with one restitution and no air
+
+
+# ---- Comparison of the last rollout with every sample in view, and the hold-out
 
 _AFTER_FALLS = 1.0  # fall times after the last bounce in view that the curves show
 _BEFORE_FALLS = 0.25  # fall times before the release: enough to see that the ball was still
@@ -166,7 +314,7 @@ def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
         curves=_curves(detection, last),
         fit=simulation_fit(detection, last) if detection.physical else None,
         equivalents=_equivalents(detection),
-        untold=_untold(detection, trace),
+        unidentifiable=_unidentifiable(detection, trace),
         unknown=() if tells_speed(detection) else (DRAG.name,),
         units=detection.units,
         sound=None if detection.ear is None else detection.ear.share,
@@ -267,12 +415,12 @@ def _curves(detection: AnyDetection, last: Step) -> Curves | None:
     return Curves(int(detection.start_ns), seconds, heights_m, curve_m)
 
 
-def _untold(detection: AnyDetection, trace: Trace) -> tuple[str, ...]:
+def _unidentifiable(detection: AnyDetection, trace: Trace) -> tuple[str, ...]:
     """Return what the samples leave to the priors, where slope and drag were asked for."""
     posterior = detection.posterior if detection.physical else None
     if posterior is None or len(trace.estimate) <= SLOPE_AND_DRAG:
         return ()
-    return untold(posterior)
+    return unidentifiable(posterior)
 
 
 def _equivalents(detection: AnyDetection) -> Equivalents | None:
@@ -286,3 +434,109 @@ def _equivalents(detection: AnyDetection) -> Equivalents | None:
         return found
     first, over_all = (replace(one, speeds_m_s=()) for one in (found.first, found.all))
     return Equivalents(first, over_all)
+
+
+# ---- Estimation problem of a detected drop: a simulator that drops or throws it alike
+
+HIGHEST_M = 100.0  # of a drop: from higher up lengths are more likely in mm or cm than in m
+# Where the log tells no unit, and what was found is no drop in any.
+NO_FALL = (
+    "no fall of a ball is seen in it: what moves there falls neither freely nor onto a table "
+    "(see --start, --end for a part)"
+)
+
+_HIGHEST_SIMULATED_M = 1000.0  # of a drop in the log's unit of length
+# Samples after the end of a recording that a rollout may have, for each that was recorded.
+_MAX_MISSING = 100
+
+_SHORT = 1e-5  # of a speed that is a difference of two heights [fall times]
+
+
+def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
+    """Set up a simulator with the drop's own height, stamps and release.
+
+    Args:
+        detection: the drop.
+        initial: restitution, slope and drag [1/m], or the first of these, shape (P,).
+
+    Raises:
+        NotFoundError: the track shows no drop, or the simulator cannot be set up like it.
+        UsageError: the initial value is out of bounds.
+    """
+    try:
+        if detection.drop.drop_height_m > _HIGHEST_SIMULATED_M:
+            raise UsageError("it is too high")
+        rig, contact = rig_like(detection)
+    except UsageError as error:  # the user chose nothing here: the log asks for it
+        height_m = detection.drop.drop_height_m
+        if height_m >= HIGHEST_M and detection.units.length_m is None:
+            raise NotFoundError(NO_FALL, GOOD_DROP) from error
+        is_high = height_m >= HIGHEST_M
+        why = f"the ball falls {height_m:.4g} m; are the lengths in mm or cm?" if is_high else error
+        remedy = RIGHT_LENGTHS if is_high else GOOD_DROP
+        raise NotFoundError(f"this drop cannot be simulated: {why}", remedy) from error
+    simulator = DropSimulator(rig, contact)
+    height_m = contact.gravity_m_s2 * detection.drop.fall_time_s**2 / 2
+    if contact == PAPER:
+        view = paper_rollout if detection.film is None else paper_unit_heights
+        return Problem(detection.target, simulator, view, initial)
+
+    def exact_fit(start: Array) -> FitResult | None:
+        """Return the ball that explains all samples best, as many values as `start` has."""
+        posterior = detection.posterior
+        if posterior is None:
+            return None
+        count = len(start)
+        rebounds = detection.rebounds
+        return FitResult(posterior.values[:count], posterior.interval95[:count], detail=rebounds)
+
+    return Problem(
+        detection.target,
+        simulator,
+        lambda episode: canonical(rollout_drop(episode, rig, contact, height_m)),
+        initial,
+        exact_fit,
+        np.array([1.0, 1.0, 1 / height_m])[: len(initial)],
+    )
+
+
+def _at_launch(detection: AnyDetection, drop_height_m: float) -> tuple[float, float]:
+    """Return height over contact [m] and upward speed [m/s] of a thrown ball's first sample."""
+    posterior = detection.posterior
+    if posterior is None:
+        raise NotFoundError("too few samples of the ball's flights are seen", DENSER)
+    view = posterior.fit.projection()
+    at = view.fall_times(np.array([detection.drop.release_s]))[0]
+    low, here, high = view.bounce.heights(at + _SHORT * np.array([-1.0, 0.0, 1.0])) * drop_height_m
+    return max(float(here), 0.0), float((high - low) / (2 * _SHORT * view.fall_time_s))
+
+
+def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
+    """Build the rig whose rollouts show the same drop at the same stamps."""
+    drop, start_ns = detection.drop, detection.start_ns
+    if not detection.physical:
+        gap = drop.release_m - drop.table_m
+        start_ns += round(1e9 * paper_start_s(drop))
+        return DropRig(gap, PAPER_RADIUS_M, PAPER_RATE_HZ, start_ns=start_ns), PAPER
+    period_s = float(np.median(np.diff(drop.seconds)))
+    seconds = detection.observed.seconds
+    wanted_s = drop.impact_s + (CANONICAL_SPAN + 1) * drop.fall_time_s
+    missing = max(0, int(np.ceil((wanted_s - seconds[-1]) / period_s)))
+    if missing > _MAX_MISSING * len(seconds):
+        raise UsageError("its stamps are too uneven: most are close together, and some far apart")
+    seconds = np.concatenate([seconds, seconds[-1] + period_s * np.arange(1, missing + 1)])
+    seconds = contact_clock(detection).to_free(seconds)
+    first_s = min(float(seconds[0]), drop.release_s)
+    gap_m, speed_m_s = CALIBRATED.gravity_m_s2 * drop.fall_time_s**2 / 2, 0.0
+    if drop.launched:
+        gap_m, speed_m_s = _at_launch(detection, gap_m)
+    rig = DropRig(
+        gap_m=gap_m,
+        speed_m_s=speed_m_s,
+        rate_hz=1 / period_s,
+        samples=len(seconds),
+        hold_s=drop.release_s - first_s,
+        start_ns=start_ns + round(1e9 * first_s),
+        times_s=tuple((seconds - first_s).tolist()),
+    )
+    return rig, CALIBRATED

@@ -1,19 +1,25 @@
-"""Command line of tunenet-eval: the paper's experiments, its figures beside ours."""
+"""Run `tunenet-eval`: the paper's experiments, its figures beside ours.
+
+Each experiment has a function that runs it, yields its tables as they are done, and names the
+writers of the files that it can write. The command's options follow.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.cli.options import jobs_option, json_option
-from analysis.evaluation.choices import (
+from tunenet_logs.analysis.evaluation.study import (
+    FULL_CONVENTIONS,
     FULL_ENGINES,
+    FULL_PAYLOAD,
     FULL_REAL,
     FULL_SHOT,
     FULL_SOUND,
+    FULL_STRANGERS,
     FULL_SYSID,
     FULL_VIDEO,
     METHODS,
@@ -24,15 +30,416 @@ from analysis.evaluation.choices import (
     SOUND_SECTIONS,
     SYSID_SECTIONS,
     TYPICAL_PAYLOAD_SECTIONS,
+    FigurePlace,
+    chosen_names,
+    chosen_sections,
+    write_json_to,
+    write_text_to,
 )
-from analysis.evaluation.printing import EXPERIMENTS
-from tunenet_logs.commandline import Parser, is_stdout, run, whole
+from tunenet_logs.analysis.options import jobs_option, json_option
+from tunenet_logs.console import Parser, is_stdout, run, whole
 from tunenet_logs.errors import UsageError
-from tunenet_logs.regular_file import real_path
+from tunenet_logs.files import real_path
 from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
-    from analysis.evaluation.writing import FigurePlace
+    from tunenet_logs.analysis.evaluation.studies.drop_methods import Effort
+
+
+# What an experiment can write, once all of its text is printed.
+Writers = dict[str, Callable[[FigurePlace], None]]
+
+# Runs with options and seeds; gives blocks of text as they are done, and the files' writers.
+Experiment = Callable[
+    [argparse.Namespace, tuple[int, ...], Progress], tuple[Iterable[str], Writers]
+]
+
+
+def _drop(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Run table 2, its figure and the intervals."""
+    from tunenet_logs.analysis.evaluation.studies.drop import (
+        DropExperiment,
+        drop_csv,
+        drop_json,
+        drop_tables,
+        run_drop,
+        write_figure,
+    )
+    from tunenet_logs.analysis.evaluation.studies.drop_methods import choose_methods
+    from tunenet_logs.analysis.registry import needed
+
+    methods = chosen_names(arguments, "methods", METHODS)
+    chosen = choose_methods(methods)
+    for name in ("png", "rrd"):
+        if getattr(arguments, name) is not None and not chosen.has_curves:
+            raise UsageError(f"--{name}: no method chosen has a curve to draw; leave it out")
+    if arguments.png is not None:
+        needed("matplotlib")
+    order = DropExperiment(
+        *(seeds, arguments.targets, methods, arguments.jobs, _effort(arguments)),
+        rollouts=arguments.rollouts,
+    )
+    results = run_drop(order, progress)
+
+    def write_rrd(to: FigurePlace) -> None:
+        from tunenet_logs.analysis.evaluation.studies.review import write_convergence
+
+        with to.place.replacing() as partial:
+            write_convergence(results, partial)
+
+    def write_png(to: FigurePlace) -> None:
+        with to.place.replacing() as partial:
+            write_figure(results, partial, to.mark)
+
+    return [drop_tables(results)], {
+        "json": lambda to: write_json_to(to, drop_json(results)),
+        "csv": lambda to: write_text_to(to, drop_csv(results)),
+        "png": write_png,
+        "rrd": write_rrd,
+    }
+
+
+def _motion(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Run table 3."""
+    from tunenet_logs.analysis.evaluation.studies.motion import (
+        motion_csv,
+        motion_json,
+        motion_lines,
+        run_motion,
+    )
+    from tunenet_logs.analysis.registry import needed
+
+    needed("torch")
+    targets = arguments.targets
+    rows = run_motion(seeds, targets, arguments.jobs, progress, _effort(arguments))
+    return [motion_lines(rows, seeds, targets)], {
+        "json": lambda to: write_json_to(to, motion_json(rows, seeds, targets)),
+        "csv": lambda to: write_text_to(to, motion_csv(rows, seeds)),
+    }
+
+
+def _intervals(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Measure the coverage of the intervals of recorded drops."""
+    from tunenet_logs.analysis.evaluation.studies.drop import (
+        coverage_table,
+        intervals_csv,
+        intervals_json,
+    )
+    from tunenet_logs.analysis.evaluation.studies.drop_methods import interval_coverages
+
+    targets = arguments.targets
+    rows = interval_coverages(seeds, targets, arguments.jobs, progress)
+    return [coverage_table(rows)], {
+        "json": lambda to: write_json_to(to, intervals_json(rows, seeds, targets)),
+        "csv": lambda to: write_text_to(to, intervals_csv(rows)),
+    }
+
+
+def _payload(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Run table 1, and payloads in logs like a real driver's and of strangers' arms."""
+    from tunenet_logs.analysis.evaluation.studies.payload import (
+        ConventionRow,
+        LogRow,
+        MassOrder,
+        MassRow,
+        StrangerRow,
+        convention_rows,
+        convention_table,
+        log_rows,
+        log_table,
+        mass_rows,
+        mass_table,
+        payload_csv,
+        payload_json,
+        stranger_rows,
+        stranger_table,
+    )
+    from tunenet_logs.analysis.registry import needed
+
+    wanted = chosen_sections(arguments, PAYLOAD_SECTIONS, TYPICAL_PAYLOAD_SECTIONS)
+    if "masses" in wanted:
+        needed("torch")
+    effort = (arguments.pairs, arguments.epochs)
+    targets = arguments.targets
+    order = MassOrder(seeds, targets or FULL_PAYLOAD, arguments.jobs, *effort)
+    masses: list[MassRow] = []
+    logs: list[LogRow] = []
+    strangers: list[StrangerRow] = []
+    conventions: list[ConventionRow] = []
+
+    def blocks() -> Iterator[str]:
+        if "masses" in wanted:
+            masses.extend(mass_rows(order, progress))
+            yield mass_table(masses, order)
+        if "logs" in wanted:
+            count = max(1, order.targets * 2 // 3)
+            logs.extend(log_rows(seeds, count, order.jobs, progress))
+            yield log_table(logs)
+        if "strangers" in wanted:
+            count = targets or FULL_STRANGERS
+            strangers.extend(stranger_rows(seeds, count, order.jobs, progress))
+            yield stranger_table(strangers)
+        if "conventions" in wanted:
+            count = targets or FULL_CONVENTIONS
+            conventions.extend(convention_rows(seeds, count, order.jobs, progress))
+            yield convention_table(conventions)
+
+    return blocks(), {
+        "json": lambda path: write_json_to(
+            path, payload_json(masses, logs, order, strangers, conventions)
+        ),
+        "csv": lambda to: write_text_to(to, payload_csv(masses, order)),
+    }
+
+
+def _bounce_shot(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Run the third experiment, in a hidden world."""
+    from math import ceil as round_up
+
+    from tunenet_logs.analysis.evaluation.studies.bounce_shot import (
+        DROPS,
+        JudgedDrop,
+        TrialResult,
+        acceptance_table,
+        campaign_table,
+        judged_drops,
+        run_campaign,
+        shot_csv,
+        shot_json,
+    )
+    from tunenet_logs.analysis.registry import needed
+
+    wanted = chosen_sections(arguments, SHOT_SECTIONS)
+    if "campaigns" in wanted:
+        needed("torch")
+    results: list[TrialResult] = []
+    bad: list[JudgedDrop] = []
+    good: list[JudgedDrop] = []
+
+    def blocks() -> Iterator[str]:
+        if "campaigns" in wanted:
+            for seed in seeds:
+                folder = arguments.campaign if seed == seeds[0] else None
+                done = run_campaign(
+                    *(seed, arguments.targets, arguments.jobs, progress),
+                    folder=folder,
+                    effort=_effort(arguments),
+                )
+                results.extend(done)
+            yield campaign_table(results)
+        if "drops" in wanted:
+            count = round_up(DROPS * min(arguments.targets / FULL_SHOT, 1.0))
+            judged = judged_drops(seeds[0], count, arguments.jobs, progress)
+            bad.extend(judged[0])
+            good.extend(judged[1])
+            yield acceptance_table(bad, good)
+
+    return blocks(), {
+        "json": lambda to: write_json_to(to, shot_json(results, bad, good)),
+        "csv": lambda to: write_text_to(to, shot_csv(results)),
+    }
+
+
+def _video(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Run tracks and clips of filmed drops."""
+    from math import ceil as round_up
+
+    from tunenet_logs.analysis.evaluation.studies.video import (
+        COUNT,
+        TRACK_SECTIONS,
+        TRANSFORMED,
+        ClipResult,
+        Section,
+        TransformedClip,
+        VideoOrder,
+        VideoRow,
+        clip_results,
+        clip_table,
+        track_sections,
+        transformed_results,
+        transformed_table,
+        video_blocks,
+        video_csv,
+        video_json,
+    )
+
+    wanted = chosen_sections(arguments, SECTIONS)
+    chosen = tuple(section for section in TRACK_SECTIONS if section.name in wanted)
+    order = VideoOrder(seeds, arguments.targets, arguments.jobs)
+    rows: list[VideoRow] = []
+
+    def sections() -> Iterator[tuple[Section, tuple[VideoRow, ...]]]:
+        for section, found in track_sections(order, progress, chosen):
+            rows.extend(found)
+            yield section, found
+
+    clips: list[ClipResult] = []
+    transformed: list[TransformedClip] = []
+
+    def blocks() -> Iterator[str]:
+        if chosen:
+            yield from video_blocks(order, sections())
+        seed, fraction = seeds[0], min(arguments.targets / FULL_VIDEO, 1.0)
+        if "clips" in wanted:
+            clips.extend(clip_results(seed, round_up(COUNT * fraction), order.jobs, progress))
+            yield clip_table(clips)
+        if "transformed" in wanted:
+            count = round_up(TRANSFORMED * fraction)
+            transformed.extend(transformed_results(seed, count, order.jobs, progress))
+            yield transformed_table(transformed)
+
+    return blocks(), {
+        "json": lambda to: write_json_to(to, video_json(rows, order, clips, transformed)),
+        "csv": lambda to: write_text_to(to, video_csv(rows)),
+    }
+
+
+def _real_balls(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Run balls in air, as positions and as videos."""
+    from tunenet_logs.analysis.evaluation.studies.real_balls import (
+        RealLine,
+        RealOrder,
+        ball_lines,
+        film_lines,
+        position_lines,
+        protocol,
+        real_csv,
+        real_json,
+        section_blocks,
+    )
+
+    wanted = chosen_sections(arguments, REAL_SECTIONS)
+    order = RealOrder(seeds, arguments.targets, arguments.jobs)
+    lines: list[RealLine] = []
+
+    def blocks() -> Iterator[str]:
+        yield protocol(order)
+        runs = zip(REAL_SECTIONS, (position_lines, ball_lines, film_lines), strict=True)
+        for section, measured in runs:
+            if section in wanted:
+                found = measured(order, progress)
+                lines.extend(found)
+                yield from section_blocks(section, found)
+
+    return blocks(), {
+        "json": lambda to: write_json_to(to, real_json(lines, order)),
+        "csv": lambda to: write_text_to(to, real_csv(lines)),
+    }
+
+
+def _engines(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Tune the targets of each engine in each."""
+    from tunenet_logs.analysis.evaluation.studies.engines import (
+        EngineOrder,
+        engine_lines,
+        engine_tables,
+        engines_csv,
+        engines_json,
+    )
+
+    order = EngineOrder(seeds, arguments.targets, arguments.jobs)
+    lines = engine_lines(order, progress)
+    return [engine_tables(lines, order)], {
+        "json": lambda to: write_json_to(to, engines_json(lines, order)),
+        "csv": lambda to: write_text_to(to, engines_csv(lines)),
+    }
+
+
+def _sysid(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Tune users' models from logs of machines that no engine simulated; see `Experiment`."""
+    from tunenet_logs.analysis.evaluation.studies.sysid import (
+        SysidOrder,
+        SysidOutcome,
+        sysid_csv,
+        sysid_json,
+        sysid_sections,
+        sysid_table,
+    )
+
+    wanted = chosen_sections(arguments, SYSID_SECTIONS)
+    order = SysidOrder(seeds, arguments.targets, wanted, arguments.jobs)
+    all_of_them: list[SysidOutcome] = []
+
+    def blocks() -> Iterator[str]:
+        for section, outcomes in sysid_sections(order, progress):
+            all_of_them.extend(outcomes)
+            yield sysid_table(section, outcomes, order)
+
+    return blocks(), {
+        "json": lambda to: write_json_to(to, sysid_json(all_of_them, order)),
+        "csv": lambda to: write_text_to(to, sysid_csv(all_of_them)),
+    }
+
+
+def _sound(
+    arguments: argparse.Namespace, seeds: tuple[int, ...], progress: Progress
+) -> tuple[Iterable[str], Writers]:
+    """Run bounces by ear, alone and beside pictures; see `Experiment`."""
+    from tunenet_logs.analysis.evaluation.studies.audio import (
+        SoundOrder,
+        SoundOutcome,
+        sound_csv,
+        sound_json,
+        sound_sections,
+        sound_table,
+    )
+
+    wanted = chosen_sections(arguments, SOUND_SECTIONS)
+    order = SoundOrder(seeds, arguments.targets, wanted, arguments.jobs)
+    found: list[tuple[str, SoundOutcome]] = []
+
+    def blocks() -> Iterator[str]:
+        for section, outcomes in sound_sections(order, progress):
+            if section != "phyphox" or "alone" not in wanted:
+                found.extend((section, one) for one in outcomes)
+            yield sound_table(section, outcomes, order)
+
+    return blocks(), {
+        "json": lambda to: write_json_to(to, sound_json(found, order)),
+        "csv": lambda to: write_text_to(to, sound_csv(found)),
+    }
+
+
+def _effort(arguments: argparse.Namespace) -> Effort:
+    from tunenet_logs.analysis.evaluation.studies.drop_methods import Effort
+
+    return Effort(arguments.pairs, arguments.epochs)
+
+
+EXPERIMENTS: dict[str, Experiment] = {
+    "payload": _payload,
+    "drop": _drop,
+    "motion": _motion,
+    "intervals": _intervals,
+    "video": _video,
+    "real-balls": _real_balls,
+    "bounce-shot": _bounce_shot,
+    "engines": _engines,
+    "sysid": _sysid,
+    "sound": _sound,
+}
+
+
+# ---- Command line: options, and what is refused before any work.
+
 
 _DESCRIPTION = """\
 Repeat an experiment of the TuneNet paper from nothing, training and test targets drawn
@@ -244,9 +651,6 @@ def _check_options(arguments: argparse.Namespace) -> None:
 def _checked(arguments: argparse.Namespace) -> dict[str, FigurePlace]:
     """Refuse at once what would fail after the work; return where the files go, by option."""
     _check_options(arguments)
-
-    from analysis.evaluation.writing import FigurePlace
-
     taken: dict[Path, str] = {}
     places: dict[str, FigurePlace] = {}
     for name in _FILES:

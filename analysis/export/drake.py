@@ -1,21 +1,68 @@
-"""Drake: an SDF with ball and ground, whose Hunt-Crossley dissipation gives the restitution."""
+"""Drake: an SDF with ball and ground, whose Hunt-Crossley dissipation gives the restitution.
+
+The contact force is F = k x (1 + d x'). A body that meets it at speed v and leaves at e v obeys,
+with u = d v and without gravity,
+
+    u - ln(1 + u) = -e u - ln(1 - e u),
+
+independent of its mass and the stiffness k: the restitution falls with speed (Hunt and Crossley,
+"Coefficient of restitution interpreted as damping in vibroimpact", 1975).
+"""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
-from analysis.export.comments import xml_comment
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.head import ball_lines, payload_lines
-from analysis.export.hunt_crossley import MIN, dissipation, restitution
-from analysis.export.sdf import payload_model
-from recorders.simulators.base import GRAVITY_M_S2
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ball_lines,
+    payload_lines,
+    xml_comment,
+)
+from tunenet_logs.analysis.export.sdf import payload_model
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
+
+# ---- Contact law: dissipation from restitution, and restitution from dissipation.
+
+MIN_RESTITUTION = 0.01  # a smaller restitution takes a dissipation without bound
+_BEND = 1e-4  # of u, below which both sides are the same but for rounding, and e = 1 - 2 u / 3
+
+
+def dissipation(restitution: float, speed_m_s: float) -> float:
+    """Solve for the dissipation d [s/m] of a restitution at this speed; see `MIN_RESTITUTION`."""
+    wanted = max(restitution, MIN_RESTITUTION)
+    low, high = 0.0, 1 / wanted
+    for _ in range(100):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _restitution(middle) > wanted else (low, middle)
+    return low / speed_m_s
+
+
+def restitution(dissipation_s_m: float, speed_m_s: float) -> float:
+    """Solve for the coefficient of restitution at this impact speed."""
+    return _restitution(dissipation_s_m * speed_m_s)
+
+
+def _restitution(u: float) -> float:
+    if u < _BEND:
+        return 1 - 2 * u / 3
+    low, high = 0.0, min(1.0, 1 / u)
+    taken = u - math.log1p(u)
+    for _ in range(100):
+        middle = (low + high) / 2
+        given = -middle * u - math.log1p(-middle * u) if middle * u < 1 else math.inf
+        low, high = (middle, high) if given < taken else (low, middle)
+    return (low + high) / 2
+
+
+# ---- Files: the SDF of a ball or a payload, and the drop in Drake.
 
 NAME, SUFFIX, LIBRARY = "drake", ".sdf", "pydrake"
-
 STEP_S = None  # the plant is to be continuous: its integrator chooses its steps
 _DEPTH = 0.05  # of the radius, that the ball sinks in: little beside a bounce, yet no stiff problem
 _BALL = """\
@@ -127,7 +174,7 @@ def dropped(
     return times_s, heights_m
 
 
-# Of Drake's integrator: so accurate that its error is far under the model's own.
+# Of Drake's integrator: its error is then far under the model's own.
 _MAX_STEP_S, _ACCURACY = 1e-3, 1e-5
 
 
@@ -146,6 +193,9 @@ def _lines(ball: ExportedBall, damping_s_m: float) -> list[str]:
         "Use a continuous plant, MultibodyPlant(time_step=0.0): with steps of 1 ms restitutions",
         "were up to 0.8 too low. Drake's gravity is 9.81 m/s^2 unless it is set to 9.80665.",
     ]
-    if ball.restitution < MIN:
-        lines.append(f"A restitution under {MIN:g} has no dissipation: {MIN:g} stands for it.")
+    if ball.restitution < MIN_RESTITUTION:
+        lines.append(
+            f"A restitution under {MIN_RESTITUTION:g} has no dissipation: "
+            f"{MIN_RESTITUTION:g} stands for it."
+        )
     return lines

@@ -1,18 +1,194 @@
-"""Export a tuning as the texts of an engine's files."""
+"""Write a tuning as an engine's files, and check one: its engine drops the ball again.
+
+The engine runs in a child process, which contains its output, libraries and crashes: `python -P -m
+tunenet_logs.analysis.export.files ENGINE FILE HEIGHT_M SECONDS`. The last line of its output is a
+JSON with what `CanDrop.dropped` returns.
+"""
 
 from __future__ import annotations
 
+import json
+import math
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.from_record import ExportOptions, exported
-from analysis.export.registry import FORMATS, export_format, texts
+import numpy as np
+
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ExportOptions,
+    ObservedDrop,
+    exported,
+)
+from tunenet_logs.analysis.export.registry import (
+    FORMATS,
+    CanDrop,
+    ExportFormat,
+    export_format,
+    texts,
+)
+from tunenet_logs.episode import Array
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.ball import lands_after_s
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
+from tunenet_logs.terminal import short_name
 
 if TYPE_CHECKING:
-    from analysis.export.registry import ExportFormat
-    from analysis.record import Record
+    from tunenet_logs.analysis.record import Record
+
+
+# ---- Check: drop the ball in its engine, and measure its bounces.
+
+LIMIT_S = 300.0  # wall time that an engine may take: some compile themselves first
+_MAX_SECONDS, _MAX_BOUNCES = 10.0, 6  # that are simulated, and that are listed
+# Of the drop height: the first rebound and later ones, below which an engine only settles.
+_LOWEST_FIRST, _LOWEST_REBOUND = 0.002, 0.02
+
+_LAST_WORDS = 200  # characters of what an engine said last
+
+
+@dataclass(frozen=True)
+class DropCheck:
+    """How an engine moved the ball of an exported file.
+
+    Attributes:
+        effective: Restitution of each bounce: the root of the rebound's height over the height
+            before it; with air, of the energies right after and before it.
+        rms_percent: RMS difference from the recording, from the release to the last impact seen
+            [% of the drop height]; None without a recording in metres.
+    """
+
+    effective: tuple[float, ...]
+    rms_percent: float | None
+
+
+def checked(engine: ExportFormat, path: Path, ball: ExportedBall) -> DropCheck | str:
+    """Drop the ball in the engine, in a child process; return in words why it cannot be done."""
+    if engine.LIBRARY is None or not hasattr(engine, "dropped"):
+        return f"nothing here runs a file for {engine.NAME}"
+    if find_spec(engine.LIBRARY) is None:
+        return f"{engine.NAME} is not installed"
+    height_m, seconds = ball.drop_height_m.value, _seconds(ball)
+    words = [sys.executable, "-P", "-m", __name__, engine.NAME, str(path)]
+    try:
+        result = subprocess.run(  # noqa: S603 (ourselves, on a file that we have written)
+            [*words, repr(height_m), repr(seconds)],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=LIMIT_S,
+            env={**os.environ, "PYTHONPATH": _import_path()},
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"{engine.NAME} took longer than {LIMIT_S:.0f} s"
+    if result.returncode:
+        last = next(reversed(result.stderr.split("\n")[:-1]), "without a word")
+        return f"{engine.NAME} ended with: {short_name(last, _LAST_WORDS)}"
+    fall = json.loads(result.stdout.rstrip().rpartition("\n")[2])
+    times_s, heights_m = np.array(fall["seconds"]), np.array(fall["heights_m"])
+    has_air = hasattr(engine, "HAS_AIR")
+    by_bounce = restitutions_at_impacts if has_air else effective_restitutions
+    seen, rms_percent = ball.observed, None
+    if seen is not None:
+        drag_1_m = ball.drag_1_m if has_air else 0.0
+        fall_s = lands_after_s(float(heights_m[0]), 0.0, GRAVITY_M_S2, drag_1_m)
+        rms_percent = _rms_percent(times_s, heights_m, seen, seen.impact_s - fall_s)
+    return DropCheck(by_bounce(heights_m, float(times_s[1])), rms_percent)
+
+
+def _import_path() -> str:
+    """Return a PYTHONPATH by which the child imports this same package."""
+    here = str(Path(__file__).parents[3])
+    return os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+
+
+def effective_restitutions(heights_m: Array, _period_s: float = 0.0) -> tuple[float, ...]:
+    """Measure the restitution of each bounce without air, from the apex heights.
+
+    Args:
+        heights_m: Of its underside, evenly spaced in time from the release on, shape (T,).
+    """
+    middle = heights_m[1:-1]
+    turns = 1 + np.flatnonzero((middle > heights_m[:-2]) & (middle >= heights_m[2:]))
+    height_m = float(heights_m[0])
+    tops_m = [_top(heights_m[turn - 1 : turn + 2]) for turn in turns]
+    if not tops_m or tops_m[0] < _LOWEST_FIRST * height_m:
+        return ()
+    seen_m = [height_m, tops_m[0], *(top for top in tops_m[1:] if top > _LOWEST_REBOUND * height_m)]
+    return tuple(math.sqrt(top_m / before_m) for before_m, top_m in pairwise(seen_m))[:_MAX_BOUNCES]
+
+
+def restitutions_at_impacts(heights_m: Array, period_s: float) -> tuple[float, ...]:
+    """Measure each bounce's restitution in air, from the energies a step before and after it.
+
+    Contacts take one step, in which the drag is negligible.
+
+    Args:
+        heights_m: Of its underside, evenly spaced in time from the release on, shape (T,).
+        period_s: Sampling period.
+    """
+    middle = heights_m[1:-1]
+    turns = 1 + np.flatnonzero((middle < heights_m[:-2]) & (middle <= heights_m[2:]))
+    speeds_m_s = np.diff(heights_m) / period_s
+    before = speeds_m_s[turns - 1] ** 2 / 2 + GRAVITY_M_S2 * heights_m[turns]
+    after = speeds_m_s[turns] ** 2 / 2 + GRAVITY_M_S2 * heights_m[turns + 1]
+    least = _LOWEST_REBOUND * GRAVITY_M_S2 * float(heights_m[0])
+    strong = (before > least) & (after > 0)
+    return tuple(np.sqrt(after[strong] / before[strong])[:_MAX_BOUNCES].tolist())
+
+
+def _top(around_m: Array) -> float:
+    """Return the vertex of the parabola through three samples about an apex."""
+    before, middle, after = around_m.tolist()
+    bend = before - 2 * middle + after
+    return middle - (after - before) ** 2 / (8 * bend) if bend else middle
+
+
+def _seconds(ball: ExportedBall) -> float:
+    """Return the time to simulate: the recording's, and that of the listed bounces."""
+    fall_s = math.sqrt(2 * ball.drop_height_m.value / GRAVITY_M_S2)
+    bounces = sum(2 * ball.restitution**k for k in range(1, _MAX_BOUNCES + 1))
+    recorded_s = 0.0
+    if ball.observed is not None:
+        recorded_s = ball.observed.last_s - ball.observed.impact_s
+    return min(max(fall_s * (1.1 + bounces), fall_s + recorded_s), _MAX_SECONDS)
+
+
+def _rms_percent(
+    times_s: Array, heights_m: Array, seen: ObservedDrop, release_s: float
+) -> float | None:
+    """Return the RMS difference from the recording, whose clock reads `release_s` at release."""
+    since_s = seen.curves.seconds - release_s
+    until_s = min(float(times_s[-1]), seen.last_s - release_s)
+    compared = (since_s >= 0) & (since_s <= until_s) & np.isfinite(seen.curves.observed_m)
+    if not np.any(compared):
+        return None
+    off_m = np.interp(since_s[compared], times_s, heights_m) - seen.curves.observed_m[compared]
+    return 100 * float(np.sqrt(np.mean(off_m**2))) / float(heights_m[0])
+
+
+# ---- Child process: drop the ball of an exported file.
+
+
+def main() -> None:
+    """Drop the ball of an exported file."""
+    name, path, height_m, seconds = sys.argv[1:]
+    engine = cast("CanDrop", export_format(name))
+    times_s, heights_m = engine.dropped(Path(path), float(height_m), float(seconds))
+    fall = {"seconds": times_s.tolist(), "heights_m": heights_m.tolist()}
+    print(f"\n{json.dumps(fall)}", flush=True)
+
+
+# ---- Files: the texts of a tuning in an engine's format.
 
 
 def exported_for(
@@ -54,3 +230,7 @@ def engine_format(name: str) -> ExportFormat:
     if name not in FORMATS:
         raise UsageError(f"nothing is exported to {name!r}; choose one of: {', '.join(FORMATS)}")
     return export_format(name)
+
+
+if __name__ == "__main__":
+    main()

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from string import Template
 
-from analysis.export.comments import hash_comment
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.head import ball_lines, one_restitution_lines, payload_lines
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ball_lines,
+    hash_comment,
+    one_restitution_lines,
+    payload_lines,
+)
 
 NAME, SUFFIX, LIBRARY = "isaac", ".usda", None
-
 STEP_S = 1 / 240  # four steps for each frame at 60 Hz
 _WARNINGS = ("This file has not been run in Isaac Sim by its writer.",)
 

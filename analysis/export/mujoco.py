@@ -14,11 +14,15 @@ from string import Template
 
 import numpy as np
 
-from analysis.export.comments import xml_comment
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.head import ball_lines, payload_lines
-from recorders.simulators.base import GRAVITY_M_S2
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ball_lines,
+    payload_lines,
+    xml_comment,
+)
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 NAME, SUFFIX, LIBRARY = "mujoco", ".xml", "mujoco"
 

@@ -5,17 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from string import Template
 
-from analysis.export.comments import hash_comment
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.head import ball_lines, one_restitution_lines, payload_lines
-from analysis.export.snippet import dropped_by
-from recorders.simulators.base import GRAVITY_M_S2
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ball_lines,
+    dropped_by,
+    hash_comment,
+    one_restitution_lines,
+    payload_lines,
+)
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 NAME, SUFFIX, LIBRARY = "newton", ".py", "newton"
 
 # At 1/240 s the effective restitution is up to .014 off when the ball falls .3 to 3 m, with this
-# step .004 (`python -m benchmarks.engines`).
+# step .004 (`python -m tests.bench.engines`).
 STEP_S = 1 / 960
 
 _BALL = Template('''\

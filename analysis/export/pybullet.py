@@ -1,7 +1,7 @@
 """PyBullet: a Python file that sets up contacts and drops the ball, with the ball's URDF beside it.
 
-The settings are the calibrated ones of `recorders.simulators.contact`, for a plain stepping loop
-as users write.
+The settings are the calibrated ones of `tunenet_logs.recorders.simulators.base`, for a plain
+stepping loop as users write.
 """
 
 from __future__ import annotations
@@ -9,18 +9,23 @@ from __future__ import annotations
 from pathlib import Path
 from string import Template
 
-from analysis.export import urdf
-from analysis.export.comments import hash_comment
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.head import ball_lines, one_restitution_lines, payload_lines
-from analysis.export.snippet import dropped_by
-from recorders.simulators.base import GRAVITY_M_S2
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.export import urdf
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ball_lines,
+    dropped_by,
+    hash_comment,
+    one_restitution_lines,
+    payload_lines,
+)
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 NAME, SUFFIX, COMPANION_SUFFIX, LIBRARY = "pybullet", ".py", ".urdf", "pybullet"
 
 # The ball sinks in by speed times step before it bounces. When a ball of .3 falls .3 to 3 m, it is
-# .034 off at PyBullet's own 1/240 s, and .006 with this step (`python -m benchmarks.engines`).
+# .034 off at PyBullet's own 1/240 s, and .006 with this step (`python -m tests.bench.engines`).
 STEP_S = 1 / 960
 
 # For restitutions under the second: what a ball sinks in is a larger part of a low rebound.

@@ -8,20 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 if TYPE_CHECKING:
-    from analysis.export.exported import ExportedBall, ExportedPayload
-    from tunenet_logs.arrays import Array
+    from tunenet_logs.analysis.export.exported import ExportedBall, ExportedPayload
+    from tunenet_logs.episode import Array
 
 # Modules by the name that `--to` takes; each has what `ExportFormat` names.
 FORMATS: Mapping[str, str] = {
-    "pybullet": "analysis.export.pybullet",
-    "mujoco": "analysis.export.mujoco",
-    "sdf": "analysis.export.sdf",
-    "urdf": "analysis.export.urdf",
-    "drake": "analysis.export.drake",
-    "newton": "analysis.export.newton",
-    "isaac": "analysis.export.isaac",
-    "yaml": "analysis.export.yaml_card",
-    "json": "analysis.export.json_card",
+    "pybullet": "tunenet_logs.analysis.export.pybullet",
+    "mujoco": "tunenet_logs.analysis.export.mujoco",
+    "sdf": "tunenet_logs.analysis.export.sdf",
+    "urdf": "tunenet_logs.analysis.export.urdf",
+    "drake": "tunenet_logs.analysis.export.drake",
+    "newton": "tunenet_logs.analysis.export.newton",
+    "isaac": "tunenet_logs.analysis.export.isaac",
+    "yaml": "tunenet_logs.analysis.export.yaml_card",
+    "json": "tunenet_logs.analysis.export.json_card",
 }
 
 
@@ -44,11 +44,11 @@ class ExportFormat(Protocol):
     LIBRARY: str | None
 
     def ball_text(self, ball: ExportedBall) -> str:
-        """Write the file for a ball, beginning with `head.ball_lines`; comments say why."""
+        """Write the file for a ball, beginning with `ball_lines`; comments say why."""
         ...
 
     def payload_text(self, payload: ExportedPayload) -> str:
-        """Write the file for a payload, beginning with `head.payload_lines`."""
+        """Write the file for a payload, beginning with `payload_lines`."""
         ...
 
 
@@ -98,7 +98,7 @@ def usual_suffix(engine: ExportFormat) -> str:
 
 def texts(engine: ExportFormat, item: ExportedBall | ExportedPayload) -> dict[str, str]:
     """Return the texts of an engine's files by suffix; the engine's own comes first."""
-    from analysis.export.exported import ExportedBall
+    from tunenet_logs.analysis.export.exported import ExportedBall
 
     is_ball = isinstance(item, ExportedBall)
     made = {engine.SUFFIX: engine.ball_text(item) if is_ball else engine.payload_text(item)}

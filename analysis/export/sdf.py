@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from analysis.export.comments import xml_comment
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.head import ball_lines, one_restitution_lines, payload_lines
-from recorders.simulators.arm.rigid_bodies import Inertial
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ball_lines,
+    one_restitution_lines,
+    payload_lines,
+    xml_comment,
+)
+from tunenet_logs.recorders.simulators.arm.description import Inertial
 
 NAME, SUFFIX, LIBRARY = "sdf", ".sdf", None
-
 STEP_S = 0.001  # Gazebo's own
 _WARNINGS = (
     "Gazebo: how the coefficients of a pair combine is not documented. DART multiplies them, ODE",
@@ -110,7 +114,7 @@ _PAYLOAD = """\
 </sdf>
 """
 
-_MIN_SPEED_BOUNCE_M_S = 0.01  # of an impact that still bounces: what falls 5 micrometres
+_MIN_BOUNCE_SPEED_M_S = 0.01  # slower impacts do not bounce: after a fall of 5 micrometres
 
 
 def ball_text(ball: ExportedBall) -> str:
@@ -123,7 +127,7 @@ def ball_text(ball: ExportedBall) -> str:
         moment=repr(ball.moment_kg_m2),
         radius=repr(ball.radius_m.value),
         restitution=repr(ball.restitution),
-        threshold=repr(_MIN_SPEED_BOUNCE_M_S),
+        threshold=repr(_MIN_BOUNCE_SPEED_M_S),
     )
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from analysis.export.comments import xml_comment
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.head import ball_lines, one_restitution_lines, payload_lines
-from recorders.simulators.arm.rigid_bodies import Inertial
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ball_lines,
+    one_restitution_lines,
+    payload_lines,
+    xml_comment,
+)
+from tunenet_logs.recorders.simulators.arm.description import Inertial
 
 NAME, SUFFIX, STEP_S, LIBRARY = "urdf", ".urdf", None, None
 

@@ -5,10 +5,16 @@ from __future__ import annotations
 import io
 from typing import Any
 
-from analysis.export.card import ball_card, payload_card
-from analysis.export.comments import hash_comment
-from analysis.export.exported import ExportedBall, ExportedPayload
-from analysis.export.head import ball_lines, one_restitution_lines, payload_lines
+from tunenet_logs.analysis.export.exported import (
+    ExportedBall,
+    ExportedPayload,
+    ball_card,
+    ball_lines,
+    hash_comment,
+    one_restitution_lines,
+    payload_card,
+    payload_lines,
+)
 
 NAME, SUFFIX, STEP_S, LIBRARY = "yaml", ".yaml", None, None
 

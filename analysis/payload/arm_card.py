@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis.payload.driver_quirks import check_joints
-from analysis.payload.evidence import NormalEquations
-from analysis.payload.torque_terms import arm_terms
-from recorders.simulators.arm.description import Arm
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.payload.arm_log import check_joints
+from tunenet_logs.analysis.payload.noise import NormalEquations
+from tunenet_logs.analysis.payload.torque_model import arm_terms
+from tunenet_logs.episode import Array
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
-from tunenet_logs.small_files import parse_json, read_small_file
+from tunenet_logs.files import parse_json, read_small_file
+from tunenet_logs.recorders.simulators.arm.description import Arm
 from tunenet_logs.terminal import one_line, short_name
 
 _KIND, _VERSION = "tunenet-logs arm card", 1

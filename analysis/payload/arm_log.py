@@ -1,7 +1,8 @@
 """Read an arm's log: fresh samples of joint positions, velocities and torques.
 
-A driver publishes faster than it measures, and repeats what it has: each field keeps only the
-samples that are new (`new_samples.py`). `driver_quirks.py` undoes other habits of drivers.
+Habits of drivers are undone first. A driver publishes faster than it measures, and repeats what it
+has: each field keeps only the samples that are new. The arm is the one that the user names, else
+that of the log's joint names.
 """
 
 from __future__ import annotations
@@ -10,22 +11,456 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import eq
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.payload.driver_quirks import in_newton_metres, in_radians, match_joints
-from analysis.payload.new_samples import new_samples
-from analysis.selection import check_start, no_topic
-from recorders.simulators.arm.description import Arm
-from tunenet_logs.arrays import Array
-from tunenet_logs.clock_jumps import part_on_grid
-from tunenet_logs.episode import Episode, Signal
+from tunenet_logs.episode import Array, Episode, LeftOut, Signal
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.left_out import LeftOut
-from tunenet_logs.terminal import FEW_NAMES, listed
+from tunenet_logs.reader import check_start, no_topic
+from tunenet_logs.recorders.simulators.arm.description import Arm, read_arm
+from tunenet_logs.recorders.simulators.arm.known import (
+    DEFAULT,
+    KnownArm,
+    arms_called,
+    in_words,
+    known_arm,
+)
+from tunenet_logs.terminal import FEW_NAMES, listed, short_name
+from tunenet_logs.timing.stamps import part_on_grid
 
-# Of the two fields that a payload is found from: what has one is of joints, whatever its name.
+# ---- Habits of robot drivers: joint names, degrees, wrapped angles, repeated samples
+
+# Names that end in a number too, but not in that of a joint of the arm.
+_NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
+
+# A joint's name that says no more than its number: a driver's other topic may give it.
+_GENERIC = re.compile(r"(?:joint|axis|j|a)?[_\- .]*(\d+)", re.I)
+
+_TURN_RAD = 2 * np.pi
+
+# An angle further beyond its joint's limits, or of more turns, is odd: calibration explains less,
+# and few joints turn more than twice.
+_SLACK_RAD = 0.3
+_MAX_TURNS = 2.1
+
+_DEGREES_SHARE = 1 / 3  # of the joints that turn: as many have odd angles where they are in degrees
+# A speed over this multiple of its joint's limit, or over this one, is odd: no arm reaches it.
+_LIMIT_FACTOR, _MAX_SPEED_RAD_S = 3.0, 15.0
+
+# A tenth of the samples must be odd: fewer are glitches.
+_FAST_QUANTILE, _BEYOND_FRACTION = 0.9, 0.1
+
+# Ticks and clock in turn; the ticks of a regular driver stay the same after two or three.
+_CLOCK_ITERATIONS = 5
+
+# Fraction of the samples that may lie outside of their messages, beyond this fraction of the time
+# between two messages: some messages are late.
+_MAX_OUTSIDE = 0.05
+_CLOCK_SLACK = 0.15
+
+_MAX_TICK_MEDIANS = 3.0  # median times between new samples, from one to the next: more is a rest
+_MIN_TICKS = 20  # fewer samples fit an even clock by chance
+
+
+def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ...]:
+    """Match each joint to its column.
+
+    Drivers give a joint several names: `j2s7s300_joint_3`, `left_joint_3`, `joint3`. So names are
+    compared whole, then by suffix, then by trailing number. Columns that are only numbered, as many
+    as the arm has joints, are its joints from base to tool.
+
+    Args:
+        joints: The arm's, base to tool.
+        columns: Of a signal; may be more than the arm's, in any order.
+
+    Returns:
+        An index into `columns` for each joint.
+
+    Raises:
+        NotFoundError: A joint has no column, or several; the message lists what is there.
+    """
+    for rule in (eq, _is_ending, _is_joint_number, _is_number):
+        matches = [[k for k, name in enumerate(columns) if rule(joint, name)] for joint in joints]
+        if all(len(indices) == 1 for indices in matches):
+            chosen = tuple(indices[0] for indices in matches)
+            if len(set(chosen)) == len(chosen):
+                return chosen
+        if ambiguous := [k for k, indices in enumerate(matches) if len(indices) > 1]:
+            first = ambiguous[0]
+            names = " and ".join(short_name(columns[index]) for index in matches[first][:2])
+            raise NotFoundError(
+                f"joint {joints[first]} could be {names}",
+                "name an arm whose joints are called as one of them (--urdf FILE --tool-link LINK)",
+            )
+    found = enumerate(map(_GENERIC.fullmatch, columns))
+    numbered = sorted((int(name[1]), k) for k, name in found if name)
+    if [number - numbered[0][0] for number, _ in numbered] == list(range(len(joints))):
+        return tuple(k for _, k in numbered)
+    missing = [
+        joint for joint in joints if not any(_is_joint_number(joint, name) for name in columns)
+    ]
+    there = listed(map(short_name, columns), FEW_NAMES)
+    raise NotFoundError(
+        f"no joint of the log is {', '.join(missing or joints)} (there: {there})",
+        "record all joints of the arm, or name the arm that it is of with --arm NAME, or with "
+        "--urdf FILE --tool-link LINK",
+    )
+
+
+def _is_ending(joint: str, name: str) -> bool:
+    """Return whether one name is the other's suffix, after a separator."""
+    longer, shorter = sorted((name.lower(), joint.lower()), key=len, reverse=True)
+    return bool(shorter) and bool(re.search(rf"(^|[^a-z0-9]){re.escape(shorter)}$", longer))
+
+
+def _is_joint_number(joint: str, name: str) -> bool:
+    """Match `joint_3`, `joint3` or `j3` at the end."""
+    return _is_numbered(joint, name, r"j(oint)?[ _\-.]*")
+
+
+def _is_number(joint: str, name: str) -> bool:
+    """Match any name that ends in the number."""
+    return _is_numbered(joint, name, r"(^|[^0-9])")
+
+
+def _is_numbered(joint: str, name: str, before: str) -> bool:
+    """Match names of one trailing number, the column's after the pattern `before`."""
+    number = re.search(r"(?<![0-9])[0-9]{1,9}$", joint)
+    if number is None or _NOT_OF_THE_ARM.search(name):
+        return False
+    return bool(re.search(rf"{before}0*{int(number[0])}$", name, re.I))
+
+
+def in_newton_metres(effort: Signal, arm: Arm, constants: Sequence[float]) -> Signal:
+    """Convert efforts that are currents [A] to torques.
+
+    Args:
+        effort: Of all joints, and perhaps of others.
+        arm: Whose joints they are.
+        constants: Torque constants [N·m/A], one per joint from base to tool, or one for all.
+
+    Raises:
+        NotFoundError: There are fewer or more of them; the message says how many are wanted.
+    """
+    if len(constants) not in (1, len(arm.joints)):
+        raise NotFoundError(
+            f"--torque-constants has {len(constants)} numbers, the arm {len(arm.joints)} joints: "
+            "give one for each from base to tool, or one for all"
+        )
+    factors = np.ones(len(effort.columns))
+    factors[list(match_joints(arm.joint_names, effort.columns))] = constants
+    return replace(effort, values=effort.values * factors)
+
+
+def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str]]:
+    """Convert angles to unwrapped radians, and say what was converted.
+
+    Degrees are detected as radians that put many joints outside their limits, or over many turns. A
+    speed that no arm has is no sign of the unit: wrong stamps give it, too, and so does a second
+    publisher; nor is one joint whose turns a driver counts.
+
+    Args:
+        seconds: Stamps [s], shape (T,).
+        values: As the driver gives them, shape (T, J); of a prismatic joint in m.
+        arm: Whose they are.
+
+    Returns:
+        Angles [rad] (or [m]) without jumps of whole turns, shape (T, J), and remarks.
+    """
+    turns = np.array([not joint.is_prismatic for joint in arm.joints])
+    remarks: list[str] = []
+    as_degrees = np.where(turns, np.radians(values), values)
+    gone = _misplaced(values, arm) & ~_misplaced(as_degrees, arm)
+    if np.count_nonzero(gone) >= max(1, _DEGREES_SHARE * np.count_nonzero(turns)):
+        values = as_degrees
+        remarks.append("the joints' positions are in degrees: converted")
+    elif gone.any():
+        joint = arm.joints[int(gone.argmax())].name
+        remarks.append(
+            f"positions of {joint} are more than it turns, if they are rad, those of most joints "
+            "are not: taken as rad; if the driver gives degrees, convert them first"
+        )
+    elif np.count_nonzero(_too_fast(seconds, values, arm) & ~_too_fast(seconds, as_degrees, arm)):
+        remarks.append(
+            "joints are faster than any arm: bad stamps, two publishers on one topic, or degrees; "
+            "the positions are taken as rad"
+        )
+    whole = np.where(turns, np.unwrap(values, period=_TURN_RAD, axis=0), values)
+    if not np.allclose(whole, values):
+        remarks.append("the joints' positions are cut to one turn: joined")
+    for column, joint in enumerate(arm.joints):
+        middle = sum(joint.limits_rad) / 2
+        if turns[column] and np.isfinite(middle):
+            off = float(np.mean(whole[:, column])) - middle
+            whole[:, column] -= _TURN_RAD * np.round(off / _TURN_RAD)
+    return whole, remarks
+
+
+def _misplaced(values: Array, arm: Arm) -> NDArray[np.bool_]:
+    """Return which joints are where none can be, shape (J,)."""
+    found: list[bool] = []
+    for joint, column in zip(arm.joints, values.T, strict=True):
+        low, high = joint.limits_rad
+        is_beyond = bool(np.abs(column).max() > _MAX_TURNS * _TURN_RAD)
+        if np.isfinite(high - low) and high - low < _TURN_RAD:
+            beyond = np.mod(column - low + _SLACK_RAD, _TURN_RAD) > high - low + 2 * _SLACK_RAD
+            is_beyond |= bool(np.mean(beyond) > _BEYOND_FRACTION)
+        found.append(is_beyond and not joint.is_prismatic)
+    return np.array(found)
+
+
+def _too_fast(seconds: Array, values: Array, arm: Arm) -> NDArray[np.bool_]:
+    """Return which joints are faster than any can be, shape (J,)."""
+    steps = np.diff(values, axis=0)
+    steps -= _TURN_RAD * np.round(steps / _TURN_RAD)
+    speeds = np.quantile(np.abs(steps) / np.diff(seconds)[:, None], _FAST_QUANTILE, axis=0)
+    fastest = [min(_LIMIT_FACTOR * one.max_velocity_rad_s, _MAX_SPEED_RAD_S) for one in arm.joints]
+    turns = np.array([not joint.is_prismatic for joint in arm.joints])
+    return turns & (speeds > np.array(fastest))
+
+
+def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:
+    """Fit a uniform clock to the times at which samples were measured; None if none fits.
+
+    A driver that publishes faster than it measures repeats samples. One that is new in a message
+    was measured some time since the message before. If all that fits one uniform clock (fitted by
+    alternating least squares: the nearest tick of each sample, then a line through the ticks), it
+    gives far better stamps than the messages do: their beat with it would look like a tremor. While
+    the arm rests, no sample is new for many ticks.
+
+    Args:
+        before: Time of the message before each new sample's [s], shape (T,); the first has none.
+        seconds: Time of the message that shows it first [s], shape (T,).
+
+    Returns:
+        Times [s], shape (T,), and the clock's period [s].
+    """
+    if len(seconds) < _MIN_TICKS:
+        return None
+    begins, ends = before[1:], seconds[1:]
+    middles = (begins + ends) / 2
+    steps = np.diff(middles)
+    usual = steps[steps <= _MAX_TICK_MEDIANS * np.median(steps)]
+    period = float(np.mean(usual))
+    rested = np.where(steps <= usual.max(), 1.0, np.round(steps / period))
+    ticks = np.cumsum(np.concatenate([[1.0], rested]))
+    start = 0.0
+    for _ in range(_CLOCK_ITERATIONS):
+        period, start = np.polyfit(ticks, middles, 1)
+        ticks = np.round((middles - start) / period)
+    times = start + period * ticks
+    slack = _CLOCK_SLACK * float(np.median(ends - begins))
+    outside = (times < begins - slack) | (times > ends + slack)
+    if np.any(np.diff(ticks) < 1) or float(np.mean(outside)) > _MAX_OUTSIDE:
+        return None
+    first = min(np.floor((seconds[0] - start) / period), ticks[0] - 1)
+    return np.concatenate([[start + period * first], times]), float(period)
+
+
+def check_joints(joints: Sequence[str], of_log: Sequence[str]) -> None:
+    """Refuse runs of another arm, by the names of its joints, as many as in the log.
+
+    Raises:
+        NotFoundError: They differ; generic names match any.
+    """
+    for other, own in zip(joints, of_log, strict=True):
+        if other != own and not (_GENERIC.fullmatch(other) or _GENERIC.fullmatch(own)):
+            raise NotFoundError(
+                f"its joint {short_name(other)} is {short_name(own)} in the log",
+                "name a run of the same arm and driver",
+            )
+
+
+# ---- New samples of a driver, and when they were measured
+# Repeats come in runs that end in a step as large as the motion beside them is fast. While the arm
+# rests, samples repeat too, but the step after them is small for their time: these count.
+
+# Share and number of runs that repeat a sample while the arm moves, from which on a driver
+# publishes faster than it measures: two measured values are equal now and then, a driver is
+# stuck once.
+_STALE_FRACTION, _MIN_STALE_RUNS = 0.03, 3
+
+# Of the way that the speed beside a run, and that of the whole motion, would make in its time: a
+# step after it that is smaller is none of a motion that went on.
+_STILL_FRACTION, _SLOW_FRACTION = 0.4, 0.1
+
+# Of the smallest change of a joint: a value that changes by less was only rounded meanwhile.
+_COARSE_STEPS = 1.5
+
+# Before and after a run, where its speed is looked for: the longer of both.
+_BESIDE_S, _BESIDE_MESSAGES = 0.15, 4
+
+# Of a driver that repeats samples: the same for longer was measured several times.
+_REST_PERIODS = 2.5
+
+_TURNS = (0.0, 2 * np.pi, 360.0)  # by which angles jump that are cut to a turn, in rad or degrees
+
+
+@dataclass(frozen=True, eq=False)
+class NewSamples:
+    """New samples of a signal.
+
+    Attributes:
+        seconds: When each was measured [s], shape (T,), increasing.
+        rows: Of the signal, shape (T,).
+        repeated: Fraction of recorded samples that only repeat one, rests aside.
+        late_s: Maximum delay from measurement to stamp; 0 if its time is known.
+        rests: First and last time of each rest [s], shape (R, 2).
+    """
+
+    seconds: Array
+    rows: NDArray[np.int64]
+    repeated: float
+    late_s: float
+    rests: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Runs:
+    """Runs of equal samples.
+
+    Attributes:
+        begins: Index of the first of each, shape (R,).
+        ends: Index behind the last of each, shape (R,).
+        still: Whether a run of several is of an arm at rest, shape (R,).
+    """
+
+    begins: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    still: NDArray[np.bool_]
+
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        """Number of samples of each, shape (R,)."""
+        return self.ends - self.begins
+
+    @property
+    def owner(self) -> NDArray[np.int64]:
+        """Index of the run of each sample, shape (N,)."""
+        return np.repeat(np.arange(len(self.begins)), self.lengths)
+
+
+def new_samples(seconds: Array, values: Array, rests: Array | None = None) -> NewSamples:
+    """Find the new samples of a signal, and when they were measured.
+
+    Args:
+        seconds: Of its messages [s], shape (N,), increasing; two or more.
+        values: Shape (N, J).
+        rests: When the arm rests [s], shape (R, 2): only then does a value that stays the same
+            count. None if the signal itself shows it: positions do.
+    """
+    runs = _runs_of(seconds, values)
+    repeats = runs.lengths - 1
+    moving = ~runs.still
+    stale_runs = np.count_nonzero(repeats[moving])
+    stale = int(repeats[moving].sum())
+    repeated = stale / (stale + len(runs.begins))
+    if stale_runs < max(_MIN_STALE_RUNS, _STALE_FRACTION * len(runs.begins)):
+        owner = runs.owner
+        keep = runs.still[owner] & _within(seconds, rests)
+        keep[runs.begins] = True
+        rows = np.flatnonzero(keep)
+        spans = _spans(seconds, runs, runs.still)
+        return NewSamples(seconds[rows], rows, repeated, 0.0, spans)
+    begins, before = seconds[runs.begins], seconds[np.maximum(runs.begins - 1, 0)]
+    lasts = np.diff(np.append(begins, seconds[-1]))
+    clock = even_clock(before, begins)
+    late_s = 0.0 if clock else float(np.median(np.diff(seconds)))
+    measured, period_s = clock or (begins, float(np.mean(lasts[moving])))
+    resting = runs.still & (lasts > _REST_PERIODS * period_s)
+    more, rows = _in_rests(seconds, runs, resting, measured, period_s)
+    inside = _within(more, rests)
+    times = np.concatenate([measured, more[inside]])
+    order = np.argsort(times)
+    rows = np.concatenate([runs.begins, rows[inside]])
+    return NewSamples(times[order], rows[order], repeated, late_s, _spans(seconds, runs, resting))
+
+
+def _runs_of(seconds: Array, values: Array) -> _Runs:
+    """Find runs of equal samples, and which of them are rests."""
+    changes = np.any(values[1:] != values[:-1], axis=1)
+    begins = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    ends = np.append(begins[1:], len(values))
+    lengths = ends - begins
+    steps = _within_a_turn(np.diff(values[begins], axis=0))
+    places = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
+    places = places[np.repeat(np.arange(len(begins)), lengths)]
+    # The step after each run: the last one has none.
+    after = np.append(np.abs(steps).max(axis=1), 0.0)
+    nonzero = np.where(steps == 0, np.inf, np.abs(steps))
+    smallest = np.min(nonzero, axis=0, initial=np.inf)
+    coarse = np.append(np.all(np.abs(steps) <= _COARSE_STEPS * smallest, axis=1), True)
+    period_s = float(np.median(np.diff(seconds)))
+    reach = max(_BESIDE_MESSAGES, int(np.ceil(_BESIDE_S / period_s)))
+    left, right = np.maximum(begins - 1, 0), np.minimum(ends, len(values) - 1)
+    first, last = np.maximum(left - reach, 0), np.minimum(right + reach, len(values) - 1)
+    ways = np.abs(places[left] - places[first]).max(axis=1)
+    ways += np.abs(places[last] - places[right]).max(axis=1)
+    beside = ways / np.maximum(left - first + last - right, 1)
+    usual = _weighted_median(after / lengths, after)
+    most = lengths * np.maximum(_STILL_FRACTION * beside, _SLOW_FRACTION * usual)
+    return _Runs(begins, ends, (lengths > 1) & (coarse | (after <= most)))
+
+
+def _within_a_turn(steps: Array) -> Array:
+    """Remove the jumps of wrapped angles from steps."""
+    ways = np.stack([np.abs(np.abs(steps) - turn) for turn in _TURNS])
+    nearest = np.array(_TURNS)[np.argmin(ways, axis=0)]
+    return steps - np.sign(steps) * nearest
+
+
+def _weighted_median(values: Array, weights: Array) -> float:
+    """Return the weighted median; 0 without weights."""
+    order = np.argsort(values)
+    sums = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(sums, sums[-1] / 2)])
+
+
+def _spans(seconds: Array, runs: _Runs, chosen: NDArray[np.bool_]) -> Array:
+    """Return first and last time of some runs [s], shape (R, 2)."""
+    return np.column_stack([seconds[runs.begins[chosen]], seconds[runs.ends[chosen] - 1]])
+
+
+def _within(seconds: Array, rests: Array | None) -> NDArray[np.bool_]:
+    """Return whether each time is in one of the rests; all are if none are given."""
+    if rests is None or not len(rests):
+        return np.full(len(seconds), rests is None)
+    at = np.searchsorted(rests[:, 0], seconds, side="right") - 1
+    return (at >= 0) & (seconds <= rests[np.maximum(at, 0), 1])
+
+
+def _in_rests(
+    seconds: Array,
+    runs: _Runs,
+    resting: NDArray[np.bool_],
+    measured: Array,
+    period_s: float,
+) -> tuple[Array, NDArray[np.int64]]:
+    """Return times [s] and rows that a sample-repeating driver measured while the arm rested.
+
+    Args:
+        seconds: Of the messages [s], shape (N,).
+        runs: Of equal samples.
+        resting: Which of them are rests, shape (R,).
+        measured: When the first of each run was measured [s], shape (R,).
+        period_s: Between measurements [s].
+    """
+    owner = runs.owner
+    ticks = np.floor((seconds - measured[owner]) / period_s).astype(np.int64)
+    ticks[runs.begins] = 0
+    is_first = np.diff(ticks, prepend=0) > 0
+    times = measured[owner] + period_s * ticks
+    behind = np.append(measured[1:], np.inf)[owner]
+    keep = resting[owner] & is_first & (ticks > 0) & (times < behind - period_s / 2)
+    return times[keep], np.flatnonzero(keep)
+
+
+# ---- Samples of all fields, in the arm's order of joints
+
+# Units of the fields that a payload is found from: what has one is of joints, whatever its name.
 JOINT_UNITS = ("N·m", "rad")
 
 # What to do where there are no torques.
@@ -348,3 +783,111 @@ def _topic(signal: Signal) -> str:
         if signal.name.endswith(ending):
             return signal.name.removesuffix(ending)
     return signal.name
+
+
+# ---- Arm of a log: the one that the user names, else by its joint names
+
+# Joints that are only numbered, one fewer than the default arm has.
+_SIX = tuple(f"joint_{number}" for number in range(1, 7))
+
+_OTHER = "--urdf FILE --tool-link LINK for any other"
+
+
+@dataclass(frozen=True)
+class ChosenArm:
+    """Arm that a log is taken to be of.
+
+    Attributes:
+        arm: Its joints named as in the log, if its drivers have several names for them.
+        remarks: Why this one, and what is not known of it.
+    """
+
+    arm: Arm
+    remarks: tuple[str, ...]
+
+
+def which_arm(
+    episode: Episode, named: str | tuple[Path, str] | None, topic: str | None
+) -> ChosenArm:
+    """Choose the arm of a log.
+
+    Args:
+        episode: The log's.
+        named: A known arm's name, or a URDF and the link that holds the payload; None if the user
+            names none.
+        topic: Channel to go by; None for all, those with torques first.
+
+    Raises:
+        UsageError: The name is no arm's, or the URDF is invalid.
+        NotFoundError: No arm is named, and it could be several, none of them the default.
+    """
+    if isinstance(named, tuple):
+        arm = read_arm(*named)
+        return ChosenArm(arm, arm.remarks)
+    there = _columns(episode, topic)
+    if named is not None:
+        known = known_arm(named)
+        return _chosen(known, there, f"arm: {known.words}, as --arm says")
+    for columns in there:
+        if called := arms_called(columns):
+            return _by_names(called, columns, there)
+    seven = known_arm(DEFAULT).joint_names[0]
+    has_torques = any(signal.unit in ("N·m", "A") for signal in episode.signals.values())
+    if has_torques and not any(_fits(seven, columns) for columns in there):
+        for columns in there:
+            if _fits(_SIX, columns):
+                raise NotFoundError(
+                    "joints that do not say whose they are "
+                    f"({listed(map(short_name, columns), FEW_NAMES)})",
+                    f"name the arm with --arm, such as --arm jaco6, or {_OTHER}",
+                )
+    return _default(there)
+
+
+def _by_names(
+    called: tuple[KnownArm, ...], columns: Sequence[str], there: Sequence[Sequence[str]]
+) -> ChosenArm:
+    """Choose the usual one of the arms that have these names."""
+    first, *others = called
+    if first.is_said_by_names:
+        variants = f"; with another hand, or none: {in_words(others)}" if others else ""
+        return _chosen(first, there, f"arm: {first.words}, by its joints' names{variants}")
+    if _fits(known_arm(DEFAULT).joint_names[0], columns):
+        return _default(there)
+    raise NotFoundError(
+        f"its joints are those of {' or '.join(one.words for one in called)}, and their names do "
+        f"not say which: add {in_words(called)}, or {_OTHER}"
+    )
+
+
+def _default(there: Sequence[Sequence[str]]) -> ChosenArm:
+    known = known_arm(DEFAULT)
+    return _chosen(
+        known,
+        there,
+        f"the joints' names do not say which arm this is: taken for a {known.words}; name "
+        f"it with --arm, or {_OTHER}",
+    )
+
+
+def _chosen(known: KnownArm, there: Sequence[Sequence[str]], why: str) -> ChosenArm:
+    """Build a known arm, its joints named as the columns that have all of them."""
+    columns = next((one for one in there if known.names_in(one)), ())
+    doubts = (f"arm: {known.doubt}",) if known.doubt else ()
+    return ChosenArm(known.arm(columns), (why, *doubts))
+
+
+def _columns(episode: Episode, topic: str | None) -> list[tuple[str, ...]]:
+    """List the joint names of each field, the preferred topic's and those of torques first."""
+    fields = [signal for signal in episode.signals.values() if signal.unit in JOINT_UNITS]
+    wanted = {signal.name for signal in episode.signals_of(topic)} if topic else set()
+    fields.sort(key=lambda signal: (signal.name not in wanted, signal.unit != "N·m"))
+    return list(dict.fromkeys(signal.columns for signal in fields))
+
+
+def _fits(joints: Sequence[str], columns: Sequence[str]) -> bool:
+    try:
+        match_joints(joints, columns)
+    except NotFoundError:
+        return False
+    return True

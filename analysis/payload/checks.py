@@ -7,27 +7,27 @@ from typing import TypeVar
 
 import numpy as np
 
-from analysis.checks import Check
-from analysis.payload.arm_log import ArmLog
-from analysis.payload.arm_motion import ArmMotion
-from analysis.payload.fit_result import FitResidual, PayloadFit
-from recorders.simulators.arm.description import Arm
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.checks import Check
+from tunenet_logs.analysis.payload.arm_log import ArmLog
+from tunenet_logs.analysis.payload.torque_fit import FitResidual, PayloadFit
+from tunenet_logs.analysis.payload.torque_model import ArmMotion
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.arm.description import Arm
 from tunenet_logs.terminal import listed, short_name
 
 T = TypeVar("T")
 
+# A recording that shows a mass: slower, shorter or more still, friction and offsets hide it. The
+# repeated samples are a fraction of all but those of an arm at rest, which are no gap either.
 _MIN_HZ = 8.0
 _MIN_S, _REJECT_S = 3.0, 1.0
 _MIN_SPAN_RAD = 0.3
 _MAX_GAP_S = 0.3
-# A recording that shows a mass: slower, shorter or more still, friction and offsets hide it. The
-# repeated samples are a fraction of all but those of an arm at rest, which are no gap either.
 _MAX_REPEATED = 0.7
 
-_MIN_CORRELATION = 0.8
 # Velocities of the driver are like the positions' derivatives, and these below a multiple of the
 # joint's limit: else positions or stamps are wrong.
+_MIN_CORRELATION = 0.8
 _FAST_FACTOR = 1.5
 
 # Residuals by what joints are built for. Those of a good fit are a torque sensor's noise, half a
@@ -37,9 +37,9 @@ _MAX_RMS, _REJECT_RMS, _MAX_SIMULATED = 0.03, 0.08, 0.15
 # Of the square of a standard normal variable: makes a median an rms without spikes.
 _CHI2_MEDIAN = 0.455
 
-_REJECT_FRACTION = 0.5
 # No arm leaves this fraction of its torques' variance unexplained, where they vary by more than
 # noise does, by what its joints are built for.
+_REJECT_FRACTION = 0.5
 _LIVELY = 0.03
 
 # Natural log of the Bayes factor, and what speaks against an owner's own word. It comes of models
@@ -48,7 +48,7 @@ _LIVELY = 0.03
 # by 29.
 _SURE_ODDS, _CONTRADICTED = 15.0, -10.0
 
-_MAX_LAG_S = 0.1  # Drivers' filters are faster: more is two clocks
+_MAX_LAG_S = 0.1  # drivers' filters are faster: more is two clocks
 _TYPICAL_SDS = 8.0  # of a term's prior: beyond it something else is wrong with the arm
 # Half of a 95 % interval that is of use, by what the arm weighs, or by the payload's mass where
 # that is more; and of none at all.

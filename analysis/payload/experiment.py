@@ -2,42 +2,156 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
-from analysis.checks import Check, CrossCheck
-from analysis.estimators.base import ExtraEstimate, FitResult, Problem, Step, Trace
-from analysis.experiment import Claim, Preset
-from analysis.motion import Motion
-from analysis.payload.arm_log import read_arm_log
-from analysis.payload.arm_motion import arm_motion
-from analysis.payload.checks import (
+from tunenet_logs.analysis.checks import Check, CrossCheck
+from tunenet_logs.analysis.estimators.base import ExtraEstimate, FitResult, Problem, Step, Trace
+from tunenet_logs.analysis.experiment import Claim, Preset, Tuning
+from tunenet_logs.analysis.payload.arm_card import (
+    MAX_CARD_BYTES,
+    ArmCard,
+    arm_sha256,
+    card_in,
+    card_text,
+)
+from tunenet_logs.analysis.payload.arm_log import read_arm_log, which_arm
+from tunenet_logs.analysis.payload.checks import (
     arm_checks,
     numbered,
     payload_checks,
     simulation_check,
     sure_check,
 )
-from analysis.payload.detection import EFFORT, PayloadDetection, conventions_of, read_tares
-from analysis.payload.presets import PRESETS
-from analysis.payload.secant import secant
-from analysis.payload.torque_terms import CURRENT_GAIN, GAIN
-from analysis.payload.which_arm import which_arm
-from analysis.record import Rebound
-from analysis.selection import Selection, Subject
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
-from tunenet_logs.measured import measured
-from tunenet_logs.unused_reading import said_unused
+from tunenet_logs.analysis.payload.detection import (
+    EFFORT,
+    PRESETS,
+    PayloadDetection,
+    conventions_of,
+    read_tares,
+)
+from tunenet_logs.analysis.payload.torque_model import (
+    CURRENT_GAIN,
+    GAIN,
+    ArmMotion,
+    Convention,
+    arm_motion,
+    arm_terms,
+)
+from tunenet_logs.analysis.record import Motion, Rebound
+from tunenet_logs.analysis.selection import Selection, Subject
+from tunenet_logs.episode import Array, Episode
+from tunenet_logs.errors import LogError
+from tunenet_logs.reader import said_unused, without_commands
+from tunenet_logs.recorders.simulators.arm.description import Arm, Payload
+from tunenet_logs.recorders.simulators.arm.path import JointPath
+from tunenet_logs.recorders.simulators.arm.payload import held_efforts_nm, joint_efforts_nm
+from tunenet_logs.terminal import listed
+from tunenet_logs.writing.owned_path import OutputPlace
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from analysis.record import Tuning
+
+# ---- Arm card of a tuning, saved
+
+
+def save_arm_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
+    """Write what a tuning identified of its arm, added to the card that it was made with.
+
+    Raises:
+        LogError: There is nothing to write, or a file in its place may not be replaced.
+        OSError: It cannot be written.
+    """
+    detection = tuning.detection
+    provenance = tuning.provenance
+    is_payload = isinstance(detection, PayloadDetection) and tuning.verdict != "rejected"
+    if not is_payload or provenance is None:
+        raise LogError(
+            f"{path}: not written: {tuning.log} shows no payload, and so no arm",
+            "name a log of an arm that moves",
+        )
+    log = {"log": tuning.log.name, "sha256": provenance.log_sha256}
+    before = detection.card.runs if detection.card else ()
+    card = ArmCard(
+        arm_sha256(detection.arm),
+        detection.log.joints,
+        (*before, log, *map(dict, provenance.tares)),
+        arm_terms(detection.arm),
+        detection.fit.learnt,
+    )
+    with card_place(path, card, overwrite=overwrite).replacing() as unfinished:
+        unfinished.write_text(card_text(card), "utf-8", errors="backslashreplace")
+
+
+def card_place(path: Path, card: ArmCard | None, *, overwrite: bool) -> OutputPlace:
+    """Return the output place of a card; without one, that of any card."""
+
+    def knows(file: BinaryIO) -> Sequence[str] | None:
+        there = card_in(file.read(MAX_CARD_BYTES + 1), path.name)
+        is_same = card is None or there.sha256s == card.sha256s
+        return () if is_same else [run["log"] for run in there.runs]
+
+    runs = listed(run["log"] for run in card.runs) if card else ""
+    elsewhere = "choose another --save-arm-card"
+    return OutputPlace(path, "card", knows, runs, elsewhere, overwrite=overwrite)
+
+
+# ---- Cross-check: a secant through two rollouts in another engine's inverse dynamics
+
+_OFFSET_SHARE = 0.01  # usual offset of a sensor, by what its joint is built for
+
+
+def secant(
+    arm: Arm,
+    motion: ArmMotion,
+    convention: Convention,
+    lag_s: float,
+    *,
+    com_m: tuple[float, float, float],
+    scales_nm: Array,
+    tares: Sequence[ArmMotion] = (),
+) -> float:
+    """Estimate the mass by a secant through rollouts of 0 and 1 kg [kg]; it may be below 0.
+
+    Torques are linear in the mass, so the arm without a payload and with 1 kg, driven along the
+    logged motion, give it by least squares in closed form. Only sensor offsets are removed.
+
+    Args:
+        arm: Without a payload.
+        motion: While it held it.
+        convention: The driver's torque convention.
+        lag_s: Of the torques behind the positions [s].
+        com_m: The payload's centre of mass in the tool frame.
+        scales_nm: Rated torque of each joint [N·m], shape (J,).
+        tares: While it held nothing: the mass that this gives for them is subtracted.
+    """
+    arm = arm.without_limits()
+    masses_kg = []
+    for run in (motion, *tares):
+        path = JointPath(run.seconds, *run.at(run.seconds - lag_s))
+        empty_nm = joint_efforts_nm(arm, path)
+        slopes = joint_efforts_nm(arm, path, Payload(1.0, com_m)) - empty_nm
+        if not convention.has_gravity:
+            empty_nm -= held_efforts_nm(arm, path)
+        residual = convention.sign * run.effort - empty_nm
+        # An offset of normal prior is projected out of both, less so where the noise is large.
+        noise = np.var(residual - np.mean(residual, axis=0), axis=0)
+        offsets = (_OFFSET_SHARE * scales_nm) ** 2
+        free = offsets / (offsets + noise / len(residual))
+        residual -= free * np.mean(residual, axis=0)
+        slopes -= free * np.mean(slopes, axis=0)
+        slopes, residual = slopes[:, run.used], residual[:, run.used]
+        masses_kg.append(float(np.sum(slopes * residual) / np.sum(slopes**2)))
+    return masses_kg[0] - float(np.mean(masses_kg[1:] or [0.0]))
+
+
+# ---- Payload as an experiment
 
 # How far the cross-check may be off, by what the arm weighs and by the payload's mass: it has no
 # friction.
@@ -57,21 +171,21 @@ class PayloadExperiment:
     kind = "payload"
     occasion = "run"
     observed = "torques of an arm"
-    takes: frozenset[Subject] = frozenset(("arm",))
+    accepted_options: frozenset[Subject] = frozenset(("arm",))
     presets: Mapping[str, Preset] = PRESETS
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """Claim logs with joint torques, perhaps with joints; see `Experiment.claim`."""
-        episode = measured(episode)
+        episode = without_commands(episode)
         signals = episode.signals.values() if topic is None else episode.signals_of(topic)
         units = {signal.unit for signal in signals}
         if "N·m" in units:
-            return Claim.PLAINLY
-        return Claim.PERHAPS if "rad" in units else Claim.NONE
+            return Claim.CERTAIN
+        return Claim.POSSIBLE if "rad" in units else Claim.NONE
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> PayloadDetection:
         """Read the arm's motion, and its empty runs; see `Experiment.detect`."""
-        episode = measured(episode)
+        episode = without_commands(episode)
         chosen = which_arm(episode, selection.arm, selection.topic)
         arm = chosen.arm
         log = read_arm_log(
@@ -199,6 +313,6 @@ class PayloadExperiment:
         """See `Experiment.review`."""
         if tuning.detection is None:
             return None
-        from analysis.payload.review.views import log_payload
+        from tunenet_logs.analysis.payload.review import log_payload
 
         return log_payload(stream, tuning)

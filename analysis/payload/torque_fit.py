@@ -2,41 +2,600 @@
 
 Torques are linear in the payload. Nuisance terms make it hard: friction, offsets, gains, a lag,
 link masses other than the model's, a base that is not level. They are fitted too, with priors
-whose scale the log decides on (`evidence.py`), and with runs of the empty gripper (tares) that
+whose scale the log decides on (`noise.py`), and with runs of the empty gripper (tares) that
 have all of them but the payload.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
-from analysis.payload.arm_motion import ArmMotion
-from analysis.payload.evidence import NormalEquations, averaged, without
-from analysis.payload.fit_result import FitResidual, Nuisance, PayloadFit
-from analysis.payload.gauss_newton import GaussNewton
-from analysis.payload.held import held
-from analysis.payload.same_path import TorqueRows, along, rows_of
-from analysis.payload.torque_model import (
+from tunenet_logs.analysis.payload.noise import (
+    Noises,
+    NormalEquations,
+    TermPosterior,
+    averaged,
+    estimated,
+    likeliest_scales,
+    posterior,
+    scaled,
+    unknown,
+    without,
+)
+from tunenet_logs.analysis.payload.torque_model import (
+    CENTRE,
     CONVENTIONS,
+    GAIN,
+    INERTIA,
+    MASS,
+    NOT_SIMULATED,
+    OWN_TERMS,
+    PAYLOAD_TERMS,
     ArmModel,
+    ArmMotion,
     Convention,
     Linearization,
     LoggedArm,
-)
-from analysis.payload.torque_terms import (
-    GAIN,
-    MASS,
-    NOT_SIMULATED,
-    PAYLOAD_TERMS,
     Terms,
     make_terms,
+    moments,
     torque_scales_nm,
 )
-from recorders.simulators.arm.description import Arm
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.statistics import TWO_SIDED
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.arm.description import PAYLOAD_RADIUS_M, Arm
+
+# ---- Physically consistent payload from the fitted terms
+# They are those of some distribution of mass: the pseudo-inertia matrix is positive semidefinite
+# (Wensing, Kim and Slotine 2018). Such bodies are a convex set: the mean of sampled ones is one.
+
+Three = tuple[float, float, float]
+Pair = tuple[float, float]
+
+MIN_MASS_KG = 0.05  # below which a payload has no centre of mass that torques show
+# Of each axis of a centre of mass: its interval is then narrower than a hand.
+_IDENTIFIABLE_SD_M = 0.012
+
+_MAX_M = 0.5  # of a centre along an axis: no hand holds a thing by a point further away
+# Standard deviation of a moment of inertia, by the largest one: with more it is unidentifiable.
+_TOLD_SHARE = 0.2
+
+# Bodies that are drawn, and how many of them there must be.
+_DRAWS, _MIN_DRAWS, _SEED = 4000, 200, 17
+
+
+@dataclass(frozen=True)
+class Centre:
+    """Centre of mass of the payload in the tool frame.
+
+    Attributes:
+        com_m: x, y, z [m].
+        sds_m: Standard deviation of each [m].
+        mass_kg: That it is the centre of.
+        kg_for_m: Error of a mass that is fitted with the centre in the tool frame, per metre that
+            the centre is off along x, y, z.
+    """
+
+    com_m: Three
+    sds_m: Three
+    mass_kg: float
+    kg_for_m: Three
+
+    @property
+    def is_identifiable(self) -> bool:
+        """Whether the log identifies it beside the mass."""
+        return max(self.sds_m) < _IDENTIFIABLE_SD_M and self.mass_kg > MIN_MASS_KG
+
+    @property
+    def likely_m(self) -> Three:
+        """Centre of mass for a simulation: the tool frame's origin if this one cannot be."""
+        can_be = self.mass_kg > MIN_MASS_KG and max(map(abs, self.com_m)) < _MAX_M
+        return self.com_m if can_be else (0.0, 0.0, 0.0)
+
+    @property
+    def loose(self) -> tuple[str, ...]:
+        """Axes along which it is not identifiable, with their standard deviations."""
+        return tuple(
+            f"{axis} (sd {1000 * sd:.0f} mm)"
+            for axis, sd in zip("xyz", self.sds_m, strict=True)
+            if sd >= _IDENTIFIABLE_SD_M
+        )
+
+    @property
+    def interval95(self) -> tuple[Pair, ...]:
+        """Lower and upper end of each axis [m]."""
+        pairs = zip(self.com_m, self.sds_m, strict=True)
+        return tuple((mean - TWO_SIDED * sd, mean + TWO_SIDED * sd) for mean, sd in pairs)
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Moments of inertia about the centre of mass, along the tool frame's axes.
+
+    Attributes:
+        kg_m2: xx, xy, yy, xz, yz, zz.
+        interval95: Of each.
+    """
+
+    kg_m2: tuple[float, ...]
+    interval95: tuple[Pair, ...]
+
+
+@dataclass(frozen=True)
+class Held:
+    """Payload of the arm.
+
+    Attributes:
+        mass_kg: 0 or more.
+        interval95: Of the mass [kg]; from 0 if it is not significant.
+        signed_kg: Mass as fitted, which may be below 0.
+        sd_kg: Its standard deviation.
+        centre: Of mass, whether identifiable or not.
+        inertia: None if unidentifiable.
+    """
+
+    mass_kg: float
+    interval95: Pair
+    signed_kg: float
+    sd_kg: float
+    centre: Centre
+    inertia: Inertia | None
+
+
+def held(means: Array, covariance: Array) -> Held:
+    """Build a payload from the Gaussian posterior of its terms, shapes (10,) and (10, 10)."""
+    signed_kg, sd_kg = float(means[MASS]), float(np.sqrt(covariance[MASS, MASS]))
+    centre = _centre(means, covariance)
+    inertia = _inertia(means, covariance) if centre.is_identifiable else None
+    interval95 = _interval(signed_kg, sd_kg)
+    return Held(max(signed_kg, 0.0), interval95, signed_kg, sd_kg, centre, inertia)
+
+
+def _interval(mean_kg: float, sd_kg: float) -> Pair:
+    """Return the 95 % interval of a Gaussian, truncated at 0 if its mean is hardly above."""
+    from scipy.special import ndtr, ndtri
+
+    if mean_kg > TWO_SIDED * sd_kg:
+        return mean_kg - TWO_SIDED * sd_kg, mean_kg + TWO_SIDED * sd_kg
+    above = float(ndtr(mean_kg / sd_kg))
+    # Far below 0, the part above it is an exponential's: the quantile by its tail.
+    end = mean_kg - sd_kg * float(ndtri(0.05 * above))
+    return 0.0, end
+
+
+def _centre(means: Array, covariance: Array) -> Centre:
+    """Divide first moments by the mass, with first-order error propagation."""
+    mass_kg = max(float(means[MASS]), MIN_MASS_KG)
+    com_m = means[CENTRE] / mass_kg
+    # The error of a quotient to first order: its Jacobian by mass and first moments.
+    to_com = np.concatenate([-com_m[:, None], np.eye(3)], axis=1) / mass_kg
+    own = covariance[: CENTRE.stop, : CENTRE.stop]
+    sds_m = np.sqrt(np.diag(to_com @ own @ to_com.T))
+    precision = np.linalg.inv(own)
+    kg_for_m = precision[MASS, CENTRE] / precision[MASS, MASS] * mass_kg
+    x, y, z = com_m.tolist()
+    sd_x, sd_y, sd_z = sds_m.tolist()
+    kg_x, kg_y, kg_z = kg_for_m.tolist()
+    return Centre((x, y, z), (sd_x, sd_y, sd_z), float(means[MASS]), (kg_x, kg_y, kg_z))
+
+
+def _inertia(means: Array, covariance: Array) -> Inertia | None:
+    """Average sampled inertias with a positive semidefinite pseudo-inertia."""
+    rng = np.random.default_rng(_SEED)
+    drawn = rng.multivariate_normal(means, covariance, _DRAWS, method="eigh")
+    tensors = np.einsum("nk,kij->nij", drawn[:, INERTIA], np.stack(moments()))
+    tensors += 0.4 * PAYLOAD_RADIUS_M**2 * drawn[:, MASS, None, None] * np.eye(3)
+    masses, firsts = drawn[:, MASS], drawn[:, CENTRE]
+    pseudo = np.zeros((_DRAWS, 4, 4))
+    traces = np.trace(tensors, axis1=1, axis2=2)
+    pseudo[:, :3, :3] = 0.5 * traces[:, None, None] * np.eye(3) - tensors
+    pseudo[:, :3, 3] = pseudo[:, 3, :3] = firsts
+    pseudo[:, 3, 3] = masses
+    there = np.linalg.eigvalsh(pseudo)[:, 0] >= 0
+    if np.count_nonzero(there) < _MIN_DRAWS:
+        return None
+    masses, firsts = masses[there, None, None], firsts[there]
+    about = np.einsum("ni,ni->n", firsts, firsts)[:, None, None] * np.eye(3)
+    own = tensors[there] - (about - np.einsum("ni,nj->nij", firsts, firsts)) / masses
+    rows = own[:, *np.tril_indices(3)]
+    if np.std(rows, axis=0).max() > _TOLD_SHARE * np.abs(np.mean(rows, axis=0)).max():
+        return None
+    lows, highs = np.quantile(rows, (0.025, 0.975), axis=0)
+    return Inertia(
+        tuple(np.mean(rows, axis=0).tolist()),
+        tuple(zip(lows.tolist(), highs.tolist(), strict=True)),
+    )
+
+
+# ---- Result of a fit of an arm's torques: the payload, and all nuisance terms
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One nuisance term.
+
+    Attributes:
+        name: In words.
+        group: That it is scaled with (`make_terms`).
+        value: Its mean [N·m, N·m for each rad/s or rad/s², m, rad, s, or a fraction].
+        sd: Standard deviation, in the same unit.
+        prior_sd: Of its prior about 0 at scale 1, in the same unit.
+    """
+
+    name: str
+    group: str
+    value: float
+    sd: float
+    prior_sd: float
+
+
+@dataclass(frozen=True, eq=False)
+class FitResidual:
+    """Residual of a fit to the torques of one run.
+
+    Attributes:
+        residual_nm: Measured less predicted, of the joints that were fitted [N·m], shape (T, U).
+        effort_nm: As measured, of the same [N·m], shape (T, U).
+        scales_nm: Rated torque of these joints [N·m], shape (U,).
+    """
+
+    residual_nm: Array
+    effort_nm: Array
+    scales_nm: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadFit:
+    """Fit of the payload and all nuisance terms.
+
+    Attributes:
+        held: Mass, centre of mass and inertia.
+        convention: Sign of the torques, and whether gravity is included.
+        convention_odds: Log evidence (natural) by which it leads the next one; below 0 if the
+            log speaks for one that the user excluded.
+        arm_odds: Log evidence over a model without an arm.
+        nuisances: All other terms.
+        bound_kg: Cramér-Rao bound of the mass's standard deviation, under the likeliest scales.
+        scales: Of each group of terms, relative to its usual size.
+        scales_nm: Rated torque of each joint [N·m], shape (J,).
+        seconds: Of the torques [s], shape (T,).
+        effort_nm: As measured, with the joint's sign [N·m], shape (T, J).
+        predicted_nm: By the fit [N·m], shape (T, J).
+        used: Joints that were fitted, shape (J,).
+        lag_s: Of the torques behind the positions [s].
+        tare_residuals: Of the empty runs' torques.
+        learnt: What all runs identify of the arm's own terms (`Terms.arms`), for later logs.
+    """
+
+    held: Held
+    convention: Convention
+    convention_odds: float
+    arm_odds: float
+    nuisances: tuple[Nuisance, ...]
+    bound_kg: float
+    scales: Mapping[str, float]
+    scales_nm: Array
+    seconds: Array
+    effort_nm: Array
+    predicted_nm: Array
+    used: NDArray[np.bool_]
+    lag_s: float
+    tare_residuals: tuple[FitResidual, ...]
+    learnt: NormalEquations
+
+    @property
+    def residual_nm(self) -> Array:
+        """Residual, measured less predicted [N·m], shape (T, J)."""
+        return self.effort_nm - self.predicted_nm
+
+    @property
+    def residual(self) -> FitResidual:
+        """Residual of the joints that were fitted."""
+        used = self.used
+        return FitResidual(self.residual_nm[:, used], self.effort_nm[:, used], self.scales_nm[used])
+
+    @property
+    def identifiability(self) -> str:
+        """Whether mass, centre of mass and inertia are identifiable, in a sentence."""
+        centre = self.held.centre
+        if centre.is_identifiable:
+            spread = ", ".join(f"{1000 * sd:.1f}" for sd in centre.sds_m)
+            told = f"mass and centre of mass are separated (sd of the centre: {spread} mm)"
+            if self.held.inertia:
+                return f"{told}, and its inertia"
+            return f"{told}; its inertia needs faster turns of the hand, there and back in a second"
+        if centre.mass_kg <= MIN_MASS_KG:
+            return "the payload is too light for its centre of mass to show"
+        most_g = 10 * max(abs(kg_for_m) for kg_for_m in centre.kg_for_m)
+        remedy = "turn the hand by 90° about two axes in the motion (the last three joints)"
+        if not self.tare_residuals:
+            remedy = f"record the empty gripper too (--tare), and {remedy}"
+        return (
+            f"the log cannot separate the payload's mass from its centre along "
+            f"{', '.join(centre.loose)}: 1 cm off the tool frame is {most_g:.0f} g; {remedy}"
+        )
+
+
+# ---- Difference and mean of a log and a tare along one path, which separate unmodelled effects
+# Ripple, hoses and other unmodelled effects depend on the arm's configuration. Of two runs in the
+# same places at the same times, such effects are in the mean alone, not in the difference.
+
+# Root mean square and greatest distance of two runs along one path: how a controller repeats.
+_NEAR_RAD, _NEVER_BEYOND_RAD = 0.01, 0.05
+
+_OVERLAP = 0.9  # of the log that a tare along its path covers at least
+# Of the search for the time by which the one began later: positions a second, shifts that are
+# tried, and how often the step between them is halved then.
+_COARSE_HZ, _MAX_SHIFTS, _HALVINGS = 20.0, 400, 12
+
+_DRIFTS, _LAG = slice(-2, None), -OWN_TERMS - 3  # columns of a run's own terms
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueRows:
+    """Least-squares rows of a series of torques.
+
+    Attributes:
+        seconds: [s], shape (T,).
+        left_nm: Residual at the linearisation point, shape (T, J).
+        columns: Terms that each joint's slopes are by, shape (J, C).
+        slopes: Shape (T, J, C).
+        own: Which of those columns belong to a joint alone.
+        used: Joints that count, shape (J,).
+    """
+
+    seconds: Array
+    left_nm: Array
+    columns: NDArray[np.int64]
+    slopes: Array
+    own: NDArray[np.int64]
+    used: NDArray[np.bool_]
+
+    def after_nm(self, change: Array) -> Array:
+        """Return the residual, (T, J), after the terms have changed by `change`, shape (N,)."""
+        return self.left_nm - np.einsum("tjc,jc->tj", self.slopes, change[self.columns])
+
+
+def rows_of(
+    runs: Sequence[LoggedArm], lines: Sequence[Linearization], convention: Convention
+) -> list[TorqueRows]:
+    """Build the rows of each run; of a log and a tare along it, their difference and mean."""
+    rows = [
+        TorqueRows(
+            run.motion.seconds,
+            run.torques_nm(convention) - line.predicted_nm,
+            line.columns,
+            line.slopes,
+            np.arange(line.columns.shape[1])[-OWN_TERMS - 2 :],
+            run.motion.used,
+        )
+        for run, line in zip(runs, lines, strict=True)
+    ]
+    beside = next((run for run in runs if run.covered is not None), None)
+    if beside is None:
+        return rows
+    log, tare, inside = rows[0], rows.pop(beside.run), beside.covered
+    lags, drifts = tare.columns[:, _LAG, None], tare.columns[:, _DRIFTS]
+    columns = np.hstack([log.columns, lags, drifts])
+    alone = np.concatenate([tare.slopes[..., _LAG, None], tare.slopes[..., _DRIFTS]], axis=-1)
+    shared = tare.slopes.copy()
+    shared[..., _LAG] = 0.0
+    shared[..., _DRIFTS] = 0.0
+    own = np.append(log.own, len(columns[0]) + np.array([-2, -1]))
+    used = log.used & tare.used
+    pair = []
+    for of_log, of_tare, counted in ((1.0, -1.0, own[-4:]), (0.5, 0.5, own)):
+        slopes = of_log * log.slopes + of_tare * shared
+        both = np.concatenate([slopes, of_tare * alone], axis=-1)
+        left_nm = of_log * log.left_nm + of_tare * tare.left_nm
+        seconds = log.seconds[inside]
+        pair.append(TorqueRows(seconds, left_nm[inside], columns, both[inside], counted, used))
+    rows[0] = pair[0]
+    rows.insert(1, pair[1])
+    return rows
+
+
+def along(motion: ArmMotion, tare: ArmMotion) -> tuple[ArmMotion, NDArray[np.bool_]] | None:
+    """Resample a tare at the log's own times, and say which it covers; None if elsewhere."""
+    seconds = motion.seconds
+    length_s = float(seconds[-1] - seconds[0])
+    step_s = 1 / _COARSE_HZ
+    grid = np.arange(seconds[0], seconds[-1], max(step_s, length_s / 500))
+    where = motion.spline(grid)
+    first, last = float(tare.seconds[0]), float(tare.seconds[-1])
+    slack_s = (1 - _OVERLAP) * length_s
+    low, high = first - seconds[0] - slack_s, last - seconds[-1] + slack_s
+    if high < low:
+        return None
+
+    def off(shift: float) -> tuple[float, float]:
+        at = grid + shift
+        inside = (at >= first) & (at <= last)
+        if np.mean(inside) < _OVERLAP:
+            return np.inf, np.inf
+        away = np.abs(where[inside] - tare.spline(at[inside]))
+        return float(np.sqrt(np.mean(away**2))), float(away.max())
+
+    count = int(min(np.ceil((high - low) / step_s) + 1, _MAX_SHIFTS))
+    shifts = np.linspace(low, high, count)
+    best = min(shifts.tolist(), key=off)
+    step = float(shifts[1] - shifts[0]) if count > 1 else step_s
+    for _ in range(_HALVINGS):
+        step /= 2
+        best = min((best - step, best, best + step), key=off)
+    rms, worst = off(best)
+    if rms > _NEAR_RAD or worst > _NEVER_BEYOND_RAD:
+        return None
+    at = seconds + best
+    inside = (at >= first) & (at <= last)
+    effort = np.column_stack([np.interp(at, tare.seconds, column) for column in tare.effort.T])
+    return replace(tare, seconds=at, effort=effort), inside
+
+
+# ---- Gauss-Newton over all terms at once: their values, their prior scales, and the noise
+
+# Lags, tilts and encoders' zeros are clipped here: torques are linear in them only while they are
+# small.
+_MAX_LAG_S, _MAX_TURN_RAD = 0.2, 0.2
+
+# Noise before anything is fitted, and of the best sensor, by what a joint is built for.
+_START_SHARE, _MIN_SHARE = 0.02, 2e-5
+
+_ANY_OFFSET = 2.5  # logarithm of a scale with which an offset explains any constant torque
+# Of the search for scales, in each iteration: it goes on where the last one ended. With 3 it stood
+# still for some, and a wrong convention looked likelier by 130.
+_SCALE_STEPS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class GaussNewton:
+    """Gauss-Newton iterate of all terms.
+
+    Attributes:
+        runs: The log and its tares.
+        terms: The unknowns.
+        convention: The driver's torque convention.
+        known: Prior information on the arm, about terms of 0; None for nothing.
+        noises: Of each series of rows (`rows_of`) and joint.
+        found: Posterior of the terms.
+        logs: Logarithms of the scale of each group.
+        log_evidence: Up to a constant that all models of these runs share.
+    """
+
+    runs: tuple[LoggedArm, ...]
+    terms: Terms
+    convention: Convention
+    known: NormalEquations | None
+    noises: tuple[Noises, ...]
+    found: TermPosterior
+    logs: Mapping[str, float] = field(default_factory=dict)
+    log_evidence: float = -np.inf
+
+    @classmethod
+    def start(
+        cls,
+        runs: tuple[LoggedArm, ...],
+        convention: Convention,
+        known: NormalEquations | None = None,
+    ) -> GaussNewton:
+        """Start with all terms at 0, the mean of their priors."""
+        terms = runs[0].terms
+        beside = next((run.covered for run in runs if run.covered is not None), None)
+        log_s = runs[0].motion.seconds
+        paired = [log_s[beside]] * 2 if beside is not None else [log_s]
+        others = [run.motion.seconds for run in runs[1:] if run.covered is None]
+        noises = tuple(
+            tuple(unknown(seconds, _START_SHARE * scale) for scale in terms.scales_nm.tolist())
+            for seconds in (*paired, *others)
+        )
+        sds = terms.sds
+        nothing = TermPosterior(np.zeros(len(sds)), np.diag(sds), sds, -np.inf)
+        return cls(runs, terms, convention, known, noises, nothing)
+
+    def linearized(self) -> list[Linearization]:
+        """Linearise each run about the present terms."""
+        return [run.linearized(self.found.means, self.convention) for run in self.runs]
+
+    def rows(self, lines: Sequence[Linearization]) -> list[TorqueRows]:
+        """Build the least-squares rows of each run's linear model."""
+        return rows_of(self.runs, lines, self.convention)
+
+    def fitted(self, rows: Sequence[TorqueRows], at: Array, *, roughly: bool) -> GaussNewton:
+        """Solve linear models for the terms, their groups' scales, then the noise of the residual.
+
+        Args:
+            rows: Of linear models of these runs.
+            at: Terms about which they are linear, shape (N,).
+            roughly: Whether it is only to be compared with others. Sensor offsets are then free: a
+                convention shows in how torques change, not in what they are.
+        """
+        normal = self.normal_equations(rows, at)
+        searched = self.groups
+        if roughly:
+            del searched["offset"]
+        logs = likeliest_scales(normal, self._sds, searched, self.logs, _SCALE_STEPS)
+        logs["offset"] = _ANY_OFFSET if roughly else logs["offset"]
+        sds = scaled(self._sds, self.groups, logs)
+        found = posterior(normal, sds)
+        told = 1 - found.variances / np.maximum(sds, 1e-150) ** 2
+        # A mass is 0 or more: its prior is half a normal one.
+        mass_sds = float(found.means[MASS]) / float(np.sqrt(found.variances[MASS]))
+        evidence = found.log_evidence + float(log_ndtr(mass_sds))
+        for own, series in zip(self.noises, rows, strict=True):
+            target = series.after_nm(-at)
+            for joint in np.flatnonzero(series.used).tolist():
+                evidence += own[joint].log_likelihood(target[:, joint])
+        found = self._clipped(found)
+        least_nm = _MIN_SHARE * self.terms.scales_nm
+        noises: list[Noises] = []
+        for own, series in zip(self.noises, rows, strict=True):
+            residual_nm = series.after_nm(found.means - at)
+            fitted = told[series.columns[:, series.own]].sum(axis=1)
+            noises.append(estimated(own, residual_nm, fitted, least_nm, roughly=roughly))
+        return replace(self, noises=tuple(noises), found=found, logs=logs, log_evidence=evidence)
+
+    def with_usual_offsets(self) -> GaussNewton:
+        """Return a copy whose sensor offsets have their usual prior again."""
+        return replace(self, logs={**self.logs, "offset": 0.0})
+
+    @property
+    def groups(self) -> dict[str, NDArray[np.int64]]:
+        """Terms that share a scale; the payload's mass and terms fixed at 0 have none."""
+        of = self.terms.of
+        return {
+            name: indices
+            for name, indices in of.items()
+            if name != "payload" and self.terms.sds[indices].all()
+        }
+
+    @property
+    def _sds(self) -> Array:
+        """Prior deviations at scale 1, shape (N,); the payload's centre and inertia go by mass."""
+        sds = self.terms.sds.copy()
+        mass_kg = max(abs(float(self.found.means[MASS])), MIN_MASS_KG)
+        sds[CENTRE] *= mass_kg
+        sds[INERTIA] *= mass_kg
+        return sds
+
+    def normal_equations(self, rows: Sequence[TorqueRows], at: Array) -> NormalEquations:
+        """Accumulate the normal equations of the terms, linear about `at`."""
+        count = len(self.terms.sds)
+        precision, gradient = np.zeros((count, count)), np.zeros(count)
+        if self.known is not None:
+            precision += self.known.precision
+            gradient += self.known.gradient
+        for noises, series in zip(self.noises, rows, strict=True):
+            target = series.after_nm(-at)
+            for joint in np.flatnonzero(series.used).tolist():
+                columns, slopes = series.columns[joint], series.slopes[:, joint]
+                weighed = noises[joint].weighed(slopes)
+                precision[np.ix_(columns, columns)] += slopes.T @ weighed
+                gradient[columns] += weighed.T @ target[:, joint]
+        return NormalEquations(precision, gradient)
+
+    def residual_nm(self, run: int, lines: Sequence[Linearization], change: Array) -> Array:
+        """Return the residual after a `change` from the linearisation point, shape (T, J)."""
+        measured_nm = self.runs[run].torques_nm(self.convention)
+        return measured_nm - lines[run].predicted_nm - lines[run].moved_nm(change)
+
+    def _clipped(self, found: TermPosterior) -> TermPosterior:
+        means = found.means.copy()
+        for name, most in (
+            ("lag", _MAX_LAG_S),
+            ("tilt", _MAX_TURN_RAD),
+            ("zeros", _MAX_TURN_RAD),
+        ):
+            indices = self.terms.of[name]
+            means[indices] = np.clip(means[indices], -most, most)
+        return replace(found, means=means)
+
+
+# ---- Fit of the payload: the likeliest convention, refined
 
 # Factor on standard deviations where runs share an arm: what a model of it lacks is in none of them
 # alone. By made arms of another generator, whose intervals held 88 to 92 % without it.

@@ -1,26 +1,70 @@
-"""Checks of a tuned simulator: residuals, hold-out, identifiability, step size."""
+"""Checks of a tuned simulator: residuals, hold-out, identifiability, step size.
+
+An unidentifiable parameter comes with advice on the motion that excites it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
-from analysis.checks import Check
-from analysis.sysid.advice import excitation
-from analysis.sysid.compared import ComparedColumns, noise_of
-from analysis.sysid.fit import SimulatorFit
-from recorders.simulators.base import Parameter
-from recorders.simulators.mujoco.model_simulator import STOPPED
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
+from tunenet_logs.analysis.checks import Check
+from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, noise_of
+from tunenet_logs.episode import Array, Episode
+from tunenet_logs.recorders.simulators.base import Parameter
+from tunenet_logs.recorders.simulators.model.rollout import STOPPED
 from tunenet_logs.terminal import listed
 
+# ---- Motions that excite a parameter that is unidentifiable from a log
+
+_MAX_PARTNERS = 3
+
+# By the name of the parameter's field.
+_MOTIONS: Mapping[str, str] = {
+    "damping": "move it at several speeds, the fastest ones too",
+    "frictionloss": "move it slowly and reverse often",
+    "armature": "change its speed fast, as in short swings",
+    "stiffness": "move it far to both sides",
+    "springref": "let it come to rest with nothing driving it",
+    "mass": "lift it and swing it, with the torques or commands recorded",
+    "ipos": "turn it about several axes",
+    "inertia": "turn it fast about several axes",
+    "friction": "let it slide further, or push it along",
+    "solref": "let it hit the ground from several heights",
+    "solimp": "let it hit the ground from several heights",
+    "kp": "command steps as well as slow motions",
+    "kv": "command steps as well as slow motions",
+    "gear": "command large and small motions",
+    "gravity": "hold it in several positions, with the torques recorded",
+    "density": "move it fast",
+    "viscosity": "move it at several speeds",
+    "delay": "command steps and fast changes",
+}
+
+
+def excitation(name: str, partners: Sequence[str]) -> str:
+    """Return what to record to make a parameter identifiable, apart from its partners."""
+    field = name.partition("/")[0] if name.startswith("delay/") else name.rpartition(".")[2]
+    field = field.partition("[")[0]
+    motion = _MOTIONS.get(field, "record a motion that it changes")
+    if partners:
+        return (
+            f"measure one of {listed([name, *partners], _MAX_PARTNERS)} and leave it out of the "
+            f"tuning, or record what drives it; {motion}"
+        )
+    return motion
+
+
+# ---- The checks
+
 _MOVES = 3.0  # times its noise that a column has to vary by, one at least
-_REJECT_SHARE = 0.5
 # Of a column's spread, that a simulator may leave; of one that jumps more, for a jump that is met a
 # little early or late leaves some of itself.
+_REJECT_SHARE = 0.5
 _GOOD_SHARE, _GOOD_JUMPY_SHARE = 0.05, 0.1
 
-_STILL_SHARE = 1e-2  # of what columns of its unit vary by, that one counts as varying by at least
+_STILL_SHARE = 1e-2  # least spread of a column, by the largest of the columns of its unit
 _NOISES = 1.3  # times the noise that a column may keep where that is more than its share
 _HELD_OUT_FACTOR = 2.0
 # Of a column's spread: a prediction that is closer than this is good whatever the fit left.
@@ -157,17 +201,19 @@ def _is_at_an_end(parameter: Parameter, value: float) -> bool:
 
 
 def _told_check(found: SimulatorFit) -> Check:
-    untold = found.untold
-    if not untold:
-        return Check("the log tells every parameter", True, "each within a quarter of its range")
+    unidentifiable = found.unidentifiable
+    if not unidentifiable:
+        return Check("every parameter is identifiable", True, "each within a quarter of its range")
     words: list[str] = []
-    for parameter in untold:
+    for parameter in unidentifiable:
         partners = _partners(found, parameter)
         along = f" (only together with {listed(partners, _FEW)})" if partners else ""
         words.append(f"{parameter.name}{along}")
-    detail = f"not told: {'; '.join(words)}"
-    advice = excitation(untold[0].name, _partners(found, untold[0]))
-    return Check("the log tells every parameter", False, detail, advice=advice, doubts_model=False)
+    detail = f"not identifiable: {'; '.join(words)}"
+    advice = excitation(unidentifiable[0].name, _partners(found, unidentifiable[0]))
+    return Check(
+        "every parameter is identifiable", False, detail, advice=advice, invalidates_interval=False
+    )
 
 
 def _partners(found: SimulatorFit, parameter: Parameter) -> list[str]:
@@ -177,7 +223,7 @@ def _partners(found: SimulatorFit, parameter: Parameter) -> list[str]:
     return [
         one.name
         for number, one in enumerate(_tuned(found))
-        if number != place and abs(row[number]) > 0.9 and one in found.untold
+        if number != place and abs(row[number]) > 0.9 and one in found.unidentifiable
     ]
 
 
@@ -196,7 +242,7 @@ def _step_check(found: SimulatorFit) -> Check:
         ratios[place] < 0.6,
         detail,
         advice="shorten the model's timestep",
-        doubts_model=False,
+        invalidates_interval=False,
     )
 
 

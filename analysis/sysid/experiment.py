@@ -1,72 +1,286 @@
-"""A user's own simulator as an experiment, tuned from any log of what it simulates."""
+"""A user's own simulator as an experiment, tuned from any log of what it simulates.
+
+It is tuned by least squares, by a search, or by a TuneNet trained for it and the log.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import qmc
 
-from analysis.checks import Check, CrossCheck
-from analysis.estimators.base import FitResult, Problem, Step, Trace
-from analysis.experiment import Claim, Preset
-from analysis.motion import Motion
-from analysis.record import Rebound
-from analysis.selection import Selection, Subject
-from analysis.sysid.checks import fit_checks, match_check, recording_checks, whole_check
-from analysis.sysid.problem import SimulatorProblem
-from analysis.sysid.source import Connected, SimulatorSource, part_of
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
-from tunenet_logs.left_out import LeftOut
+from tunenet_logs.analysis.checks import Check, CrossCheck
+from tunenet_logs.analysis.estimators.base import (
+    Evaluation,
+    FitResult,
+    Observation,
+    Problem,
+    Step,
+    Trace,
+)
+from tunenet_logs.analysis.experiment import Claim, Preset
+from tunenet_logs.analysis.record import Motion, Rebound
+from tunenet_logs.analysis.selection import Options, Selection, Subject
+from tunenet_logs.analysis.sysid.checks import (
+    fit_checks,
+    match_check,
+    recording_checks,
+    whole_check,
+)
+from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, fit_simulator
+from tunenet_logs.analysis.sysid.source import (
+    Connected,
+    Rollouts,
+    SimulatorDetection,
+    SimulatorSource,
+    part_of,
+)
+from tunenet_logs.analysis.tunenet.network import Model, PairSet, Recipe, WideNetwork, train
+from tunenet_logs.analysis.tunenet.weights import Purpose, load_model, save_model
+from tunenet_logs.episode import Array, Episode, LeftOut
+from tunenet_logs.errors import TuneNetError
+from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.base import Parameter
+from tunenet_logs.terminal import Progress, told
+from tunenet_logs.timing.stamps import trim_clock_jumps
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from analysis.record import Tuning
+    from tunenet_logs.analysis.experiment import Tuning
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatorDetection:
-    """Log that shows what a simulator simulates; see `Detection`.
+# ---- TuneNet trained for one simulator and one log, and cached
 
-    Attributes:
-        source: Of the simulator.
+ROLLOUTS = 2000  # that a network is trained with
+_PAIRS_EACH = 40
+_GRID = 100  # moments at which it looks
+# Spreads that an observation reaches from the log's mean; what is further off looks the same.
+MAX_SPREADS = 20.0
+
+_BATCH = 50
+_RECIPE = Recipe(
+    optimizer="adamw",
+    learning_rate=2e-3,
+    weight_decay=0.1,
+    epochs=30,
+    batch=512,
+    scaling="ranges",
+    loss="squared",
+)
+
+
+def observation(target: ComparedColumns, values: Array) -> Observation:
+    """Observe all columns on one grid, normalised by the log's mean and spread.
+
+    Args:
+        target: Columns to compare with.
+        values: Observed or simulated, shape (M,).
+    """
+    grid_s = np.linspace(0.0, target.end_s, _GRID)
+    seen: list[Array] = []
+    for number, column in enumerate(target.columns):
+        mine = values[target.which == number]
+        good = np.isfinite(mine)
+        shown = np.full(_GRID, np.nan)
+        if good.sum() > 1:
+            shown = np.interp(grid_s, column.seconds[good], mine[good])
+        centre = float(np.mean(column.values))
+        scaled = (shown - centre) / max(column.spread, 1e-12)
+        seen.append(np.clip(scaled, -MAX_SPREADS, MAX_SPREADS))
+    names = tuple(f"{column.label} [spreads]" for column in target.columns)
+    return Observation(np.column_stack(seen), grid_s, "time [s]", names)
+
+
+def trained_network(
+    rollouts: Rollouts,
+    target: ComparedColumns,
+    parameters: tuple[Parameter, ...],
+    tuned: int,
+    digest: str,
+    count: int = ROLLOUTS,
+) -> Model:
+    """Train the network for one simulator and one log, or load it from the cache.
+
+    Args:
+        rollouts: Of the simulator, at values of all parameters.
+        target: Columns to compare with.
+        parameters: All, the tuned ones first.
+        tuned: How many of them are tuned.
+        digest: Of the model and what is tuned; "" for an object, whose network is not cached.
+        count: Rollouts to train with.
+    """
+    shape = f"{_GRID} moments of {', '.join(column.label for column in target.columns)}"
+    inputs = _GRID * len(target.columns)
+    purpose = Purpose("simulator", "default", shape, inputs, tuned, (1.0,))
+    kept = _kept(target, parameters, digest, count) if digest else None
+    if kept is not None and kept.is_file():
+        with suppress(TuneNetError):
+            return load_model(kept, purpose)
+    pairs = _pairs(rollouts, target, parameters, tuned, count)
+    model = train(WideNetwork(), pairs, _RECIPE, 0, Progress(quiet=True))
+    if kept is not None:
+        with suppress(TuneNetError, OSError):
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            save_model(kept, model, purpose, {"rollouts": str(count)})
+    return model
+
+
+def _kept(
+    target: ComparedColumns, parameters: tuple[Parameter, ...], digest: str, count: int
+) -> Path | None:
+    """Return the cache file, keyed by model, parameters, and log."""
+    root = os.environ.get("XDG_CACHE_HOME")
+    folder = Path(root) if root else Path.home() / ".cache"
+    state = hashlib.sha256(digest.encode())
+    state.update(f"{count} {_GRID}".encode())
+    for parameter in parameters:
+        state.update(f"{parameter.name} {parameter.training_range} {parameter.initial}".encode())
+    state.update(target.seconds.tobytes() + target.values.tobytes())
+    return folder / "tunenet-logs" / f"{state.hexdigest()[:32]}.safetensors"
+
+
+def _pairs(
+    rollouts: Rollouts,
+    target: ComparedColumns,
+    parameters: tuple[Parameter, ...],
+    tuned: int,
+    count: int,
+) -> PairSet:
+    """Roll out over the ranges from the log's initial state (Halton), and draw pairs."""
+    low, high = np.array([one.training_range for one in parameters[:tuned]]).T
+    values = qmc.scale(qmc.Halton(tuned, rng=0).random(count), low, high)
+    rest = np.array([one.initial for one in parameters[tuned:]])
+    rows = np.column_stack([values, np.repeat(rest[None], count, axis=0)])
+    seen: list[Array] = []
+    for first in told(range(0, count, _BATCH), "simulating to train", -(-count // _BATCH)):
+        episodes = rollouts(rows[first : first + _BATCH])
+        seen += [observation(target, target.seen_in(one)).values for one in episodes]
+    rng = np.random.default_rng(0)
+    proposed = rng.integers(count, size=_PAIRS_EACH * count)
+    other = rng.integers(count, size=_PAIRS_EACH * count)
+    return PairSet(np.stack(seen), values, proposed, other)
+
+
+# ---- Estimation problem of a simulator's parameters and uncertain initial state
+
+_PRIOR_WIDTHS = 3.0  # standard deviations to each side in which a search by trial looks
+# Least noise of a column in a search's cost, by its spread: no simulator is right to all digits.
+_MIN_NOISE, _MIN_SPREAD = 0.01, 1e-12
+
+
+class SimulatorProblem(Problem):
+    """See `Problem`; uncertain initial states are fitted, too.
+
+    Args:
         connected: The simulator, driven as the log was.
-        offset_s: From the log's first sample to the first that is compared.
-        left_out: Samples missing from each compared signal.
+        initial: Of the tuned parameters, shape (T,).
+        digest: Of the model and what is tuned.
     """
 
-    source: SimulatorSource
-    connected: Connected
-    offset_s: float
-    left_out: tuple[LeftOut, ...] = ()
+    def __init__(self, connected: Connected, initial: Array, digest: str) -> None:
+        self._connected = connected
+        self._digest = digest
+        simulator, target = connected.simulator, connected.target
+        self._all = tuple(sorted(simulator.parameters, key=lambda one: one.prior_sd is not None))
+        self._rest = np.array([one.initial for one in self._all[len(initial) :]])
+        shares = [one.noise / max(one.spread, _MIN_SPREAD) for one in target.columns]
+        self._noises = np.maximum(shares, _MIN_NOISE)
+        super().__init__(
+            observation(target, target.values),
+            simulator,
+            lambda episode: observation(target, target.seen_in(episode)),
+            initial,
+            self._fit,
+            train=self._trained,
+        )
+        self.parameters = self._all[: len(initial)]
+
+    def evaluate(self, values: Array) -> Evaluation:
+        """Roll out once, by default from the initial state of the fit; see `Problem.evaluate`."""
+        self.rollouts += 1
+        row = np.concatenate([values, self._rest[len(values) - len(self.parameters) :]])
+        episode = self._connected.rollouts(row[None])[0]
+        return Evaluation(episode, self._observe(episode))
 
     @property
-    def topic(self) -> str:
-        """First signal that is compared."""
-        return self.connected.target.columns[0].signal
+    def searched(self) -> tuple[Parameter, ...]:
+        """Tuned parameters, then uncertain initial states."""
+        return self._all
 
     @property
-    def window(self) -> Mapping[str, float]:
-        """Times at which the comparison begins and ends [s since the log's first sample]."""
-        return {
-            "start": self.offset_s,
-            "end": self.offset_s + self.connected.target.end_s,
-        }
+    def ranges(self) -> Array:
+        """The user's ranges, and those of priors; widened to contain the start."""
+        low, high = np.array([_range(one) for one in self._all]).T
+        return np.stack([np.minimum(low, self.start), np.maximum(high, self.start)], axis=1)
 
     @property
-    def extent(self) -> tuple[str, str]:
-        """Duration of the comparison."""
-        return "motion", f"{self.connected.target.end_s:.1f} s"
+    def start(self) -> Array:
+        """See `Problem.start`."""
+        return np.concatenate([self.initial, self._rest])
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Signals that are not used, and those whose meaning is doubtful."""
-        unused = (f"not used: {words}" for words in self.connected.unused)
-        return (*unused, *self.connected.doubts)
+    def misfit(self, evaluation: Evaluation) -> Array:
+        """See `Problem.misfit`; in units of each column's noise.
+
+        A column that a rollout loses at once has the largest residual there is.
+        """
+        is_lost = np.isnan(evaluation.observation.values) & np.isfinite(self.target.values)
+        off = np.where(is_lost.ravel(), MAX_SPREADS, super().misfit(evaluation))
+        return (off.reshape(is_lost.shape) / self._noises).ravel()
+
+    def _counted(self, rollouts: Rollouts) -> Callable[[Array], Array]:
+        """Wrap rollouts, observed at the log's stamps; each is charged."""
+        target = self._connected.target
+
+        def run(values: Array) -> Array:
+            self.rollouts += len(values)
+            return np.stack([target.seen_in(episode) for episode in rollouts(values)])
+
+        return run
+
+    def _fit(self, start: Array) -> FitResult:
+        finer = self._connected.finer
+        fit = fit_simulator(
+            self._counted(self._connected.rollouts),
+            None if finer is None else self._counted(finer),
+            self._connected.target,
+            self._all,
+            start,
+            np.array([self._connected.unresolved.get(one.name, 0.0) for one in self._all]),
+        )
+        found: SimulatorFit = fit.detail
+        self._rest = found.solution.values[len(start) :]
+        return fit
+
+    def _trained(self) -> Model:
+        count = len(self.parameters)
+        return trained_network(
+            self._connected.rollouts,
+            self._connected.target,
+            self._all,
+            count,
+            self._digest,
+        )
+
+
+def _range(parameter: Parameter) -> tuple[float, float]:
+    """Return the search range of a parameter."""
+    if parameter.prior_sd is None:
+        return parameter.training_range
+    reach = _PRIOR_WIDTHS * parameter.prior_sd
+    low, high = parameter.bounds
+    return max(parameter.initial - reach, low), min(parameter.initial + reach, high)
+
+
+# ---- The experiment
 
 
 @dataclass(frozen=True)
@@ -83,7 +297,7 @@ class SimulatorExperiment:
     kind = "simulator"
     occasion = "run"
     observed = "what the simulator shows, too"
-    takes: frozenset[Subject] = frozenset()
+    accepted_options: frozenset[Subject] = frozenset()
 
     @property
     def presets(self) -> Mapping[str, Preset]:
@@ -93,7 +307,7 @@ class SimulatorExperiment:
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """Claim every episode: the user named the simulator."""
         del episode, topic
-        return Claim.PLAINLY
+        return Claim.CERTAIN
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> SimulatorDetection:
         """Match the log's signals with the simulator's; see `Experiment.detect`."""
@@ -139,7 +353,7 @@ class SimulatorExperiment:
         """See `Experiment.review`."""
         if tuning.detection is None:
             return None
-        from analysis.sysid.review.views import log_simulator
+        from tunenet_logs.analysis.sysid.review import log_simulator
 
         return log_simulator(stream, tuning)
 
@@ -147,3 +361,35 @@ class SimulatorExperiment:
 def moments_of(detection: SimulatorDetection) -> Array:
     """Return all compared stamps since the log's first sample, shape (M,) [s]."""
     return np.unique(detection.connected.target.seconds) + detection.offset_s
+
+
+# ---- Plan: how a log would drive a model and be compared with it, before tuning
+
+
+def print_plan(log: Path, options: Options) -> None:
+    """Print the plan, a line per signal and parameter.
+
+    Raises:
+        TuneNetError: The log cannot be read, or shows nothing of the model.
+    """
+    assert options.source is not None
+    selection = options.selection
+    parameters = options.source.parameters
+    episode = trim_clock_jumps(read_episode(log, selection.reading))
+    connected = options.source.connect(part_of(episode, selection.start_s, selection.end_s))
+    print(f"{log}: {connected.target.end_s:.2f} s of {options.source.name}")
+    for words in connected.used:
+        print(f"  {words}")
+    for words in connected.unused:
+        print(f"  not used: {words}")
+    for words in connected.doubts:
+        print(f"  doubtful: {words}")
+    for one in parameters:
+        low, high = one.training_range
+        print(f"  tuned: {one.name} from {one.initial:g} in {low:g} to {high:g}{_unit(one)}")
+    for one in connected.simulator.parameters[len(parameters) :]:
+        print(f"  begins: {one.name} {one.initial:.4g} ± {one.prior_sd:.2g}{_unit(one)}")
+
+
+def _unit(parameter: Parameter) -> str:
+    return "" if parameter.unit == "1" else f" {parameter.unit}"

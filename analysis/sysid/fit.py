@@ -1,18 +1,666 @@
-"""Fit a simulator to a log: multi-start least squares, hold-out, and intervals."""
+"""Fit a simulator to a log: multi-start least squares, hold-out, and intervals.
+
+Columns of log and rollout are paired by name. Levenberg-Marquardt descends by finite differences of
+rollouts. The sandwich covariance gives intervals, widened where a profile likelihood or half the
+time step says so.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import qmc, t
 
-from analysis.estimators.base import FitResult
-from analysis.sysid.compared import ComparedColumns
-from analysis.sysid.covariance import covariance
-from analysis.sysid.gauss_newton import RolloutLeastSquares, Run, Solution, ranges_of
-from recorders.simulators.base import Parameter
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.estimators.base import FitResult
+from tunenet_logs.episode import Array, Episode
+from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulators.base import Parameter
+
+# ---- Columns of a log and of a rollout, paired by name, at the log's stamps
+
+_MAX_SAMPLES = 20_000  # of one column; more are thinned, as neighbours then tell the same
+_MIN_SAMPLES = 20
+
+# Factor on the variance of white noise in third differences: 1 + 9 + 9 + 1.
+_SIXTH_DIFFERENCES = 20.0
+
+_MAD_TO_SD = 1.4826
+
+# Of a column's spread: one that changes more from sample to sample jumps, as a servo's efforts with
+# each command, or is noise.
+_JUMPY = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One column of one signal in the log.
+
+    Attributes:
+        signal: Its signal's name.
+        name: Its own.
+        unit: Of its values.
+        seconds: Since the first stamp that is compared, shape (T,), increasing.
+        values: Shape (T,), finite.
+        noise: Standard deviation of what is faster than any motion.
+        spread: Standard deviation of its values.
+    """
+
+    signal: str
+    name: str
+    unit: str
+    seconds: Array
+    values: Array
+    noise: float
+    spread: float
+
+    @property
+    def label(self) -> str:
+        """Title of the column."""
+        return f"{self.signal} {self.name}"
+
+    @property
+    def is_jumpy(self) -> bool:
+        """Whether it jumps, so that its `noise` is not only noise."""
+        return self.noise > _JUMPY * self.spread
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedColumns:
+    """All columns that a log and the rollouts share.
+
+    Attributes:
+        start_ns: Stamp that seconds count from.
+        columns: At least one.
+    """
+
+    start_ns: int
+    columns: tuple[Column, ...]
+
+    @cached_property
+    def end_s(self) -> float:
+        """Last stamp."""
+        return max(float(column.seconds[-1]) for column in self.columns)
+
+    @cached_property
+    def seconds(self) -> Array:
+        """Stamps of all values, column by column, shape (N,)."""
+        return np.concatenate([column.seconds for column in self.columns])
+
+    @cached_property
+    def values(self) -> Array:
+        """All observed values, column by column, shape (N,)."""
+        return np.concatenate([column.values for column in self.columns])
+
+    @cached_property
+    def which(self) -> NDArray[np.intp]:
+        """Column index of each value, shape (N,)."""
+        counts = [len(column.values) for column in self.columns]
+        return np.repeat(np.arange(len(counts), dtype=np.intp), counts)
+
+    def per_value(self, by_column: Sequence[float] | Array) -> Array:
+        """Repeat one number per column for each of its values, shape (N,)."""
+        return np.asarray(by_column, dtype=np.float64)[self.which]
+
+    def seen_in(self, rollout: Episode) -> Array:
+        """Interpolate a rollout at the same stamps, shape (N,); NaN where it has nothing."""
+        found: list[Array] = []
+        for column in self.columns:
+            signal = rollout.signals.get(column.signal)
+            if signal is None or column.name not in signal.columns:
+                found.append(np.full(len(column.seconds), np.nan))
+                continue
+            at_s = (signal.stamps_ns - _origin(signal.stamps_ns, self.start_ns)) * 1e-9
+            track = signal.values[:, signal.columns.index(column.name)]
+            found.append(np.interp(column.seconds, at_s, track, left=np.nan, right=np.nan))
+        return np.concatenate(found)
+
+    def rms(self, residuals: Array, chosen: NDArray[np.bool_] | None = None) -> Array:
+        """Return the root mean square by column, shape (C,), of (chosen) values of shape (N,)."""
+        kept = np.isfinite(residuals) if chosen is None else np.isfinite(residuals) & chosen
+        squares = np.bincount(
+            self.which, np.where(kept, residuals, 0.0) ** 2, minlength=len(self.columns)
+        )
+        counts = np.bincount(self.which, kept, minlength=len(self.columns))
+        return np.sqrt(squares / np.maximum(counts, 1))
+
+
+def _origin(stamps_ns: NDArray[np.int64], start_ns: int) -> int:
+    """Return what a rollout's stamps count from: the log's start, or their own."""
+    first, last = int(stamps_ns[0]), int(stamps_ns[-1])
+    return start_ns if first <= start_ns <= last else first
+
+
+def compared(observed: Episode, rollout: Episode) -> ComparedColumns:
+    """Pair the columns that a log and a rollout of the simulator share.
+
+    Raises:
+        NotFoundError: There is none, or too few samples.
+    """
+    shared: list[tuple[str, str]] = []
+    for name, signal in rollout.signals.items():
+        seen = observed.signals.get(name)
+        if seen is not None:
+            shared += [(name, column) for column in signal.columns if column in seen.columns]
+    if not shared:
+        there, wanted = sorted(observed.signals), sorted(rollout.signals)
+        raise NotFoundError(
+            f"the log and the simulator share no signal (log: {', '.join(there[:5]) or 'none'}; "
+            f"simulator: {', '.join(wanted[:5]) or 'none'})",
+            "name the simulator's signals and columns as the log's",
+        )
+    start_ns = min(int(observed.signals[name].stamps_ns[0]) for name, _ in shared)
+    columns = [_column(observed, name, column, start_ns) for name, column in shared]
+    kept = tuple(column for column in columns if len(column.values) >= _MIN_SAMPLES)
+    if not kept:
+        most = max(len(column.values) for column in columns)
+        raise NotFoundError(
+            f"{shared[0][0]}: {most} samples are too few to tune from",
+            f"record {_MIN_SAMPLES} or more",
+        )
+    return ComparedColumns(start_ns, kept)
+
+
+def _column(observed: Episode, name: str, column: str, start_ns: int) -> Column:
+    signal = observed.signals[name]
+    values = signal.values[:, signal.columns.index(column)]
+    good = np.flatnonzero(np.isfinite(values))
+    noise = noise_of(values[good])
+    spread = float(np.std(values[good])) if len(good) else 0.0
+    good = good[:: max(-(-len(good) // _MAX_SAMPLES), 1)]
+    seconds = 1e-9 * (signal.stamps_ns[good] - start_ns).astype(np.float64)
+    return Column(name, column, signal.unit, seconds, values[good], noise, spread)
+
+
+def noise_of(values: Array) -> float:
+    """Estimate the standard deviation of white noise in a sampled curve, by third differences.
+
+    What is smooth over four samples has none; a step of the values' resolution is the least.
+    """
+    if len(values) < 5:
+        return 0.0
+    differences = np.abs(np.diff(values, 3))
+    noise = _MAD_TO_SD * float(np.median(differences)) / np.sqrt(_SIXTH_DIFFERENCES)
+    steps = np.abs(np.diff(np.unique(values)))
+    resolution = float(steps.min()) / np.sqrt(12.0) if len(steps) else 0.0
+    return max(noise, resolution)
+
+
+# ---- Finite differences of rollouts: slopes, second differences, and the cost's minimum
+
+_NEAR = 0.5  # steps of the differences within which slopes are reused
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """Finite differences about one place, each of P parameters moved alone.
+
+    Attributes:
+        place: Values, shape (P,).
+        residuals: There, shape (M,).
+        moved: Step of each parameter to one side, shape (P,).
+        beside: Residuals there, shape (P, M).
+        back: Step to the other side, below 0 where `moved` is above; 0 at a bound; shape (P,). None
+            for one-sided differences.
+        behind: Residuals there, shape (P, M).
+    """
+
+    place: Array
+    residuals: Array
+    moved: Array
+    beside: Array
+    back: Array | None = None
+    behind: Array | None = None
+
+    @property
+    def is_central(self) -> bool:
+        """Whether they are central."""
+        return self.back is not None
+
+    def is_near(self, values: Array, steps: Array) -> bool:
+        """Return whether their slopes hold at other values, (P,), for these steps, (P,)."""
+        return bool(np.all(np.abs(values - self.place) <= _NEAR * steps))
+
+    @cached_property
+    def slopes(self) -> Array:
+        """Jacobian of the residuals by the parameters, shape (M, P)."""
+        if self.back is None or self.behind is None:
+            return ((self.beside - self.residuals) / self.moved[:, None]).T
+        return ((self.beside - self.behind) / (self.moved - self.back)[:, None]).T
+
+    @cached_property
+    def bends(self) -> Array:
+        """Second differences of the residuals, shape (P, M); 0 where one side is missing."""
+        if self.back is None or self.behind is None:
+            return np.zeros_like(self.beside)
+        bends = self.beside + self.behind - 2 * self.residuals
+        return np.where(self.back[:, None] != 0, bends, 0.0)
+
+    def lowest(self, cost: Callable[[Array, Array], float], least: float) -> Array | None:
+        """Minimise the cost along one parameter by a parabola through three rollouts, shape (P,).
+
+        The most promising parabola counts. Slopes over a kink may point uphill where it does not.
+
+        Args:
+            cost: Of residuals, shape (M,), and values, shape (P,).
+            least: Decrease that a parabola must promise; None is returned if none does.
+        """
+        if self.back is None or self.behind is None:
+            return None
+        middle = cost(self.residuals, self.place)
+        best: Array | None = None
+        for number in np.flatnonzero(self.back).tolist():
+            sides: list[tuple[float, float]] = []
+            for by, seen in ((self.moved, self.beside), (self.back, self.behind)):
+                there = self.place.copy()
+                there[number] += by[number]
+                sides.append((float(by[number]), cost(seen[number], there)))
+            (down, low), (up, high) = sorted(sides)
+            falls, rises = (middle - low) / -down, (high - middle) / up
+            bend = 2 * (rises - falls) / (up - down)
+            slope = (falls * up - rises * down) / (up - down)
+            if bend <= 0 or slope**2 / (2 * bend) <= least:
+                continue
+            least = slope**2 / (2 * bend)
+            best = self.place.copy()
+            best[number] += np.clip(-slope / bend, down, up)
+        return best
+
+
+def differences(
+    residuals_at: Callable[[Array], Array],
+    place: Array,
+    residuals: Array,
+    steps: Array,
+    bounds: Array,
+    *,
+    is_central: bool,
+) -> Differences:
+    """Roll out beside a place, all at once.
+
+    Args:
+        residuals_at: At values of shape (N, P), shape (N, M).
+        place: Shape (P,), within the bounds.
+        residuals: There, shape (M,).
+        steps: Above 0, shape (P,).
+        bounds: Lower and upper, shape (2, P); a step beyond goes the other way instead.
+        is_central: Whether to go to both sides, within the bounds.
+    """
+    low, high = bounds
+    moved = np.where(place + steps > high, -steps, steps)
+    count = len(place)
+    if not is_central:
+        return Differences(place, residuals, moved, residuals_at(place + np.diag(moved)))
+    inside = (place - moved >= low) & (place - moved <= high)
+    back = np.where(inside, -moved, 0.0)
+    off = residuals_at(np.concatenate([place + np.diag(moved), place + np.diag(back)]))
+    return Differences(place, residuals, moved, off[:count], back, off[count:])
+
+
+# ---- Nonlinear least squares by rollouts: Levenberg-Marquardt
+# The columns' noise is not known beforehand: in the end, each is weighted by its residual.
+
+# Rollouts at values of shape (N, P) -> what they show at the log's stamps, shape (N, M).
+Run = Callable[[Array], Array]
+
+_MAX_STEPS, _MAX_DAMPINGS = 25, 7
+# How often columns are weighed by what is left of them, and by how much that may still change.
+_WEIGHED, _SAME_NOISE = 3, 0.1
+
+_COARSE_SHARE, _JUMPY_FACTOR = 0.03, 5.0
+_MAX_STEP = 0.5  # of a parameter's range
+_STEP_FLAT = 1e-4  # precision of a parameter of which nothing is known, in its range
+# Of the finite differences, as a share of a parameter's range; the first of a prior is 0.2.
+_FIRST_DIFFERENCE, _MIN_DIFFERENCE, _MAX_DIFFERENCE = 3e-3, 1e-5, 2e-2
+
+# Once it is known, a step changes what is seen by this many noises, rms: contacts and dry friction
+# make rollouts rough where they are looked at more closely.
+_CHANGE = 0.5
+
+_WORTH = 2.0  # of the cost: what a parabola through it has to promise where no step helps
+_FOLLOWED = 4  # steps of all others where one parameter is moved
+# Standard deviations, and a change of the cost, below which a step is the last.
+_STILL, _NO_GAIN = 0.05, 0.05
+
+_LOST = 3.0  # spreads of a column that a sample counts as off where a rollout has diverged
+# Of a column, as a share of its spread: a simulator is never weighed as more exact than this.
+_MIN_NOISE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Least-squares solution.
+
+    Attributes:
+        values: Of all parameters, shape (P,).
+        residuals: Simulated less observed, shape (M,).
+        slopes: Jacobian of the rollouts, shape (M, P).
+        noise: RMS residual of each column, shape (C,).
+        path: The values of each step, the start first.
+        chosen: Which of the M values it was fitted to.
+        bends: Second differences of the rollouts, by the parameters, shape (P, M).
+    """
+
+    values: Array
+    residuals: Array
+    slopes: Array
+    noise: Array
+    path: tuple[Array, ...]
+    chosen: NDArray[np.bool_]
+    bends: Array
+
+
+def ranges_of(parameters: Sequence[Parameter]) -> Array:
+    """Return each parameter's scale: its range, or its prior's sd; shape (P,)."""
+    widths = [
+        one.training_range[1] - one.training_range[0] if one.prior_sd is None else one.prior_sd
+        for one in parameters
+    ]
+    return np.array(widths)
+
+
+@dataclass(eq=False)
+class RolloutLeastSquares:
+    """Least squares on one log.
+
+    Attributes:
+        run: Makes rollouts.
+        target: Columns to compare with.
+        parameters: All that are fitted, P of them.
+        until_s: Later samples are left out; None for all.
+    """
+
+    run: Run
+    target: ComparedColumns
+    parameters: tuple[Parameter, ...]
+    until_s: float | None = None
+
+    def __post_init__(self) -> None:
+        self._scales = ranges_of(self.parameters)
+        self._bounds = np.array([one.bounds for one in self.parameters]).T
+        self._centres = np.array([one.initial for one in self.parameters])
+        self._precision = np.array(
+            [0.0 if one.prior_sd is None else one.prior_sd**-2 for one in self.parameters]
+        )
+        ends = self.target.end_s if self.until_s is None else self.until_s
+        self.chosen = self.target.seconds <= ends
+        self._spread = np.array([column.spread for column in self.target.columns])
+        self._floor = np.maximum(_MIN_NOISE * self._spread, 1e-12)
+        has_prior = self._precision > 0
+        self._least = _MIN_DIFFERENCE * self._scales
+        self._most = np.where(has_prior, 1.0, _MAX_DIFFERENCE) * self._scales
+        self._steps = np.where(has_prior, 0.2, _FIRST_DIFFERENCE) * self._scales
+        self._known: Differences | None = None
+
+    def residuals(self, values: Array) -> Array:
+        """Return simulated less observed, (N, M), at values of shape (N, P)."""
+        off = self.run(values) - self.target.values
+        lost = self.target.per_value(_LOST * self._spread)
+        return np.where(np.isfinite(off), off, lost)
+
+    def cost(self, residuals: Array, values: Array, noise: Array) -> float:
+        """Return twice the negative log likelihood and prior, up to a constant.
+
+        Args:
+            residuals: Shape (M,).
+            values: They belong to, shape (P,).
+            noise: Of each column, shape (C,).
+        """
+        scaled = residuals / self.target.per_value(noise)
+        fit = float(np.sum(scaled[self.chosen] ** 2))
+        return fit + float(np.sum(self._precision * (values - self._centres) ** 2))
+
+    def curvature(self, solution: Solution, along: Array) -> float:
+        """Return the linearised rise of the cost per squared step along (P,)."""
+        weights = self.chosen / self.target.per_value(solution.noise) ** 2
+        change = solution.slopes @ along
+        prior = float(np.sum(self._precision * along**2))
+        return max(float(np.sum(weights * change**2)) + prior, 1e-300)
+
+    def inflation(self, solution: Solution) -> Array:
+        """Return the ratio of each sd to that with all others known, shape (P,)."""
+        normal, _ = self._equations(
+            solution.values, solution.residuals, solution.slopes, solution.noise
+        )
+        return np.sqrt(np.diag(normal) * np.diag(np.linalg.inv(normal)))
+
+    def follow(
+        self, solution: Solution, number: int, step: float, along: Array
+    ) -> tuple[float, float]:
+        """Return the profile cost: one parameter a step off, all others refitted.
+
+        Args:
+            solution: Where to start.
+            number: Of the parameter.
+            step: How far it is off.
+            along: How the others follow, by its unit, shape (P,).
+
+        Returns:
+            The cost, and how far the parameter is off within its bounds.
+        """
+        values = np.clip(solution.values + step * along, *self._bounds)
+        others = np.arange(len(values)) != number
+        residuals = self.residuals(values[None])[0]
+        least = self.cost(residuals, values, solution.noise)
+        for _ in range(_FOLLOWED):
+            normal, slope = self._equations(values, residuals, solution.slopes, solution.noise)
+            step_by = np.zeros(len(values))
+            step_by[others] = -np.linalg.solve(normal[np.ix_(others, others)], slope[others])
+            tried = np.clip(values + step_by * self._scales, *self._bounds)
+            off = self.residuals(tried[None])[0]
+            cost = self.cost(off, tried, solution.noise)
+            if cost >= least:
+                break
+            gain = least - cost
+            values, residuals, least = tried, off, cost
+            if gain < _NO_GAIN:
+                break
+        return least, abs(float(values[number] - solution.values[number]))
+
+    def left(self, residuals: Array) -> Array:
+        """Return the RMS residual of each column, shape (C,)."""
+        return np.maximum(self.target.rms(residuals, self.chosen), self._floor)
+
+    def coarse(self) -> Array:
+        """Return the residual scale of each column far from the solution, shape (C,).
+
+        Columns that jump do not count where others do: whether their jumps meet says nothing of how
+        far off a delay is.
+        """
+        noise = np.array([column.noise for column in self.target.columns])
+        jumpy = np.array([column.is_jumpy for column in self.target.columns])
+        off = np.maximum(np.maximum(self._floor, _COARSE_SHARE * self._spread), noise)
+        return off if jumpy.all() else np.where(jumpy, _JUMPY_FACTOR * off, off)
+
+    def solve(self, start: Array) -> Solution:
+        """Iterate from values of shape (P,) until steps are small beside the noise.
+
+        All columns have equal weight at first; then each by its residual.
+        """
+        values = np.clip(start, *self._bounds)
+        path = [values]
+        residuals = self.residuals(values[None])[0]
+        noise = self.coarse()
+        if np.any(self.left(residuals) > noise):
+            values, residuals = self._descend(values, residuals, noise, path)
+        for _ in range(_WEIGHED):
+            noise = self.left(residuals)
+            values, residuals = self._descend(values, residuals, noise, path, is_central=True)
+            if np.allclose(self.left(residuals), noise, rtol=_SAME_NOISE):
+                break
+        seen = self._differences(values, residuals, is_central=True)
+        return Solution(values, residuals, seen.slopes, noise, tuple(path), self.chosen, seen.bends)
+
+    def _descend(
+        self,
+        values: Array,
+        residuals: Array,
+        noise: Array,
+        path: list[Array],
+        *,
+        is_central: bool = False,
+    ) -> tuple[Array, Array]:
+        """Descend with fixed noise of each column; append each step to the path."""
+        cost = self.cost(residuals, values, noise)
+        damping = 1e-4
+        for _ in range(_MAX_STEPS):
+            beside = self._differences(values, residuals, is_central=is_central)
+            normal, slope = self._equations(values, residuals, beside.slopes, noise)
+            sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
+            seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
+            self._steps = np.clip(_CHANGE / seen, self._least, self._most)
+            tried, off, new = values, residuals, cost
+            for tries in range(_MAX_DAMPINGS):
+                step = self._step(values, normal, slope, damping)
+                tried = np.clip(values + step, *self._bounds)
+                if np.all(np.abs(tried - values) < _STILL * sd):
+                    if not tries:
+                        return values, residuals
+                    break
+                off = self.residuals(tried[None])[0]
+                new = self.cost(off, tried, noise)
+                if new < cost:
+                    break
+                damping = max(damping, 1e-3) * 10
+            if new >= cost:  # slopes over a kink may point uphill
+                lowest = beside.lowest(partial(self.cost, noise=noise), _WORTH)
+                if lowest is None:
+                    return values, residuals
+                tried, damping = np.clip(lowest, *self._bounds), 1e-4
+                off = self.residuals(tried[None])[0]
+                new = self.cost(off, tried, noise)
+                if new >= cost:
+                    return values, residuals
+            damping = max(damping / 30, 1e-7)
+            moved, gain = np.abs(tried - values), cost - new
+            values, residuals, cost = tried, off, new
+            path.append(values)
+            if np.all(moved < _STILL * sd) or gain < _NO_GAIN:
+                break
+        return values, residuals
+
+    def _differences(
+        self, values: Array, residuals: Array, *, is_central: bool = False
+    ) -> Differences:
+        """Return differences, one-sided on the way, central at its end; reuse near ones."""
+        known = self._known
+        enough = known is not None and known.is_central >= is_central
+        if known is None or not enough or not known.is_near(values, self._steps):
+            known = differences(
+                self.residuals, values, residuals, self._steps, self._bounds, is_central=is_central
+            )
+        self._known = known
+        return known
+
+    def one_step(self, solution: Solution) -> tuple[Array, Array]:
+        """Refit to the chosen samples by one Gauss-Newton step from another solution.
+
+        Its slopes are those of the other: if a solution explains what is left out, too, the step is
+        small.
+        """
+        noise = self.left(solution.residuals)
+        values = solution.values
+        normal, slope = self._equations(values, solution.residuals, solution.slopes, noise)
+        tried = np.clip(values + self._step(values, normal, slope, 0.0), *self._bounds)
+        return tried, self.residuals(tried[None])[0]
+
+    def _equations(
+        self, values: Array, residuals: Array, slopes: Array, noise: Array
+    ) -> tuple[Array, Array]:
+        """Return the normal equations in units of the ranges: (P, P) and (P,)."""
+        weights = self.chosen / self.target.per_value(noise) ** 2
+        scaled = slopes * self._scales
+        precision = self._precision * self._scales**2
+        normal = scaled.T @ (weights[:, None] * scaled)
+        normal[np.diag_indices_from(normal)] += precision + _STEP_FLAT
+        slope = scaled.T @ (weights * residuals)
+        return normal, slope + precision * (values - self._centres) / self._scales
+
+    def _step(self, values: Array, normal: Array, slope: Array, damping: float) -> Array:
+        """Return a damped step, shape (P,), with active bounds fixed."""
+        low, high = self._bounds
+        free = ~(((values <= low) & (slope > 0)) | ((values >= high) & (slope < 0)))
+        step = np.zeros(len(values))
+        part = normal[np.ix_(free, free)]
+        step[free] = -np.linalg.solve(part + damping * np.diag(np.diag(part)), slope[free])
+        tuned = np.abs(step[self._precision == 0]).max(initial=0.0)
+        return step * self._scales * min(1.0, _MAX_STEP / max(tuned, 1e-12))
+
+
+# ---- Sandwich covariance: Newey-West (1987), with Andrews' bandwidth (1991)
+# Residuals of a simulator are autocorrelated: noise is filtered, and no model is exact.
+
+_MAX_BINS = 2000
+_MAX_SHARE = 0.2  # of the log, over which scores are taken to hang together at most
+# Precision of a parameter of which nothing is known, in its range: ten of these are one sd.
+_FLAT = 1e-2
+
+
+def covariance(
+    solution: Solution, target: ComparedColumns, parameters: tuple[Parameter, ...]
+) -> tuple[Array, float]:
+    """Return the values' sandwich covariance, shape (P, P), and the effective sample size."""
+    scales = ranges_of(parameters)
+    weights = solution.chosen / target.per_value(solution.noise) ** 2
+    slopes = solution.slopes * scales
+    precision = np.array(
+        [
+            _FLAT if one.prior_sd is None else (scale / one.prior_sd) ** 2
+            for one, scale in zip(parameters, scales, strict=True)
+        ]
+    )
+    bread = np.linalg.inv(slopes.T @ (weights[:, None] * slopes) + np.diag(precision))
+    scores = _by_moment(slopes * (weights * solution.residuals)[:, None], target)
+    span = _bandwidth(scores @ bread)
+    meat = scores.T @ scores
+    for lag in range(1, span + 1):
+        shared = scores[lag:].T @ scores[:-lag]
+        meat += (1 - lag / (span + 1)) * (shared + shared.T)
+    white = slopes.T @ (weights[:, None] * slopes)
+    found = bread @ (_at_least(meat, white) + np.diag(precision)) @ bread
+    independent = len(scores) / (1 + span)
+    found *= independent / max(independent - len(parameters), 1.0)
+    return found * np.outer(scales, scales), independent
+
+
+def _by_moment(scores: Array, target: ComparedColumns) -> Array:
+    """Sum scores over columns in bins of time, shape (K, P)."""
+    longest = max(len(column.values) for column in target.columns)
+    count = min(longest, _MAX_BINS)
+    place = np.minimum((target.seconds / max(target.end_s, 1e-9) * count).astype(int), count - 1)
+    sums = np.zeros((count, scores.shape[1]))
+    np.add.at(sums, place, scores)
+    return sums
+
+
+def _bandwidth(influences: Array) -> int:
+    """Return Andrews' bandwidth by an AR(1) model of each parameter's scores."""
+    count = len(influences)
+    before, after = influences[:-1], influences[1:]
+    power = np.sum(before**2, axis=0)
+    share = np.where(power > 0, np.sum(before * after, axis=0) / np.maximum(power, 1e-300), 0.0)
+    share = np.clip(share, 0.0, 0.97)
+    alpha = 4 * share**2 / ((1 - share) ** 2 * (1 + share) ** 2)
+    span = 1.1447 * (float(alpha.max(initial=0.0)) * count) ** (1 / 3)
+    return int(np.clip(span, 1, _MAX_SHARE * count))
+
+
+def _at_least(meat: Array, white: Array) -> Array:
+    """Raise the meat so that it is nowhere below that of white noise.
+
+    Anticorrelation by chance must not narrow an interval.
+    """
+    factor = np.linalg.cholesky(white + (1e-9 * np.trace(white) + 1e-30) * np.eye(len(white)))
+    inner = np.linalg.solve(factor, np.linalg.solve(factor, meat).T)
+    sizes, axes = np.linalg.eigh((inner + inner.T) / 2)
+    kept = axes @ np.diag(np.maximum(sizes, 1.0)) @ axes.T
+    return factor @ kept @ factor.T
+
+
+# ---- Fit of all parameters, its hold-out, and how sure each is
 
 _GOOD = 1.5  # times a column's noise: a solution that leaves less is not looked for elsewhere
 _CLOSE_SHARE = 0.01  # of a column's spread, likewise, where the noise is less than that
@@ -24,7 +672,7 @@ _TOGETHER = 40.0
 # Of the cost, twice a log likelihood: two standard deviations; how a walk goes on until then.
 _CONTRADICTS, _WALK_FACTOR, _MAX_WALKS = 4.0, 3.0, 8
 
-_SECOND_DIFFERENCES = 6.0  # what the variance of a rough rollout grows by in them: 1 + 4 + 1
+_SECOND_DIFFERENCES = 6.0  # factor on the variance of white noise in them: 1 + 4 + 1
 # Of a parameter's range: where 95 % reach further than this to each side, the log cannot tell.
 _UNTOLD_SHARE = 0.25
 
@@ -79,7 +727,7 @@ class SimulatorFit:
     inflation: Array
 
     @property
-    def untold(self) -> tuple[Parameter, ...]:
+    def unidentifiable(self) -> tuple[Parameter, ...]:
         """Unidentifiable tuned parameters: known to no better than a quarter of their range.
 
         One that is confounded with others must be known within a quarter of its value.

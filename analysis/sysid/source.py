@@ -1,26 +1,151 @@
-"""Sources of a simulator: a model's file, or an object of the user's own."""
+"""Sources of a simulator: a model's file, or an object of the user's own.
+
+Connected with a log, a source gives rollouts that the log drives, from the initial state that the
+log shows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from analysis.sysid.compared import ComparedColumns, compared
-from recorders.simulators.base import Parameter, Simulator
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
-from tunenet_logs.errors import UsageError
+from tunenet_logs.analysis.sysid.fit import ComparedColumns, compared, noise_of
+from tunenet_logs.analysis.sysid.matching import rotations
+from tunenet_logs.episode import Array, Episode, LeftOut
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.files import read_small_file
+from tunenet_logs.recorders.simulators.base import Parameter, Simulator
+from tunenet_logs.recorders.simulators.model.rollout import (
+    InitialState,
+    SensedSignal,
+    free_joint,
+    seen_in_world,
+)
+from tunenet_logs.recorders.simulators.mujoco import mujoco
+from tunenet_logs.terminal import one_line, short_name
 
 if TYPE_CHECKING:
-    from recorders.simulators.mujoco.model_parameters import ModelParameter
-    from recorders.simulators.mujoco.model_process import ModelProcess
+    from tunenet_logs.recorders.simulators.model.parameters import ModelParameter
+    from tunenet_logs.recorders.simulators.model.reading import ModelProcess
 
-# Of a delay, one standard deviation: a command that comes within a step is spread over it.
+
+# ---- Value and slope of sampled curves at a stamp, by their first samples
+
+_SECONDS, _MAX_SAMPLES, _MIN_SAMPLES = 0.12, 40, 4
+_SHRINKS = 0.7  # to this share, a window that a parabola misses
+_MISSES = 2.0  # standard deviations of noise, from which on it misses
+# Factor on the priors' sds by the noise alone: speeds change in the first samples.
+_CAUTION = 3.0
+
+# For how long what begins at rest is looked at, and how much it may scatter, in its noise.
+_STAYS_S, _SCATTERS = 0.5, 2.0
+
+Samples = tuple[NDArray[np.int64], Array]  # stamps [ns] and values
+
+
+def beginning(
+    positions: Samples | None,
+    speeds: Samples | None,
+    stamp_ns: int,
+    noise: float | None = None,
+) -> tuple[tuple[float, float], tuple[float, float], bool] | None:
+    """Estimate position and speed at a stamp, with sds, and whether a position was seen.
+
+    One parabola is fitted to the first positions and, by its slope, to the first speeds. The window
+    shrinks until it fits; the standard deviations include the misfit of the shortest one, and
+    disagreement of speeds and positions.
+
+    Args:
+        positions: None if none were seen.
+        speeds: Likewise.
+        stamp_ns: The stamp.
+        noise: Standard deviation of the samples' noise; None to estimate it by differences.
+    """
+    at_s: list[Array] = []
+    rows: list[Array] = []
+    values: list[Array] = []
+    for order, samples in enumerate((positions, speeds)):
+        if samples is None or len(samples[0]) < _MIN_SAMPLES:
+            continue
+        seconds = 1e-9 * (samples[0][:_MAX_SAMPLES] - stamp_ns).astype(np.float64)
+        count = max(int(np.sum(seconds <= _SECONDS)), _MIN_SAMPLES)
+        scatter = max(noise_of(samples[1]) if noise is None else noise, 1e-9)
+        at_s.append(seconds[:count])
+        rows.append(_terms(seconds[:count], order) / scatter)
+        values.append(samples[1][:count] / scatter)
+    if not rows:
+        return None
+    window_s = max(float(seconds[-1]) for seconds in at_s)
+    counts = [len(seconds) for seconds in at_s]
+    while True:
+        found, sds, misfit = _parabola(
+            np.concatenate([row[:count] for row, count in zip(rows, counts, strict=True)]),
+            np.concatenate([value[:count] for value, count in zip(values, counts, strict=True)]),
+        )
+        window_s *= _SHRINKS
+        fewer = [max(int(np.sum(seconds <= window_s)), 1) for seconds in at_s]
+        if misfit <= 1 or max(fewer) < _MIN_SAMPLES:
+            break
+        counts = fewer
+    sds = sds * max(misfit, 1.0)
+    if len(at_s) == 2 and (alone := beginning(positions, None, stamp_ns, noise)):
+        (_, slope), (_, slope_sd), _ = alone
+        if abs(slope - found[1]) > _MISSES * slope_sd:  # such as speeds that a driver filters
+            sds[1] = max(sds[1], abs(slope - found[1]))
+    knows_position = positions is not None and len(positions[0]) >= _MIN_SAMPLES
+    return (float(found[0]), float(found[1])), (float(sds[0]), float(sds[1])), knows_position
+
+
+def _terms(at_s: Array, order: int) -> Array:
+    """Return rows of 1, t, t²/2, t³/6 and t⁴/24, or of their slopes (order 1), shape (T, 5)."""
+    terms = [np.ones_like(at_s), at_s, at_s**2 / 2, at_s**3 / 6, at_s**4 / 24]
+    return np.column_stack([np.zeros_like(at_s), *terms[:4]] if order else terms)
+
+
+def _parabola(rows: Array, values: Array) -> tuple[Array, Array, float]:
+    """Fit a parabola by least squares, to rows of terms, shape (T, 5), in units of noise.
+
+    Returns:
+        Its value and slope at 0; their standard deviations; and the misfit beyond noise, as a
+        share: by the residuals, or by what either of the next two terms would add, which moves the
+        slope most.
+    """
+    scales = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    first = int(not rows[:, 0].any())  # speeds alone tell no position
+    axes, triangle = np.linalg.qr((rows / scales)[:, first:])
+    told, own = axes.T @ values, slice(3 - first)
+    inverse = np.linalg.pinv(triangle[own, own])
+    off = values - axes[:, own] @ told[own]
+    left = float(np.linalg.norm(off)) / np.sqrt(max(len(off) - 3, 1))
+    misfit = max(left, float(np.abs(told[3 - first : 5 - first]).max())) / _MISSES
+    by_next = triangle[3 - first, 3 - first]
+    follows = inverse @ triangle[own, 3 - first] / np.where(by_next, by_next, np.inf)
+    plain = np.linalg.norm(inverse, axis=1)
+    sds = np.maximum(_CAUTION * plain, np.hypot(plain, follows))
+    both = np.zeros((2, 3))
+    both[:, first:] = inverse @ told[own], sds
+    found, sds = both[:, :2] / scales[:2]
+    return found, sds, misfit
+
+
+def stays(samples: Samples | None, stamp_ns: int) -> bool:
+    """Return whether a signal only scatters for a while after a stamp."""
+    if samples is None:
+        return True
+    first = samples[1][samples[0] <= stamp_ns + 1e9 * _STAYS_S]
+    return not len(first) or float(np.std(first)) <= _SCATTERS * noise_of(samples[1])
+
+
+# ---- Sources, and what connects them with a log
+
+# Standard deviation of a delay, in steps: a command that comes within a step is spread over it.
 _UNRESOLVED_STEPS = 0.2
 
 Rollouts = Callable[[Array], list[Episode]]  # values of all parameters, shape (N, P) -> N episodes
@@ -147,7 +272,7 @@ class ModelSource:
     Attributes:
         path: MJCF or URDF.
         wanted: Parameters to tune, such as `joint/elbow.damping=0:5`.
-        told: Mapping of the log's names to the model's; see `topics.matched`.
+        told: Mapping of the log's names to the model's; see `matching.matched`.
     """
 
     path: Path
@@ -184,13 +309,13 @@ class ModelSource:
     @cached_property
     def spec(self) -> Any:
         """The model as its file has it."""
-        from recorders.simulators.mujoco.model_file import read_model
+        from tunenet_logs.recorders.simulators.model.reading import read_model
 
         return read_model(self.path, process=self._process)
 
     @cached_property
     def _process(self) -> ModelProcess:
-        from recorders.simulators.mujoco.model_process import ModelProcess
+        from tunenet_logs.recorders.simulators.model.reading import ModelProcess
 
         return ModelProcess(self.path)
 
@@ -201,7 +326,7 @@ class ModelSource:
 
     @cached_property
     def _tuned(self) -> tuple[ModelParameter, ...]:
-        from recorders.simulators.mujoco.model_parameters import model_parameters
+        from tunenet_logs.recorders.simulators.model.parameters import model_parameters
 
         if not self.wanted:
             raise UsageError(
@@ -212,12 +337,9 @@ class ModelSource:
 
     def connect(self, episode: Episode) -> Connected:
         """See `SimulatorSource`."""
-        from analysis.sysid.initial_state import initial_state
-        from analysis.sysid.orientations import orients_start
-        from analysis.sysid.topics import matched
-        from analysis.sysid.wrenches import doubts
-        from recorders.simulators.mujoco.model_parameters import DELAY, movable
-        from recorders.simulators.mujoco.model_simulator import ModelSimulator
+        from tunenet_logs.analysis.sysid.matching import doubts, matched, orients_start
+        from tunenet_logs.recorders.simulators.model.parameters import DELAY, movable
+        from tunenet_logs.recorders.simulators.model.rollout import ModelSimulator
 
         match = matched(episode, self.model, self.told)
         stamps = [one.signal.stamps_ns for one in match.sensed]
@@ -267,18 +389,280 @@ def part_of(episode: Episode, start_s: float | None, end_s: float | None) -> Epi
     return replace(episode, signals=signals)
 
 
-def told_by(texts: Sequence[str]) -> dict[str, str]:
-    """Parse `--map` options, SIGNAL=TARGET.
+@dataclass(frozen=True, eq=False)
+class SimulatorDetection:
+    """Log that shows what a simulator simulates; see `Detection`.
+
+    Attributes:
+        source: Of the simulator.
+        connected: The simulator, driven as the log was.
+        offset_s: From the log's first sample to the first that is compared.
+        left_out: Samples missing from each compared signal.
+    """
+
+    source: SimulatorSource
+    connected: Connected
+    offset_s: float
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def topic(self) -> str:
+        """First signal that is compared."""
+        return self.connected.target.columns[0].signal
+
+    @property
+    def window(self) -> Mapping[str, float]:
+        """Times at which the comparison begins and ends [s since the log's first sample]."""
+        return {
+            "start": self.offset_s,
+            "end": self.offset_s + self.connected.target.end_s,
+        }
+
+    @property
+    def extent(self) -> tuple[str, str]:
+        """Duration of the comparison."""
+        return "motion", f"{self.connected.target.end_s:.1f} s"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Signals that are not used, and those whose meaning is doubtful."""
+        unused = (f"not used: {words}" for words in self.connected.unused)
+        return (*unused, *self.connected.doubts)
+
+
+# ---- Initial orientation and angular velocity of a freely moving body
+
+_MAX_RAD = 2.5  # turned since the first sample: a rotation vector jumps at a half turn
+
+
+@dataclass(frozen=True)
+class InitialTurn:
+    """Orientation and angular velocity of a body at a stamp.
+
+    Attributes:
+        quaternion: w, x, y, z, shape (4,).
+        quaternion_sd: Of any of these.
+        spin: Angular velocity in the body's frame, shape (3,) [rad/s].
+        spin_sd: Shape (3,).
+    """
+
+    quaternion: Array
+    quaternion_sd: float
+    spin: Array
+    spin_sd: Array
+
+    def is_still(self, quaternion: Array) -> bool:
+        """Return whether the body may be at rest at an orientation w, x, y, z, shape (4,)."""
+        cosine = min(abs(float(self.quaternion @ quaternion)), 1.0)
+        off = 2 * np.arccos(cosine)
+        return off < 2 * self.quaternion_sd and bool((np.abs(self.spin) < self.spin_sd).all())
+
+
+def initial_turn(sensed: SensedSignal, stamp_ns: int) -> InitialTurn | None:
+    """Estimate it from the first x and z axes in the world frame; None if undetermined."""
+    values = sensed.signal.values
+    good = np.isfinite(values).all(axis=1)
+    turns = Rotation.from_matrix(rotations(values[good]))
+    since_first = (turns[0].inv() * turns).as_rotvec()
+    is_far = np.linalg.norm(since_first, axis=1) > _MAX_RAD
+    count = int(np.argmax(is_far)) if is_far.any() else len(is_far)
+    stamps = sensed.signal.stamps_ns[good][:count]
+    # of a rotation, three numbers; of the two axes, six, each moved by two thirds of its variance
+    noise = float(np.sqrt(1.5 * np.mean([noise_of(column) ** 2 for column in values[good].T])))
+    parts = [
+        beginning((stamps, since_first[:count, axis]), None, stamp_ns, noise) for axis in range(3)
+    ]
+    known = [one for one in parts if one is not None]
+    if len(known) < 3:
+        return None
+    values, sds = (np.array([one[place] for one in known]) for place in (0, 1))
+    first = turns[0] * Rotation.from_rotvec(values[:, 0])
+    quaternion = np.roll(first.as_quat(), 1)
+    return InitialTurn(quaternion, float(sds[:, 0].max()) / 2, values[:, 1], sds[:, 1])
+
+
+# ---- Initial state: positions and speeds, with uncertainty
+
+_MIN_SD = 1e-4
+_FAR = 50.0  # standard deviations from its estimate within which an initial value is looked for
+
+
+def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> InitialState:
+    """Estimate the state of a compiled model at a stamp, by what the log shows right after.
+
+    Unobserved coordinates are as the model has them, at rest.
+    """
+    qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
+    if model.nkey:
+        qpos = model.key_qpos[0].copy()
+    unsure: list[Parameter] = []
+    places: list[tuple[bool, int]] = []
+    sensed = seen_in_world(model, sensed)
+    shown = _shown(model, sensed)
+    for (label, unit, place_q, place_v), (positions, speeds) in shown.items():
+        found = beginning(positions, speeds, stamp_ns)
+        if found is None:
+            continue
+        (position, speed), (position_sd, speed_sd), knows_position = found
+        is_near = abs(position - qpos[place_q]) < position_sd and abs(speed) < speed_sd
+        if is_near and stays(positions, stamp_ns) and stays(speeds, stamp_ns):
+            continue  # as the model has it, such as a body that lies on the ground
+        if knows_position:
+            qpos[place_q] = position
+            unsure.append(_unsure(f"initial/{label}.position", unit, position, position_sd))
+            places.append((False, place_q))
+        qvel[place_v] = speed
+        unsure.append(_unsure(f"initial/{label}.velocity", f"{unit}/s", speed, speed_sd))
+        places.append((True, place_v))
+    for joint, turn in _turns(model, sensed, stamp_ns).items():
+        place_q, place_v = int(model.jnt_qposadr[joint]) + 3, int(model.jnt_dofadr[joint]) + 3
+        if turn.is_still(qpos[place_q : place_q + 4]):
+            continue
+        qpos[place_q : place_q + 4] = turn.quaternion
+        qvel[place_v : place_v + 3] = turn.spin
+        found = _unsure_turn(model.body(int(model.jnt_bodyid[joint])).name, turn)
+        unsure += [one for one, _, _ in found]
+        places += [(is_spin, (place_v if is_spin else place_q) + at) for _, is_spin, at in found]
+    return InitialState(stamp_ns, qpos, qvel, tuple(unsure), tuple(places))
+
+
+def _turns(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> dict[int, InitialTurn]:
+    """Estimate the orientation of bodies with a free joint, by that joint."""
+    found: dict[int, InitialTurn] = {}
+    for one in sensed:
+        if one.sensors[0].kind != "framexaxis":
+            continue
+        joint = free_joint(model, one.sensors[0].name)
+        if joint is not None and joint not in found and (turn := initial_turn(one, stamp_ns)):
+            found[joint] = turn
+    return found
+
+
+def _unsure_turn(body: str, turn: InitialTurn) -> list[tuple[Parameter, bool, int]]:
+    """List parameters of a body's orientation and spin: each, whether it is of the spin, its index.
+
+    Three numbers of a quaternion suffice: they and its length determine the largest.
+    """
+    largest = int(np.argmax(np.abs(turn.quaternion)))
+    found: list[tuple[Parameter, bool, int]] = []
+    for number, axis in enumerate("wxyz"):
+        if number != largest:
+            value, name = float(turn.quaternion[number]), f"initial/{body}.orientation.{axis}"
+            found.append((_unsure(name, "1", value, turn.quaternion_sd), False, number))
+    for number, axis in enumerate("xyz"):
+        value, sd = float(turn.spin[number]), float(turn.spin_sd[number])
+        found.append((_unsure(f"initial/{body}.spin.{axis}", "rad/s", value, sd), True, number))
+    return found
+
+
+def _shown(
+    model: Any, sensed: Sequence[SensedSignal]
+) -> dict[tuple[str, str, int, int], tuple[Samples | None, Samples | None]]:
+    """Collect each coordinate's samples: name, unit and addresses -> positions and speeds."""
+    shown: dict[tuple[str, str, int, int], tuple[Samples | None, Samples | None]] = {}
+    kinds = mujoco().mjtJoint
+    for one in sensed:
+        for column, sensor in zip(one.columns, one.sensors, strict=True):
+            samples = _samples(one, column)
+            if sensor.kind == "framepos":
+                joint = free_joint(model, sensor.name)
+                if joint is None:
+                    continue
+                axis = "xyz"[sensor.axis]
+                key = (
+                    f"{sensor.name}.{axis}",
+                    "m",
+                    int(model.jnt_qposadr[joint]) + sensor.axis,
+                    int(model.jnt_dofadr[joint]) + sensor.axis,
+                )
+                shown[key] = (samples, None)
+            elif sensor.kind in ("jointpos", "jointvel"):
+                joint = model.joint(sensor.name).id
+                unit = "m" if model.jnt_type[joint] == kinds.mjJNT_SLIDE else "rad"
+                key = (
+                    sensor.name,
+                    unit,
+                    int(model.jnt_qposadr[joint]),
+                    int(model.jnt_dofadr[joint]),
+                )
+                positions, speeds = shown.get(key, (None, None))
+                if sensor.kind == "jointpos":
+                    shown[key] = (samples, speeds)
+                else:
+                    shown[key] = (positions, samples)
+    return shown
+
+
+def _samples(sensed: SensedSignal, column: str) -> Samples:
+    values = sensed.signal.values[:, sensed.signal.columns.index(column)]
+    good = np.isfinite(values)
+    return sensed.signal.stamps_ns[good], values[good]
+
+
+def _unsure(name: str, unit: str, value: float, sd: float) -> Parameter:
+    sd = max(sd, _MIN_SD)
+    far = (value - _FAR * sd, value + _FAR * sd)
+    return Parameter(name, unit, far, (value - sd, value + sd), value, prior_sd=sd)
+
+
+# ---- Tuned parameters from a YAML file: a line per address, with its range
+
+_MAX_BYTES, _MAX_LINES, _MAX_DEPTH = 64_000, 200, 3
+_SHAPE = "write lines such as joint/elbow.damping: [0, 5]"
+
+
+def listed_parameters(texts: Sequence[str]) -> tuple[str, ...]:
+    """Expand YAML files among addresses with ranges, in place.
 
     Raises:
-        UsageError: One of them is no pair, or two are of one signal.
+        UsageError: A file cannot be read, or holds something else.
     """
-    told: dict[str, str] = {}
+    found: list[str] = []
     for text in texts:
-        key, sign, target = text.partition("=")
-        if not (key and sign and target):
-            raise UsageError(f"--map {text!r} is no SIGNAL=TARGET", "such as /arm/j1=joint/elbow")
-        if key in told:
-            raise UsageError(f"--map {key} is given twice", "leave one out")
-        told[key] = target
-    return told
+        if text.endswith((".yaml", ".yml")):
+            found += _of_file(Path(text))
+        else:
+            found.append(text)
+    return tuple(found)
+
+
+def _of_file(path: Path) -> Iterator[str]:
+    for address, limits in _mapping(path).items():
+        if limits is None:
+            yield str(address)
+            continue
+        is_pair = isinstance(limits, list) and len(limits) == 2
+        if not is_pair or not all(
+            isinstance(one, int | float) and not isinstance(one, bool) for one in limits
+        ):
+            raise UsageError(f"{path}: {short_name(address)} has no [LOW, HIGH]", _SHAPE)
+        try:
+            low, high = map(float, limits)
+        except OverflowError as error:
+            what = f"{path}: {short_name(address)} has a limit that is too large"
+            raise UsageError(what, _SHAPE) from error
+        yield f"{address}={low!r}:{high!r}"
+
+
+def _mapping(path: Path) -> dict[Any, Any]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
+
+    try:
+        data = read_small_file(path, _MAX_BYTES)
+        depth = 0
+        for event in YAML(typ="safe", pure=True).parse(data):
+            depth += isinstance(event, CollectionStartEvent)
+            depth -= isinstance(event, CollectionEndEvent)
+            if depth > _MAX_DEPTH or isinstance(event, AliasEvent):  # few may stand for millions
+                raise UsageError(f"{path}: has nested lists or aliases (*NAME)", _SHAPE)
+        found = YAML(typ="safe", pure=True).load(data)
+    except (OSError, LogError, ValueError, TypeError, RecursionError) as error:
+        why = getattr(error, "strerror", None) or one_line(error)
+        raise UsageError(f"{path}: cannot be read ({short_name(why)})", _SHAPE) from error
+    except YAMLError as error:
+        raise UsageError(f"{path}: is no YAML ({one_line(error)[:80]})", _SHAPE) from error
+    if not isinstance(found, dict) or not 0 < len(found) <= _MAX_LINES:
+        raise UsageError(f"{path}: holds no addresses", _SHAPE)
+    return found

@@ -1,31 +1,327 @@
-"""Ball tracking through the pictures: found by how it flies, then by how it looks."""
+"""Track the ball through the pictures: found by how it flies, then by how it looks.
+
+First come checks of what cannot be tracked: a camera that moves, repeated pictures, a ball that
+rolls and never falls.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.selection import Hints
-from analysis.tracking.appearance import learn_appearance
-from analysis.tracking.arcs import MIN_FRAMES, Arc, longest_arc, same_arc
-from analysis.tracking.background import Background, halved_background, still_background
-from analysis.tracking.ball_detector import BallDetector
-from analysis.tracking.camera_motion import check_still
-from analysis.tracking.candidates import Blobs, Candidates, hsv_blobs, moving_blobs, picked
-from analysis.tracking.following import (
+from tunenet_logs.analysis.selection import Hints
+from tunenet_logs.analysis.tracking.appearance import BallDetector, learn_appearance
+from tunenet_logs.analysis.tracking.candidates import (
+    Background,
+    Blobs,
+    Candidates,
+    halved_background,
+    hsv_blobs,
+    middle_of,
+    moving_blobs,
+    picked,
+    still_background,
+)
+from tunenet_logs.analysis.tracking.flights import (
+    MIN_FRAMES,
     MIN_SEEN,
+    Arc,
     color_and_size,
     flight_and_rest,
     follow,
+    longest_arc,
+    same_arc,
 )
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.repeats import change_around, new_pictures, repeated
-from analysis.tracking.rolling import refuse_roll
-from tunenet_logs.arrays import Array, Picture
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.episode import Array, Picture
 from tunenet_logs.errors import NotFoundError
-from tunenet_logs.progress import told
+from tunenet_logs.terminal import told
+
+# ---- Check of a still camera: without a still background no ball can be found
+
+# To which the longer side of a picture is reduced: noise and a shaking hand average out.
+_SIDE_PX = 240
+
+_TILES = 6  # a picture's tiles, each way
+# Standard deviation [of 255] of a tile that shows something: more than a wall and noise.
+_TEXTURE = 8.0
+
+# Tiles of 36 that show something, in most pictures: in fewer it may be what moves, an arm or a
+# large ball.
+_MIN_COUNT = 14
+
+_SAME = 0.7  # correlation of a tile with the still picture's, below which it shows something else
+# Of the tiles that show something, and of the pictures: with more the background is none.
+_MAX_ELSEWHERE = 0.5
+
+
+def check_still(samples: Sequence[Picture]) -> None:
+    """Check that the camera is still, before the costly search for what flies.
+
+    Raises:
+        NotFoundError: most pictures show something else than the median of all.
+    """
+    share = share_elsewhere(samples)
+    if share > _MAX_ELSEWHERE:
+        raise NotFoundError(
+            f"the camera moves: {100 * share:.0f} % of the pictures looked at show another view; "
+            "at the next drop: fix the camera, or tune the part in which it stands still "
+            "(--start, --end)"
+        )
+
+
+def share_elsewhere(samples: Sequence[Picture]) -> float:
+    """Return the fraction of pictures most of whose textured tiles differ from the median's."""
+    reduced = [_reduced(sample) for sample in samples]
+    still = _tiles(middle_of(reduced))
+    spread = still.std(axis=1)
+    seen, changed = np.zeros(len(reduced)), np.zeros(len(reduced))
+    for at, picture in enumerate(reduced):  # all at once would take much memory
+        tiles = _tiles(picture)
+        spreads = tiles.std(axis=1)
+        shown = np.maximum(spreads, spread) > _TEXTURE
+        alike = (tiles * still).mean(axis=1) / np.maximum(spreads * spread, 1e-3)
+        seen[at], changed[at] = shown.sum(), (shown & (alike < _SAME)).sum()
+    return float(np.mean(changed > _MAX_ELSEWHERE * seen)) if np.median(seen) >= _MIN_COUNT else 0.0
+
+
+def _reduced(picture: Picture) -> Picture:
+    """Reduce a picture to its brightness, small and smooth, shape (H, W)."""
+    import cv2
+
+    scale = min(1.0, _SIDE_PX / max(picture.shape[:2]))
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(small, (3, 3), 0), np.uint8)
+
+
+def _tiles(picture: Picture) -> Array:
+    """Cut a picture of shape (H, W) into tiles, each less its mean, shape (tiles, pixels)."""
+    tall, wide = picture.shape[0] // _TILES, picture.shape[1] // _TILES
+    cut = picture[: tall * _TILES, : wide * _TILES].astype(np.float64)
+    parts = cut.reshape(_TILES, tall, _TILES, wide).transpose(0, 2, 1, 3)
+    tiles = parts.reshape(_TILES * _TILES, tall * wide)
+    return tiles - tiles.mean(axis=1, keepdims=True)
+
+
+# ---- Repeated pictures, which show a moving ball where it was
+# Phones double pictures, and cameras freeze. The pictures alone decide, so that a film is the same
+# film from its file, from a log and from a bag.
+
+_UNCHANGED = 10  # of 255, in the mean of three by three pixels: less is no change
+# Of the larger change before or after: a codec refines a picture that comes twice, by .02 to .2 of
+# what it changes where the ball has moved.
+_LITTLE = 0.3
+
+# Least way of a ball that moves, and most of one that stands: several times the noise.
+_MOVED_PX, _STOOD_PX = 1.0, 0.5
+
+# Cosine between the way that came and the one that went on: a bounce turns, flight goes on.
+_ONWARD = 0.8
+
+# Times that a ball that goes on is seen once more where it was, and their share of the steps that
+# it moves, from which on a recording is one that doubles pictures.
+_HABIT, _HABITUAL = 3, 0.02
+
+
+def change_around(before: Picture, picture: Picture, found: Blobs) -> tuple[float, float]:
+    """Measure a picture's change from the one before around its likeliest candidate, of 255.
+
+    Returns:
+        The largest and the rms difference of smooth pixels; NaN where there is no candidate.
+    """
+    import cv2
+
+    if not len(found.areas_px):
+        return np.nan, np.nan
+    best = int(found.misfits.argmin())
+    half = int(np.ceil(1.5 * np.sqrt(found.areas_px[best] / np.pi))) + 2
+    column, row = (int(value) for value in np.round(found.places_px[best]))
+    part = (
+        slice(max(row - half, 0), row + half + 1),
+        slice(max(column - half, 0), column + half + 1),
+    )
+    if not picture[part].size:
+        return np.nan, np.nan
+    off = np.asarray(cv2.absdiff(cv2.blur(before[part], (3, 3)), cv2.blur(picture[part], (3, 3))))
+    return float(off.max()), float(np.sqrt(np.mean(np.square(off, dtype=np.float32))))
+
+
+def repeated(changes: Array) -> NDArray[np.bool_]:
+    """Return whether each picture is, around the ball, the one before once more, shape (T,).
+
+    Args:
+        changes: largest and rms change of each picture, see `change_around`; NaN where that is not
+            known, as of the first; shape (T, 2).
+    """
+    largest, rms = changes.T
+    around = np.concatenate([[0.0], np.nan_to_num(rms), [0.0]])
+    return (largest < _UNCHANGED) | (rms < _LITTLE * np.maximum(around[:-2], around[2:]))
+
+
+def new_pictures(places_px: Array, unchanged: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Select the pictures but those that show a moving ball where it was, once more.
+
+    A ball that lies moves neither before nor after; one that bounces may be seen twice in one place
+    by chance, but goes back. Where a recording doubles pictures of a ball that goes on, it is no
+    chance, and those of one that turns back are left out, too. A longer run than it makes of one
+    picture, or of two of a ball at the top of its flight, shows a ball that lies.
+
+    Args:
+        places_px: of the ball in T pictures, NaN where it is not known, shape (T, 2).
+        unchanged: whether a picture is, around the ball, the one before once more, shape (T,).
+
+    Returns:
+        Their numbers, shape (N,).
+    """
+    runs = _runs(unchanged)
+    repeats = [run for run in runs if _goes_on(places_px, *run)]
+    moves = np.linalg.norm(np.diff(places_px, axis=0), axis=1) > _MOVED_PX
+    if len(repeats) >= max(_HABIT, _HABITUAL * np.count_nonzero(moves)):
+        most = 2 * max(end - first for first, end in repeats) + 1
+        repeats += [(first, end) for first, end in runs if end - first <= most]
+    kept = np.ones(len(unchanged), dtype=bool)
+    for first, end in repeats:
+        kept[first:end] = False
+    return np.flatnonzero(kept)
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first index of each run of set flags, and the one behind its last."""
+    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
+    firsts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return list(zip(firsts.tolist(), ends.tolist(), strict=True))
+
+
+def _goes_on(places_px: Array, first: int, end: int) -> bool:
+    """Return whether a ball stands in a run of pictures, and then goes on as it came."""
+    found = np.flatnonzero(np.isfinite(places_px[:, 0]))
+    earlier, later = found[found < first], found[found >= end]
+    if len(earlier) < 2 or not len(later):
+        return False
+    before, here, after = places_px[[earlier[-2], earlier[-1], later[0]]]
+    came, went = here - before, after - here
+    stood = np.linalg.norm(places_px[first:end] - here, axis=1).max() < _STOOD_PX
+    least = min(np.linalg.norm(came), np.linalg.norm(went))
+    onward = came @ went > _ONWARD * np.linalg.norm(came) * np.linalg.norm(went)
+    return bool(stood and least > _MOVED_PX and onward)
+
+
+# ---- Steady motion along a straight line: a ball that rolls, and never falls
+
+_STARTS = 48  # pictures, evenly over the recording, from which candidates are followed
+_MAX_MISSES = 3  # pictures in a row without it that end its way
+_MIN_ROLL_FRAMES = 8  # pictures of a way
+_NEAR_ROLL_PX, _NEAR = 2.0, 0.5  # from where it is expected, in px and in radii, added
+_FARTHEST = 4.0  # radii that it moves from one picture to the next at most
+_COLOUR_APART, _AREA_RATIO = 70.0, 2.2  # from one picture to the next, as of what flies
+# Fractions of the way: rms distance from a parabola, how far that may bend or get ahead of a steady
+# speed, and how far it may fall behind: balls that roll come to rest.
+_LOOSE, _STEADY, _SLOWER = 0.04, 0.06, 0.2
+
+# Way, in the reduced picture, below which what was found may be nothing; and how many times as far
+# something has to roll.
+_SHORT_PX, _FARTHER = 40.0, 3.0
+
+# A way's least length, in radii, and as a fraction of what candidates are spread over.
+_MIN_RADII, _MIN_SHARE = 6.0, 0.15
+
+
+def refuse_roll(
+    table: Candidates, scale: int, way_px: float, error: NotFoundError | None = None
+) -> None:
+    """Raise if something rolls through the pictures while what was found hardly moves.
+
+    What was found moves by `way_px` in pictures of full size; `scale` is how much they are reduced.
+
+    Raises:
+        NotFoundError: something goes farther, and never falls.
+    """
+    if way_px > _SHORT_PX * scale:
+        return
+    roll_px = longest_roll_px(table) * scale
+    if roll_px > _FARTHER * way_px:
+        raise NotFoundError(
+            f"nothing falls: what moves goes {roll_px:.0f} px along a straight line without "
+            "gaining speed, as a ball that rolls; at the next drop: let the ball fall onto the "
+            "table, filmed from the side"
+        ) from error
+
+
+def longest_roll_px(table: Candidates) -> float:
+    """Measure the longest straight and steady path of one candidate [px]; 0 for none."""
+    if not table.areas_px.size or not np.isfinite(table.areas_px).any():
+        return 0.0
+    low, high = np.nanmin(table.places_px, (0, 1)), np.nanmax(table.places_px, (0, 1))
+    spread = float(np.linalg.norm(high - low))
+    count = len(table.seconds)
+    longest = 0.0
+    for first in np.unique(np.linspace(0, count - 1, _STARTS).astype(int)):
+        for one in np.flatnonzero(np.isfinite(table.areas_px[first])):
+            frames, places = _way(table, int(first), int(one))
+            length = _length_px(table.seconds[frames], places)
+            radius = float(np.sqrt(table.areas_px[first, one] / np.pi))
+            if length > max(_MIN_RADII * radius, _MIN_SHARE * spread):
+                longest = max(longest, length)
+    return longest
+
+
+def _followed(table: Candidates, first: int, one: int, step: int) -> tuple[list[int], list[Array]]:
+    """Follow a candidate from one picture on, or back: the pictures after it, and where."""
+    frames, places = [first], [table.places_px[first, one]]
+    area, colour = float(table.areas_px[first, one]), table.colours[first, one]
+    radius = float(np.sqrt(area / np.pi))
+    velocity: Array | None = None
+    for frame in range(first + step, len(table.seconds) if step > 0 else -1, step):
+        if abs(frame - frames[-1]) > _MAX_MISSES:
+            break
+        dt = float(table.seconds[frame] - table.seconds[frames[-1]])
+        expected = places[-1] + (velocity * dt if velocity is not None else 0.0)
+        reach = _NEAR_ROLL_PX + _NEAR * radius if velocity is not None else _FARTHEST * radius
+        off = np.linalg.norm(table.places_px[frame] - expected, axis=1)
+        unlike = np.linalg.norm(table.colours[frame] - colour, axis=1) > _COLOUR_APART
+        unlike |= np.abs(np.log(table.areas_px[frame] / area)) > np.log(_AREA_RATIO)
+        off = np.where(np.isfinite(off) & ~unlike, off, np.inf)
+        best = int(off.argmin())
+        if off[best] > reach:
+            continue
+        frames.append(frame)
+        places.append(table.places_px[frame, best])
+        back = max(len(frames) - _MIN_ROLL_FRAMES, 0)
+        span = float(table.seconds[frame] - table.seconds[frames[back]])
+        velocity = (places[-1] - places[back]) / span
+    return frames[1:], places[1:]
+
+
+def _way(table: Candidates, middle: int, one: int) -> tuple[list[int], Array]:
+    """Return all of a candidate's path through a picture: the pictures, and where, shape (N, 2)."""
+    before, came = _followed(table, middle, one, -1)
+    after, went = _followed(table, middle, one, 1)
+    places = [*came[::-1], table.places_px[middle, one], *went]
+    return [*before[::-1], middle, *after], np.array(places)
+
+
+def _length_px(seconds: Array, places: Array) -> float:
+    """Return the end-to-end length of a path that is straight and steady; else 0."""
+    if len(seconds) < _MIN_ROLL_FRAMES:
+        return 0.0
+    way = places[-1] - places[0]
+    length = float(np.linalg.norm(way))
+    clock = seconds - seconds.mean()
+    curve = np.polyfit(clock, places, 2)
+    fitted = curve[0] * clock[:, None] ** 2 + curve[1] * clock[:, None] + curve[2]
+    loose = float(np.sqrt(((places - fitted) ** 2).sum(axis=1).mean()))
+    bend = curve[0] * float(np.ptp(clock)) ** 2 / 4
+    onward = float(bend @ way) / max(length, 1e-9)
+    aside = float(np.sqrt(max(bend @ bend - onward**2, 0.0)))
+    straight = loose < _LOOSE * length and aside < _STEADY * length
+    return length if straight and -_SLOWER * length < onward < _STEADY * length else 0.0
+
+
+# ---- Track of the ball, from what moves to what looks like it
 
 # Pictures of a flight that is searched for once more, against two backgrounds: fewer show it.
 _FEW_FRAMES = 5
@@ -34,7 +330,7 @@ _MARK = "mark the ball with --roi, --hsv or --ball-at"
 
 _FILM_MORE = "at the next drop: film fall and bounces at 60 pictures a second or more"
 
-# From a mark to the edge of what it marks, in the reduced picture: it need not be exact.
+# From a mark to the edge of what it marks, in the reduced picture: a mark need not be exact.
 _NEAR_PX = 50
 
 # Difference in RGB (0 to 255), and ratio of areas, from a marked ball: it changes by less as it

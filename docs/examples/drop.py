@@ -1,12 +1,12 @@
 """Simulate a drop, tune another simulation to it, and print what came out."""
 
-import analysis.api as tunenet
+import tunenet_logs as tn
 
 
 def main() -> None:
     """Without files: the episode is in memory, as your own arrays would be."""
-    order = tunenet.DropOrder(restitution=0.75, height_m=1.2, noise_m=0.001, seed=1)
-    tuning = tunenet.tune(tunenet.simulate(order))
+    order = tn.DropOrder(restitution=0.75, height_m=1.2, noise_m=0.001, seed=1)
+    tuning = tn.tune(tn.simulate(order))
     print(tuning.verdict, tuning.reason or "")
     print(tuning.to_frame().to_string())
     for bounce in tuning.record.rebounds[:3]:

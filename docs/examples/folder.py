@@ -2,12 +2,12 @@
 
 import sys
 
-import analysis.api as tunenet
+import tunenet_logs as tn
 
 
 def main(folder: str, table: str) -> None:
     """The results go into the folder `results`; what has one there is not tuned again."""
-    ledger = tunenet.tune_all(f"{folder}/drop_*.mcap", "results", resume=True, reviewed="none")
+    ledger = tn.tune_all(f"{folder}/drop_*.mcap", "results", resume=True, reviewed="none")
     ledger.to_csv(table, index=False)
     good = ledger[ledger["verdict"] == "ok"]
     print(good[["log", "restitution", "restitution_low", "restitution_high"]].to_string())

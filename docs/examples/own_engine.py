@@ -7,14 +7,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-import analysis.api as tunenet
+import tunenet_logs as tn
 
 
 def main(log: str) -> None:
     """The exported file is a scene of its own; its ball starts where the recorded one did."""
-    tuning = tunenet.tune(log)
+    tuning = tn.tune(log)
     with tempfile.TemporaryDirectory() as folder:
-        (scene,) = tunenet.export(tuning, "mujoco", Path(folder) / "ball.xml")
+        (scene,) = tn.export(tuning, "mujoco", Path(folder) / "ball.xml")
         model = mujoco.MjModel.from_xml_path(str(scene))
     data = mujoco.MjData(model)
     ball = data.body("tuned_ball")

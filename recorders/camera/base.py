@@ -8,20 +8,20 @@ from typing import NamedTuple, Protocol
 from tunenet_logs.episode import Frame
 
 
-class Shot(NamedTuple):
+class CapturedFrame(NamedTuple):
     """One frame as it came.
 
     Attributes:
         frame: the compressed picture, stamped when its first byte arrived, on the clock of
-            `tunenet_logs.clock`; in a video file, stamped with the time that the file states.
-        told_ns: capture time reported by the camera [ns], on its own clock of arbitrary origin;
+            `tunenet_logs.timing.stamps`; in a video file, stamped with the time that it states.
+        source_stamp_ns: capture time reported by the camera [ns], on a clock of arbitrary origin;
             None where it reports none.
         stands_alone: whether it can be decoded without earlier frames, as every JPEG can.
         connection: number of its connection; the camera's clock may restart with each.
     """
 
     frame: Frame
-    told_ns: int | None = None
+    source_stamp_ns: int | None = None
     stands_alone: bool = True
     connection: int = 0
 
@@ -64,7 +64,7 @@ class Source(Protocol):
         """Return notes for the log: settings asked and accepted, codec, ..."""
         ...
 
-    def frames(self) -> Iterator[Shot]:
+    def frames(self) -> Iterator[CapturedFrame]:
         """Yield the frames in order; call it once.
 
         Raises:

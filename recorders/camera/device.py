@@ -1,22 +1,117 @@
-"""Read a plugged-in camera through Video4Linux."""
+"""Read frames from a plugged-in camera (Video4Linux) or a video file."""
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from recorders.camera.base import Shot
-from recorders.camera.settings import Settings, apply, in_words
-from tunenet_logs.clock import wall_ns
-from tunenet_logs.episode import Frame
-from tunenet_logs.errors import CameraError
-from tunenet_logs.jpeg import from_bgr, is_whole
+from tunenet_logs.audio import is_sound_alone
+from tunenet_logs.episode import Frame, Sound
+from tunenet_logs.errors import CameraAwayError, CameraError, LogError
+from tunenet_logs.messages import compressed, from_bgr, is_whole
+from tunenet_logs.recorders.camera.base import CapturedFrame
+from tunenet_logs.timing.stamps import wall_ns
+from tunenet_logs.video import open_video, video_notes
+
+if TYPE_CHECKING:
+    import cv2
+
+
+# ---- Camera settings: requested, and as the camera accepted them
+
+_MANUAL_EXPOSURE = 1.0  # V4L2_EXPOSURE_MANUAL of V4L2
+_EXPOSURES_PER_MS = 10.0  # V4L2 gives an exposure in units of 100 µs
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Requested camera settings; None leaves one as it is.
+
+    Attributes:
+        size: (width, height) [px].
+        white_balance_k: colour temperature [K].
+        focus: in the camera's own units.
+    """
+
+    size: tuple[int, int] | None = None
+    rate_hz: float | None = None
+    exposure_ms: float | None = None
+    white_balance_k: float | None = None
+    focus: float | None = None
+
+    def asked(self) -> list[str]:
+        """Return the names of the requested settings."""
+        return [field.name for field in fields(self) if getattr(self, field.name) is not None]
+
+
+def apply_settings(settings: Settings, capture: cv2.VideoCapture) -> None:
+    """Apply the settings, format and size first, because they reset the rate."""
+    import cv2
+
+    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+    if settings.size is not None:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, settings.size[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, settings.size[1])
+    if settings.rate_hz is not None:
+        capture.set(cv2.CAP_PROP_FPS, settings.rate_hz)
+    if settings.exposure_ms is not None:
+        capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+        capture.set(cv2.CAP_PROP_EXPOSURE, round(settings.exposure_ms * _EXPOSURES_PER_MS))
+    if settings.white_balance_k is not None:
+        capture.set(cv2.CAP_PROP_AUTO_WB, 0)
+        capture.set(cv2.CAP_PROP_WB_TEMPERATURE, settings.white_balance_k)
+    if settings.focus is not None:
+        capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)
+        capture.set(cv2.CAP_PROP_FOCUS, settings.focus)
+
+
+def describe_settings(settings: Settings, capture: cv2.VideoCapture) -> dict[str, str]:
+    """Describe requested and accepted settings for the log."""
+    import cv2
+
+    get = capture.get
+    width, height = get(cv2.CAP_PROP_FRAME_WIDTH), get(cv2.CAP_PROP_FRAME_HEIGHT)
+    code = int(get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF
+    is_manual = get(cv2.CAP_PROP_AUTO_EXPOSURE) == _MANUAL_EXPOSURE
+    exposure_ms = get(cv2.CAP_PROP_EXPOSURE) / _EXPOSURES_PER_MS
+    asked_size = None if settings.size is None else f"{settings.size[0]}x{settings.size[1]}"
+    balance = _mode(get(cv2.CAP_PROP_AUTO_WB), get(cv2.CAP_PROP_WB_TEMPERATURE))
+    focus = _mode(get(cv2.CAP_PROP_AUTOFOCUS), get(cv2.CAP_PROP_FOCUS))
+    return {
+        "format": code.to_bytes(4, "little").decode("latin-1").strip("\0 "),
+        "setting.size_px": _both(asked_size, f"{width:g}x{height:g}"),
+        "setting.rate_hz": _both(settings.rate_hz, f"{get(cv2.CAP_PROP_FPS):g}"),
+        "setting.exposure_ms": _both(
+            settings.exposure_ms, f"{'manual' if is_manual else 'automatic'} {exposure_ms:g}"
+        ),
+        "setting.white_balance_k": _both(settings.white_balance_k, balance),
+        "setting.focus": _both(settings.focus, focus),
+    }
+
+
+def _mode(automatic: float, value: float) -> str:
+    """Describe a control as automatic, manual or, where OpenCV answers -1, fixed."""
+    if automatic < 0 and value < 0:
+        return "fixed"
+    return f"{'automatic' if automatic > 0 else 'manual'} {value:g}"
+
+
+def _both(asked: float | str | None, accepted: str) -> str:
+    if asked is None:
+        return f"not asked, is {accepted}"
+    return f"asked {asked if isinstance(asked, str) else f'{asked:g}'}, accepted {accepted}"
+
+
+# ---- Plugged-in camera: Video4Linux through OpenCV
 
 # A driver's stamp that is further from the monotonic clock is of another clock, or 0.
-_PLAUSIBLE_NS = 5_000_000_000
+_MAX_STAMP_OFFSET_NS = 5_000_000_000
 
 
 class CameraDevice:
@@ -38,17 +133,16 @@ class CameraDevice:
             raise CameraError(f"{path}: no such camera; {_those_there_are()}")
         import cv2
 
-        cv2.utils.logging.setLogLevel(
-            cv2.utils.logging.LOG_LEVEL_SILENT
-        )  # it would print its own lines beside ours
+        # Else it would print its own lines beside ours.
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self._capture = cv2.VideoCapture(str(path), cv2.CAP_V4L2)
         if not self._capture.isOpened():
             raise CameraError(
                 f"{path}: cannot be opened as a camera, or another program has it; "
                 + _those_there_are()
             )
-        apply(settings, self._capture)
-        self._notes = in_words(settings, self._capture)
+        apply_settings(settings, self._capture)
+        self._notes = describe_settings(settings, self._capture)
         # Else OpenCV would decode the camera's JPEGs, only for them to be compressed again.
         self._makes_jpegs = self._notes["format"] in ("MJPG", "JPEG")
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0 if self._makes_jpegs else 1)
@@ -67,7 +161,7 @@ class CameraDevice:
             notes["stamps"] = "driver" if self._has_driver_stamps else "arrival"
         return notes
 
-    def frames(self) -> Iterator[Shot]:
+    def frames(self) -> Iterator[CapturedFrame]:
         """Yield the frames as they come, until the camera is unplugged."""
         import cv2
 
@@ -83,14 +177,14 @@ class CameraDevice:
                     self.ended = "the camera delivers no more frames"
                     return
                 driver_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-                plausible = abs(driver_ns - monotonic_ns) < _PLAUSIBLE_NS
+                plausible = abs(driver_ns - monotonic_ns) < _MAX_STAMP_OFFSET_NS
                 self._has_driver_stamps = plausible
                 data = self._jpeg(picture)
                 if data is None:
                     self.damaged += 1
                 else:
                     stamp_ns = wall_ns(driver_ns if plausible else monotonic_ns)
-                    yield Shot(Frame(stamp_ns, "jpeg", data))
+                    yield CapturedFrame(Frame(stamp_ns, "jpeg", data))
         finally:
             self._capture.release()
 
@@ -114,3 +208,144 @@ def _those_there_are() -> str:
     if not devices:
         return "no camera is plugged in (there is no /dev/video*)"
     return "there is " + ", ".join(devices)
+
+
+# ---- Opening in a thread: Ctrl-C and a deadline work even if a library blocks
+
+
+class _Opened(Protocol):
+    def close(self) -> None: ...
+
+
+Opened = TypeVar("Opened", bound=_Opened)
+
+
+def opened_within(
+    seconds: float, shown: str, open_source: Callable[[], Opened], *, what: str = "camera"
+) -> Opened:
+    """Open a source within `seconds`, raising the errors of `open_source` here.
+
+    Name servers, drivers and libraries in C block the thread that calls them, and no signal is
+    handled there until they return. What opens too late is closed.
+
+    Raises:
+        CameraAwayError: it takes longer.
+    """
+    opening = _Opening(open_source)
+    opening.start()
+    try:
+        if not opening.is_done.wait(seconds):
+            raise CameraAwayError(
+                f"{shown}: cannot be opened within {seconds:g} s; is the {what} on?"
+            )
+        return opening.take()
+    finally:
+        opening.abandon()
+
+
+class _Opening(threading.Thread, Generic[Opened]):
+    """A daemon: a camera that never opens must not keep the process."""
+
+    def __init__(self, open_source: Callable[[], Opened]) -> None:
+        super().__init__(name="opening", daemon=True)
+        self.is_done = threading.Event()
+        self._open_source = open_source
+        self._lock = threading.Lock()
+        self._is_wanted = True
+        self._source: Opened | None = None
+        self._error: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            source = self._open_source()
+            with self._lock:
+                if self._is_wanted:
+                    self._source = source
+                else:
+                    source.close()
+        except BaseException as error:  # noqa: BLE001 (it is raised again where it is waited for)
+            self._error = error
+        self.is_done.set()
+
+    def take(self) -> Opened:
+        """Return the opened source, or raise its error."""
+        with self._lock:
+            source, self._source = self._source, None
+        if source is None:
+            assert self._error is not None
+            raise self._error
+        return source
+
+    def abandon(self) -> None:
+        """Close the source unless it was taken, now or once it opens."""
+        with self._lock:
+            self._is_wanted = False
+            if self._source is not None:
+                self._source.close()
+
+
+# ---- Video file: every frame, at the times that the file states
+
+
+class VideoFile:
+    """A video file.
+
+    Args:
+        filmed_hz: rate at which it was filmed, where the user knows better than its tags.
+
+    Raises:
+        CameraError: `path` is no file, or sound alone.
+        LogError: no video, or damaged.
+    """
+
+    live = False
+    returns = False
+    damaged = dropped = 0
+    ended = ""
+
+    def __init__(self, path: Path, filmed_hz: float | None = None) -> None:
+        if path.is_dir():
+            raise CameraError(f"{path}: is a directory; name a video file inside it")
+        if not path.exists():
+            raise CameraError(f"{path}: no such file; name a video, a camera's number or address")
+        if not path.is_file():
+            raise CameraError(f"{path}: is neither a file nor a camera device")
+        if not path.stat().st_size:
+            raise CameraError(f"{path}: is empty; copy the video again")
+        try:
+            self._video = open_video(path, filmed_hz)
+        except LogError as error:
+            if not is_sound_alone(path):
+                raise
+            what = f"{path}: is sound alone, and no film"
+            raise CameraError(what, f"tune it as it is: tunenet-tune {path}") from error
+        if not self._video.clock.is_timed:
+            raise CameraError(f"{path}: does not say how many pictures a second it has; add --fps")
+        self._closed = False
+        self.name = f"video file {path.name}"
+
+    def notes(self) -> dict[str, str]:
+        """Return codec, size, rates and warnings."""
+        notes = video_notes(self._video)
+        if self._video.warnings:
+            notes["warnings"] = "; ".join(self._video.warnings)
+        return notes
+
+    def frames(self) -> Iterator[CapturedFrame]:
+        """Yield all frames; the file's JPEGs as they are, all else recompressed.
+
+        Raises:
+            LogError: the file is damaged; the frames before that have been delivered.
+        """
+        for frame in self._video.frames():
+            if self._closed:
+                return
+            yield CapturedFrame(compressed(frame))
+
+    def sound(self) -> Sound | None:
+        """Return the sound track, on the clock of the pictures; None where there is none."""
+        return self._video.sound.sound() if self._video.sound else None
+
+    def close(self) -> None:
+        """End a running `frames`; nothing else is held open."""
+        self._closed = True

@@ -11,15 +11,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorders.simulators.balls import BALLS, Ball
-from tunenet_logs.commandline import number
+from tunenet_logs.console import number
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.known import BALLS, Ball
 from tunenet_logs.terminal import Progress
 
 if TYPE_CHECKING:
-    from recorders.camera.network_options import NetworkOptions
-    from recorders.camera.preview import Preview
-    from recorders.microphone.live_sound import LiveSound
+    from tunenet_logs.recorders.camera.network import NetworkOptions
+    from tunenet_logs.recorders.local_page import Preview
+    from tunenet_logs.recorders.microphone import LiveSound
 
 _MAX_NAME = 100  # characters of a ball's or surface's name: it is one line of a log's notes
 
@@ -49,8 +49,8 @@ def camera_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
         add(
             "--stamps",
             choices=["camera", "arrival"],
-            help="when a live camera's pictures were taken: as it tells, else by the even clock "
-            "behind their arrivals (default); or when they arrived",
+            help="when a live camera's pictures were taken: as it reports, else by a uniform "
+            "clock fitted to their arrivals (default); or when they arrived",
         ),
         add(
             "--password-file",
@@ -145,7 +145,7 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
     Raises:
         TuneNetError: it cannot be opened, read or written.
     """
-    from recorders.microphone.options import opened_microphone
+    from tunenet_logs.recorders.microphone import opened_microphone
 
     progress = Progress(quiet=arguments.quiet)
     with opened_microphone(arguments.microphone, arguments.camera, progress.say) as microphone:
@@ -155,12 +155,12 @@ def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
 def _recorded(
     arguments: argparse.Namespace, path: Path, progress: Progress, microphone: LiveSound | None
 ) -> str:
-    from recorders.camera.capture import Limits, record_camera
-    from recorders.camera.lasting import lasting_camera
-    from recorders.camera.settings import Settings
-    from recorders.camera.sources import is_asked_again, open_source, shows_password
     from tunenet_logs.episode import EpisodeInfo
-    from tunenet_logs.output.log_place import check_log_name
+    from tunenet_logs.recorders.camera.device import Settings
+    from tunenet_logs.recorders.camera.reconnecting import lasting_camera
+    from tunenet_logs.recorders.camera.recording import Limits, record_camera
+    from tunenet_logs.recorders.camera.sources import is_asked_again, open_source, shows_password
+    from tunenet_logs.writing.owned_path import check_log_name
 
     limits = Limits(
         seconds=arguments.seconds,
@@ -226,14 +226,14 @@ def _recorded(
 
 def _network(arguments: argparse.Namespace, progress: Progress) -> NetworkOptions:
     """Collect the network camera's options, with its password."""
-    from recorders.camera.network_options import (
+    from tunenet_logs.passwords import read_password
+    from tunenet_logs.recorders.camera.network import (
         PASSWORD_OPTION,
         PASSWORD_VARIABLE,
         NetworkOptions,
         Transport,
+        Trust,
     )
-    from recorders.camera.tls import Trust
-    from tunenet_logs.passwords import read_password
 
     file = arguments.password_file
     password = os.environ.get(PASSWORD_VARIABLE) or None
@@ -267,7 +267,7 @@ def _preview(arguments: argparse.Namespace, is_live: bool) -> Iterator[Preview |
         return
     if not is_live:
         raise UsageError("--preview is for a live camera; a video can be looked at as it is")
-    from recorders.camera.preview import Preview
+    from tunenet_logs.recorders.local_page import Preview
 
     preview = Preview()
     print(f"preview at {preview.url}", file=sys.stderr, flush=True)

@@ -1,4 +1,8 @@
-"""Open the source that the user names."""
+"""Open the camera or video file that the user names.
+
+The address's scheme, or the kind of a name without one, selects the opener. Video sent as plain
+bytes, by TCP, UDP, a FIFO or standard input, is opened here; HTTP, RTSP and devices next door.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,84 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from recorders.camera.address import camera_address, with_scheme
-from recorders.camera.base import Source
-from recorders.camera.network_options import NetworkOptions
-from recorders.camera.opening import opened_within
-from recorders.camera.settings import Settings
 from tunenet_logs.addresses import scheme_of
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.camera.base import Source
+from tunenet_logs.recorders.camera.device import CameraDevice, Settings, VideoFile, opened_within
+from tunenet_logs.recorders.camera.feeds import (
+    ByteFeed,
+    PipeFeed,
+    TcpFeed,
+    TimedFeed,
+    UdpFeed,
+    opened_pipe,
+)
+from tunenet_logs.recorders.camera.network import (
+    OPENING_S,
+    Deadline,
+    NetworkOptions,
+    answering,
+    camera_address,
+    with_scheme,
+)
+from tunenet_logs.recorders.camera.reading import as_kept
+from tunenet_logs.recorders.camera.streams import PacketStream, stream_of
+
+# ---- Plain bytes: TCP, UDP, a FIFO or standard input
+
+
+def open_tcp(text: str, timeout_s: float) -> Source:
+    """Open a camera that streams to whoever connects to tcp://HOST:PORT.
+
+    Raises:
+        UsageError, CameraError: see `TcpFeed` and `stream_of`.
+    """
+    address, deadline = camera_address(text), _opening(timeout_s)
+    with answering(address.shown, deadline):
+        feed = TcpFeed(address, deadline)
+    return _stream(feed, address.shown, deadline, timeout_s)
+
+
+def open_udp(text: str, timeout_s: float) -> Source:
+    """Open a stream sent to a UDP port of this machine.
+
+    Raises:
+        UsageError, CameraError: see `UdpFeed` and `stream_of`.
+    """
+    deadline = _opening(timeout_s)
+    return _stream(UdpFeed(text, deadline), text, deadline, timeout_s)
+
+
+def open_pipe(text: str, timeout_s: float) -> Source:
+    """Open what a program writes to standard input or a FIFO, or a file redirected there.
+
+    Raises:
+        UsageError, CameraError: see `opened_pipe` and `stream_of`.
+    """
+    deadline = _opening(timeout_s)
+    pipe = opened_pipe(text)
+    feed = PipeFeed(pipe.descriptor, deadline)
+    return _stream(feed, pipe.shown, deadline, timeout_s, live=pipe.is_written_to)
+
+
+def _opening(timeout_s: float) -> Deadline:
+    """Make the first picture's deadline: the program that sends it may have to start."""
+    longest_s = max(OPENING_S, timeout_s)
+    return Deadline(longest_s, longest_s)
+
+
+def _stream(
+    feed: ByteFeed, shown: str, deadline: Deadline, timeout_s: float, *, live: bool = True
+) -> Source:
+    source = stream_of(TimedFeed(feed, deadline, timeout_s), shown, live=live)
+    deadline.silence_s = timeout_s
+    return source
+
+
+# ---- Opening by scheme, or by kind
 
 # By a setting's name, the option that asks for it: an error names what the user wrote.
-_OPTIONS = {
+_SETTING_OPTIONS = {
     "size": "--size",
     "rate_hz": "--rate",
     "exposure_ms": "--exposure",
@@ -24,15 +96,14 @@ _OPTIONS = {
     "focus": "--focus",
 }
 
-# Beyond what a camera's own reading allows: for name servers, and for its own, clearer error.
+# Beyond what opening a network camera allows: for name servers, and for its own, clearer error.
 _SPARE_S = 5.0
 
-# For a plugged-in camera: drivers try some seconds long, and each setting may take its own.
-_DEVICE_S = 30.0
+_MAX_DEVICE_S = 30.0  # to open a plugged-in camera: drivers try for seconds, each setting too
 
 
 @dataclass(frozen=True)
-class Wishes:
+class SourceOptions:
     """Options of a source; see `open_source`."""
 
     settings: Settings
@@ -74,16 +145,16 @@ def open_source(
             f"--camera: {kind} is not read here; let a program that does write it to standard "
             f"input: {_BY_OTHERS[kind]} | tunenet-record --camera -"
         )
-    if kind not in _OPENERS:
-        known = ", ".join(name for name in _OPENERS if name.isalpha())
+    if kind not in OPENERS:
+        known = ", ".join(name for name in OPENERS if name.isalpha())
         raise UsageError(
             f"--camera: {kind}:// is not recorded; there is {known}, and files by their bare names"
         )
-    wishes = Wishes(
+    wishes = SourceOptions(
         settings or Settings(), filmed_hz, timeout_s, network or NetworkOptions(), transcode
     )
     _refuse_what_is_others(kind, wishes)
-    return _OPENERS[kind](text, wishes)
+    return OPENERS[kind](text, wishes)
 
 
 def is_asked_again(text: str) -> bool:
@@ -114,9 +185,9 @@ def _is_number(text: str) -> bool:
     return text.isascii() and text.isdecimal() and len(text) < 5
 
 
-def _refuse_what_is_others(kind: str, wishes: Wishes) -> None:
+def _refuse_what_is_others(kind: str, wishes: SourceOptions) -> None:
     if kind != "a device" and wishes.settings.asked():
-        option = _OPTIONS[wishes.settings.asked()[0]]
+        option = _SETTING_OPTIONS[wishes.settings.asked()[0]]
         raise UsageError(f"{option} is for a camera that is plugged in; leave it out")
     if kind != "a file" and wishes.filmed_hz is not None:
         raise UsageError("--fps is for a video file; a camera's rate is measured")
@@ -125,24 +196,17 @@ def _refuse_what_is_others(kind: str, wishes: Wishes) -> None:
     wishes.network.check(kind)
 
 
-# Each pulls in its own library, so that a file needs no network code and the other way round.
-
-
-def _device(text: str, wishes: Wishes) -> Source:
-    from recorders.camera.device import CameraDevice
-
+def _device(text: str, wishes: SourceOptions) -> Source:
     path = Path(f"/dev/video{int(text)}" if _is_number(text) else text)
-    return opened_within(_DEVICE_S, str(path), lambda: CameraDevice(path, wishes.settings))
+    return opened_within(_MAX_DEVICE_S, str(path), lambda: CameraDevice(path, wishes.settings))
 
 
-def _file(text: str, wishes: Wishes) -> Source:
-    from recorders.camera.video_file import VideoFile
-
+def _file(text: str, wishes: SourceOptions) -> Source:
     return VideoFile(Path(text), wishes.filmed_hz)
 
 
-def _http(text: str, wishes: Wishes) -> Source:
-    from recorders.camera.http_stream import open_http
+def _http(text: str, wishes: SourceOptions) -> Source:
+    from tunenet_logs.recorders.camera.http import open_http
 
     address = wishes.network.known(camera_address(text))
     return _opened(
@@ -150,8 +214,8 @@ def _http(text: str, wishes: Wishes) -> Source:
     )
 
 
-def _rtsp(text: str, wishes: Wishes) -> Source:
-    from recorders.camera.rtsp_stream import RtspStream
+def _rtsp(text: str, wishes: SourceOptions) -> Source:
+    from tunenet_logs.recorders.camera.rtsp import RtspStream
 
     timeout_s, network = wishes.timeout_s, wishes.network
     address = network.known(camera_address(text))
@@ -163,20 +227,15 @@ def _rtsp(text: str, wishes: Wishes) -> Source:
     )
 
 
-def _bytes(text: str, wishes: Wishes) -> Source:
-    from recorders.camera.plain_stream import open_pipe, open_tcp, open_udp
-
+def _bytes(text: str, wishes: SourceOptions) -> Source:
     opener = {"tcp": open_tcp, "udp": open_udp}.get(scheme_of(text), open_pipe)
     return _opened(text, wishes, lambda: opener(text, wishes.timeout_s))
 
 
 def _opened(
-    shown: str, wishes: Wishes, opening: Callable[[], Source], more_s: float = 0.0
+    shown: str, wishes: SourceOptions, opening: Callable[[], Source], more_s: float = 0.0
 ) -> Source:
     """Open a network or piped source, transcoded where the log cannot hold its codec."""
-    from recorders.camera.connection import OPENING_S
-    from recorders.camera.packet_stream import PacketStream
-    from recorders.camera.transcoded import as_kept
 
     def opened() -> Source:
         source = opening()
@@ -188,8 +247,8 @@ def _opened(
     return opened_within(longest_s, shown, opened)
 
 
-# By an address's scheme, or by what has none.
-_OPENERS: Mapping[str, Callable[[str, Wishes], Source]] = MappingProxyType(
+# By an address's scheme, or by the kind of what has none.
+OPENERS: Mapping[str, Callable[[str, SourceOptions], Source]] = MappingProxyType(
     {
         "a device": _device,
         "a file": _file,
@@ -203,13 +262,13 @@ _OPENERS: Mapping[str, Callable[[str, Wishes], Source]] = MappingProxyType(
     }
 )
 
-# Of these, those that answer whoever asks.
+# Of these, those that can be reconnected.
 _ASKED_AGAIN = frozenset({"http", "https", "rtsp", "rtsps", "tcp"})
 
 _FFMPEG = "ffmpeg -loglevel error -i {}://... -c copy -f matroska -"
-# By the scheme that the library here lacks, or that says too little: who reads it instead.
-#
-# Without its jitter buffer GStreamer stamps what comes by RTP when it came, not when it was taken.
+
+# By a scheme that is not read here: the command that reads it instead. Without its jitter buffer
+# GStreamer stamps what comes by RTP when it came, not when it was taken.
 _BY_OTHERS: Mapping[str, str] = MappingProxyType(
     {
         "srt": "gst-launch-1.0 -q srtsrc uri=srt://... ! fdsink",

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from recorders.filmed_drop import FilmOrder
-from recorders.simulated_drop import DropOrder
-from recorders.simulators.pinhole import PinholeCamera
 from tests.conftest import Made, film
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulated import DropOrder, FilmOrder
+from tunenet_logs.recorders.simulators.camera import PinholeCamera
 
 ORDER = DropOrder(restitution=0.65, height_m=1.0, seconds=1.2, hold_s=0.2, rate_hz=60, seed=11)
 CAMERA = PinholeCamera((1.2, -1.4, 1.1), (0.0, 0.0, 0.45))

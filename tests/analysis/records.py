@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from analysis.record import Estimate, Provenance, Rebound, Record
+from tunenet_logs.analysis.record import Estimate, Provenance, Rebound, Record
 
 HALF = 1.959964  # standard deviations in half of a 95 % interval
 

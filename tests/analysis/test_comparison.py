@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.comparison import MAX_LOGS, Comparison, compare, told_apart
-from analysis.pair_test import LEVEL, PairTest
-from analysis.record import Estimate, Record
-from analysis.record import record_of as tuned_record
-from analysis.selection import Options
-from analysis.tuning import tune_episode
-from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.analysis.records import HALF, drop_record, payload_record, rejected_record
+from tunenet_logs.analysis.compare import LEVEL, MAX_LOGS, Comparison, PairTest, compare, told_apart
+from tunenet_logs.analysis.experiment import record_of as tuned_record
+from tunenet_logs.analysis.record import Estimate, Record
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 
 PAIRS = 4000  # simulated pairs: a rate of 5 % then has a standard deviation of .34 %
 
@@ -145,9 +144,9 @@ def test_a_ball_that_bounces_better_when_slower_is_one_ball():
     assert test.speed_m_s == 2.0
     assert not test.differs
     assert not test.caution
-    untold = compare([drop_record(0.7, speed_m_s=4.0), drop_record(slow, speed_m_s=2.0)])
-    assert pairs_of(untold)[0].differs
-    assert "may be the speed's" in pairs_of(untold)[0].caution
+    unidentifiable = compare([drop_record(0.7, speed_m_s=4.0), drop_record(slow, speed_m_s=2.0)])
+    assert pairs_of(unidentifiable)[0].differs
+    assert "may be the speed's" in pairs_of(unidentifiable)[0].caution
     unknown = compare([drop_record(0.7, speed_m_s=None), drop_record(slow)])
     assert "no impact speed" in pairs_of(unknown)[0].caution
     far = compare([drop_record(0.7, speed_m_s=4.0, **law), drop_record(slow, speed_m_s=2.0, **law)])

@@ -8,14 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.experiment import Claim
-from analysis.payload.experiment import PayloadExperiment
-from analysis.record import Tuning
-from analysis.registry import EXPERIMENTS, experiment_named, kinds_in
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode, tune_log
-from recorders.simulated_drop import DropOrder, simulate_drop
-from recorders.simulated_payload import PayloadOrder, simulate_payload
 from tests.driven_logs import (
     NUMBERS,
     TRAJECTORY,
@@ -26,8 +18,19 @@ from tests.driven_logs import (
     wrench,
     write_cdr,
 )
+from tunenet_logs.analysis.experiment import Claim, Tuning
+from tunenet_logs.analysis.payload.experiment import PayloadExperiment
+from tunenet_logs.analysis.registry import EXPERIMENTS, experiment_named, kinds_in
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulated import (
+    DropOrder,
+    PayloadOrder,
+    simulate_drop,
+    simulate_payload,
+)
 
 S = 10**9
 SEVEN = tuple(f"joint_{number}" for number in range(1, 8))

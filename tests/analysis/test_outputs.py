@@ -17,7 +17,7 @@ import pytest
 from mcap.records import Header
 
 from tests.conftest import Command
-from tunenet_logs.output.mcap_summary import MAGIC, bytes_of
+from tunenet_logs.writing.writer import MAGIC, bytes_of
 
 FOREIGN = {
     "empty": b"",
@@ -248,7 +248,7 @@ def test_a_verdict_that_got_worse_is_said(command: Command, made_drop: Path, out
 LOOP = """
 import sys
 from pathlib import Path
-from tunenet_logs.output.owned_file import OutputPlace, begins_with
+from tunenet_logs.writing.owned_path import OutputPlace, begins_with
 place = OutputPlace(Path(sys.argv[1]), "text", begins_with(b"ours"))
 print(flush=True)
 while True:

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.checks import sure_check
-from analysis.estimators.base import ExtraEstimate
-from analysis.record import record_of
-from analysis.record_json import to_json
-from analysis.selection import Options
-from analysis.tuning import tune_log
-from recorders.simulators.engines import engine
 from tests.conftest import ROOT, record
+from tunenet_logs.analysis.drop.checks import sure_check
+from tunenet_logs.analysis.estimators.base import ExtraEstimate
+from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.record import to_json
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
+from tunenet_logs.recorders.simulators.known import engine
 
 
 def test_the_json_has_the_contracts_keys(drop_log: Path):

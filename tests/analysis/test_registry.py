@@ -8,20 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.checks import Check, CrossCheck
-from analysis.estimators.base import Estimator, FitResult, Observation, Problem, Step, Trace
-from analysis.experiment import Claim, Preset
-from analysis.motion import Motion
-from analysis.record import Rebound
-from analysis.record_json import read_record, to_json
-from analysis.registry import EXPERIMENTS, METHODS, experiment_named, method_named
-from analysis.selection import Options, Selection, Subject
-from analysis.tuning import tune_episode, tune_log
-from recorders.simulators.base import Parameter
 from tests.conftest import record, tune_all
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode, EpisodeInfo, Signal
+from tunenet_logs.analysis.checks import Check, CrossCheck
+from tunenet_logs.analysis.estimators.base import (
+    Estimator,
+    FitResult,
+    Observation,
+    Problem,
+    Step,
+    Trace,
+)
+from tunenet_logs.analysis.experiment import Claim, Preset
+from tunenet_logs.analysis.record import Motion, Rebound, read_record, to_json
+from tunenet_logs.analysis.registry import EXPERIMENTS, METHODS, experiment_named, method_named
+from tunenet_logs.analysis.selection import Options, Selection, Subject
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
+from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
@@ -90,12 +94,12 @@ class TeaExperiment:
     name = kind = "tea"
     occasion = "cup"
     observed = "temperatures of a cup"
-    takes: frozenset[Subject] = frozenset()
+    accepted_options: frozenset[Subject] = frozenset()
     presets: Mapping[str, Preset] = {"default": Preset(True, (RATE,), method="brent")}
 
     def claim(self, episode: Episode, topic: str | None) -> Claim:
         """See `Experiment.claim`."""
-        return Claim.PLAINLY if "/tea" in episode.signals else Claim.NONE
+        return Claim.CERTAIN if "/tea" in episode.signals else Claim.NONE
 
     def detect(self, episode: Episode, selection: Selection, preset: str) -> TeaDetection:
         """See `Experiment.detect`."""
@@ -158,8 +162,8 @@ def test_a_new_estimator_is_one_line(monkeypatch: pytest.MonkeyPatch, drop_log: 
 
 
 def test_a_new_experiment_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    from analysis.record import record_of
-    from analysis.review.tuning_review import write_review
+    from tunenet_logs.analysis.experiment import record_of
+    from tunenet_logs.analysis.review.tuning import write_review
 
     monkeypatch.setitem(EXPERIMENTS, "tea", f"{__name__}:TeaExperiment")
     tuning = tune_episode(tea(3.0), Options(iterations=40))

@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.film import find_filmed_drop
-from analysis.evaluation.video.fault_tracks import (
+from tests import hostile
+from tests.conftest import real
+from tests.remedies import has_remedy
+from tunenet_logs.analysis.drop.film import find_filmed_drop
+from tunenet_logs.analysis.evaluation.worlds.camera import (
     FAULT_BALLS,
     FAULT_SET,
     TRACK_FAULTS,
     TrackFault,
+    draw_scene,
 )
-from analysis.evaluation.video.tracks import draw_scene
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_log
-from tests import hostile
-from tests.conftest import real
-from tests.remedies import has_remedy
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.errors import NotFoundError
 
 # Characters of a reason: two wide lines of a terminal, with names of topics in them.

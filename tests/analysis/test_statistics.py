@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.statistics import ModelEstimate, average
+from tunenet_logs.analysis.statistics import ModelEstimate, average
 
 OPINIONS = [ModelEstimate(0.7, (0.01, 0.01), 0.6), ModelEstimate(0.74, (0.02, 0.03), 0.3)]
 

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from analysis.motion import Equivalent, Equivalents, Motion
-from analysis.record import Tuning, record_of
-from analysis.review.words import result_words
-from analysis.selection import Options
-from analysis.terminal_table import Row, interval_words, row_of, table
-from analysis.tuning import tune_log
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.presentation import Row, interval_words, result_words, row_of, table
+from tunenet_logs.analysis.record import Equivalent, Equivalents, Motion
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 
 
 def rowed(tuning: Tuning) -> Row:
@@ -67,7 +66,9 @@ def test_what_an_airless_simulator_needs_and_what_the_log_leaves_open_is_said(dr
     tuning = tune_log(drop_log, Options())
     record = record_of(tuning)
     without = Equivalents(Equivalent(0.486, 1.05, (6.7,)), Equivalent(0.49, 1.0, (6.7,)))
-    said = replace(record, motion=Motion(equivalents=without, untold=("drag and slope: no",)))
+    said = replace(
+        record, motion=Motion(equivalents=without, unidentifiable=("drag and slope: no",))
+    )
     words = table([replace(row_of(tuning, record), record=said)])
     assert "  without air: 0.486 for the first rebound (1.1 % rms), 0.490 for all (1.0 %)" in words
     assert "  drag and slope: no" in words
@@ -77,13 +78,13 @@ def test_what_an_airless_simulator_needs_and_what_the_log_leaves_open_is_said(dr
 def test_a_suspects_interval_is_marked_as_such(drop_log: Path):
     tuning = tune_log(drop_log, Options())
     checks = tuple(
-        replace(check, passed=check.name != "foretells the rest") for check in tuning.checks
+        replace(check, passed=check.name != "hold-out prediction") for check in tuning.checks
     )
-    tuning = replace(tuning, checks=checks, verdict="suspect", reason="foretells the rest: no")
+    tuning = replace(tuning, checks=checks, verdict="suspect", reason="hold-out prediction: no")
     assert " (suspect)" in table([rowed(tuning)])
     words = result_words(record_of(tuning), tuning.preset, "drop")
     assert "95 % (suspect)" in words
-    assert words.index("foretells the rest") < words.index("| restitution")
+    assert words.index("hold-out prediction") < words.index("| restitution")
 
 
 def test_an_interval_is_given_unless_a_check_doubts_the_value_itself(drop_log: Path):

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.record import Tuning
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_log
-from recorders.session import record_episode
-from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import ROOT, record
 from tests.engines import needs_pybullet
 from tests.strangers import Stranger, bounce_heights, write_poses
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import Episode, EpisodeInfo
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 from tunenet_logs.terminal import Progress
 
 

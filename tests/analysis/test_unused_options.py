@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.record import Tuning
-from analysis.tune_options import TuneOptions, options_of
-from analysis.tuning import tune_log
 from tests.test_sample_logs import FOLDER
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.options import TuneOptions, options_of
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.reader import read_episode
 
 ARMS = Path(__file__).parents[2] / "recorders" / "simulators" / "arm" / "known"

@@ -31,12 +31,20 @@ def run(module: str, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]
 @pytest.mark.parametrize(
     ("module", "words", "extra"),
     [
-        ("analysis.cli.train", ("drop",), "train"),
-        ("analysis.cli.train", ("payload", "-o", "a.safetensors", "--pairs", "10"), "train"),
-        ("analysis.evaluation.cli", ("drop", "--methods", "tunenet-paper"), "eval"),
-        ("analysis.evaluation.cli", ("motion",), "eval"),
-        ("analysis.evaluation.cli", ("payload",), "eval"),
-        ("analysis.evaluation.cli", ("bounce-shot", "--sections", "campaigns"), "eval"),
+        ("tunenet_logs.analysis.cli.train", ("drop",), "train"),
+        (
+            "tunenet_logs.analysis.cli.train",
+            ("payload", "-o", "a.safetensors", "--pairs", "10"),
+            "train",
+        ),
+        ("tunenet_logs.analysis.evaluation.cli", ("drop", "--methods", "tunenet-paper"), "eval"),
+        ("tunenet_logs.analysis.evaluation.cli", ("motion",), "eval"),
+        ("tunenet_logs.analysis.evaluation.cli", ("payload",), "eval"),
+        (
+            "tunenet_logs.analysis.evaluation.cli",
+            ("bounce-shot", "--sections", "campaigns"),
+            "eval",
+        ),
     ],
 )
 def test_training_says_what_to_install(
@@ -51,7 +59,9 @@ def test_training_says_what_to_install(
 
 
 def test_tuning_does_not_need_it(drop_log: Path, tmp_path: Path):
-    tuned = run("analysis.cli.tune", str(drop_log), "--method", "tunenet+refine", cwd=tmp_path)
+    tuned = run(
+        "tunenet_logs.analysis.cli.tune", str(drop_log), "--method", "tunenet+refine", cwd=tmp_path
+    )
     assert tuned.returncode == 0, tuned.stderr
     assert "0.7000" in tuned.stdout
 
@@ -59,5 +69,5 @@ def test_tuning_does_not_need_it(drop_log: Path, tmp_path: Path):
 @needs_pybullet
 def test_an_experiment_without_a_network_does_not_need_it(tmp_path: Path):
     words = ("drop", "--methods", "secant", "--seeds", "1", "--targets", "2", "--rollouts", "2")
-    measured = run("analysis.evaluation.cli", *words, cwd=tmp_path)
+    measured = run("tunenet_logs.analysis.evaluation.cli", *words, cwd=tmp_path)
     assert measured.returncode == 0, measured.stderr

@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.answers import tuned
-from benchmarks.answers_table import Answer, compared
-from benchmarks.fixed_logs import FixedLog
+from tests.bench.answers import Answer, FixedLog, compared, tuned
 from tests.conftest import ROOT
 
 BALL = Answer(

@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from analysis.export.registry import export_format
-from benchmarks.engine_promises import Promised, Throw, slid_in_file, slid_in_simulator
-from benchmarks.engines import Row, ball, rebound, tuned
+from tests.bench.engine_promises import Promised, Throw, slid_in_file, slid_in_simulator
+from tests.bench.engines import Row, ball, rebound, tuned
+from tunenet_logs.analysis.export.registry import export_format
 
 
 def test_a_rigid_ball_rolls_on_or_slides_on():

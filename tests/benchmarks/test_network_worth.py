@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.drop.presets import TRAININGS
-from analysis.tunenet.checkpoint import shipped_model
-from benchmarks.made_logs import PAYLOADS, made_log
-from benchmarks.network_worth import (
+from tests.bench.made_logs import PAYLOADS, made_log
+from tests.bench.network_worth import (
     ROLLOUTS,
     payload_errors,
     payload_table,
     rollout_table,
     tuned_pairs,
 )
-from benchmarks.network_worth_tables import Pair, log_table
+from tests.bench.network_worth_tables import Pair, log_table
 from tests.engines import needs_pybullet
+from tunenet_logs.analysis.drop.presets import TRAININGS
+from tunenet_logs.analysis.tunenet.weights import shipped_model
 from tunenet_logs.terminal import Progress
 
 BALL = Pair("balls", 0.7, (0.702, 0.7021), 0.004, (7, 2), (0.2, 0.1))

@@ -152,7 +152,7 @@ def _nothing() -> None:
 
 
 def _is_ours(module: str) -> bool:
-    return module.partition(".")[0] in {"benchmarks", "analysis", "recorders", "tunenet_logs"}
+    return module.partition(".")[0] in {"tests", "tunenet_logs"}
 
 
 def _runnable(module: str) -> str:

@@ -151,7 +151,7 @@ def _vicon(path: Path) -> None:
 
 def _clip(path: Path) -> None:
     """The sample film as a phone's file."""
-    from benchmarks.storing import write_video
+    from tests.bench.storing import write_video
     from tunenet_logs.reader import read_episode
 
     pictures = [frame.decode() for frame in read_episode(SAMPLES / "filmed.mcap").frames()]
@@ -160,8 +160,7 @@ def _clip(path: Path) -> None:
 
 def _bounce(path: Path) -> None:
     """A ball's sound in a quiet room, as a phone's recorder would keep it."""
-    from analysis.evaluation.sound.clip import draw_sound
-    from analysis.evaluation.sound.sound_file import write_sound
+    from tunenet_logs.analysis.evaluation.worlds.audio import draw_sound, write_sound
 
     clip = draw_sound(-7, 7, background="quiet", snr_db=35.0)
     write_sound(clip.samples, int(clip.rate_hz), path)

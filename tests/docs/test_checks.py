@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from analysis.api import TuneOptions, tune
 from tests.docs.stand_ins import SAMPLES, make
 from tests.wheel import ROOT
+from tunenet_logs.analysis.api import tune
+from tunenet_logs.analysis.options import TuneOptions
 
 GLOSSARY = ROOT / "docs" / "checks.md"
 OF_A_TARE = re.compile(r"^tare( \d+)?: ")
@@ -66,7 +67,7 @@ def _text(node: ast.expr) -> str:
 
 @cache
 def all_written() -> frozenset[tuple[str, str]]:
-    reads = ROOT / "analysis" / "record_json.py"  # it makes checks of what a JSON has
+    reads = ROOT / "analysis" / "record.py"  # it makes checks of what a JSON has
     files = [path for path in sorted((ROOT / "analysis").rglob("*.py")) if path != reads]
     return frozenset(pair for path in files for pair in written(ast.parse(path.read_text())))
 

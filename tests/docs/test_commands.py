@@ -102,15 +102,15 @@ def test_the_parser_of_each_command_takes_its_arguments():
 @pytest.mark.parametrize(
     "line",
     ["tunenet-tune drop.mcap --colour red", "tunenet-record --simulate drop --bounce 3",
-     "tunenet-logs mend drop.mcap", "python -m benchmarks.throws --sed 3"],
+     "tunenet-logs mend drop.mcap", "python -m tests.bench.throws --sed 3"],
 )  # fmt: skip
 def test_an_argument_that_does_not_exist_is_refused(line: str):
     assert refusal(line.split())
 
 
 def test_a_module_that_does_not_exist_is_told():
-    with pytest.raises(AssertionError, match=r"no module benchmarks\.nothing"):
-        refusal(["python", "-m", "benchmarks.nothing"])
+    with pytest.raises(AssertionError, match=r"no module tests\.bench\.nothing"):
+        refusal(["python", "-m", "tests.bench.nothing"])
 
 
 def test_every_option_that_is_named_exists():

@@ -1,5 +1,5 @@
 """An engine whose library is not there."""
 
-from recorders.simulators.installed import named_version
+from tunenet_logs.recorders.simulators.known import named_version
 
 name = named_version("absent")

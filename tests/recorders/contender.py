@@ -19,12 +19,11 @@ from pathlib import Path
 import numpy as np
 from mcap.records import Header
 
-from tunenet_logs.checking import check
+from tunenet_logs.copying import check
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import LogError
-from tunenet_logs.output.mcap_summary import MAGIC, bytes_of
 from tunenet_logs.terminal import Progress
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.writer import MAGIC, EpisodeWriter, bytes_of
 
 ROOT = Path(__file__).resolve().parents[2]
 MESSAGES = 20

@@ -26,15 +26,14 @@ from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 from rosbags.serde import SerdeError
 
-from recorders.live import LiveRecording
-from recorders.session import stop_flag
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs import messages
-from tunenet_logs.clock import now_ns
+from tunenet_logs.copying import recover
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recovery import recover
+from tunenet_logs.recorders.session import LiveRecording, stop_flag
+from tunenet_logs.timing.stamps import now_ns
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = "/camera/image_raw/compressed"

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tests.recorders.live_recorder import JOINTS, Progress, found_in, started
-from tunenet_logs.checking import check
+from tunenet_logs.copying import check
 from tunenet_logs.terminal import Progress as Bars
 
 STRANGER = b"not a log, and not yours"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 
-from recorders.camera.base import Shot
+from tunenet_logs.recorders.camera.base import CapturedFrame
 
 
 class MadeSource:
@@ -18,7 +18,7 @@ class MadeSource:
     name, live, returns = "camera made up", True, False
     ended, damaged, dropped = "", 0, 0
 
-    def __init__(self, shots: Iterator[Shot]) -> None:
+    def __init__(self, shots: Iterator[CapturedFrame]) -> None:
         self.closed = threading.Event()
         self._shots = shots
 
@@ -26,7 +26,7 @@ class MadeSource:
         """Nothing."""
         return {}
 
-    def frames(self) -> Iterator[Shot]:
+    def frames(self) -> Iterator[CapturedFrame]:
         """The shots as they are made."""
         return self._shots
 

@@ -29,8 +29,8 @@ import numpy as np
 from mcap.reader import make_reader
 
 from tests.recorders.live_wait import LAST_RESORT_S
-from tunenet_logs.clock import wall_ns
 from tunenet_logs.reader import read_episode
+from tunenet_logs.timing.stamps import wall_ns
 
 ROOT = Path(__file__).resolve().parents[2]
 _BLOCK = 16

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from recorders.camera.address import with_scheme
-from recorders.camera.sources import open_source
 from tunenet_logs.errors import CameraError, UsageError
+from tunenet_logs.recorders.camera.network import with_scheme
+from tunenet_logs.recorders.camera.sources import open_source
 
 
 @pytest.mark.parametrize(

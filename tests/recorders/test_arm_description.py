@@ -10,11 +10,18 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]  (where no type checker looks)
 import pytest
 
-from recorders.simulators.arm.description import JACO_URDF, Arm, Payload, jaco, read_arm
-from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2, joint_efforts_nm
-from recorders.simulators.arm.path import JointPath, circle, random_path
 from tests.engines import needs_pybullet
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.arm.description import (
+    JACO_URDF,
+    Arm,
+    Payload,
+    jaco,
+    read_arm,
+)
+from tunenet_logs.recorders.simulators.arm.path import JointPath, circle, random_path
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm
+from tunenet_logs.recorders.simulators.base import UPRIGHT_GRAVITY_M_S2
 
 TURN = 1.5707963267948966
 
@@ -288,9 +295,9 @@ def test_names_that_the_engine_has_already_do_not_end_it(tmp_path: Path, name: s
     arm_of(tmp_path, GRASPING.replace('name="turn"', f'name="{name}"'))
     code = (
         "import sys, numpy as np; from pathlib import Path\n"
-        "from recorders.simulators.arm.description import Payload, read_arm\n"
-        "from recorders.simulators.arm.dynamics import joint_efforts_nm\n"
-        "from recorders.simulators.arm.path import JointPath\n"
+        "from tunenet_logs.recorders.simulators.arm.description import Payload, read_arm\n"
+        "from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm\n"
+        "from tunenet_logs.recorders.simulators.arm.path import JointPath\n"
         "path = JointPath(np.arange(3.0), *np.zeros((3, 3, 3)))\n"
         "arm = read_arm(Path(sys.argv[1]), 'tool')\n"
         "assert joint_efforts_nm(arm, path, Payload(0.5)).shape == (3, 3)\n"

@@ -7,19 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recorders.simulators.arm.description import Payload, jaco
-from recorders.simulators.arm.disturbances import (
+from tunenet_logs.episode import Episode
+from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
+from tunenet_logs.recorders.simulators.arm.path import circle
+from tunenet_logs.recorders.simulators.arm.payload import (
     REAL_ARM,
     Disturbances,
     FieldClock,
     drawn,
+    driver_episode,
+    joint_efforts_nm,
+    perturbed,
     real_driver,
 )
-from recorders.simulators.arm.driver import driver_episode, perturbed
-from recorders.simulators.arm.dynamics import joint_efforts_nm
-from recorders.simulators.arm.path import circle
-from tunenet_logs.episode import Episode
-from tunenet_logs.errors import UsageError
 
 ARM = jaco()
 PATH = circle(240)

@@ -7,13 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recorders.simulators.arm.description import Payload, jaco
-from recorders.simulators.arm.dynamics import joint_efforts_nm
-from recorders.simulators.arm.path import circle, circle_at, random_path
-from recorders.simulators.arm.payload import PAYLOAD_MASS, TOPIC, PayloadRollout, PayloadSimulator
-from recorders.simulators.arm.rollout import CALIBRATED, roll_out
-from recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
+from tunenet_logs.recorders.simulators.arm.path import circle, circle_at, random_path
+from tunenet_logs.recorders.simulators.arm.payload import (
+    CALIBRATED,
+    PAYLOAD_MASS,
+    TOPIC,
+    PayloadRollout,
+    PayloadSimulator,
+    joint_efforts_nm,
+    roll_out,
+)
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 ARM = jaco()
 HELD = Payload(0.7, (0.01, 0.02, -0.01))

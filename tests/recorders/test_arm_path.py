@@ -8,8 +8,9 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]  (where no type checker looks)
 import pytest
 
-from recorders.simulators.arm.description import Arm, jaco
-from recorders.simulators.arm.path import (
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.recorders.simulators.arm.description import Arm, jaco
+from tunenet_logs.recorders.simulators.arm.path import (
     CIRCLE_CSV,
     CIRCLE_RAD_S,
     JointPath,
@@ -20,9 +21,9 @@ from recorders.simulators.arm.path import (
     link_positions_m,
     path_from_file,
     random_path,
+    read_path_file,
+    write_path_file,
 )
-from recorders.simulators.arm.path_file import read_path_file, write_path_file
-from tunenet_logs.errors import LogError, UsageError
 
 ARM = jaco()
 

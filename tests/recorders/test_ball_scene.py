@@ -7,9 +7,13 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from recorders.simulators.ball_scene import BallScene, draw_ball
-from recorders.simulators.pinhole import PinholeCamera, random_camera
-from tunenet_logs.arrays import Array
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.camera import (
+    BallScene,
+    PinholeCamera,
+    draw_ball,
+    random_camera,
+)
 
 LEVEL = PinholeCamera((0.0, -2.0, 1.0), (0.0, 0.0, 1.0), (320, 240))
 NOWHERE = np.array([[0.0, -50.0, 1.0]])  # behind the camera `LEVEL`

@@ -6,9 +6,15 @@ from math import sqrt
 
 import pytest
 
-from recorders.simulators.balls import BALLS, Ball, ball_named, completed, recorded_ball
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.known import (
+    BALLS,
+    Ball,
+    ball_named,
+    completed,
+    recorded_ball,
+)
 
 
 def test_a_table_tennis_ball_falls_no_faster_than_it_does():

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recorders.simulators.closed_form.bounce import Bounce
-from recorders.simulators.drop import TOPIC, DropRig, DropSimulator
+from tunenet_logs.recorders.simulators.ball import TOPIC, Bounce, DropRig, DropSimulator
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.01, 0.1, 0.3, 0.5, 0.72, 0.9, 0.97, 1.0])

@@ -9,16 +9,28 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from recorders.simulators.base import GRAVITY_M_S2
-from recorders.simulators.bounce_shot import BounceShot, passes, released, shoot
-from recorders.simulators.shot.contact import BallStates, Rim, collide
-from recorders.simulators.shot.flight import fly
-from recorders.simulators.shot.rig import Hoop, Plane, Release, ShotBall, ShotRig
-from recorders.simulators.shot.rig_file import read_rig, rig_text
-from recorders.simulators.speed_law import SpeedLaw
 from tests.conftest import Command
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.ball import SpeedLaw
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
+from tunenet_logs.recorders.simulators.shot import (
+    BallStates,
+    BounceShot,
+    Hoop,
+    Plane,
+    Release,
+    Rim,
+    ShotBall,
+    ShotRig,
+    collide,
+    fly,
+    passes,
+    read_rig,
+    released,
+    rig_text,
+    shoot,
+)
 
 RIG = ShotRig()
 NO_AIR = replace(RIG, ball=ShotBall(mass_kg=None))

@@ -14,8 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.camera.base import Shot
-from recorders.camera.sources import open_source
 from tests.conftest import BIN, Command
 from tests.recorders.byte_servers import Answer, sending_bytes, serving
 from tests.recorders.films import RATE_HZ, film
@@ -24,13 +22,15 @@ from tests.recorders.hostile_cameras import sending
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs.errors import CameraError, UsageError
+from tunenet_logs.recorders.camera.base import CapturedFrame
+from tunenet_logs.recorders.camera.sources import open_source
 
 pytestmark = pytest.mark.live
 
 FRAGMENTS = {"movflags": "frag_keyframe+empty_moov"}
 
 
-def shots(text: str, timeout_s: float = LAST_RESORT_S) -> tuple[list[Shot], str]:
+def shots(text: str, timeout_s: float = LAST_RESORT_S) -> tuple[list[CapturedFrame], str]:
     """All that a source delivers, and why it ended."""
     source = open_source(text, timeout_s=timeout_s)
     return list(source.frames()), source.ended
@@ -56,10 +56,10 @@ def test_a_container_over_http(kind: str, options: dict[str, str], has_length: b
     if has_length:  # a file, though it is far away: its own times, to its end
         assert not ended
         check_even([shot.frame.stamp_ns for shot in seen])
-        assert seen[0].told_ns is None
+        assert seen[0].source_stamp_ns is None
     else:
         assert ended == "the stream was closed by the camera"
-        check_even([shot.told_ns or 0 for shot in seen])
+        check_even([shot.source_stamp_ns or 0 for shot in seen])
 
 
 @pytest.mark.parametrize("kind", ["", "text/html", "application/octet-stream", "image/jpeg"])
@@ -75,7 +75,7 @@ def test_jpegs_without_anything_between_them():
     with serving({"/": Answer(b"".join(map(picture, range(5))), "image/jpeg")}) as place:
         seen, _ = shots(f"http://{place}")
     assert [shot.frame.data for shot in seen] == [picture(number) for number in range(5)]
-    assert {shot.told_ns for shot in seen} == {None}
+    assert {shot.source_stamp_ns for shot in seen} == {None}
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_bytes_over_tcp(kind: str):
     with sending_bytes(film(kind)) as place:
         seen, _ = shots(f"tcp://{place}")
     assert len(seen) == 30
-    assert (seen[0].told_ns is None) == (kind == "h264")
+    assert (seen[0].source_stamp_ns is None) == (kind == "h264")
 
 
 def test_datagrams_come_from_the_first_sender_alone():
@@ -127,7 +127,7 @@ def test_datagrams_come_from_the_first_sender_alone():
         seen = list(islice(source.frames(), 60))
         source.close()
         sending.join(LAST_RESORT_S)  # before its sockets are closed
-    check_even([shot.told_ns or 0 for shot in seen])
+    check_even([shot.source_stamp_ns or 0 for shot in seen])
 
 
 def _is_bound(port: int) -> bool:
@@ -167,7 +167,7 @@ def test_a_fifo(tmp_path: Path):
 
 
 def test_a_fifo_that_nobody_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("recorders.camera.plain_stream.OPENING_S", 0.3)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.sources.OPENING_S", 0.3)
     path = tmp_path / "camera"
     os.mkfifo(path)
     with pytest.raises(CameraError, match=r"camera: does not answer within 0\.3 s"):
@@ -210,7 +210,7 @@ def test_standard_input(tmp_path: Path):
 
 def test_a_terminal_is_no_camera():
     ours, theirs = os.openpty()
-    words = "from recorders.camera.sources import open_source; open_source('-')"
+    words = "from tunenet_logs.recorders.camera.sources import open_source; open_source('-')"
     done = subprocess.run(
         [sys.executable, "-c", words], stdin=theirs, capture_output=True, text=True, check=False
     )

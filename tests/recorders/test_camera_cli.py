@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import Command
-from tunenet_logs.commandline import Parser
+from tunenet_logs.console import Parser
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_a_device_that_is_none_is_one_line_that_names_those_there_are(
 
 
 def test_the_first_camera_is_meant_when_none_is_named():
-    from recorders.cli import build_parser
+    from tunenet_logs.recorders.cli import build_parser
 
     parser: Parser = build_parser()
     assert parser.parse_args(["--camera"]).camera == "0"

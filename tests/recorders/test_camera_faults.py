@@ -12,18 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from recorders.camera.base import Shot
-from recorders.camera.capture import Limits, Summary, record_camera
 from tests.conftest import Command
 from tests.recorders.contender import OF_OURS
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.made_source import MadeSource
 from tests.recorders.mjpeg_camera import picture, playing
 from tests.recorders.test_mjpeg_stream import QUIET, numbers, record
-from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import CameraError, LogError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.base import CapturedFrame
+from tunenet_logs.recorders.camera.recording import Limits, record_camera
+from tunenet_logs.recorders.session import Summary
+from tunenet_logs.timing.stamps import now_ns
 
 pytestmark = pytest.mark.live
 
@@ -168,7 +169,7 @@ def test_a_part_without_an_end_keeps_what_came_before(tmp_path: Path):
     assert "more than" in episode.info.notes["ended"]
 
 
-def recorded(shots: Iterator[Shot], path: Path) -> Summary:
+def recorded(shots: Iterator[CapturedFrame], path: Path) -> Summary:
     return record_camera(
         MadeSource(shots),
         EpisodeInfo(),
@@ -180,8 +181,8 @@ def recorded(shots: Iterator[Shot], path: Path) -> Summary:
 
 
 def test_a_failure_in_the_reading_thread_reaches_the_user(tmp_path: Path):
-    def breaking() -> Iterator[Shot]:
-        yield Shot(Frame(1, "jpeg", picture(1)))
+    def breaking() -> Iterator[CapturedFrame]:
+        yield CapturedFrame(Frame(1, "jpeg", picture(1)))
         raise ZeroDivisionError("oops")
 
     with pytest.raises(CameraError, match=r"camera made up: .*ZeroDivisionError.*1 frames before"):
@@ -195,7 +196,7 @@ def test_late_is_what_waits_to_be_written(
 ):
     """A picture that is known to be whole by the next one alone does not wait meanwhile."""
     shots = (
-        Shot(Frame(now_ns() + arrival_s * 10**9, "jpeg", picture(number)))
+        CapturedFrame(Frame(now_ns() + arrival_s * 10**9, "jpeg", picture(number)))
         for number, arrival_s in enumerate(arrivals_s)
     )
     summary = recorded(shots, tmp_path / "a.mcap")
@@ -216,7 +217,7 @@ def test_a_full_disk_ends_it_and_keeps_what_was_written(tmp_path: Path):
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, 600_000))
-from recorders.cli import main
+from tunenet_logs.recorders.cli import main
 sys.exit(main([*sys.argv[1:], "-o", "a.mcap"]))
 """
     with playing(frames=100_000, rate_hz=200.0, distinct=60) as address:

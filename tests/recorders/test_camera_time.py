@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import random
 
-from recorders.camera.base import Shot
-from recorders.camera.camera_time import CameraTime, Timed
-from recorders.topic_queue import Item
 from tunenet_logs.episode import Frame
+from tunenet_logs.recorders.camera.base import CapturedFrame
+from tunenet_logs.recorders.camera.clock import CameraTime, Timed
+from tunenet_logs.recorders.session import Item
 
 MS = 1_000_000
 SECOND = 1000 * MS
 START_NS = 1_700_000_000 * SECOND
 
 
-def shots(times: list[tuple[int, int | None]]) -> list[Item[Shot]]:
+def shots(times: list[tuple[int, int | None]]) -> list[Item[CapturedFrame]]:
     """Of (arrival, told) [ns], the arrival from `START_NS` on."""
     return [
-        Item("", 0, START_NS + came, Shot(Frame(START_NS + came, "jpeg", b"x"), told), 1)
+        Item("", 0, START_NS + came, CapturedFrame(Frame(START_NS + came, "jpeg", b"x"), told), 1)
         for came, told in times
     ]
 
@@ -59,10 +59,12 @@ def test_steps_are_the_cameras_to_the_nanosecond_whatever_the_network_does():
     told = [round(number * SECOND / 59.94) for number in range(600)]
     came = 0
     times: list[tuple[int, int | None]] = []
-    for number, told_ns in enumerate(told):
+    for number, source_stamp_ns in enumerate(told):
         stalled = 2500 * MS if 200 <= number < 350 else 0
-        came = max(came, told_ns + rng.randrange(40 * MS), told[200] + stalled if stalled else 0)
-        times.append((came, told_ns))
+        came = max(
+            came, source_stamp_ns + rng.randrange(40 * MS), told[200] + stalled if stalled else 0
+        )
+        times.append((came, source_stamp_ns))
     seen = stamps_ns(CameraTime(), times)
     assert [stamp - seen[0] for stamp in seen] == told
     assert all(stamp <= came + 40 * MS for stamp, (came, _) in zip(seen, times, strict=True))

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import Command
 from tests.engines import needs_pybullet
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 
 
 def test_records_what_was_asked_for(process: Command, tmp_path: Path):

@@ -14,9 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.camera.capture import Limits, record_camera
-from recorders.camera.lasting import lasting_camera
-from recorders.camera.sources import open_source
 from tests.conftest import BIN, Command
 from tests.recorders.coming_camera import ComingCamera
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
@@ -25,10 +22,13 @@ from tests.recorders.test_camera_faults import STREAM
 from tests.recorders.test_mjpeg_stream import QUIET
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import CameraError
-from tunenet_logs.gaps import Gap, noted_gaps, parts_between
 from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.recorders.camera.reconnecting import lasting_camera
+from tunenet_logs.recorders.camera.recording import Limits, record_camera
+from tunenet_logs.recorders.camera.sources import open_source
+from tunenet_logs.timing.stamps import Gap, noted_gaps, parts_between
+from tunenet_logs.writing.writer import EpisodeWriter
 
 pytestmark = pytest.mark.live
 
@@ -231,7 +231,7 @@ def test_a_server_that_hangs_up_at_once_is_not_hurried():
 def test_one_that_hangs_up_after_a_picture_for_ever_ends_it_with_all_that_came(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
-    monkeypatch.setattr("recorders.camera.lasting._BETWEEN_S", 0.01)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.reconnecting._BETWEEN_S", 0.01)
     server = Answering(PART)
     source = lasting_camera(
         lambda: open_source(server.address), wait_s=0, stall_s=LAST_RESORT_S, say=lambda _text: None
@@ -255,8 +255,8 @@ def test_one_that_hangs_up_after_a_picture_for_ever_ends_it_with_all_that_came(
 
 
 def test_one_that_delivers_for_a_while_each_time_is_asked_again(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("recorders.camera.lasting._BETWEEN_S", 0.01)
-    monkeypatch.setattr("recorders.camera.lasting._BRIEF_S", 0.0)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.reconnecting._BETWEEN_S", 0.01)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.reconnecting._BRIEF_S", 0.0)
     server = Answering(PART)
     source = lasting_camera(
         lambda: open_source(server.address), wait_s=0, stall_s=LAST_RESORT_S, say=lambda _text: None

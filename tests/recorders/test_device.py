@@ -13,17 +13,15 @@ import cv2
 import numpy as np
 import pytest
 
-from recorders.camera.capture import Limits, record_camera
-from recorders.camera.device import CameraDevice
-from recorders.camera.settings import Settings
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import number_in, picture
-from tunenet_logs.clock import wall_ns
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.images import image_size
-from tunenet_logs.measured_rate import MAX_SPEED_CAMERA_HZ, measured_hz
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.device import CameraDevice, Settings
+from tunenet_logs.recorders.camera.recording import Limits, record_camera
 from tunenet_logs.terminal import Progress
+from tunenet_logs.timing.stamps import MAX_SPEED_CAMERA_HZ, measured_hz, wall_ns
 
 pytestmark = pytest.mark.live
 

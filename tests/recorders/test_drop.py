@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from recorders.simulators.contact import CALIBRATED
-from recorders.simulators.drop import RESTITUTION, TOPIC, DropRig, DropSimulator
-from recorders.simulators.engines import engine
 from tests.strangers import bounce_heights
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.ball import RESTITUTION, TOPIC, DropRig, DropSimulator
+from tunenet_logs.recorders.simulators.base import CALIBRATED
+from tunenet_logs.recorders.simulators.known import engine
 
 pytestmark = pytest.mark.usefixtures("each_engine")
 

@@ -6,15 +6,13 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]  (where no type checker looks)
 import pytest
 
-from recorders.simulators.arm.description import Payload, jaco
-from recorders.simulators.arm.dynamics import UPRIGHT_GRAVITY_M_S2, joint_efforts_nm
-from recorders.simulators.arm.path import circle, random_path
-from recorders.simulators.bounce_shot import shoot, shoot_in_engine
-from recorders.simulators.contact import CALIBRATED
-from recorders.simulators.engines import engine
-from recorders.simulators.shot.flight import STEP_S
-from recorders.simulators.shot.rig import ShotRig
-from recorders.simulators.speed_law import SpeedLaw
+from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
+from tunenet_logs.recorders.simulators.arm.path import circle, random_path
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm
+from tunenet_logs.recorders.simulators.ball import SpeedLaw
+from tunenet_logs.recorders.simulators.base import CALIBRATED, UPRIGHT_GRAVITY_M_S2
+from tunenet_logs.recorders.simulators.known import engine
+from tunenet_logs.recorders.simulators.shot import STEP_S, ShotRig, shoot, shoot_in_engine
 
 pytestmark = pytest.mark.usefixtures("each_engine")
 

@@ -8,24 +8,22 @@ import os
 import numpy as np
 import pytest
 
-from recorders.simulators.arm.description import jaco
-from recorders.simulators.arm.path import circle
-from recorders.simulators.arm.payload import PayloadSimulator
-from recorders.simulators.base import Engine
-from recorders.simulators.bounce_shot import BounceShot
-from recorders.simulators.contact import CALIBRATED
-from recorders.simulators.drop import TOPIC, DropRig, DropSimulator
-from recorders.simulators.engines import ENGINE_VARIABLE, ENGINES, engine, simulated_by
-from recorders.simulators.shot.rig import ShotRig
 from tests.engines import HAS_PYBULLET, needs_pybullet
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.arm.description import jaco
+from tunenet_logs.recorders.simulators.arm.path import circle
+from tunenet_logs.recorders.simulators.arm.payload import PayloadSimulator
+from tunenet_logs.recorders.simulators.ball import TOPIC, DropRig, DropSimulator
+from tunenet_logs.recorders.simulators.base import CALIBRATED, Engine
+from tunenet_logs.recorders.simulators.known import ENGINE_VARIABLE, ENGINES, engine, simulated_by
+from tunenet_logs.recorders.simulators.shot import BounceShot, ShotRig
 
 RIG = DropRig(gap_m=1.0, rate_hz=240.0, samples=300)
 
 
 @pytest.mark.parametrize("restitution", [0.3, 0.6, 0.9, 1.0])
 def test_a_drop_runs_in_another_engine(monkeypatch: pytest.MonkeyPatch, restitution: float):
-    monkeypatch.setitem(ENGINES, "toy", "analysis.evaluation.engines.exact_engine")
+    monkeypatch.setitem(ENGINES, "toy", "tunenet_logs.analysis.evaluation.studies.engines")
     simulator = DropSimulator(RIG, CALIBRATED, engine("toy").ball_world(RIG.radius_m, CALIBRATED))
     episode = simulator.rollout({"restitution": restitution})
     heights_m = episode.signals[TOPIC].values[:, 2] - RIG.radius_m
@@ -42,8 +40,8 @@ def test_a_drop_runs_in_another_engine(monkeypatch: pytest.MonkeyPatch, restitut
 
 @needs_pybullet
 def test_every_engine_offers_what_the_protocol_names():
-    from recorders.simulators.mujoco import engine as mujoco
-    from recorders.simulators.pybullet import engine as bullet
+    from tunenet_logs.recorders.simulators import mujoco
+    from tunenet_logs.recorders.simulators import pybullet as bullet
 
     offered: tuple[Engine, Engine] = (bullet, mujoco)  # pyright compares the signatures
     assert [one.name.split()[0] for one in offered] == list(ENGINES)

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from recorders.camera.even_stamps import stamp_evenly
-from recorders.cli import main
 from tests.recorders.mjpeg_camera import picture, playing
-from tunenet_logs.checking import check
+from tunenet_logs.copying import check
 from tunenet_logs.episode import EpisodeInfo, Frame
-from tunenet_logs.late_stamps import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.reader import read_episode
-from tunenet_logs.restamping import header_stamps_ns
+from tunenet_logs.recorders.camera.clock import stamp_evenly
+from tunenet_logs.recorders.cli import main
 from tunenet_logs.terminal import Progress
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.timing.arrivals import BY_ARRIVALS, STAMPS_NOTE
+from tunenet_logs.writing.writer import EpisodeWriter, header_stamps_ns
 
 PERIOD_NS = 1_000_000_000 // 60
 

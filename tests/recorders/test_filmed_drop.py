@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.filmed_drop import FilmOrder, film_drop
-from recorders.simulated_drop import DropOrder, simulate_drop
-from recorders.simulators.drop import TOPIC
-from recorders.simulators.pinhole import PinholeCamera, random_camera
 from tests.conftest import Command
 from tests.engines import needs_pybullet
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop, simulate_drop
+from tunenet_logs.recorders.simulators.ball import TOPIC
+from tunenet_logs.recorders.simulators.camera import PinholeCamera, random_camera
 
 ORDER = DropOrder(restitution=0.6, height_m=1.0, seconds=1.0, seed=3)
 

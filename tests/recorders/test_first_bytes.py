@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from recorders.camera.first_bytes import MAX_BYTES, MULTIPART, format_of
 from tests.recorders.films import film
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs.errors import CameraError
+from tunenet_logs.recorders.camera.feeds import MAX_FORMAT_BYTES, MULTIPART, format_of
 
 
 @pytest.mark.parametrize(
@@ -33,12 +33,12 @@ from tunenet_logs.errors import CameraError
     ],
 )
 def test_what_begins_so(start: bytes, kind: str):
-    assert format_of(start[:MAX_BYTES], is_all=True) == kind
+    assert format_of(start[:MAX_FORMAT_BYTES], is_all=True) == kind
 
 
 def test_a_few_bytes_wait_for_more_and_never_mislead():
     for kind in ("mpegts", "matroska", "flv", "h264", "avi"):
-        whole = film(kind)[:MAX_BYTES]
+        whole = film(kind)[:MAX_FORMAT_BYTES]
         seen = [format_of(whole[:count], is_all=False) for count in range(1, 600)]
         assert set(seen) <= {None, kind}
         assert seen[-1] == kind
@@ -61,4 +61,4 @@ def test_a_few_bytes_wait_for_more_and_never_mislead():
 )
 def test_what_is_no_video_is_named(start: bytes, says: str):
     with pytest.raises(CameraError, match=says):
-        format_of(start[:MAX_BYTES], is_all=True)
+        format_of(start[:MAX_FORMAT_BYTES], is_all=True)

@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from recorders.camera.multipart import MultipartParser
-from recorders.camera.opening import opened_within
-from recorders.camera.sources import open_source
 from tests.conftest import BIN, Command
 from tests.recorders.hostile_cameras import CONTINUE, MOVED, OK, sending, serving_each
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tests.recorders.made_source import MadeSource
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs.errors import CameraError
-from tunenet_logs.measured_rate import MAX_SPEED_CAMERA_HZ, MAX_SPEED_HZ, measured_hz
+from tunenet_logs.recorders.camera.device import opened_within
+from tunenet_logs.recorders.camera.sources import open_source
+from tunenet_logs.recorders.camera.streams import MultipartParser
+from tunenet_logs.timing.stamps import MAX_SPEED_CAMERA_HZ, MAX_SPEED_HZ, measured_hz
 
 pytestmark = pytest.mark.live
 
@@ -46,7 +46,7 @@ EMPTY = b"--frame\r\nContent-Length: 0\r\n\r\n\r\n"
 def test_an_opening_has_an_end(
     monkeypatch: pytest.MonkeyPatch, head: bytes, again: bytes, drips: bool, says: str
 ):
-    monkeypatch.setattr("recorders.camera.http_stream.OPENING_S", 2.0)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.http.OPENING_S", 2.0)
     with sending(head, again, drips=drips) as url, pytest.raises(CameraError, match=says):
         open_source(url, timeout_s=2.0)
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from recorders.simulators.mujoco.model_file import read_model
 from tests.recorders.test_model_file import TETRAHEDRON, urdf
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.model.reading import read_model
 
 
 def world(body: str) -> str:
@@ -221,7 +221,7 @@ def test_a_hostile_model_is_refused_in_one_line(folder: Path, case: str):
 _READ_ALL = """
 import resource, sys
 from pathlib import Path
-from recorders.simulators.mujoco.model_file import read_model
+from tunenet_logs.recorders.simulators.model.reading import read_model
 from tunenet_logs.errors import UsageError
 for name in sys.argv[1:]:
     try:

@@ -9,15 +9,13 @@ from contextlib import closing
 
 import pytest
 
-from recorders.camera.rtp_ports import RtpPorts
-from recorders.camera.rtsp_wire import Reply, RtspWire
-from recorders.camera.sdp import Description
-from recorders.camera.sources import open_source
 from tests.recorders.hostile_rtsp import SDP, hostile_rtsp, ok
 from tests.recorders.live_wait import LAST_RESORT_S, wait_until
 from tests.recorders.rtsp_camera import rtsp_camera
 from tests.recorders.test_video_file import numbered
 from tunenet_logs.errors import CameraError
+from tunenet_logs.recorders.camera.rtsp import Description, Reply, RtpPorts, RtspWire
+from tunenet_logs.recorders.camera.sources import open_source
 
 pytestmark = pytest.mark.live
 
@@ -85,7 +83,7 @@ def test_an_opening_has_an_end(
     drips: bool,
     says: str,
 ):
-    monkeypatch.setattr("recorders.camera.rtsp_stream.OPENING_S", 2.0)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.rtsp.OPENING_S", 2.0)
     with hostile_rtsp(replies, again, drips=drips) as address:
         assert says in why_it_ended(f"rtsp://{address}")
 

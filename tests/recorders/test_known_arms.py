@@ -7,13 +7,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF, Payload, read_arm
-from recorders.simulators.arm.dynamics import joint_efforts_nm
-from recorders.simulators.arm.known_arms import ARMS, DEFAULT, FOLDER, arms_called, known_arm
-from recorders.simulators.arm.path import random_path
 from tests.conftest import Command, real
 from tests.recorders.test_arm_description import by_pinocchio
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.arm.description import (
+    JACO_TOOL_LINK,
+    JACO_URDF,
+    Payload,
+    read_arm,
+)
+from tunenet_logs.recorders.simulators.arm.known import (
+    ARMS,
+    DEFAULT,
+    FOLDER,
+    arms_called,
+    known_arm,
+)
+from tunenet_logs.recorders.simulators.arm.path import random_path
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm
 
 # Of the gripper by its maker's manual, and by the paper's first author.
 _ROBOTIQ_KG, _PAPERS_ROBOTIQ_KG = 0.905, 0.827563

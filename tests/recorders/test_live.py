@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.live import LiveRecording
-from recorders.topic_queue import TopicQueue
 from tests.conftest import files_no_larger_than
 from tests.recorders.live_recorder import (
     JOINTS,
@@ -27,10 +25,11 @@ from tests.recorders.live_recorder import (
 )  # fmt: skip
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tunenet_logs import messages
-from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.session import LiveRecording, TopicQueue
+from tunenet_logs.timing.stamps import now_ns
 
 pytestmark = pytest.mark.live
 slow = pytest.mark.slow
@@ -90,7 +89,7 @@ def test_after_a_tenth_of_a_second_it_is_on_disk_although_nothing_more_comes(
             return self.now_s
 
     clock = Clock()
-    monkeypatch.setattr("tunenet_logs.writer.time", clock)
+    monkeypatch.setattr("tunenet_logs.writing.writer.time", clock)
     with LiveRecording(tmp_path / "a.mcap", INFO) as recording:
         for number in range(3):
             recording.put_joints(JOINTS, now_ns(), NAMES, *joints_of(number))

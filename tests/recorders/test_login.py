@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from recorders.camera import login as login_module
-from recorders.camera.login import Login
-from recorders.camera.sources import open_source
 from tests.conftest import Command
 from tests.recorders.http_camera import PICTURES, HttpCamera, digest_of, http_camera
 from tests.recorders.live_wait import LAST_RESORT_S
 from tunenet_logs.errors import CameraError
+from tunenet_logs.recorders.camera import network as login_module
+from tunenet_logs.recorders.camera.network import Login
+from tunenet_logs.recorders.camera.sources import open_source
 
 USER, PASSWORD = "me", 'se"cr\\et'
 URL = f"http://{USER}:se%22cr%5Cet@"

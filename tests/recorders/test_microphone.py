@@ -7,14 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.sound.sound_file import write_sound
-from recorders.microphone.base import SoundPiece
-from recorders.microphone.portaudio import InputDevice, chosen
-from recorders.microphone.sample_clock import SampleClock, TimedPiece
 from tests.conftest import Command
 from tests.recorders.mjpeg_camera import playing
+from tunenet_logs.analysis.evaluation.worlds.audio import write_sound
 from tunenet_logs.errors import MicrophoneError, UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.microphone import (
+    InputDevice,
+    SampleClock,
+    SoundPiece,
+    TimedPiece,
+    chosen,
+)
 
 RATE_HZ = 16_000
 PIECE = 320

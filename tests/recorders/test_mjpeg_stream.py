@@ -20,20 +20,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorders.camera.capture import Limits, record_camera
-from recorders.camera.multipart import MultipartParser
-from recorders.camera.sources import open_source
-from recorders.session import Summary
 from tests.conftest import BIN
 from tests.recorders.live_wait import LAST_RESORT_S, Terminal, ending, wait_until
 from tests.recorders.mjpeg_camera import check_times, number_in, picture, playing
 from tests.recorders.server_thread import beside
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import CameraError
-from tunenet_logs.jpeg import is_whole
-from tunenet_logs.measured_rate import MAX_SPEED_CAMERA_HZ, measured_hz
+from tunenet_logs.messages import is_whole
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.recording import Limits, record_camera
+from tunenet_logs.recorders.camera.sources import open_source
+from tunenet_logs.recorders.camera.streams import MultipartParser
+from tunenet_logs.recorders.session import Summary
 from tunenet_logs.terminal import Bar, Progress
+from tunenet_logs.timing.stamps import MAX_SPEED_CAMERA_HZ, measured_hz
 
 pytestmark = pytest.mark.live
 

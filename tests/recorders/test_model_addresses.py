@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from recorders.simulators.mujoco.library import mujoco as library
-from recorders.simulators.mujoco.model_parameters import element_names
 from tests.recorders.tunable_model import compiled, one, refusal
+from tunenet_logs.recorders.simulators.model.parameters import element_names
+from tunenet_logs.recorders.simulators.mujoco import mujoco as library
 
 mujoco = library()
 

@@ -12,11 +12,11 @@ import mujoco as stock
 import numpy as np
 import pytest
 
-from recorders.simulators.mujoco.model_file import read_model
 from tests.conftest import ROOT
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.model.reading import read_model
 
-READS = "from recorders.simulators.mujoco.model_file import read_model"
+READS = "from tunenet_logs.recorders.simulators.model.reading import read_model"
 MINIMAL = '<mujoco><worldbody><body><joint/><geom size=".1"/></body></worldbody></mujoco>'
 
 TETRAHEDRON = (

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recorders.simulators.mujoco.library import mujoco as library
-from recorders.simulators.mujoco.model_fields import FIELDS
-from recorders.simulators.mujoco.model_parameters import ModelParameter, model_parameters
 from tests.recorders.tunable_model import compiled, one
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.model.parameters import (
+    FIELDS,
+    ModelParameter,
+    model_parameters,
+)
+from tunenet_logs.recorders.simulators.mujoco import mujoco as library
 
 mujoco = library()
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from recorders.simulators.mujoco.library import mujoco
-from recorders.simulators.mujoco.model_parameters import model_parameters
 from tests.recorders.tunable_model import MODEL, compiled, one, refusal
+from tunenet_logs.recorders.simulators.model.parameters import model_parameters
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 
 @pytest.fixture(scope="module")

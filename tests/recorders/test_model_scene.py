@@ -7,12 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.simulators.mujoco.library import mujoco
-from recorders.simulators.mujoco.model_process import ModelProcess
-from recorders.simulators.mujoco.model_scene import ModelScene
-from recorders.simulators.mujoco.model_sensors import SensedSignal, Sensor
-from recorders.simulators.mujoco.model_simulator import InitialState, ModelSimulator
 from tunenet_logs.episode import Signal
+from tunenet_logs.recorders.simulators.model.reading import ModelProcess
+from tunenet_logs.recorders.simulators.model.rollout import (
+    InitialState,
+    ModelScene,
+    ModelSimulator,
+    SensedSignal,
+    Sensor,
+)
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 MODEL = """
 <mujoco>

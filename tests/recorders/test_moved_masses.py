@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.sysid.source import ModelSource
-from recorders.simulators.mujoco.library import mujoco as library
-from recorders.simulators.mujoco.model_parameters import model_parameters, movable
+from tunenet_logs.analysis.sysid.source import ModelSource
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
+from tunenet_logs.recorders.simulators.model.parameters import model_parameters, movable
+from tunenet_logs.recorders.simulators.mujoco import mujoco as library
 
 mujoco = library()
 

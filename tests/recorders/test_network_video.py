@@ -9,9 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.camera.network_options import NetworkOptions, Transport
-from recorders.camera.rtp_ports import RtpPorts
-from recorders.camera.sources import open_source
 from tests.recorders.live_wait import LAST_RESORT_S, wait_until
 from tests.recorders.rtsp_servers import file_pictures, gst_rtsp_server
 from tests.recorders.test_packet_stream import (
@@ -23,6 +20,9 @@ from tests.recorders.test_packet_stream import (
     pixels_of,
     recorded,
 )
+from tunenet_logs.recorders.camera.network import NetworkOptions, Transport
+from tunenet_logs.recorders.camera.rtsp import RtpPorts
+from tunenet_logs.recorders.camera.sources import open_source
 
 pytestmark = pytest.mark.live
 

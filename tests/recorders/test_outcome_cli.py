@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT, Command, record
-from tunenet_logs.outcome_reading import read_outcomes
+from tunenet_logs.outcomes import read_outcomes
 
 
 def test_each_outcome_is_the_next_of_its_ball(command: Command, tmp_path: Path):
@@ -48,7 +48,7 @@ def test_a_tuning_says_restitution_and_log(command: Command, tmp_path: Path):
 
 SIX_AT_ONCE = """
 import multiprocessing, sys
-from recorders.cli import main
+from tunenet_logs.recorders.cli import main
 
 def record(begin):
     begin.wait()

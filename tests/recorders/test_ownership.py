@@ -21,10 +21,9 @@ from tests.recorders.lost_file import ATTACKS, attack
 from tests.recorders.mjpeg_camera import playing
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import LogError
-from tunenet_logs.output.claimed_name import ClaimedName
-from tunenet_logs.output.rename_new import rename_new, take_and_rename
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.owned_path import ClaimedName, rename_new, take_and_rename
+from tunenet_logs.writing.writer import EpisodeWriter
 
 
 @pytest.mark.live

@@ -13,18 +13,17 @@ import av
 import numpy as np
 import pytest
 
-from recorders.camera.annex_b import head_of
-from recorders.camera.base import Source
-from recorders.camera.capture import Limits, record_camera
-from recorders.camera.packet_stream import PacketStream
-from recorders.camera.transcoded import as_kept
-from recorders.session import Summary
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import number_in
 from tests.recorders.test_video_file import SIZE, numbered
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.messages import CAMERA_TOPIC, VIDEO_TOPIC
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.base import Source
+from tunenet_logs.recorders.camera.reading import as_kept
+from tunenet_logs.recorders.camera.recording import Limits, record_camera
+from tunenet_logs.recorders.camera.streams import PacketStream, head_of
+from tunenet_logs.recorders.session import Summary
 from tunenet_logs.terminal import Progress
 
 FRAMES, RATE_HZ = 60, 50
@@ -171,8 +170,8 @@ def test_of_a_torn_picture_in_mpeg_ts_neither_it_nor_the_one_before_is_mistaken(
     assert packets[inside][1:3] == b"\x01\0"
     path.write_bytes(b"".join(packets[:inside] + packets[inside + 1 :]))
     source = opened(path)
-    told_ns = np.array([shot.told_ns for shot in source.frames()])
-    numbers = np.round((told_ns - told_ns[0]) * RATE_HZ / 1e9)
+    source_stamp_ns = np.array([shot.source_stamp_ns for shot in source.frames()])
+    numbers = np.round((source_stamp_ns - source_stamp_ns[0]) * RATE_HZ / 1e9)
     assert set(range(FRAMES)) - set(numbers) == set(missing)
     assert source.damaged == len(missing)
 
@@ -184,7 +183,7 @@ def test_a_container_without_times_is_stamped_by_arrival(tmp_path: Path):
         path.write_bytes(b"".join(bytes(packet) for packet in container.demux(video=0)))
     shots = list(opened(path).frames())
     assert len(shots) == FRAMES
-    assert {shot.told_ns for shot in shots} == {None}
+    assert {shot.source_stamp_ns for shot in shots} == {None}
 
 
 def test_a_picture_without_a_start_code_is_none():

@@ -7,16 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recorders.simulators.arm.description import Payload, jaco
-from recorders.simulators.arm.dynamics import joint_efforts_nm
-from recorders.simulators.arm.path import circle_at
-from recorders.simulators.arm.rollout import PAPER as PAPER_ROLLOUT
-from recorders.simulators.arm.rollout import roll_out
-from recorders.simulators.contact import PAPER
-from recorders.simulators.drop import TOPIC, DropRig, DropSimulator
-from recorders.simulators.engines import engine, simulated_by
 from tests.engines import needs_pybullet
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
+from tunenet_logs.recorders.simulators.arm.path import circle_at
+from tunenet_logs.recorders.simulators.arm.payload import PAPER as PAPER_ROLLOUT
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm, roll_out
+from tunenet_logs.recorders.simulators.ball import TOPIC, DropRig, DropSimulator
+from tunenet_logs.recorders.simulators.base import PAPER
+from tunenet_logs.recorders.simulators.known import engine, simulated_by
 
 ARM = jaco()
 HELD = Payload(0.7, (0.01, 0.02, -0.01))

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.simulated_payload import PayloadOrder, simulate_payload
-from recorders.simulators.arm.description import JACO_URDF, Payload, jaco
-from recorders.simulators.arm.dynamics import joint_efforts_nm
-from recorders.simulators.arm.path import circle, path_from_file
-from recorders.simulators.engines import engine
 from tests.conftest import Command
 from tests.engines import needs_pybullet
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
+from tunenet_logs.recorders.simulators.arm.description import JACO_URDF, Payload, jaco
+from tunenet_logs.recorders.simulators.arm.path import circle, path_from_file
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm
+from tunenet_logs.recorders.simulators.known import engine
 
 ARM = jaco()
 PAYLOAD = ("tunenet-record", "--simulate", "payload")
@@ -170,7 +170,7 @@ def test_an_arms_options_are_its_alone(
 
 
 def test_a_path_shorter_than_was_asked_for_is_refused(tmp_path: Path):
-    from recorders.simulators.arm.path_file import write_path_file
+    from tunenet_logs.recorders.simulators.arm.path import write_path_file
 
     path, file = circle(100, 2), tmp_path / "short.csv"
     write_path_file(file, ARM.joint_names, path.seconds, path.position_rad, overwrite=False)

@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recorders.camera.preview import Preview
-from recorders.camera.sources import open_source
 from tests.conftest import BIN, Command
 from tests.pages import Page, assert_for_this_machine_alone
 from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tests.recorders.mjpeg_camera import number_in, picture, playing
-from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import Frame
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.sources import open_source
+from tunenet_logs.recorders.local_page import Preview
+from tunenet_logs.timing.stamps import now_ns
 
 pytestmark = pytest.mark.live
 
@@ -197,7 +197,7 @@ def test_a_file_has_none(command: Command, tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_request_that_drips_and_too_many_of_them_are_ended(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("recorders.loopback_page._REQUEST_SECONDS", 1.0)
+    monkeypatch.setattr("tunenet_logs.recorders.local_page._MAX_REQUEST_S", 1.0)
     preview = Preview()
     page = Page(preview.url)
     host, port = page.host.split(":")

@@ -18,9 +18,6 @@ from mcap.reader import make_reader
 
 pytest.importorskip("cyclonedds", reason="needs the extra ros2")
 
-from recorders.ros2 import subscription
-from recorders.ros2.node import Node
-from recorders.ros2.subscription import take_decoded, take_raw
 from tests.conftest import Command
 from tests.recorders.live_wait import LAST_RESORT_S, wait_until
 from tests.recorders.ros2_publisher import (
@@ -36,6 +33,8 @@ from tests.recorders.ros2_recorder import ended, free_domain, recorder
 from tunenet_logs import messages
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.ros2 import graph as subscription
+from tunenet_logs.recorders.ros2.graph import Node, take_decoded, take_raw
 
 pytestmark = pytest.mark.live
 slow = pytest.mark.slow
@@ -261,7 +260,8 @@ def test_a_domain_of_the_environment_is_checked(
 
 def test_without_cyclonedds_the_extra_is_named(tmp_path: Path):
     code = (
-        "import sys; sys.modules['cyclonedds'] = None; from recorders.cli import main; "
+        "import sys; sys.modules['cyclonedds'] = None; "
+        "from tunenet_logs.recorders.cli import main; "
         "sys.exit(main(['--joint-states', '/joint_states']))"
     )
     result = subprocess.run(

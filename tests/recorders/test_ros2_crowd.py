@@ -12,13 +12,13 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs the extra ros2")
 
-from recorders.ros2.node import Node
 from tests.conftest import Command
 from tests.recorders.live_wait import LAST_RESORT_S, Terminal
 from tests.recorders.ros2_publisher import NAMES, STATES, publishing, values_of
 from tests.recorders.ros2_recorder import free_domain, recorder
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.ros2.graph import Node
 
 pytestmark = pytest.mark.live
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recorders.ros2.names import checked_topic, dds_topic, ros_topic, ros_type
-from recorders.ros2.pace import Pace
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.ros2 import checked_topic, dds_topic, ros_topic, ros_type
+from tunenet_logs.recorders.ros2.recording import Pace
 
 
 def pace_of(stamps_s: np.ndarray) -> Pace:

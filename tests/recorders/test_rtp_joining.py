@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from recorders.camera.rtp_joining import FragmentJoiner
+from tunenet_logs.recorders.camera.rtsp import FragmentJoiner
 
 FIRST, LAST = 0x80, 0x40
 HEADS = {"H264": b"\x7c", "H265": b"\x62\x01"}  # of a NAL unit that comes in fragments

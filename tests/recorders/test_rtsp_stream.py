@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.camera.capture import Limits, record_camera
-from recorders.camera.sources import open_source
 from tests.conftest import Command
 from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import number_in, times_in
 from tests.recorders.rtsp_camera import rtsp_camera
 from tests.recorders.test_video_file import numbered
-from tunenet_logs.clock import now_ns
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.recording import Limits, record_camera
+from tunenet_logs.recorders.camera.sources import open_source
 from tunenet_logs.terminal import Progress
+from tunenet_logs.timing.stamps import now_ns
 
 pytestmark = pytest.mark.live
 

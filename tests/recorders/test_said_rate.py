@@ -13,7 +13,7 @@ from tests.conftest import Command
 from tests.recorders.mjpeg_camera import number_in, picture
 from tests.recorders.test_video_file import SIZE, UNEVEN, numbered, write_video
 from tunenet_logs.episode import FRAME_NS
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 BARE = {"a.h264": "libx264", "a.h265": "libx265", "a.y4m": "wrapped_avframe"}

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from recorders.session import record_episode
-from recorders.simulated_drop import DropOrder, simulate_drop
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 from tunenet_logs.terminal import Bar, Progress
 
 

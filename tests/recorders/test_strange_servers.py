@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.camera.sources import open_source
 from tests.conftest import BIN
 from tests.recorders.films import film
 from tests.recorders.free_port import free_port
@@ -23,6 +22,7 @@ from tests.recorders.live_wait import LAST_RESORT_S, ending
 from tests.recorders.mjpeg_camera import times_in
 from tests.recorders.nginx_server import nginx_server
 from tunenet_logs.errors import CameraError
+from tunenet_logs.recorders.camera.sources import open_source
 
 pytestmark = pytest.mark.live
 

@@ -47,7 +47,8 @@ MATROSKA += bytes.fromhex("42878104428581021853806701ffffffffffffff1654ae6b080ff
 def test_nothing_is_kept_without_a_bound(start: bytes, again: bytes, says: str):
     words = (
         f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({_MAX_BYTES},) * 2)\n"
-        "from recorders.camera.sources import open_source; print(list(open_source('-').frames()))"
+        "from tunenet_logs.recorders.camera.sources import open_source\n"
+        "print(list(open_source('-').frames()))"
     )
     ours, theirs = os.pipe()
     recorder = subprocess.Popen(

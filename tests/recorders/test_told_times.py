@@ -6,9 +6,8 @@ import io
 
 import pytest
 
-from recorders.camera.multipart import MultipartParser
-from recorders.camera.told_times import ToldTimes
 from tests.recorders.mjpeg_camera import picture
+from tunenet_logs.recorders.camera.streams import MultipartParser, ToldTimes
 
 SECOND_NS = 1_000_000_000
 
@@ -16,7 +15,7 @@ SECOND_NS = 1_000_000_000
 def told(*headers: str) -> list[int | None]:
     parts = [f"--x\r\n{one}\r\nContent-Length: 4\r\n\r\nabcd\r\n".encode() for one in headers]
     stream = io.BytesIO(b"".join(parts))
-    return [part.told_ns for part in MultipartParser(stream.read, "x", lambda: 0).parts()]
+    return [part.source_stamp_ns for part in MultipartParser(stream.read, "x", lambda: 0).parts()]
 
 
 def test_what_servers_write():
@@ -79,4 +78,4 @@ def test_jitter_and_bursts_do_not_matter():
 def test_a_picture_has_the_time_of_its_part():
     part = b"--x\r\nX-Timestamp: 7.25\r\n\r\n" + picture(1) + b"\r\n--x--\r\n"
     (only,) = MultipartParser(io.BytesIO(part).read, "x", lambda: 5).parts()
-    assert (only.told_ns, only.arrived_ns, only.data) == (7_250_000_000, 5, picture(1))
+    assert (only.source_stamp_ns, only.arrived_ns, only.data) == (7_250_000_000, 5, picture(1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recorders.topic_queue import TopicQueue
+from tunenet_logs.recorders.session import TopicQueue
 
 
 def filled(queue: TopicQueue[int]) -> list[bool]:

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import av
 
-from recorders.camera import transcoded
-from recorders.camera.base import Shot
-from recorders.camera.packet_stream import PacketStream
-from recorders.camera.preview_video import PreviewVideo
-from recorders.camera.transcoded import Transcoded
 from tests.recorders.live_wait import LAST_RESORT_S, wait_until
 from tests.recorders.mjpeg_camera import number_in
 from tests.recorders.test_packet_stream import FRAMES, H264_MP4, opened, recorded
 from tunenet_logs.episode import Frame
+from tunenet_logs.recorders.camera import reading as transcoded
+from tunenet_logs.recorders.camera.base import CapturedFrame
+from tunenet_logs.recorders.camera.reading import Transcoded
+from tunenet_logs.recorders.camera.streams import PacketStream
+from tunenet_logs.recorders.local_page import PreviewVideo
 
 
 class Held(PacketStream):
@@ -32,7 +32,7 @@ class Held(PacketStream):
         one.thread_count = 1  # each more would hold back a picture
         return one
 
-    def frames(self) -> Iterator[Shot]:
+    def frames(self) -> Iterator[CapturedFrame]:
         for number, shot in enumerate(super().frames()):
             if number == self._shown:
                 self.go_on.wait(LAST_RESORT_S)
@@ -44,7 +44,7 @@ def test_what_does_not_fit_is_dropped_up_to_the_next_key_frame_and_counted(
 ):
     path = H264_MP4.write(tmp_path)
     sizes = [len(shot.frame.data) for shot in opened(path).frames()]
-    monkeypatch.setattr(transcoded, "_WAITING_BYTES", sum(sizes[1:15]))
+    monkeypatch.setattr(transcoded, "_MAX_WAITING_BYTES", sum(sizes[1:15]))
     source = Held(path, 1)
     made = Transcoded(source)
     shots = made.frames()
@@ -72,7 +72,7 @@ def test_a_decoder_s_word_on_damage_is_counted(tmp_path: Path):
     path = H264_MP4.write(tmp_path)
 
     class Damaged(PacketStream):
-        def frames(self) -> Iterator[Shot]:
+        def frames(self) -> Iterator[CapturedFrame]:
             for number, shot in enumerate(super().frames()):
                 broken = Frame(shot.frame.stamp_ns, "h264", b"\0\0\1\x65" + b"\xa5" * 50)
                 yield shot._replace(frame=broken) if number == 30 else shot

@@ -13,9 +13,9 @@ import pytest
 
 from tests.conftest import Command, real
 from tests.recorders.mjpeg_camera import number_in, picture
-from tunenet_logs.formats.video import open_video
 from tunenet_logs.images import image_size
 from tunenet_logs.reader import read_episode
+from tunenet_logs.video import open_video
 
 SIZE = (320, 240)
 

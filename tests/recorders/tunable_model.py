@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from recorders.simulators.mujoco.library import mujoco
-from recorders.simulators.mujoco.model_parameters import ModelParameter, model_parameters
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.model.parameters import ModelParameter, model_parameters
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 MODEL = """<mujoco><option timestep="0.002" density="500" viscosity="1"/>
   <worldbody>

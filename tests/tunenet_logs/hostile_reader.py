@@ -14,7 +14,7 @@ import sys
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
-from analysis.cli.tune import main as tunenet_tune
+from tunenet_logs.analysis.cli.tune import main as tunenet_tune
 from tunenet_logs.cli import main as tunenet_logs
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tunenet_logs.outcome import Outcome, write_outcome
+from tunenet_logs.outcomes import Outcome, write_outcome
 
 NOTE = "what was seen of it, at some length, " * 20
 

@@ -10,8 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from tunenet_logs.formats.base import MessageError, UnusableError
-from tunenet_logs.formats.ros_any import any_ros_type
-from tunenet_logs.formats.ros_definitions import parsed
+from tunenet_logs.formats.ros import any_ros_type, parsed
 
 KINDS = (
     "geometry_msgs/msg/PoseArray",

@@ -9,7 +9,7 @@ import pytest
 
 from tests.tunenet_logs.any_message_logs import START_NS, STEP_NS, RosLog, height, write_json
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions, columns_of
+from tunenet_logs.formats.options import ReadOptions, columns_of
 from tunenet_logs.reader import read_episode
 
 HEIGHTS = [height(index) for index in range(20)]

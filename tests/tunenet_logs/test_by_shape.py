@@ -16,7 +16,7 @@ from tests.tunenet_logs.any_message_logs import (
     write_json,
     write_raw,
 )
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 VICON = {

@@ -8,10 +8,10 @@ import pytest
 
 from tests.conftest import Command
 from tests.strangers import Stranger, write_poses
-from tunenet_logs.checking import check
+from tunenet_logs.copying import check
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.terminal import Progress
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.writer import EpisodeWriter
 
 QUIET = Progress(quiet=True)
 

@@ -3,10 +3,16 @@
 import numpy as np
 import pytest
 
-from tunenet_logs.clock_jumps import filmed_part, part_on_grid, sound_part, written_part
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
-from tunenet_logs.one_clock import on_one_clock
-from tunenet_logs.sample_order import order_samples, sorted_stamps
+from tunenet_logs.timing.stamps import (
+    filmed_part,
+    order_samples,
+    part_on_grid,
+    sorted_stamps,
+    sound_part,
+    trim_clock_jumps,
+    written_part,
+)
 
 SECOND = 10**9
 EVEN = 1_700_000_000 * SECOND + np.arange(400) * 10_000_000
@@ -125,9 +131,9 @@ def test_an_episode_says_once_what_is_cut_of_it() -> None:
         for part in ("position", "velocity")
     }
     whole = Episode(EpisodeInfo(), signals, warnings=("something else",))
-    cut = on_one_clock(whole)
+    cut = trim_clock_jumps(whole)
     assert [len(one.stamps_ns) for one in cut.signals.values()] == [300, 300]
     assert np.array_equal(cut.signals["/joints.position"].values, values[:300])
     assert len(cut.warnings) == 2
-    assert on_one_clock(cut).warnings == cut.warnings
+    assert trim_clock_jumps(cut).warnings == cut.warnings
     assert len(whole.signals["/joints.position"].stamps_ns) == 400

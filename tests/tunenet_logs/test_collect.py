@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tunenet_logs.collect import JointRows
 from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.message_types import JointSample
-from tunenet_logs.position_rows import PositionRows
+from tunenet_logs.signals import JointRows, PositionRows
 
 NS = 10_000_000
 

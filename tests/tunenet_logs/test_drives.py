@@ -27,14 +27,13 @@ from tests.driven_logs import (
     write_cdr,
     write_json,
 )
+from tunenet_logs.copying import import_log
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import BeyondLimitError
 from tunenet_logs.formats.message_types import PlanSample
-from tunenet_logs.importing import import_log
-from tunenet_logs.measured import measured
-from tunenet_logs.planned_rows import PlannedRows, PointBudget
-from tunenet_logs.reader import read_episode
+from tunenet_logs.reader import read_episode, without_commands
+from tunenet_logs.signals import PlannedRows, PointBudget
 
 S = 10**9
 AB = ("a", "b")
@@ -290,13 +289,13 @@ def _driven(tmp_path: Path) -> Path:
 def test_what_was_measured_is_the_rest(tmp_path: Path):
     episode = read_episode(_driven(tmp_path))
     assert len(said(episode)) == 2
-    rest = measured(episode)
+    rest = without_commands(episode)
     assert list(rest.signals) == ["/state.position"]
     assert not said(rest)
     skipped = {one.topic: one.skipped for one in rest.channels}
     why = "its type is not one that a task uses"
     assert skipped == {"/state": None, "/cmd": why, "/u": why, "/f": why}
-    assert measured(rest).signals == rest.signals
+    assert without_commands(rest).signals == rest.signals
 
 
 def test_an_import_makes_no_state_of_a_command(tmp_path: Path):

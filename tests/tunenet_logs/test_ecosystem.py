@@ -18,14 +18,14 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests import strangers
 from tests.conftest import BIN
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
+from tunenet_logs.copying import import_log
 from tunenet_logs.episode import EpisodeInfo, Frame
-from tunenet_logs.importing import import_log
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.writer import EpisodeWriter
 
 NAMES = [f"joint_{number}" for number in range(1, 8)]
 IMAGE = "sensor_msgs/msg/CompressedImage"

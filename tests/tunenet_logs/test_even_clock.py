@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tunenet_logs.changing_rate import changing_rate
-from tunenet_logs.even_clock import EvenClock, even_clock
-from tunenet_logs.late_stamps import correct_late_stamps
+from tunenet_logs.timing.arrivals import (
+    UniformClock,
+    changing_rate,
+    correct_late_stamps,
+    recover_uniform_clock,
+)
 
 DELAYS = ("up to 40 ms", "exponential", "bursts")
 
@@ -30,13 +33,13 @@ def arrivals(
     return ticks, taken, came_ns.astype(np.int64)
 
 
-def found(came_ns: NDArray[np.int64]) -> EvenClock:
-    clock = even_clock(came_ns)
+def found(came_ns: NDArray[np.int64]) -> UniformClock:
+    clock = recover_uniform_clock(came_ns)
     assert clock is not None
     return clock
 
 
-def rms_ms(clock: EvenClock, taken: NDArray[np.floating]) -> float:
+def rms_ms(clock: UniformClock, taken: NDArray[np.floating]) -> float:
     return float(np.std(clock.stamps - taken))
 
 
@@ -98,8 +101,8 @@ def test_a_clock_that_drifts_is_followed():
 
 
 def test_few_or_simultaneous_samples_tell_no_clock():
-    assert even_clock(np.arange(10) * 1_000_000) is None
-    assert even_clock(np.full(100, 5)) is None
+    assert recover_uniform_clock(np.arange(10) * 1_000_000) is None
+    assert recover_uniform_clock(np.full(100, 5)) is None
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3])

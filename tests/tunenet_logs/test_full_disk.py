@@ -16,9 +16,8 @@ from tests.conftest import Command, files_no_larger_than, record
 from tests.recorders.contender import OF_OURS
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import LogError
-from tunenet_logs.output.mcap_summary import bare_ending
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.writer import EpisodeWriter, bare_ending
 
 
 def fill(folder: Path, limit: int, *, live: bool, overwrite: bool = False) -> tuple[int, str]:

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.export_writers_video import FilmedTrack, mtrack2, phyphox_xlsx
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
+from tunenet_logs.copying import import_log
 from tunenet_logs.episode import FRAME_NS, Episode
-from tunenet_logs.formats.read_options import ReadOptions
-from tunenet_logs.importing import import_log
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 RATE_HZ = 240.0

@@ -13,14 +13,13 @@ from mcap.writer import Writer
 
 from tests.conftest import Command, files_no_larger_than
 from tunenet_logs import messages
+from tunenet_logs.copying import import_log
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
-from tunenet_logs.importing import import_log
 from tunenet_logs.messages import COMPRESSED_IMAGE, IMAGE, JOINT_STATE, POSE
-from tunenet_logs.progress import heard_by
 from tunenet_logs.reader import read_episode
-from tunenet_logs.terminal import Progress
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.terminal import Progress, heard_by
+from tunenet_logs.writing.writer import EpisodeWriter
 
 Topic = tuple[str, str, bytes]
 JPEG = cv2.imencode(".jpg", np.zeros((24, 32, 3), np.uint8))[1].tobytes()

@@ -13,7 +13,7 @@ import pytest
 
 from tests.conftest import ROOT, Command, real
 from tests.strangers import write_poses
-from tunenet_logs.json_lines import json_line
+from tunenet_logs.files import json_line
 
 # A topic that ends lines, clears terminals, turns text around and closes JSON's quotes.
 HOSTILE = '/a"b\\\n\x1b[2J\u202e\u2028{}'

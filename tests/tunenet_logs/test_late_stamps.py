@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.record import Tuning
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.conftest import ROOT
 from tests.strangers import Stranger
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import EpisodeInfo
-from tunenet_logs.late_stamps import correct_late_stamps
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.timing.arrivals import correct_late_stamps
+from tunenet_logs.writing.writer import EpisodeWriter
 
 PERIOD_NS = 16_666_667
 CLOCK = 1_000_000_000 + PERIOD_NS * np.arange(180)

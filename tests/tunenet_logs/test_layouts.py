@@ -18,8 +18,8 @@ import pytest
 from tests.conftest import ROOT
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.log_names import may_be_log
-from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions, reading_of
+from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions, reading_of
+from tunenet_logs.formats.registry import may_be_log
 from tunenet_logs.reader import read_episode
 
 S, NS = 1_790_000_000, 10**9

@@ -12,8 +12,7 @@ from tests.strangers import POSE, Stranger, write_poses
 from tunenet_logs.describe import describe
 from tunenet_logs.formats import ros
 from tunenet_logs.formats.base import RawChannel, UnusableError
-from tunenet_logs.formats.ros import ros_decoder
-from tunenet_logs.formats.ros_definitions import idl_types
+from tunenet_logs.formats.ros import idl_types, ros_decoder
 from tunenet_logs.messages import encode, pose, typestore
 from tunenet_logs.reader import read_episode
 

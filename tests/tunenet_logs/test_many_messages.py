@@ -11,11 +11,10 @@ from mcap.writer import Writer
 from tests.tunenet_logs.any_message_logs import START_NS, STEP_NS, RosLog
 from tunenet_logs import messages
 from tunenet_logs.formats.base import RawMessage, one_by_one
-from tunenet_logs.formats.mcap_container import read_mcap
-from tunenet_logs.formats.ros import known_types
-from tunenet_logs.formats.ros_stacked import stacked_decoder
-from tunenet_logs.progress import heard_by
+from tunenet_logs.formats.mcap import read_mcap
+from tunenet_logs.formats.ros import known_types, stacked_decoder
 from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import heard_by
 
 COUNT = 1200
 

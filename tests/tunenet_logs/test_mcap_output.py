@@ -14,8 +14,8 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 
 from tests.conftest import files_no_larger_than
-from tunenet_logs.output.mcap_output import McapOutput
-from tunenet_logs.output.whole_file import WholeFile
+from tunenet_logs.writing.owned_path import WholeFile
+from tunenet_logs.writing.writer import McapOutput
 
 MESSAGES = [
     (index % 2, 50 + 7 * (index % 3), os.urandom(index * 37 % 9000).hex().encode())

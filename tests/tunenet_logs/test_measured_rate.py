@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from tunenet_logs.measured_rate import MAX_SPEED_CAMERA_HZ, measured_hz
+from tunenet_logs.timing.stamps import MAX_SPEED_CAMERA_HZ, measured_hz
 
 HZ = 60.0
 EVEN_S = np.arange(600) / HZ

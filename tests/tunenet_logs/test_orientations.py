@@ -19,9 +19,9 @@ from tests.driven_logs import (
     transform,
     wrench,
 )
-from tunenet_logs.importing import import_log
-from tunenet_logs.position_rows import PositionRows
+from tunenet_logs.copying import import_log
 from tunenet_logs.reader import read_episode
+from tunenet_logs.signals import PositionRows
 
 STEP_NS, COUNT = 10_000_000, 20
 ANGLES = np.linspace(0.0, 1.0, COUNT)

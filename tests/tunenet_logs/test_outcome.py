@@ -21,9 +21,15 @@ from tests.conftest import ROOT, files_no_larger_than, record
 from tests.tunenet_logs.outcome_recorder import outcome_of
 from tunenet_logs import messages
 from tunenet_logs.errors import LogError
-from tunenet_logs.outcome import Outcome, outcome_bytes, write_outcome
-from tunenet_logs.outcome_reading import holds_outcomes, outcome_files, read_outcomes
-from tunenet_logs.output.new_file import write_aside, write_new
+from tunenet_logs.outcomes import (
+    Outcome,
+    holds_outcomes,
+    outcome_bytes,
+    outcome_files,
+    read_outcomes,
+    write_outcome,
+)
+from tunenet_logs.writing.owned_path import write_aside, write_new
 
 SAID = Outcome(
     task="bounce-shot",
@@ -140,7 +146,7 @@ def test_several_in_one_file_and_in_json(tmp_path: Path):
         other = writer.register_channel("/other", "json", 0)
         writer.add_message(other, 0, b"{}", 0)
         for number in (2, 1):
-            from tunenet_logs.outcome import to_message
+            from tunenet_logs.outcomes import to_message
 
             data = messages.encode(to_message(outcome_of(number)), messages.TASK_OUTCOME)
             writer.add_message(cdr, number, data, number)

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from tunenet_logs.errors import LogError
-from tunenet_logs.outcome import Outcome
-from tunenet_logs.outcome_reading import read_outcomes
+from tunenet_logs.outcomes import Outcome, read_outcomes
 
 GOOD = """\
 ball,success,attempt,time,shot_height_m,miss_m,reason,weather

@@ -14,10 +14,10 @@ import pytest
 import zstandard
 
 from tests.conftest import Command, real, record
+from tunenet_logs.copying import recover
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats import budget
+from tunenet_logs.formats import base as budget
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recovery import recover
 
 PACK: dict[str, Callable[[bytes], bytes]] = {
     ".zst": zstandard.compress,

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-import analysis.api as tunenet
+import tunenet_logs as tn
 from tests.conftest import ROOT
 from tunenet_logs import terminal
-from tunenet_logs.progress import _listener, heard_by, told
-from tunenet_logs.terminal import Progress, about
+from tunenet_logs.terminal import Progress, _listener, about, heard_by, told
 
 
 def test_nobody_hears_and_nothing_changes():
@@ -26,7 +25,7 @@ def test_a_listener_hears_the_beginning_and_the_end_and_only_in_its_block():
 
 def test_a_film_tells_its_stages_to_a_function():
     heard: list[tuple[str, float]] = []
-    tunenet.tune(
+    tn.tune(
         ROOT / "sample_logs" / "filmed.mcap",
         progress=lambda what, fraction: heard.append((what, fraction)),
     )

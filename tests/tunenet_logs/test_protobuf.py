@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.strangers import WRITERS, Stranger
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
 from tunenet_logs.formats.registry import decoder_for
 from tunenet_logs.reader import read_episode

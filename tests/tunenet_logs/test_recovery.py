@@ -16,12 +16,11 @@ from rosbags.highlevel import AnyReader
 from tests import strangers
 from tests.conftest import BIN, Command, files_no_larger_than, record
 from tests.strangers import without_chunks
+from tunenet_logs.copying import import_log, recover
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.formats.base import Loss, Record, one_by_one
-from tunenet_logs.formats.mcap_container import read_mcap
-from tunenet_logs.importing import import_log
+from tunenet_logs.formats.mcap import read_mcap
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recovery import recover
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +203,7 @@ def test_a_disk_that_cannot_be_read_is_told_from_one_that_is_full(
         yield from (next(records) for _ in range(20))
         raise OSError(errno.EIO, "Input/output error", str(path))
 
-    monkeypatch.setattr("tunenet_logs.recovery.open_log", lambda _path: failing)
+    monkeypatch.setattr("tunenet_logs.copying.open_log", lambda _path: failing)
     with pytest.raises(LogError) as caught:
         recover(long, tmp_path / "b.mcap")
     assert str(caught.value).startswith(f"{long}: cannot be read (Input/output error); copy it")

@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import Command
 from tunenet_logs.errors import LogError
-from tunenet_logs.regular_file import open_regular, open_regular_text
+from tunenet_logs.files import open_regular, open_regular_text
 
 
 def test_a_file_and_a_link_to_it_are_read(tmp_path: Path):

@@ -21,8 +21,7 @@ from tests.strangers import Stranger, write_poses, write_poses_bag
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.formats.base import Loss, RawMessage
-from tunenet_logs.formats.ros1_bag import read_bag
-from tunenet_logs.formats.ros1_records import BAG, CHUNK, CONNECTION, MESSAGE, RecordFile
+from tunenet_logs.formats.rosbag1 import BAG, CHUNK, CONNECTION, MESSAGE, RecordFile, read_bag
 from tunenet_logs.reader import read_episode
 
 TOPIC = "/vrpn/thing/pose"

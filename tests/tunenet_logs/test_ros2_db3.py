@@ -19,7 +19,7 @@ from tests.strangers import Stranger, write_poses, write_poses_folder
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.formats.base import RawMessage
-from tunenet_logs.formats.ros2_db3 import read_db3
+from tunenet_logs.formats.rosbag2 import read_db3
 from tunenet_logs.reader import read_episode
 
 TOPIC = "/vrpn/thing/pose"

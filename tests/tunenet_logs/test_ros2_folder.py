@@ -13,7 +13,7 @@ from tests.conftest import Command, real, record
 from tests.strangers import Stranger, write_poses, write_poses_folder
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import Loss, RawMessage, one_by_one
-from tunenet_logs.formats.ros2_folder import read_folder
+from tunenet_logs.formats.registry import read_folder
 from tunenet_logs.reader import read_episode
 
 TOPIC = "/vrpn/thing/pose"

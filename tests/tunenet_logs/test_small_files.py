@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from analysis.record_json import read_record
-from recorders.simulators.arm.urdf_reading import read_urdf
-from recorders.simulators.shot.rig_file import read_rig
+from tunenet_logs.analysis.record import read_record
 from tunenet_logs.errors import LogError, UsageError
-from tunenet_logs.small_files import parse_json, read_small_file
+from tunenet_logs.files import parse_json, read_small_file
+from tunenet_logs.recorders.simulators.arm.description import read_urdf
+from tunenet_logs.recorders.simulators.shot import read_rig
 
 
 @pytest.mark.parametrize(

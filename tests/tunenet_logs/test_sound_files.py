@@ -10,11 +10,10 @@ import pytest
 
 from tests.clips import RATE_HZ, clicks, found_late_s, write_clip
 from tests.recorders.films import film
-from tunenet_logs.episode import Episode
+from tunenet_logs.episode import Episode, Sound
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
-from tunenet_logs.sound import Sound
 
 SAMPLES = clicks([0.6, 1.5])
 SAMPLE_S = 1 / RATE_HZ

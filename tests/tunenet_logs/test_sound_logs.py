@@ -10,17 +10,15 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from recorders.camera.capture import Limits, record_camera
-from recorders.camera.video_file import VideoFile
 from tests.clips import RATE_HZ, clicks, write_clip
 from tests.tunenet_logs.test_protobuf import foxglove
 from tunenet_logs import messages
-from tunenet_logs.checking import check
-from tunenet_logs.episode import Episode, EpisodeInfo
-from tunenet_logs.formats.read_options import ReadOptions
-from tunenet_logs.importing import import_log
+from tunenet_logs.copying import check, import_log
+from tunenet_logs.episode import Episode, EpisodeInfo, Sound
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
-from tunenet_logs.sound import Sound
+from tunenet_logs.recorders.camera.device import VideoFile
+from tunenet_logs.recorders.camera.recording import Limits, record_camera
 from tunenet_logs.terminal import Progress
 
 SAMPLES = clicks([0.6, 1.5])

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tunenet_logs.sample_order import order_samples
+from tunenet_logs.timing.stamps import order_samples
 
 
 def order(header: list[int], log: list[int]):

@@ -32,7 +32,7 @@ except KeyboardInterrupt:
     raise ImportError("as C code takes it")
 """
 # Runs `main` of command.py as the command "it".
-AS_IT = "import sys; from tunenet_logs.starting import start; sys.exit(start('it', 'command'))"
+AS_IT = "import sys; from tunenet_logs.process import start; sys.exit(start('it', 'command'))"
 
 WORDS: dict[int, str] = {
     signal.SIGINT: "interrupted",
@@ -70,7 +70,7 @@ def wait_for(process: subprocess.Popen[str], line: str) -> None:
 @pytest.mark.parametrize("number", WORDS)
 def test_a_signal_while_a_command_is_imported_is_one_line(tmp_path: Path, number: int):
     (tmp_path / "slow_command.py").write_text(SLOW_IMPORT.format(60))
-    code = "from tunenet_logs.starting import start; start('it', 'slow_command')"
+    code = "from tunenet_logs.process import start; start('it', 'slow_command')"
     process = start(tmp_path, code)
     wait_for(process, "importing")
     time.sleep(0.05)
@@ -83,7 +83,7 @@ def test_a_signal_while_a_command_is_imported_is_one_line(tmp_path: Path, number
 def test_a_signal_amid_a_library_s_import_is_no_error_of_the_library(tmp_path: Path, number: int):
     (tmp_path / "slow_library.py").write_text(SLOW_LIBRARY)
     (tmp_path / "command.py").write_text(
-        "from tunenet_logs.commandline import Parser, run\n"
+        "from tunenet_logs.console import Parser, run\n"
         "def body(_):\n    import slow_library, time\n    time.sleep(60)\n    return 0\n"
         "def main():\n    return run(Parser('it', '', ''), body, [])\n"
     )
@@ -97,7 +97,7 @@ def test_a_signal_amid_a_library_s_import_is_no_error_of_the_library(tmp_path: P
 def test_a_signal_that_a_destructor_would_swallow_still_ends_the_command(tmp_path: Path):
     command = (
         "import os, time\n"
-        "from tunenet_logs.commandline import Parser, run\n"
+        "from tunenet_logs.console import Parser, run\n"
         "class Slow:\n"
         "    def __del__(self):\n"
         "        os.kill(os.getpid(), 15)\n        time.sleep(0.1)\n"
@@ -111,7 +111,7 @@ def test_nohup_is_heeded(tmp_path: Path):
     (tmp_path / "slow_command.py").write_text(SLOW_IMPORT.format(1) + "    return 0\n")
     (tmp_path / "slow_library.py").write_text("")
     code = (
-        "import sys; from tunenet_logs.starting import start; sys.exit(start('it', 'slow_command'))"
+        "import sys; from tunenet_logs.process import start; sys.exit(start('it', 'slow_command'))"
     )
     process = start(tmp_path, code, ignored=signal.SIGHUP)
     wait_for(process, "importing")
@@ -124,7 +124,7 @@ def test_nohup_is_heeded(tmp_path: Path):
 def test_a_signal_while_a_pool_starts_is_one_line(tmp_path: Path, number: int):
     logs = [str(ROOT / "sample_logs" / f"{name}.mcap") for name in ("bouncy", "dull", "noisy")]
     code = f"import sys; sys.argv[1:] = {[*logs, '--jobs', '2', '-o', 'out']!r}; "
-    code += ENTRY.format("analysis.commands", "tune")
+    code += ENTRY.format("tunenet_logs.commands", "tune")
     process = start(tmp_path, code)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while not children.read_text().split():  # the first is half started

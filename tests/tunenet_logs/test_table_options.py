@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.conftest import real
 from tunenet_logs.episode import FRAME_NS, UNSTATED, Episode, Signal
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions, columns_of
+from tunenet_logs.formats.options import ReadOptions, columns_of
 from tunenet_logs.reader import read_episode
 
 

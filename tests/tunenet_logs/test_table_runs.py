@@ -9,9 +9,9 @@ import pytest
 
 from tests.conftest import real
 from tests.tunenet_logs.test_csv_table import read
+from tunenet_logs.copying import import_log
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions
-from tunenet_logs.importing import import_log
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 _RUN = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]

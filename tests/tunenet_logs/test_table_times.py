@@ -9,7 +9,7 @@ import pytest
 
 from tests.tunenet_logs.test_csv_table import XYZ, one, read
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.tables.times import exact_ns
+from tunenet_logs.formats.columns.cells import exact_ns
 from tunenet_logs.reader import read_episode
 
 

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.cli.tune import main as tunenet_tune
 from tests.strangers import Stranger, write_poses, write_poses_bag, write_texts
+from tunenet_logs.analysis.cli.tune import main as tunenet_tune
 from tunenet_logs.cli import main as logs
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.terminal import listed, one_line, short_name
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.writer import EpisodeWriter
 
 HOSTILE = "/b\x1b[31m\nwarning: x\r\t\x9b5m\u202e\u2066\x00\x7f"
 SHOWN = r"/b\x1b[31m\nwarning: x\r\t\x9b5m\u202e\u2066\x00\x7f"

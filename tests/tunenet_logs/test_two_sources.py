@@ -9,14 +9,12 @@ import pytest
 from mcap.writer import Writer
 
 from tests.tunenet_logs.any_message_logs import START_NS, STEP_NS, RosLog
-from tunenet_logs.collect import JointRows
+from tunenet_logs.copying import import_log
 from tunenet_logs.episode import Episode
 from tunenet_logs.formats.message_types import JointSample
-from tunenet_logs.formats.read_options import ReadOptions
-from tunenet_logs.importing import import_log
-from tunenet_logs.position_rows import PositionRows
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
-from tunenet_logs.sources import two_sources
+from tunenet_logs.signals import JointRows, PositionRows, two_sources
 
 COUNT = 600
 SECONDS = np.arange(COUNT) / 240

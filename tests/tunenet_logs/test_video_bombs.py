@@ -11,7 +11,7 @@ from tests.conftest import BIN
 from tests.hostile import spent
 from tests.mp4_bombs import fragment_of_many, mp4_of_many
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.mp4_claims import Mp4Claims
+from tunenet_logs.media import Mp4Claims
 
 COUNT = 80_000_000
 MAX_KIB = 500_000  # each took 1 to 3 GB

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from tunenet_logs.formats.video_clock import StoredTimes, clock_of
+from tunenet_logs.media import StoredTimes, clock_of
 
 
 def test_three_pictures_far_apart_have_a_rate_too():

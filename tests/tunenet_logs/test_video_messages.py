@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from tests.picture_strangers import image, packets, video, write_pictures
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import TuneNetError
-from tunenet_logs.formats.video_messages import CODECS, Packet, decoded
 from tunenet_logs.reader import read_episode
+from tunenet_logs.video import CODECS, Packet, decoded
 
 WIDTH, HEIGHT, COUNT = 160, 96, 40
 START_NS, PERIOD_NS = 1_700_000_000_000_000_003, 16_666_667

@@ -21,17 +21,19 @@ from tests.strangers import (
     write_poses_folder,
 )
 from tests.work_bombs import db3_of, described, jpeg_of_scans, message, png_of_words, record
-from tunenet_logs import reader
-from tunenet_logs.checking import check
+from tunenet_logs import media_messages as decoders
+from tunenet_logs import reader, video
 from tunenet_logs.cli import main
+from tunenet_logs.copying import check
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats import budget, decoders, ros2_folder, video
+from tunenet_logs.formats import base as budget
+from tunenet_logs.formats import registry as ros2_folder
 from tunenet_logs.formats.base import Loss, RawChannel, RawMessage, Record, one_by_one
-from tunenet_logs.formats.mcap_container import read_mcap
-from tunenet_logs.formats.ros1_bag import read_bag
-from tunenet_logs.formats.ros2_db3 import read_db3
-from tunenet_logs.formats.ros2_folder import read_folder
-from tunenet_logs.formats.tables import lines
+from tunenet_logs.formats.columns import cells as lines
+from tunenet_logs.formats.mcap import read_mcap
+from tunenet_logs.formats.registry import read_folder
+from tunenet_logs.formats.rosbag1 import read_bag
+from tunenet_logs.formats.rosbag2 import read_db3
 from tunenet_logs.images import image_size, image_work_px
 from tunenet_logs.messages import POSE, encode, pose
 from tunenet_logs.reader import read_episode
@@ -201,7 +203,7 @@ def test_damaged_places_are_kept_within_the_budget(tmp_path: Path):
 def test_a_chunk_that_is_found_again_and_again_is_looked_for_from_near(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from tunenet_logs.formats import mcap_search
+    from tunenet_logs.formats import mcap as mcap_search
 
     looked: list[int] = []
     begins = mcap_search._begins

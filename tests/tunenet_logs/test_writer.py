@@ -18,12 +18,12 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from tests.conftest import BIN, Command
-from tunenet_logs.clock import now_ns, wall_ns
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import LogError
-from tunenet_logs.output.log_place import LogPlace
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.timing.stamps import now_ns, wall_ns
+from tunenet_logs.writing.owned_path import LogPlace
+from tunenet_logs.writing.writer import EpisodeWriter
 
 INFO = EpisodeInfo(kind="drop", source="a test", truth={"restitution": 0.5})
 PERIOD_NS = 10_000_000
@@ -214,7 +214,7 @@ def test_what_cannot_be_written_is_named_as_it_was_given_with_a_remedy(
     def refuse(path: Path, **_: bool) -> None:
         raise OSError(number, os.strerror(number), str(path))
 
-    monkeypatch.setattr("tunenet_logs.output.log_place.ClaimedName", refuse)
+    monkeypatch.setattr("tunenet_logs.writing.owned_path.ClaimedName", refuse)
     with pytest.raises(LogError) as caught:
         EpisodeWriter(tmp_path / "a.mcap", INFO)
     path = str(tmp_path / "a.mcap")
@@ -269,9 +269,9 @@ def test_space_is_told_in_whole_numbers(tmp_path: Path, bound_mb: float, words: 
 RECORDER = """
 import os, struct, time, numpy as np
 from pathlib import Path
-from recorders.session import stop_flag
+from tunenet_logs.recorders.session import stop_flag
 from tunenet_logs.episode import EpisodeInfo
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.writer import EpisodeWriter
 with stop_flag() as stop, EpisodeWriter(Path("a.mcap"), EpisodeInfo(kind="drop")) as writer:
     start = time.monotonic_ns()
     index = 0

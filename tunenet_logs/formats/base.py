@@ -1,10 +1,15 @@
-"""Records, losses and errors that all containers and message encodings share."""
+"""Records, losses, limits and message structure that all containers and encodings share.
+
+A `Container` takes a file apart into `Record`s, within a `Budget`; what it cannot read becomes a
+`Loss`. A `Decode` turns a message's bytes into an object, and `Structure` describes its type.
+"""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -221,3 +226,235 @@ class Container(Protocol):
 def described(error: BaseException) -> str:
     """Format a library's error as a clause of at most 120 characters."""
     return " ".join(str(error).split())[:120] or type(error).__name__
+
+
+# ---- Resource budget: bound what reading one log may cost.
+# A file of a megabyte can claim a hundred million records, or as many places of damage. What is
+# over the budget is left out, and a loss says from where on.
+
+_FREE_BYTES = 1024 * 1024 * 1024  # what any file may unpack to in all, however small it is
+_MAX_RATIO = 256  # bytes unpacked for each byte of the file, beyond these: messages pack by less
+_FREE_RECORDS = 250_000  # of any file, however small it is
+# Of the file, for each record beyond these: a message has 31 bytes before it is compressed, and its
+# entry in most indexes 16.
+_BYTES_A_RECORD = 4
+MAX_CHANNELS = 10_000  # of a log; robots have hundreds
+# Of types, in a log; all that ROS has are a megabyte, and a bag repeats them for each topic.
+_MAX_DEFINITION_BYTES = 128 * 1024 * 1024
+
+CHUNK_RECORDS = 10  # what opening a chunk counts as
+PART_RECORDS = 20  # what a record counts as that is parsed field by field: a channel, metadata
+DAMAGE_RECORDS = 50  # what a damaged place counts as: its end is searched, and it is reported
+
+
+class OverBudgetError(Exception):
+    """Reading stopped because the log exceeds its budget."""
+
+
+@dataclass
+class Budget:
+    """Resource budget of one log, proportional to its size.
+
+    Attributes:
+        file_bytes: size of the log.
+        spent_bytes: bytes decompressed so far.
+        spent_records: records read so far, or work of the same cost.
+        channels: number of channels described so far.
+        definition_bytes: size of their type definitions.
+        files_bytes: size of the files of the log that were read before.
+    """
+
+    file_bytes: int
+    spent_bytes: int = 0
+    spent_records: int = 0
+    channels: int = 0
+    definition_bytes: int = 0
+    files_bytes: int = 0
+
+    def share(self, read: int) -> float:
+        """Return the fraction of the log read, with `read` bytes of the current file."""
+        return (self.files_bytes + read) / max(self.file_bytes, 1)
+
+    @property
+    def left_records(self) -> int:
+        """Number of records that may still be read; negative once over budget."""
+        return _FREE_RECORDS + self.file_bytes // _BYTES_A_RECORD - self.spent_records
+
+    def spend(self, count: int) -> None:
+        """Charge `count` bytes about to be decompressed.
+
+        Raises:
+            OverBudgetError: the log decompresses to more than the limit.
+        """
+        self.spent_bytes += count
+        if self.spent_bytes > _FREE_BYTES + _MAX_RATIO * self.file_bytes:
+            raise OverBudgetError(f"the log unpacks to more than {_MAX_RATIO} times its size")
+
+    def spend_records(self, count: int = 1) -> None:
+        """Charge records, or work of the same cost.
+
+        Raises:
+            OverBudgetError: they exceed the limit for the log's size.
+        """
+        self.spent_records += count
+        if self.left_records < 0:
+            raise OverBudgetError("it holds far more records than a log of its size")
+
+    def spend_definition(self, count: int) -> None:
+        """Charge `count` bytes of a type definition.
+
+        Raises:
+            OverBudgetError: all definitions exceed the limit.
+        """
+        self.definition_bytes += count
+        if self.definition_bytes > _MAX_DEFINITION_BYTES:
+            raise OverBudgetError(f"it has over {_MAX_DEFINITION_BYTES} bytes of definitions")
+
+    def spend_channel(self) -> None:
+        """Charge a channel.
+
+        Raises:
+            OverBudgetError: there are more than `MAX_CHANNELS`.
+        """
+        self.channels += 1
+        self.spend_records(PART_RECORDS)
+        if self.channels > MAX_CHANNELS:
+            raise OverBudgetError(f"it has over {MAX_CHANNELS} channels")
+
+
+# ---- Stamps in messages of ROS 1, ROS 2, protobuf and JSON.
+
+# What ROS 2, protobuf, Foxglove's JSON and ROS 1 call the parts of a time.
+STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("secs", "nsecs"))
+
+
+def time_ns(time: Any) -> int:
+    """Convert a time of ROS, protobuf or JSON to ns.
+
+    Raises:
+        ValueError: it has no known pair of fields.
+    """
+    for whole, part in STAMP_FIELDS:
+        if hasattr(time, whole) and hasattr(time, part):
+            return int(getattr(time, whole)) * 1_000_000_000 + int(getattr(time, part))
+    raise ValueError("it holds no time that is understood")
+
+
+def ros_stamp_ns(message: Any) -> int:
+    """Return the stamp of a message's header [ns]."""
+    stamp = message.header.stamp
+    try:
+        return stamp.sec * 1_000_000_000 + stamp.nanosec
+    except AttributeError:
+        return time_ns(stamp)
+
+
+# ---- Structure of message types, in any encoding: fields, lists, numbers, texts.
+
+_MAX_LISTED = 200  # fields listed of a type
+
+
+class Plain(Enum):
+    """A leaf of a structure."""
+
+    NUMBER = "a number"
+    WHOLE = "a whole number"
+    FLAG = "a flag"
+    TEXT = "a text"
+    OTHER = "nothing that is read"
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """A message, or a part of one, with fields.
+
+    Attributes:
+        name: of its type, "" where it has none.
+        fields: by name, in their order.
+    """
+
+    name: str
+    fields: Mapping[str, Node]
+
+    @property
+    def is_time(self) -> bool:
+        """Whether it is a time in seconds and nanoseconds."""
+        return any(set(self.fields) == set(pair) for pair in STAMP_FIELDS)
+
+    @property
+    def is_place(self) -> bool:
+        """Whether it is a position x, y, z, and no quaternion."""
+        return "w" not in self.fields and all(
+            self.fields.get(axis) in NUMBERS for axis in ("x", "y", "z")
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Listed:
+    """A list of equal parts.
+
+    Attributes:
+        of: each part.
+        count: fixed length; None where it varies.
+    """
+
+    of: Node
+    count: int | None = None
+
+
+Node = Structure | Listed | Plain  # a message, or a part of one
+NUMBERS = (Plain.NUMBER, Plain.WHOLE)  # what may be measured
+
+
+class NotThereError(LookupError):
+    """A field that a type lacks, named by the message."""
+
+
+def node_at(top: Structure, steps: tuple[str | int, ...]) -> Node:
+    """Return the part of a type at a path.
+
+    Args:
+        top: the type.
+        steps: names of fields, and numbers in lists from 0.
+
+    Raises:
+        NotThereError: the type has no such part.
+    """
+    node: Node = top
+    for step in steps:
+        if isinstance(step, int):
+            if not isinstance(node, Listed) or (node.count is not None and step >= node.count):
+                raise NotThereError(f"[{step}]")
+            node = node.of
+        else:
+            if not isinstance(node, Structure) or step not in node.fields:
+                raise NotThereError(step)
+            node = node.fields[step]
+    return node
+
+
+def numbers_in(node: Node, prefix: str = "") -> list[str]:
+    """List the numeric and time fields of a type, as `--columns` names them; 200 at most."""
+    found: list[str] = []
+    for path in _numbers(node, prefix):
+        if len(found) == _MAX_LISTED:
+            break
+        found.append(path)
+    return found
+
+
+def likely_field(fields: Sequence[str]) -> str:
+    """Return the field most likely meant: the first z, else the last."""
+    return next((field for field in fields if field.split(".")[-1] == "z"), fields[-1])
+
+
+def _numbers(node: Node, path: str) -> Iterator[str]:
+    if isinstance(node, Listed):
+        yield from _numbers(node.of, f"{path}[0]")
+    elif isinstance(node, Structure) and node.is_time:
+        yield path
+    elif isinstance(node, Structure):
+        for name, inner in node.fields.items():
+            yield from _numbers(inner, f"{path}.{name}" if path else name)
+    elif node in NUMBERS:
+        yield path

@@ -1,17 +1,244 @@
-"""Extract positions from messages of unknown types, by the names of their fields."""
+"""Extract positions from messages of unknown types, by the names and shapes of their fields.
+
+`any_type` decodes a message by the definition in the log, or a JSON message by its own content.
+`shape_reader` finds what in it is a measured position, or says why that is ambiguous: then the user
+chooses with `--columns`. `ShapeMessages` does so for the messages of one channel.
+"""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from operator import attrgetter
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
-from tunenet_logs.formats.any_messages import AnyType, Steps
-from tunenet_logs.formats.message_types import type_key
-from tunenet_logs.formats.position_types import PositionSample
-from tunenet_logs.formats.stamps import time_ns
-from tunenet_logs.formats.structure import NUMBERS, Listed, Node, Plain, Structure
+from tunenet_logs.formats.base import (
+    DAMAGED,
+    NUMBERS,
+    Decode,
+    Listed,
+    MessageError,
+    Node,
+    Plain,
+    RawChannel,
+    Structure,
+    UnusableError,
+    described,
+    likely_field,
+    numbers_in,
+    time_ns,
+)
+from tunenet_logs.formats.compressed import MAX_PART_BYTES
+from tunenet_logs.formats.decoders import (
+    MAX_REPEATED_BYTES,
+    MAX_SCHEMA_BYTES,
+    any_json,
+    descriptor_of,
+    has_lists,
+)
+from tunenet_logs.formats.message_types import PositionSample, type_key
+from tunenet_logs.formats.ros import SCHEMA_ENCODINGS, any_ros_type, known_types, parsed, ros_name
+
+if TYPE_CHECKING:
+    from google.protobuf.descriptor import Descriptor, FieldDescriptor
+
+_MAX_TYPE_DEPTH = 8  # of parts within parts that are looked at: a type may hold itself
+_MAX_NODES = 5000  # parts of a type that are looked at
+# Time to read a byte of IDL and of protobuf, relative to one of another definition.
+_IDL_WEIGHT, _PROTOBUF_WEIGHT = 8.0, 1 / 16
+
+_WEIGHTS = {"ros2idl": _IDL_WEIGHT, "omgidl": _IDL_WEIGHT, "protobuf": _PROTOBUF_WEIGHT}
+
+# Where a part of a message is: names of fields, and numbers in lists from 0.
+Steps = tuple[str | int, ...]
+
+
+@dataclass
+class SchemaBudget:
+    """Bytes of untrusted definitions that may be read in one log.
+
+    Attributes:
+        left_bytes: of definitions.
+        left_guesses: bytes of messages that may be decoded to infer their structure.
+    """
+
+    left_bytes: int = 2 * 1024 * 1024
+    left_guesses: int = 4 * 1024 * 1024
+
+    def spend(self, channel: RawChannel) -> None:
+        """Charge the definition of a channel's type to the budget.
+
+        Raises:
+            UnusableError: the budget is exhausted.
+        """
+        weight = _WEIGHTS.get(channel.schema_encoding, 1.0)
+        count = int(weight * len(channel.schema))
+        if count > self.left_bytes:
+            raise UnusableError("the log has more definitions than are read")
+        self.left_bytes -= count
+
+
+@dataclass(frozen=True)
+class AnyType:
+    """Structure and decoder of the messages of one type.
+
+    Attributes:
+        structure: fields of the type; None where only a message shows them (JSON).
+        decode: decoder of one message.
+        checks_presence: whether an absent field reads as zero, as in protobuf.
+    """
+
+    structure: Structure | None
+    decode: Decode
+    checks_presence: bool = False
+
+    def getter(self, steps: Steps) -> Callable[[Any], Any]:
+        """Return a function that gets the field at ``steps`` of a message.
+
+        The function raises LookupError or AttributeError where it is absent.
+        """
+        if self.checks_presence:
+            return lambda message: _present(message, steps)
+        if steps and not any(isinstance(step, int) or "." in step for step in steps):
+            return attrgetter(".".join(map(str, steps)))
+        return lambda message: _at(message, steps)
+
+
+def _at(message: Any, steps: Steps) -> Any:
+    for step in steps:
+        message = message[step] if isinstance(step, int) else getattr(message, step)
+    return message
+
+
+def _present(message: Any, steps: Steps) -> Any:
+    for step in steps:
+        if isinstance(step, int):
+            message = message[step]
+            continue
+        field = message.DESCRIPTOR.fields_by_name[step]
+        if field.has_presence and not message.HasField(step):
+            raise LookupError(f"it has no {step}")
+        message = getattr(message, step)
+    return message
+
+
+def any_type(channel: RawChannel, budget: SchemaBudget) -> AnyType:
+    """Return structure and decoder of a channel's messages of any type.
+
+    Raises:
+        UnusableError: their encoding or definition is not supported.
+    """
+    budget.spend(channel)
+    if channel.encoding in SCHEMA_ENCODINGS:
+        return _ros(channel)
+    if channel.encoding == "protobuf" and channel.schema_encoding == "protobuf":
+        return _protobuf(channel)
+    if channel.encoding == "json":
+        return AnyType(None, any_json)
+    raise UnusableError(f"message encoding {channel.encoding[:20]!r} is not read")
+
+
+def _ros(channel: RawChannel) -> AnyType:
+    name, is_ros1 = ros_name(channel.type_name), channel.encoding == "ros1"
+    types = dict(known_types(is_ros1=is_ros1))
+    encodings = SCHEMA_ENCODINGS[channel.encoding]
+    if channel.schema_encoding in encodings:
+        types |= parsed(channel.schema, channel.schema_encoding, name)
+        plain = channel.type_name.replace("::", "/")
+        name = name if name in types or plain not in types else plain
+    elif name not in types and channel.schema_encoding:
+        raise UnusableError(
+            f"its definition is in {channel.schema_encoding[:20]!r}, which is not read "
+            f"(only {', '.join(encodings)})"
+        )
+    elif name not in types:
+        raise UnusableError("its type is not known here, and the log does not define it")
+    structure, decode = any_ros_type(types, name, is_ros1=is_ros1)
+    return AnyType(structure, decode)
+
+
+def _protobuf(channel: RawChannel) -> AnyType:
+    if len(channel.schema) > MAX_SCHEMA_BYTES:
+        raise UnusableError("its schema is too large")
+    from google.protobuf.message import Error
+    from google.protobuf.message_factory import GetMessageClass
+
+    try:
+        descriptor = descriptor_of(channel.schema, channel.type_name)
+        structure = _Proto().structure(descriptor, 0)
+        parse = GetMessageClass(descriptor).FromString
+        most = MAX_REPEATED_BYTES if has_lists(descriptor) else MAX_PART_BYTES
+    except (Error, *DAMAGED) as error:
+        raise UnusableError(f"its schema is damaged: {described(error)}") from error
+
+    def decode(data: bytes | memoryview) -> Any:
+        if len(data) > most:
+            raise MessageError(f"a message of {len(data)} bytes is over the limit of {most}")
+        try:
+            return parse(bytes(data))
+        except (Error, *DAMAGED) as error:
+            raise MessageError(f"a message is damaged: {described(error)}") from error
+
+    return AnyType(structure, decode, checks_presence=True)
+
+
+class _Proto:
+    """Structure of a protobuf type, bounded in depth and in number of fields."""
+
+    def __init__(self) -> None:
+        self._nodes = 0
+
+    def structure(self, descriptor: Descriptor, depth: int) -> Structure:
+        fields = {field.name: self._field(field, depth) for field in descriptor.fields}
+        return Structure(descriptor.full_name, fields)
+
+    def _field(self, field: FieldDescriptor, depth: int) -> Node:
+        self._nodes += 1
+        one = self._one(field, depth)
+        return Listed(one) if field.is_repeated else one
+
+    def _one(self, field: FieldDescriptor, depth: int) -> Node:
+        if field.message_type is not None:
+            is_map = field.message_type.GetOptions().map_entry
+            if is_map or depth > _MAX_TYPE_DEPTH or self._nodes > _MAX_NODES:
+                return Plain.OTHER
+            return self.structure(field.message_type, depth + 1)
+        if field.type in (field.TYPE_DOUBLE, field.TYPE_FLOAT):
+            return Plain.NUMBER
+        if field.type == field.TYPE_STRING:
+            return Plain.TEXT
+        if field.type == field.TYPE_BOOL:
+            return Plain.FLAG
+        return Plain.OTHER if field.type == field.TYPE_BYTES else Plain.WHOLE
+
+
+def structure_of(message: Any) -> Structure:
+    """Infer the structure of a decoded JSON message from its values."""
+    node = _node(message, [0], 0)
+    return node if isinstance(node, Structure) else Structure("", {})
+
+
+def _node(value: Any, seen: list[int], depth: int) -> Node:
+    seen[0] += 1
+    if depth > _MAX_TYPE_DEPTH or seen[0] > _MAX_NODES:
+        return Plain.OTHER
+    if isinstance(value, SimpleNamespace):
+        fields = {name: _node(one, seen, depth + 1) for name, one in vars(value).items()}
+        return Structure("", fields)
+    if isinstance(value, list):
+        of = _node(value[0], seen, depth + 1) if value else Plain.OTHER
+        return Listed(of, None if isinstance(of, Structure) else len(value))
+    if isinstance(value, bool):
+        return Plain.FLAG
+    if isinstance(value, int | float):
+        return Plain.WHOLE if isinstance(value, int) else Plain.NUMBER
+    return Plain.TEXT if isinstance(value, str) else Plain.OTHER
+
+
+# ---- `ShapeReader`: find the positions in messages of one type.
 
 # Fields that lead to where something is.
 _WORDS = frozenset(
@@ -86,15 +313,14 @@ _NOT_MEASURED = [
     "foxglove.CameraCalibration",
 ]
 
+# Flags of an object, with their value where it is not seen.
 _UNSEEN = {"occluded": True, "is_occluded": True}
 _UNSEEN |= dict.fromkeys(
     ("tracking_valid", "is_tracking_valid", "tracked", "is_tracked", "valid", "is_valid"), False
 )
 _UNSEEN |= dict.fromkeys(("visible", "is_visible"), False)
-"""Flags of things, and what they are where it is not seen."""
-
 _DELETED = (2, 3)  # `action` of a marker that is taken away
-_MAX_DEPTH = 6  # of fields within fields
+_MAX_PLACE_DEPTH = 6  # of fields within fields, down to a position
 _MAX_THINGS = 100  # of one topic: more are no bodies, but a drawing
 Get = Callable[[Any], Any]
 
@@ -211,7 +437,7 @@ def shape_reader(kind: AnyType, top: Structure) -> ShapeReader | str:
         kind: structure and decoder of the messages.
         top: their structure.
     """
-    if places := _places(top, _MAX_DEPTH):
+    if places := _places(top, _MAX_PLACE_DEPTH):
         if len(places) > 1:
             shown = ", ".join(".".join(map(str, place)) for place in places[:3])
             return f"it names several positions ({shown})"
@@ -225,7 +451,7 @@ def shape_reader(kind: AnyType, top: Structure) -> ShapeReader | str:
             continue
         if node.of.is_place and name.lower().removesuffix("s") not in _LISTS:
             continue
-        places = _places(node.of, _MAX_DEPTH - 1)
+        places = _places(node.of, _MAX_PLACE_DEPTH - 1)
         if len(places) == 1:
             names = _beside(kind, top, name)
             lists.append((name, kind.getter((name,)), names, _thing(kind, node.of, places[0])))
@@ -309,3 +535,130 @@ def stamp_steps(node: Structure) -> Steps:
         if isinstance(at, Structure) and at.is_time:
             return steps
     return ()
+
+
+# ---- `ShapeMessages`: read one channel by the shape of its messages.
+
+# Without any of these in its definition, a type holds no position.
+_HINT = re.compile(rb"\bz\b|position|translation|location|\[3\]|\bpos\b")
+
+UNUSED = "its type is not one that a task uses"  # why most channels are not read
+_TRIES = 100  # JSON messages that may leave their shape open, as an empty list does
+
+
+class ShapeMessages:
+    """Reader of one channel's messages, by `ShapeReader`.
+
+    Args:
+        kind: structure and decoder of the type.
+        reader: reader of their positions; None where only a message tells.
+        top: structure of the messages.
+        budget: for messages that are decoded only to infer their structure.
+    """
+
+    def __init__(
+        self,
+        kind: AnyType,
+        reader: ShapeReader | None,
+        top: Structure | None,
+        budget: SchemaBudget,
+    ) -> None:
+        self._budget = budget
+        self._kind = kind
+        self._reader = reader
+        self._tries = _TRIES
+        self._why = ""
+        self._top = top
+        self._stamp = kind.getter(steps) if top and (steps := stamp_steps(top)) else None
+
+    def decode(self, data: bytes | memoryview) -> Any:
+        """Decode a message; None where it is unreadable and its shape still unknown.
+
+        Raises:
+            MessageError: it is damaged.
+        """
+        if self._reader is not None:
+            return None if self._reader.refused else self._kind.decode(data)
+        if not self._tries or self._budget.left_guesses < len(data):
+            return None
+        self._tries -= 1
+        self._budget.left_guesses -= len(data)
+        try:
+            return self._kind.decode(data)
+        except MessageError:
+            return None
+
+    def read(self, message: Any) -> Iterable[PositionSample]:
+        """Return the positions of a message.
+
+        Raises:
+            ValueError, TypeError, AttributeError: its content is invalid.
+        """
+        reader = self._reader or self._told_by(message)
+        if reader is None or message is None:
+            return ()
+        try:
+            stamp_ns = time_ns(self._stamp(message)) if self._stamp is not None else 0
+        except LookupError:
+            stamp_ns = 0
+        return reader(message, stamp_ns)
+
+    def _told_by(self, message: Any) -> ShapeReader | None:
+        if message is None:
+            return None
+        top = structure_of(message)
+        self._top = top
+        reader = shape_reader(self._kind, top)
+        if isinstance(reader, str):
+            self._why = self._why or reader
+            return None
+        if steps := stamp_steps(top):
+            self._stamp = self._kind.getter(steps)
+        self._reader = reader
+        return reader
+
+    def outcome(self, topic: str) -> tuple[str, list[str]]:
+        """Return why the channel is not used ("" where it is), and notes on it."""
+        why = self._reader.refused if self._reader else self._why
+        if why:
+            return f"{why}; {_choose(topic, self._top)}", []
+        if self._reader is None:
+            return UNUSED, []
+        if self._reader.doubled:
+            why = f"{self._reader.doubled} entries were left out that share their name with another"
+            return "", [f"{topic}: {why}"]
+        return "", []
+
+
+def shape_messages(channel: RawChannel, budget: SchemaBudget) -> ShapeMessages | None:
+    """Return a reader of a channel by the shape of its messages; None without any evidence.
+
+    Raises:
+        UnusableError: its positions are ambiguous: the user has to choose the columns.
+    """
+    is_json = channel.encoding == "json"
+    hinted = is_json or not channel.schema or _HINT.search(channel.schema)
+    if not hinted or not may_hold_positions(channel.type_name):
+        return None
+    try:
+        kind = any_type(channel, budget)
+    except UnusableError:
+        known = SCHEMA_ENCODINGS.get(channel.encoding)
+        if known and channel.schema_encoding and channel.schema_encoding not in known:
+            raise  # it may well be a type that a task uses
+        return None
+    if kind.structure is None:
+        return ShapeMessages(kind, None, None, budget)
+    reader = shape_reader(kind, kind.structure)
+    if isinstance(reader, str):
+        if reader:
+            raise UnusableError(f"{reader}; {_choose(channel.topic, kind.structure)}")
+        return None
+    return ShapeMessages(kind, reader, kind.structure, budget)
+
+
+def _choose(topic: str, top: Structure | None) -> str:
+    """Return the option to type where the shape alone is ambiguous."""
+    fields = numbers_in(top) if top else []
+    field = likely_field(fields) if fields else "FIELD"
+    return f"choose one with --columns z={topic}.{field}"

@@ -1,42 +1,851 @@
 """Review of a drop: heights and residuals, the ball in 3D, the iterations, and their layout.
 
-The video and the bounces, which not every tuning has, are in `film` and `bounces`.
+The video, the sound and the chart of bounces, which not every tuning has, come first. A drop that
+was only heard has a review of its own (`log_times`).
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.drop.checks import MAX_EXCESS_PERCENT
-from analysis.drop.detection import AnyDetection
-from analysis.drop.review.bounces import bounce_view, log_bounces
-from analysis.drop.review.film import log_film
-from analysis.drop.review.review_data import ReviewData, review_data
-from analysis.drop.review.sound import log_beside, sound_of, time_axis
-from analysis.record import Tuning
-from analysis.review.drawing import (
+from tunenet_logs.analysis.drop.bounce_model import DRAG, RESTITUTION, SLOPE
+from tunenet_logs.analysis.drop.checks import MAX_EXCESS_PERCENT, off_s
+from tunenet_logs.analysis.drop.detection import AnyDetection, FilmDetection
+from tunenet_logs.analysis.drop.film import FilmedDrop
+from tunenet_logs.analysis.drop.motion import last_bounce_s, matched, simulated_m
+from tunenet_logs.analysis.drop.times.detection import TimesDetection, heard_heights_m
+from tunenet_logs.analysis.estimators.base import Step
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.onsets import onsets
+from tunenet_logs.analysis.presentation import markdown_table, quantity
+from tunenet_logs.analysis.record import Rebound
+from tunenet_logs.analysis.review.drawing import (
     GROUND,
     IMPACT,
     ITERATION,
     LOG_TIME,
+    MUTED,
     OBSERVED,
+    WIDTH,
     Color,
     Iterates,
     at_seconds,
     by_iteration,
     chart_view,
+    frames_to_show,
     iterates_view,
     log_grid,
     log_iterates,
     plainly,
+    ramp,
+    reduced,
     screen_radius,
+    send_pictures,
     send_scalars,
     ticked,
     ticks,
 )
-from analysis.terminal_table import markdown_table, quantity
+from tunenet_logs.episode import Array, Episode, Frame, Sound
+from tunenet_logs.errors import LogError
+from tunenet_logs.recorders.simulators.ball import Bounce
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
+
+# ---- Data of a review, taken from its tuning once: curves over the log's time
+
+# Of the first rebound's speed: slower impacts end hops that look like rest (1 % as high).
+_SOFTEST = 0.1
+
+_SAME_S = 1e-6  # stamps that differ by less are of one moment
+_SHOWN_FALLS = 5  # fall times after the first impact: a ball of restitution 0.7 lies still by then
+# Fall times before the release that are shown (a review opens there, and should not begin with a
+# ball that is held), and after the last bounce in view that the chart of heights opens with.
+_BEFORE_FALLS, _AFTER_FALLS = 0.25, 0.5
+
+# Of parameters, as a legend has room for them.
+_SYMBOLS = {"restitution": "e", "restitution_slope": "p", "drag": "k"}
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Height over the log's time.
+
+    Attributes:
+        name: "observed", "k=3", "refined".
+        label: the same with its values, for a legend.
+        color: of its line, its ball and its label.
+        width: of its line, in points of the screen.
+        values: it was simulated with, by parameter; none for the observed one.
+        seconds: since the log's first sample [s], shape (T,).
+        heights_m: above the table, of a residual above the observed height [m], shape (T,).
+    """
+
+    name: str
+    label: str
+    color: Color
+    width: float
+    values: Mapping[str, float]
+    seconds: Array
+    heights_m: Array
+
+
+@dataclass(frozen=True)
+class TunedBall:
+    """Tuned ball in closed form, between the samples too.
+
+    Attributes:
+        bounce: the ball, with its own air.
+        impact_s: its first impact, on the log's time.
+        fall_time_s: of a fall from the same height without air.
+    """
+
+    bounce: Bounce
+    impact_s: float
+    fall_time_s: float
+
+    def heights(self, seconds: Array) -> Array:
+        """Return heights above contact at times on the log's clock, shape (T,) [drop heights]."""
+        return self.bounce.heights((seconds - self.impact_s) / self.fall_time_s)
+
+    def impacts_s(self, until_s: float) -> Array:
+        """Return impacts on the log's clock, of hops that do not look like rest, shape (I,) [s]."""
+        starts, speeds = self.bounce.flights((until_s - self.impact_s) / self.fall_time_s)
+        hard = speeds > _SOFTEST * speeds[0]
+        hard[0] = True
+        found = self.impact_s + self.fall_time_s * starts[hard]
+        return found[found <= until_s]
+
+
+@dataclass(frozen=True, eq=False)
+class ReviewData:
+    """Curves of one tuning.
+
+    Attributes:
+        observed: the recorded heights.
+        simulated: one an iteration, at the observation's own stamps; the last is the result.
+        residuals: of each simulated curve, less the observed one at the observed times.
+        drop_height_m: what the views are scaled by.
+        release_s: when the ball was let go, on the log's time.
+        impact_s: the first impact.
+        end_s: when little more is to be seen.
+        seen_s: when the last bounce that counts ends, and a little.
+        impacts_s: of the result's ball, on the log's time, those that are apart; shape (I,) [s].
+        ball: the result's; None where no ball was fitted, as with the paper's simulator.
+        bounces: each impact's own restitution; empty if they cannot be determined.
+        interval95: of the result; None where none is honest.
+    """
+
+    observed: Curve
+    simulated: tuple[Curve, ...]
+    residuals: tuple[Curve, ...]
+    drop_height_m: float
+    release_s: float
+    impact_s: float
+    end_s: float
+    seen_s: float
+    impacts_s: Array
+    ball: TunedBall | None = None
+    bounces: tuple[Rebound, ...] = ()
+    interval95: tuple[float, float] | None = None
+
+    @property
+    def shown_s(self) -> tuple[float, float]:
+        """First and last moment of the plots, on the log's time."""
+        return float(self.observed.seconds[0]), self.seen_s
+
+
+def review_data(tuning: Tuning) -> ReviewData:
+    """Collect the review of a tuning that found a drop."""
+    detection: AnyDetection = tuning.detection
+    drop = detection.drop
+    steps = tuning.trace.steps if tuning.trace else ()
+    fit = tuning.trace.fit if tuning.trace else None
+    observed = _observed(detection)
+    curves = tuple(_simulated(tuning, k) for k in range(len(steps)))
+    residuals = tuple(_residual(curve, observed) for curve in curves)
+    ball = _ball(detection, steps[-1]) if steps else None
+    last_s = float(observed.seconds[-1])
+    impacts_s = np.array([drop.impact_s]) if ball is None else ball.impacts_s(last_s)
+    interval95 = None
+    if tuning.interval95 is not None:
+        low, high = tuning.interval95[0]
+        interval95 = float(low), float(high)
+    return ReviewData(
+        observed=observed,
+        simulated=curves,
+        residuals=residuals,
+        drop_height_m=float(drop.drop_height_m),
+        release_s=float(drop.release_s),
+        impact_s=float(drop.impact_s),
+        end_s=float(min(last_s, drop.impact_s + _SHOWN_FALLS * drop.fall_time_s)),
+        seen_s=_seen_s(detection, last_s),
+        impacts_s=impacts_s,
+        ball=ball,
+        bounces=record_of(tuning).rebounds if fit and fit.detail else (),
+        interval95=interval95,
+    )
+
+
+def _observed(detection: AnyDetection) -> Curve:
+    """Return the samples' heights by the fitted camera, or the fitted table."""
+    drop = detection.drop
+    posterior = detection.posterior if detection.physical else None
+    if posterior is None:
+        seconds = drop.seconds
+        heights_m = drop.heights_m - (drop.contact_m if detection.physical else drop.table_m)
+    else:
+        seconds = detection.observed.seconds
+        view = posterior.fit.projection()
+        heights = view.heights(detection.observed.positions, seconds)
+        heights_m = heights * drop.drop_height_m
+    shown = seconds >= begin_s(detection)
+    return Curve("observed", "observed", OBSERVED, 2.5, {}, seconds[shown], heights_m[shown])
+
+
+def begin_s(detection: AnyDetection) -> float:
+    """Return when the plots of a drop begin, on the log's clock [s]."""
+    drop = detection.drop
+    return float(drop.release_s - _BEFORE_FALLS * drop.fall_time_s)
+
+
+def _simulated(tuning: Tuning, k: int) -> Curve:
+    """Return the rollout of iterate `k`, as long as something is observed."""
+    assert tuning.trace is not None
+    detection, steps = tuning.detection, tuning.trace.steps
+    first_s, last_s = _observed(detection).seconds[[0, -1]]
+    seconds, heights_m = simulated_m(detection, steps[k])
+    inside = (seconds > first_s - _SAME_S) & (seconds < last_s + _SAME_S)
+    is_last = k == len(steps) - 1
+    name = "refined" if tuning.trace.fit is not None and is_last else f"k={k}"
+    names = [parameter.name for parameter in tuning.parameters]
+    values = dict(zip(names, steps[k].values.tolist(), strict=True))
+    return Curve(
+        name=name,
+        label=f"{name}  {values_words(values)}",
+        color=ramp(k, len(steps)),
+        width=3.0 if is_last else 1.2,
+        values=values,
+        seconds=seconds[inside],
+        heights_m=heights_m[inside],
+    )
+
+
+def values_words(values: Mapping[str, float]) -> str:
+    """Format parameters as a legend has room for them: "e=.752 p=.03 k=.11/m"."""
+    alone = len(values) == 1
+    parts: list[str] = []
+    for name, value in values.items():
+        digits = 4 if alone else 3
+        number = f"{round(value, digits) + 0.0:.{digits}f}"  # no -0
+        number = number if alone else number.replace("0.", ".", 1)
+        unit = "/m" if name == "drag" else ""
+        parts.append(f"{_SYMBOLS.get(name, name)}={number}{unit}")
+    return " ".join(parts)
+
+
+def _residual(curve: Curve, observed: Curve) -> Curve:
+    """Subtract sample by sample where both have the same stamps, as all but the paper's do."""
+    at, rows = matched(observed.seconds, curve.seconds)
+    if len(at) > 1:
+        off = curve.heights_m[rows] - observed.heights_m[at]
+        return replace(curve, seconds=observed.seconds[at], heights_m=off)
+    off = np.interp(observed.seconds, curve.seconds, curve.heights_m) - observed.heights_m
+    return replace(curve, seconds=observed.seconds, heights_m=off)
+
+
+def _ball(detection: AnyDetection, last: Step) -> TunedBall | None:
+    """Return the ball of an iterate, let go where and when its rollout was."""
+    posterior = detection.posterior if detection.physical else None
+    if posterior is None:
+        return None
+    drop, fit = detection.drop, posterior.fit
+    height_m = GRAVITY_M_S2 * drop.fall_time_s**2 / 2
+    restitution, slope, drag_1_m = (*last.values.tolist(), 0.0, 0.0)[:3]
+    unknowns = fit.unknowns.copy()
+    unknowns[[RESTITUTION, SLOPE, DRAG]] = restitution, slope, drag_1_m * height_m
+    bounce = fit.samples.bounce(unknowns)
+    impact_s = drop.release_s + drop.fall_time_s * bounce.fall_time
+    if bounce.starts_in_flight:  # its release is where it is first seen
+        impact_s = drop.impact_s
+    return TunedBall(bounce, float(impact_s), float(drop.fall_time_s))
+
+
+def _seen_s(detection: AnyDetection, last_s: float) -> float:
+    """Return when the last bounce in view ends, and half a fall time later."""
+    drop = detection.drop
+    posterior = detection.posterior if detection.physical else None
+    if posterior is None:
+        return last_s
+    noise = drop.noise_m / drop.drop_height_m
+    seen_s = last_bounce_s(posterior.fit.projection(), last_s, noise)
+    return float(min(last_s, seen_s + _AFTER_FALLS * drop.fall_time_s))
+
+
+# ---- Chart of bounces: restitution against impact speed, with intervals
+
+_MIN_SPAN = 0.04  # of restitution: less would make noise look like a slope
+# Chart heights that a figure takes up across; figures that would overlap are left out.
+_FIGURE_WIDTH = 0.55
+
+_FIGURE_RISE = 0.2  # chart heights from a bar up to the place that its figure hangs from
+_CAP = 0.025  # half the width of the caps at a bar's ends, in chart heights
+_LOWEST_ROW = 0.08  # chart heights: a row's label below this would overlap those of the speeds
+
+
+def log_bounces(stream: rr.RecordingStream, data: ReviewData) -> None:
+    """Send the entities of `bounce_view`; static, so that they stay in view on any timeline."""
+    bounces, color = data.bounces, data.simulated[-1].color
+    low, high = _span(bounces)
+    speeds = _speeds(bounces)
+    if speeds is None:
+        x = (np.arange(len(bounces)) + 0.5) / len(bounces) * WIDTH
+        marks = [(float(at), str(index + 1)) for index, at in enumerate(x)]
+    else:
+        most = 1.08 * max(speeds)
+        x = np.array(speeds) / most * WIDTH
+        marks = [(speed / most * WIDTH, f"{speed:g}") for speed in ticks(0.0, most)]
+    levels = [(-(value - low) / (high - low), f"{value:.6g}") for value in ticks(low, high, 3)]
+    rows = [(y, text) for y, text in levels if y < -_LOWEST_ROW]
+    log_grid(stream, "sheets/bounces", WIDTH, rows, marks)
+    y = np.array([-(bounce.restitution - low) / (high - low) for bounce in bounces])
+    dots = rr.Points2D(
+        np.column_stack([x, y]), colors=[color], radii=screen_radius(4.0), draw_order=20.0
+    )
+    stream.log("sheets/bounces/values", dots, static=True)
+    strips: list[list[list[float]]] = []
+    figures: list[tuple[list[float], str]] = []
+    for at, bounce in zip(x.tolist(), bounces, strict=True):
+        ends = bounce.interval95 or (bounce.restitution,)
+        bottom, top = (-(end - low) / (high - low) for end in (min(ends), max(ends)))
+        if bounce.interval95 is not None:
+            caps = [[[at - _CAP, end], [at + _CAP, end]] for end in (bottom, top)]
+            strips += [[[at, bottom], [at, top]], *caps]
+        if all(abs(at - place[0]) > _FIGURE_WIDTH for place, _ in figures):
+            figures.append(([at, top - _FIGURE_RISE], f"{bounce.restitution:.3f}"))
+    labels = rr.Points2D(
+        [place for place, _ in figures],
+        labels=[text for _, text in figures],
+        colors=[color],
+        radii=screen_radius(0.1),
+        show_labels=True,
+    )
+    stream.log("sheets/bounces/figures", labels, static=True)
+    bars = rr.LineStrips2D(strips, colors=[color], radii=screen_radius(0.9), draw_order=15.0)
+    stream.log("sheets/bounces/intervals", bars, static=True)
+
+
+def bounce_view(data: ReviewData) -> rrb.View:
+    """Build the view of the bounces by impact speed, or by number where no speed is known."""
+    by = "bounce" if _speeds(data.bounces) is None else "impact speed [m/s]"
+    bars = ", bars: 95 %" if data.interval95 is not None else ""
+    return chart_view("bounces", f"restitution by {by}{bars}")
+
+
+def _speeds(bounces: tuple[Rebound, ...]) -> list[float] | None:
+    """Return the impact speeds [m/s]; None unless all are known."""
+    speeds = [bounce.impact_speed_m_s for bounce in bounces if bounce.impact_speed_m_s is not None]
+    return speeds if len(speeds) == len(bounces) else None
+
+
+def _span(bounces: tuple[Rebound, ...]) -> tuple[float, float]:
+    """Return the range of restitutions and intervals, with room for their figures."""
+    ends = [bounce.restitution for bounce in bounces]
+    for bounce in bounces:
+        ends += bounce.interval95 or ()
+    low, high = min(ends), max(ends)
+    more = max(0.0, _MIN_SPAN - (high - low)) / 2
+    low, high = low - more, high + more
+    return low - 0.05 * (high - low), high + 0.2 * (high - low)  # figures stand above
+
+
+# ---- Video of the tracked ball and its trail, and over them the simulated balls and their path
+
+# Trail behind the ball: a bounce's shape can be seen, older bounces are out of the way.
+_TRAIL_S = 0.35
+
+_CORNERS = 24  # of the polygon that is drawn as a circle
+_MIN_RADIUS_PX = 3.0  # of a circle: a smaller one would hide the ball
+# Recorded pictures [bytes]; more are made smaller, so that the review can be loaded soon.
+_MAX_BYTES = 48 * 1024 * 1024
+
+_NARROW = 0.6  # width over height of a view that has no room for a longer name
+_MIN_COUNT = 4  # samples of a flight, at least, from which its own speed sideways is fitted
+# Points of the path for each picture: it is drawn as a curve where pictures are far apart.
+_FINE = 4
+
+
+def log_film(
+    stream: rr.RecordingStream, tuning: Tuning, data: ReviewData
+) -> tuple[rrb.View, float]:
+    """Send the video with circles around observed and simulated balls, on the log's time.
+
+    Returns:
+        Its view, opened at the ball's way, and that view's width over its height.
+    """
+    film: FilmedDrop = tuning.detection.film
+    shown = film.drop.seconds >= begin_s(tuning.detection)
+    first_ns, last_ns = film.track.stamps_ns[film.used][shown][[0, -1]].tolist()
+    log_pictures(stream, tuning, tuning.detection, (first_ns, last_ns))
+    seconds = film.drop.seconds[shown]
+    observed = film.track.places_px[film.used][shown]
+    radii = film.track.radius_px[film.used][shown]
+    log_balls(stream, "film/observed", seconds, observed, radii, OBSERVED, 1.6)
+    log_trail(stream, seconds, observed)
+    _log_path(stream, film, data)
+    usual = np.full(len(seconds), float(np.nanmedian(radii)))
+    for k, curve in enumerate(data.simulated):
+        width = 1.8 if k == len(data.simulated) - 1 else 1.0
+        heights = np.interp(seconds, curve.seconds, curve.heights_m) / data.drop_height_m
+        positions = film_positions(film, seconds, heights, data.impacts_s)
+        log_balls(stream, f"film/k{k}", seconds, positions, usual, curve.color, width)
+    return _view(film, observed, len(data.simulated))
+
+
+def _view(film: FilmedDrop, observed_px: Array, count: int) -> tuple[rrb.View, float]:
+    """Build a view of the ball's way with room around it, as wide as it is high."""
+    size = np.array(film.track.size_px, np.float64)
+    low, high = np.nanmin(observed_px, axis=0), np.nanmax(observed_px, axis=0)
+    half = np.minimum(0.7 * (high - low).max() + 10, size / 2)
+    middle = np.clip((low + high) / 2, half, size - half)
+    (left, top), (right, bottom) = (middle - half).tolist(), (middle + half).tolist()
+    aspect = (right - left) / (bottom - top)
+    name = f"video: observed white, k=0 to {count - 1} cold to warm"
+    view = rrb.Spatial2DView(
+        origin="/film",
+        name="video" if aspect < _NARROW else name,
+        visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
+    )
+    return view, aspect
+
+
+def log_trail(stream: rr.RecordingStream, seconds: Array, places_px: Array) -> None:
+    """Send the trail of the ball's last positions."""
+    begin = np.searchsorted(seconds, seconds - _TRAIL_S)
+    trails = [places_px[first : index + 1] + 0.5 for index, first in enumerate(begin)]
+    style = rr.LineStrips2D.from_fields(
+        colors=[(*OBSERVED, 150)], radii=screen_radius(0.8), draw_order=8.0
+    )
+    stream.log("film/trail", style, static=True)
+    columns = rr.LineStrips2D.columns(strips=[[trail] for trail in trails])
+    stream.send_columns("film/trail", indexes=[at_seconds(seconds)], columns=columns)
+
+
+def log_balls(
+    stream: rr.RecordingStream,
+    entity: str,
+    seconds: Array,
+    positions_px: Array,
+    radii_px: Array,
+    color: Color,
+    width: float,
+) -> None:
+    """Send a circle around the ball at each time, none at NaN: a disc would hide the ball."""
+    style = rr.LineStrips2D.from_fields(
+        colors=[color], radii=screen_radius(width / 2), draw_order=10.0 + width
+    )
+    stream.log(entity, style, static=True)
+    turns = np.linspace(0, 2 * np.pi, _CORNERS + 1)
+    circle = np.column_stack([np.cos(turns), np.sin(turns)])
+    drawn_px = np.maximum(radii_px, _MIN_RADIUS_PX)
+    # Rerun's (0, 0) is a corner of the first pixel, ours its middle.
+    strips = positions_px[:, None] + drawn_px[:, None, None] * circle + 0.5
+    columns = rr.LineStrips2D.columns(
+        strips=[[strip] if np.isfinite(strip).all() else [] for strip in strips]
+    )
+    stream.send_columns(entity, indexes=[at_seconds(seconds)], columns=columns)
+
+
+def log_pictures(
+    stream: rr.RecordingStream, tuning: Tuning, found: FilmDetection, span_ns: tuple[int, int]
+) -> None:
+    """Send the pictures of this time as recorded; bare pixels, or far too many, reduced."""
+    assert tuning.episode is not None
+    shown: list[Frame] = []
+    for recorded in frames_to_show(tuning.episode, found.topic):
+        stamp_ns = found.taken_ns.get(recorded.stamp_ns, recorded.stamp_ns)
+        frame = replace(recorded, stamp_ns=stamp_ns)
+        if not span_ns[0] <= frame.stamp_ns <= span_ns[1]:
+            continue
+        try:
+            picture = frame if frame.encoding == "jpeg" else reduced(frame)
+            picture.size_px()
+        except LogError:
+            continue
+        shown.append(picture)
+    if sum(len(frame.data) for frame in shown) > _MAX_BYTES:
+        shown = [reduced(frame) for frame in shown]
+    if shown:
+        send_pictures(stream, shown, found.start_ns)
+        scale = found.track.size_px[0] / shown[0].size_px()[0]
+        stream.log("film/picture", rr.Transform3D(scale=scale), static=True)
+
+
+def _log_path(stream: rr.RecordingStream, film: FilmedDrop, data: ReviewData) -> None:
+    """Send the path of the result through the picture, its impacts, and the latest one's name."""
+    line = rr.LineStrips2D(
+        [model_path(film, data)],
+        colors=[(*data.simulated[-1].color, 170)],
+        radii=screen_radius(0.7),
+        draw_order=6.0,
+    )
+    stream.log("film/path", line, static=True)
+    impacts = data.impacts_s
+    positions = film_positions(film, impacts, np.zeros(len(impacts)), impacts) + 0.5
+    marks = rr.Points2D(positions, colors=[IMPACT], radii=screen_radius(2.5), draw_order=7.0)
+    stream.log("film/impacts", marks, static=True)
+    latest = rr.Points2D.from_fields(
+        colors=[IMPACT], radii=screen_radius(4.0), show_labels=True, draw_order=14.0
+    )
+    stream.log("film/impact", latest, static=True)
+    names = [f"bounce {k + 1}" for k in range(len(impacts))]
+    for k, bounce in enumerate(data.bounces[: len(names)]):
+        names[k] += f": {bounce.restitution:.3f}"
+    columns = rr.Points2D.columns(positions=positions, labels=names)
+    nothing_yet = [0] + [1] * len(impacts)
+    index = at_seconds(np.concatenate([data.observed.seconds[:1], impacts]))
+    stream.send_columns("film/impact", indexes=[index], columns=columns.partition(nothing_yet))
+
+
+def model_path(film: FilmedDrop, data: ReviewData) -> Array:
+    """Project the way of the result's ball, with all its impacts, shape (N, 2) [px].
+
+    From the corner of the first pixel, as Rerun counts.
+    """
+    curve, impacts = data.simulated[-1], data.impacts_s
+    count = _FINE * (len(curve.seconds) - 1) + 1
+    fine = np.interp(np.arange(count) / _FINE, np.arange(len(curve.seconds)), curve.seconds)
+    seconds = np.unique(np.concatenate([fine, impacts]))
+    if data.ball is None:
+        heights = np.interp(seconds, curve.seconds, curve.heights_m) / data.drop_height_m
+    else:
+        heights = data.ball.heights(seconds)
+    return film_positions(film, seconds, heights, impacts) + 0.5
+
+
+def film_positions(
+    film: FilmedDrop, seconds: Array, heights: Array, impacts_s: Array | None = None
+) -> Array:
+    """Project a ball at these heights into the picture.
+
+    The projection knows the image's vertical alone; sideways the ball goes as the observed one: a
+    piecewise linear least-squares fit with one speed, or one for each flight between `impacts_s`.
+
+    Args:
+        film: the drop as it was filmed.
+        seconds: on the log's time, shape (T,) [s].
+        heights: above contact, shape (T,) [drop heights].
+        impacts_s: on the log's time, shape (I,) [s].
+
+    Returns:
+        Positions from the middle of the first pixel, shape (T, 2) [px].
+    """
+    sideways = np.array([film.down_px[1], -film.down_px[0]])
+    observed = film.track.places_px[film.used] @ sideways
+    knots = _knots(film.drop.seconds, np.array([]) if impacts_s is None else impacts_s)
+    hats = np.eye(len(knots))
+    design = np.column_stack([np.interp(film.drop.seconds, knots, hat) for hat in hats])
+    ways, *_ = np.linalg.lstsq(design, observed, rcond=None)
+    across = np.interp(seconds, knots, ways)
+    along = film.projection.positions(heights, seconds)
+    return np.outer(-along, film.down_px) + np.outer(across, sideways)
+
+
+def _knots(seconds: Array, impacts_s: Array) -> Array:
+    """Return the impacts between flights of enough samples, and both ends, shape (K,) [s]."""
+    knots = [float(seconds[0])]
+    for at in impacts_s:
+        before = np.count_nonzero((seconds > knots[-1]) & (seconds <= at))
+        if before >= _MIN_COUNT and np.count_nonzero(seconds > at) >= _MIN_COUNT:
+            knots.append(float(at))
+    return np.array([*knots, float(seconds[-1])])
+
+
+# ---- Sound over the log's time: its envelope, and its onsets, marked
+
+_ENVELOPE: Color = (120, 170, 255)
+
+_RATE_HZ = 250.0  # points of an envelope in a second: a knock and its echo are apart
+_MAX = 30_000  # points of an envelope: two minutes of sound at that rate
+# Below the loudest sample: what is softer is drawn there, so that the axis has its ticks.
+_DEEP_DB = 45.0
+
+_LOUD_S = 0.01  # after a knock's onset, in which its mark's level is looked for
+_AROUND_S = 0.5  # of sound before and after what is shown: the background that its knocks rise from
+_NEAR_S = 0.002  # an onset so near to an impact that was heard is that impact
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Marked moments of a sound.
+
+    Attributes:
+        entity: last part of their paths.
+        name: in words.
+        color: of them.
+        seconds: on the log's clock, shape (N,).
+        size: of a mark, in points of the screen.
+    """
+
+    entity: str
+    name: str
+    color: Color
+    seconds: Array
+    size: float = 6.0
+
+
+def sound_of(episode: Episode | None, topic: str | None = None) -> Sound | None:
+    """Return the sound to show; None if there is none, it is silent, or pictures have no clock."""
+    if episode is None or not episode.sound_topics or episode.frames_untimed:
+        return None
+    try:
+        sound = episode.sounds(topic if topic in episode.sound_topics else None)
+    except LogError:
+        return None
+    return sound if sound is not None and np.any(sound.samples) else None
+
+
+def log_beside(
+    stream: rr.RecordingStream,
+    sound: Sound,
+    start_ns: int,
+    span_s: tuple[float, float],
+    last_s: float,
+    impacts_s: Array | None = None,
+    offset_s: float = 0.0,
+    reason: str = "",
+) -> rrb.View | None:
+    """Send a sound recorded beside pictures or positions, with its knocks at `height` too.
+
+    Args:
+        stream: the recording.
+        sound: as it was recorded.
+        start_ns: stamp where the log's time is 0.
+        span_s: first and last moment shown, on the log's time.
+        last_s: when what is seen ends, likewise: no other view has anything outside of that.
+        impacts_s: impacts that count as heard, on the pictures' clock, shape (N,); None where the
+            sound is not used.
+        offset_s: by which the sound is late on that clock: it is drawn so much earlier.
+        reason: why the sound is not used, in words.
+
+    Returns:
+        Its view; None where nothing sounds while the drop is shown.
+    """
+    begin_s = (sound.start_ns - start_ns) * 1e-9 - offset_s
+    around_s = span_s[0] - _AROUND_S - begin_s, span_s[1] + _AROUND_S - begin_s
+    piece = _piece(sound, around_s)
+    if piece is None:
+        return None
+    knocks_s = onsets(piece).times_s + (piece.start_ns - start_ns) * 1e-9 - offset_s
+    heard_s = np.zeros(0) if impacts_s is None else impacts_s
+    known = np.abs(knocks_s[:, None] - heard_s).min(axis=1, initial=np.inf) < _NEAR_S
+    marks = (
+        Marks("knock", "not used", MUTED, _inside(knocks_s[~known], span_s), 4.0),
+        Marks("touch", "impact heard", OBSERVED, _inside(heard_s, span_s), 4.0),  # over "impact"
+    )
+    said = f"not used: {reason}" if reason else "not used"
+    if impacts_s is not None:
+        earlier = "earlier" if offset_s >= 0 else "later"
+        said = f"drawn {1000 * abs(offset_s):.0f} ms {earlier}, white: heard"
+    view = log_sound(stream, sound, begin_s, span_s, marks, said, (span_s[0], last_s))
+    if view is not None:
+        log_on_table(stream, marks)
+    return view
+
+
+def log_sound(
+    stream: rr.RecordingStream,
+    sound: Sound,
+    begin_s: float,
+    span_s: tuple[float, float],
+    marks: Sequence[Marks],
+    said: str,
+    sent_s: tuple[float, float] = (-np.inf, np.inf),
+) -> rrb.View | None:
+    """Send the envelope and the marks on it.
+
+    Args:
+        stream: the recording.
+        sound: all of it.
+        begin_s: its first sample, on the log's time.
+        span_s: first and last moment shown, on the log's time.
+        marks: what is marked.
+        said: of the marks, in the view's title.
+        sent_s: first and last moment that can be scrolled to, on the log's time.
+
+    Returns:
+        The view; None where nothing sounds in what is shown.
+    """
+    seconds, levels_db = envelope(sound, (span_s[0] - begin_s, span_s[1] - begin_s))
+    seconds = seconds + begin_s
+    sent = (seconds >= sent_s[0]) & (seconds <= sent_s[1])
+    seconds, levels_db = seconds[sent], levels_db[sent]
+    shown = (seconds >= span_s[0]) & (seconds <= span_s[1])
+    if not np.isfinite(levels_db[shown]).any():
+        return None
+    loudest_db = float(levels_db[shown].max())
+    low_db = max(float(levels_db[shown].min()), loudest_db - _DEEP_DB)
+    levels_db = np.maximum(levels_db, low_db)
+    line = rr.SeriesLines(
+        colors=[_ENVELOPE], names=["sound"], widths=[1.0], aggregation_policy="Max"
+    )
+    stream.log("sound/envelope", line, static=True)
+    send_scalars(stream, "sound/envelope", seconds, levels_db)
+    for one in marks:
+        _log_marks(stream, "sound", one, _at(one.seconds, seconds, levels_db))
+    return rrb.TimeSeriesView(
+        origin="/sound",
+        name=f"sound [dBFS], {said}",
+        axis_x=time_axis(*span_s),
+        axis_y=rrb.ScalarAxis(range=ticked(low_db, max(loudest_db, low_db + 1.0) + 3.0)),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+
+
+def log_on_table(stream: rr.RecordingStream, marks: Sequence[Marks]) -> None:
+    """Send the same marks among the heights, at 0."""
+    for one in marks:
+        _log_marks(stream, "height", one, np.zeros(len(one.seconds)))
+
+
+def time_axis(begin_s: float, end_s: float) -> rrb.TimeAxis:
+    """Build the axis of a plot that shows this much of the log's time."""
+    ends = (rrb.TimeRangeBoundary.absolute(seconds=at_s) for at_s in (begin_s, end_s))
+    return rrb.TimeAxis(view_range=rr.TimeRange(*ends))
+
+
+def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
+    """Compute the envelope: the largest sample about each of at most `_MAX` moments.
+
+    Args:
+        sound: all of it. Of a long one, two minutes about the span are given, or the span.
+        span_s: first and last moment asked for, on the sound's clock.
+
+    Returns:
+        Times on the sound's clock [s], and levels [dB of full scale], -inf of silence; shape (E,).
+    """
+    more_s = max(_MAX / _RATE_HZ - (span_s[1] - span_s[0]), 0.0) / 2
+    ends = ((span_s[0] - more_s) * sound.rate_hz, (span_s[1] + more_s) * sound.rate_hz)
+    first, last = (round(min(max(at, 0.0), float(len(sound.samples)))) for at in ends)
+    wide = max(round(sound.rate_hz / _RATE_HZ), -(-(last - first) // _MAX), 1)
+    count = (last - first) // wide
+    pieces = sound.samples[first : first + count * wide].reshape(count, wide)
+    most = np.maximum(pieces.max(axis=1), -pieces.min(axis=1))
+    most = np.nan_to_num(most, posinf=0.0, neginf=0.0)
+    with np.errstate(divide="ignore"):
+        levels_db: Array = 20 * np.log10(most.astype(np.float64))
+    middles = first + (np.arange(count, dtype=np.float64) + 0.5) * wide
+    return middles / sound.rate_hz, levels_db
+
+
+def _piece(sound: Sound, span_s: tuple[float, float]) -> Sound | None:
+    """Cut what sounds then, on the sound's clock; None where that is nothing."""
+    last = len(sound.samples)
+    begin, end = (round(min(max(at * sound.rate_hz, 0.0), float(last))) for at in span_s)
+    samples = sound.samples[begin:end]
+    if not np.any(samples):
+        return None
+    later_ns = round(1e9 * begin / sound.rate_hz)
+    return replace(sound, start_ns=sound.start_ns + later_ns, samples=samples)
+
+
+def _inside(seconds: Array, span_s: tuple[float, float]) -> Array:
+    return seconds[(seconds >= span_s[0]) & (seconds <= span_s[1])]
+
+
+def _at(moments_s: Array, seconds: Array, levels_db: Array) -> Array:
+    """Return the largest level soon after each of these moments, shape (N,)."""
+    first = np.clip(np.searchsorted(seconds, moments_s) - 1, 0, len(seconds) - 1)
+    last = np.searchsorted(seconds, moments_s + _LOUD_S)
+    pairs = zip(first.tolist(), last.tolist(), strict=True)
+    return np.array([levels_db[begin : max(end, begin + 1)].max() for begin, end in pairs])
+
+
+def _log_marks(stream: rr.RecordingStream, place: str, marks: Marks, values: Array) -> None:
+    """Send diamonds; nothing where there are none."""
+    if not len(marks.seconds):
+        return
+    style = rr.SeriesPoints(
+        colors=[marks.color], names=[marks.name], markers=["diamond"], marker_sizes=[marks.size]
+    )
+    stream.log(f"{place}/{marks.entity}", style, static=True)
+    send_scalars(stream, f"{place}/{marks.entity}", marks.seconds, values)
+
+
+# ---- Drop that was only heard: the simulated height, and the impacts on the table
+
+NOT_OURS: Color = (235, 95, 75)  # of times that are no impacts
+_EDGE = 0.02  # of what is shown, before it: or the first mark would be cut
+_MS = 1000.0
+
+
+def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
+    """Send heights, impacts and how far these are apart; return the layout that shows them."""
+    detection: TimesDetection = tuning.detection
+    assert tuning.trace is not None
+    heard, last = detection.heard, tuning.trace.steps[-1]
+    seconds, heights_m = heard_heights_m(detection, last)
+    color = ramp(1, 2)
+    line = rr.SeriesLines(
+        colors=[color], names=["simulated"], widths=[2.0], aggregation_policy="Off"
+    )
+    stream.log("height/simulated", line, static=True)
+    send_scalars(stream, "height/simulated", seconds, heights_m)
+    others_s = np.setdiff1d(detection.times_s, heard.times_s)
+    missed = np.setdiff1d(np.arange(int(heard.numbers.max()) + 1), heard.numbers)
+    marks = (
+        Marks("noise", "not its impact", NOT_OURS, others_s),
+        Marks("missed", "impact not heard", MUTED, heard.predicted_s[missed]),
+        Marks("heard", "impact heard", OBSERVED, heard.times_s),
+    )
+    log_on_table(stream, marks)
+    off_ms = _MS * off_s(detection, last)
+    told_s = heard.predicted_s[heard.told :]
+    known = np.isfinite(off_ms)
+    dots = rr.SeriesPoints(colors=[color], names=["simulated - heard"], marker_sizes=[5.0])
+    stream.log("residual/impacts", dots, static=True)
+    send_scalars(stream, "residual/impacts", told_s[known], off_ms[known])
+    reach_ms = 1.3 * max(float(np.abs(off_ms[known]).max(initial=0.0)), 2 * _MS * heard.jitter_s)
+    jitter_ms = _MS * heard.jitter_s
+    limits = rr.SeriesLines(
+        colors=[MUTED] * 2, names=["jitter"] * 2, widths=[1.0] * 2, aggregation_policy="Off"
+    )
+    stream.log("residual/jitter", limits, static=True)
+    ends_s = seconds[[0, -1]]
+    send_scalars(stream, "residual/jitter", ends_s, np.array([[jitter_ms, -jitter_ms]] * 2))
+    begin_s, end_s = float(min(seconds[0], heard.times_s[0])), float(seconds[-1])
+    begin_s -= _EDGE * (end_s - begin_s)
+    shown = time_axis(begin_s, end_s)
+    most_m = float(heights_m.max())
+    height_view = rrb.TimeSeriesView(
+        origin="/height",
+        name="simulated height [m], and impacts heard (at 0)",
+        axis_x=shown,
+        axis_y=rrb.ScalarAxis(range=(-0.05 * most_m, 1.1 * most_m)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+    )
+    residual_view = rrb.TimeSeriesView(
+        origin="/residual",
+        name="impacts: simulated - heard [ms], grey: the times' jitter",
+        axis_x=shown,
+        axis_y=rrb.ScalarAxis(range=ticked(-reach_ms, reach_ms)),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+    result = rrb.TextDocumentView(origin="/result", name="result")
+    curves = rrb.Vertical(height_view, residual_view, row_shares=[3, 2])
+    if detection.listened is not None:
+        said = "white: its impacts, red: other knocks"
+        sound = detection.listened.sound
+        sound_view = log_sound(stream, sound, 0.0, (begin_s, end_s), marks, said)
+        if sound_view is not None:
+            curves = rrb.Vertical(height_view, sound_view, residual_view, row_shares=[5, 4, 3])
+    return rrb.Horizontal(curves, result, column_shares=[3, 2])
+
+
+# ---- Drop that was seen: plots, 3D scene, iterations, and the layout of all
 
 _MANY = 200  # samples above which dots would hide the lines
 _MM = 1000.0  # millimetres in a metre: an axis does not show numbers as small as residuals in m
@@ -182,9 +991,8 @@ def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     curves = [data.observed, *data.simulated]
     height_m, radius = data.drop_height_m, _BALL * data.drop_height_m
     across = (np.arange(len(curves)) - (len(curves) - 1) / 2) * _PITCH * radius
-    across[[0, -1]] += (
-        np.array([-0.4, 0.4]) * _PITCH * radius
-    )  # what was seen and the result stand apart
+    # What was seen and the result stand apart.
+    across[[0, -1]] += np.array([-0.4, 0.4]) * _PITCH * radius
     half, thick = 2.5 * radius - across[0], 0.2 * radius
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     table = rr.Boxes3D(

@@ -1,4 +1,8 @@
-"""Drop as it was heard: impact times in an episode, and the estimation problem they pose."""
+"""Drop as it was heard: impact times in an episode, and the estimation problem they pose.
+
+The times are a signal's, or the onsets of a sound. The tuned simulator is compared with them at the
+end: it is on the table at each impact.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +12,65 @@ from functools import cached_property
 
 import numpy as np
 
-from analysis.drop.remedies import RIGHT_SOUND, RIGHT_TIMES
-from analysis.drop.times.ball_among import BallAmong
-from analysis.drop.times.fit import Rig
-from analysis.drop.times.listened import Listened
-from analysis.drop.times.posterior import HeardBall, heard_ball
-from analysis.estimators.base import FitResult, Observation, Problem
-from recorders.simulators.balls import Ball
-from recorders.simulators.base import GRAVITY_M_S2
-from recorders.simulators.closed_form.flight import lands_after_s
-from recorders.simulators.contact import CALIBRATED
-from recorders.simulators.drop import TOPIC, DropRig, DropSimulator
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode
+from tunenet_logs.analysis.drop import RIGHT_SOUND, RIGHT_TIMES
+from tunenet_logs.analysis.drop.times.model import DropSetup, HeardBall, heard_ball
+from tunenet_logs.analysis.drop.times.search import BallAmong, ball_among
+from tunenet_logs.analysis.estimators.base import FitResult, Observation, Problem, Step, Trace
+from tunenet_logs.analysis.onsets import Onsets, onsets
+from tunenet_logs.analysis.record import MAX_SAMPLES, Curves, Motion, Rebound
+from tunenet_logs.analysis.selection import Selection
+from tunenet_logs.episode import Array, Episode, LeftOut, Sound
 from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.left_out import LeftOut
+from tunenet_logs.reader import check_start
+from tunenet_logs.recorders.simulators.ball import TOPIC, DropRig, DropSimulator, lands_after_s
+from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2
+from tunenet_logs.recorders.simulators.known import Ball
 from tunenet_logs.terminal import listed
+
+
+@dataclass(frozen=True, eq=False)
+class Listened:
+    """Sound, and the onsets in the chosen part of it.
+
+    Attributes:
+        sound: all of it.
+        knocks: of the part, their times on the sound's clock.
+        part_s: first and last moment of the part, on the same clock.
+    """
+
+    sound: Sound
+    knocks: Onsets
+    part_s: tuple[float, float]
+
+    def ball(self, rig: DropSetup) -> BallAmong | None:
+        """Find the ball that is heard best; None where nothing sounds like one."""
+        return ball_among(self.knocks, self.part_s[1] - self.part_s[0], rig)
+
+
+def listened(episode: Episode, selection: Selection) -> Listened:
+    """Detect the onsets in an episode's sound.
+
+    Raises:
+        NotFoundError: there is no sound of that name, or it is silent.
+    """
+    topic = selection.topic
+    if topic is not None and topic not in episode.sound_topics:
+        what = f"no sound in topic {topic} (there is: {listed(episode.sound_topics)})"
+        raise NotFoundError(what, "name one of these with --topic, or leave it out")
+    sound = episode.sounds(topic)
+    if sound is None:
+        raise NotFoundError("no sound")
+    check_start(selection.start_s, sound.lasts_s)
+    begin_s = selection.start_s or 0.0
+    end_s = min(selection.end_s or np.inf, sound.lasts_s)
+    if not np.any(sound.samples):
+        raise NotFoundError(f"{sound.name}: the sound is silent", RIGHT_SOUND)
+    knocks = onsets(sound)
+    inside = (knocks.times_s >= begin_s) & (knocks.times_s <= end_s)
+    return Listened(sound, knocks.only(inside), (begin_s, end_s))
+
+
+# ---- Impact times of one signal, and the simulator that hits the table when the ball did
 
 MIN_IMPACTS = 3  # two flights: their durations' ratio is one restitution
 _EVEN = 0.985  # restitution from which on beats are even: no ball keeps its height
@@ -55,7 +102,7 @@ class TimesDetection:
     topic: str
     start_ns: int
     times_s: Array
-    rig: Rig
+    rig: DropSetup
     ball: Ball
     warnings: tuple[str, ...] = ()
     listened: Listened | None = None
@@ -249,3 +296,63 @@ def no_times(episode: Episode, topic: str | None) -> NotFoundError:
         what = f"no impact times in topic {topic} (there are: {known})"
         return NotFoundError(what, "name one of these with --topic, or leave it out")
     return NotFoundError("no channel with times of impacts; name them: --columns times=COLUMN")
+
+
+# ---- Tuned simulator compared with what was heard
+
+_TOLD = 0.15  # of drag and slope: an interval wider than this, in restitution, is a prior's
+_SAME_STAMP_S = 5e-9  # stamps that differ by less are of one moment
+
+
+def heard_heights_m(detection: TimesDetection, step: Step) -> tuple[Array, Array]:
+    """Return an iterate's times on the log's clock [s] and heights on the table [m], each (T,).
+
+    The rollout leaves the table at once, the ball after a contact: each flight takes the contact
+    before it along.
+    """
+    assert step.evaluation is not None
+    signal = next(iter(step.evaluation.episode.signals.values()))
+    seconds = (signal.stamps_ns - detection.start_ns).astype(np.float64) * 1e-9
+    heights_m = signal.values[:, 2] - detection.rig_of_rollouts.radius_m
+    heard = detection.heard
+    seconds = seconds / heard.seconds_s
+    without, late = heard.contactless_s, heard.predicted_s - heard.contactless_s
+    return seconds + np.interp(seconds, without, late), heights_m
+
+
+def heard_motion(detection: TimesDetection, trace: Trace) -> Motion:
+    """Return the rollout's height; the observed one is 0 at each impact heard, else unknown."""
+    if not detection.rig.has_clock:
+        return Motion(unidentifiable=_unidentifiable(detection))
+    seconds, heights_m = heard_heights_m(detection, trace.steps[-1])
+    observed_m = np.full(len(seconds), np.nan)
+    heard = detection.heard
+    late = heard.predicted_s - heard.contactless_s
+    heard_s = heard.heard_contactless_s + np.interp(
+        heard.heard_contactless_s, heard.contactless_s, late
+    )
+    at = np.clip(np.searchsorted(seconds, heard_s - _SAME_STAMP_S), 0, len(seconds) - 1)
+    there = np.abs(seconds[at] - heard_s) <= _SAME_STAMP_S
+    observed_m[at[there]] = 0.0
+    every = max(1, -(-len(seconds) // (MAX_SAMPLES // 2)))
+    kept = np.union1d(np.arange(0, len(seconds), every), at[there])
+    curves = Curves(detection.start_ns, seconds[kept], observed_m[kept], heights_m[kept])
+    return Motion(curves=curves, unidentifiable=_unidentifiable(detection))
+
+
+def heard_rebounds(detection: TimesDetection, trace: Trace) -> tuple[Rebound, ...]:
+    """Return each impact between two flights that were heard whole."""
+    return detection.heard.rebounds if trace.fit is not None else detection.heard.rebounds[:1]
+
+
+def _unidentifiable(detection: TimesDetection) -> tuple[str, ...]:
+    """Return what the times leave to what is known of balls, in words."""
+    slope, drag = np.ptp(detection.heard.interval95[1:], axis=1).tolist()
+    found: list[str] = []
+    if slope > _TOLD:
+        found.append("these times cannot determine the slope: its interval is the prior's")
+    if drag > _TOLD and detection.rig.drag_1_m is None:
+        found.append(
+            "these times cannot determine the drag: its interval is the prior's (see --ball)"
+        )
+    return tuple(found)

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import analysis.api as tunenet
-from analysis.cli.tune_words import build_parser
-from recorders.simulators.engines import ENGINES
+import tunenet_logs as tn
 from tests.conftest import ROOT, Command
+from tunenet_logs.analysis.options import build_parser
+from tunenet_logs.recorders.simulators.known import ENGINES
 
 SAMPLES = ROOT / "sample_logs"
 
@@ -38,7 +38,7 @@ _RENAMED = {
 
 def test_every_option_of_the_command_has_its_name():
     actions = {action.dest for action in build_parser()._actions}
-    mine = set(tunenet.TuneOptions.__annotations__) | {"engine", "save_arm_card", "csv"}
+    mine = set(tn.TuneOptions.__annotations__) | {"engine", "save_arm_card", "csv"}
     left = {_RENAMED.get(name, name) for name in actions - _OF_THE_TERMINAL - _OF_MANY}
     assert left == mine
 
@@ -55,7 +55,7 @@ def test_a_film_a_payload_and_impact_times_as_the_command_tunes_them(
     tares: list[list[Path]] = [[], [], [empty]]
     for log, runs in zip([*logs, held], tares, strict=True):
         written = json.loads((tmp_path / "out" / f"{log.stem}.json").read_text())
-        tunenet.save_tuning(tunenet.tune(log, tares=runs), tmp_path / "mine.json", overwrite=True)
+        tn.save_tuning(tn.tune(log, tares=runs), tmp_path / "mine.json", overwrite=True)
         mine = json.loads((tmp_path / "mine.json").read_text())
         for one in (written, mine):
             del one["seconds"], one["provenance"]["date"]
@@ -64,12 +64,12 @@ def test_a_film_a_payload_and_impact_times_as_the_command_tunes_them(
 
 LOOP = """
 import json, resource, sys
-import analysis.api as tunenet
+import tunenet_logs as tn
 
 logs, out = sys.argv[1].split(","), sys.argv[2]
 found, sizes = {}, []
 for log in logs:
-    record = tunenet.tune(log).record
+    record = tn.tune(log).record
     found[log] = [record.verdict, *record.estimates[0].interval95, record.estimates[0].value]
     sizes.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 json.dump([found, sizes], open(out, "w"))
@@ -81,8 +81,8 @@ def test_a_loop_over_logs_says_what_the_command_says_is_silent_and_keeps_nothing
 ):
     logs = []
     for seed in range(30):
-        order = tunenet.DropOrder(seed=seed, noise_m=0.001)
-        logs.append(tunenet.save_episode(tunenet.simulate(order), tmp_path / f"{seed}.mcap"))
+        order = tn.DropOrder(seed=seed, noise_m=0.001)
+        logs.append(tn.save_episode(tn.simulate(order), tmp_path / f"{seed}.mcap"))
     words = [sys.executable, "-c", LOOP, ",".join(map(str, logs)), "found.json"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
@@ -96,7 +96,7 @@ def test_a_loop_over_logs_says_what_the_command_says_is_silent_and_keeps_nothing
 
 
 def test_values_as_a_table():
-    record = tunenet.tune(SAMPLES / "light.mcap").record
+    record = tn.tune(SAMPLES / "light.mcap").record
     table = record.to_frame()
     assert list(table.index) == ["restitution", "restitution_slope", "drag"]
     assert table.loc["restitution", "value"] == record.estimates[0].value
@@ -109,10 +109,10 @@ def test_values_as_a_table():
 
 
 def test_components_have_a_row_each_and_a_rejected_log_none():
-    held = tunenet.tune(SAMPLES / "payload.mcap", tares=[SAMPLES / "payload_empty.mcap"])
+    held = tn.tune(SAMPLES / "payload.mcap", tares=[SAMPLES / "payload_empty.mcap"])
     names = ["payload_mass", *(f"payload_com_{axis}" for axis in "xyz")]
     assert list(held.to_frame().index) == names
-    missing = tunenet.tune("nowhere.mcap")
+    missing = tn.tune("nowhere.mcap")
     assert (missing.verdict, missing.reason) == (
         "rejected",
         "no such file; check its name and folder",
@@ -123,27 +123,27 @@ def test_components_have_a_row_each_and_a_rejected_log_none():
 @pytest.mark.parametrize("unit", ["m", ""])
 def test_arrays_of_ones_own_are_tuned_as_the_log_that_holds_them(unit: str):
     log = SAMPLES / "light.mcap"
-    positions = tunenet.read_episode(log).signals["/ball/pose"]
+    positions = tn.read_episode(log).signals["/ball/pose"]
     feet = 1.0 if unit else 3.281
-    episode = tunenet.episode_of_positions(
+    episode = tn.episode_of_positions(
         positions.seconds,
         positions.values[:, 2] * feet,
         unit=unit,  # type: ignore[arg-type]
     )
-    (mine, theirs) = (tunenet.tune(one).to_frame() for one in (episode, log))
+    (mine, theirs) = (tn.tune(one).to_frame() for one in (episode, log))
     np.testing.assert_allclose(mine.value, theirs.value, rtol=1e-3)
 
 
 def test_joints_of_ones_own_are_tuned_as_the_log_that_holds_them():
     log, empty = SAMPLES / "payload.mcap", [SAMPLES / "payload_empty.mcap"]
-    signals = tunenet.read_episode(log).signals
+    signals = tn.read_episode(log).signals
     position, velocity, effort = (
         signals[f"/joint_states.{part}"] for part in ("position", "velocity", "effort")
     )
-    episode = tunenet.episode_of_joints(
+    episode = tn.episode_of_joints(
         position.seconds, position.columns, position.values, effort.values, velocity.values
     )
-    (mine, theirs) = (tunenet.tune(one, tares=empty).to_frame() for one in (episode, log))
+    (mine, theirs) = (tn.tune(one, tares=empty).to_frame() for one in (episode, log))
     np.testing.assert_allclose(mine.value, theirs.value, rtol=1e-6)
 
 
@@ -157,8 +157,8 @@ def test_joints_of_ones_own_are_tuned_as_the_log_that_holds_them():
     ],
 )
 def test_arrays_that_make_no_sense_are_refused(seconds: list, heights: list, says: str):
-    with pytest.raises(tunenet.UsageError, match=says):
-        tunenet.episode_of_positions(seconds, heights)
+    with pytest.raises(tn.UsageError, match=says):
+        tn.episode_of_positions(seconds, heights)
 
 
 @pytest.mark.parametrize(
@@ -183,95 +183,95 @@ def test_arrays_that_make_no_sense_are_refused(seconds: list, heights: list, say
         ({"bal": "golf"}, "no option 'bal'"),
     ],
 )
-def test_an_option_that_makes_no_sense_raises(options: tunenet.TuneOptions, says: str):
-    with pytest.raises(tunenet.UsageError, match=says):
-        tunenet.tune(SAMPLES / "dull.mcap", **options)
+def test_an_option_that_makes_no_sense_raises(options: tn.TuneOptions, says: str):
+    with pytest.raises(tn.UsageError, match=says):
+        tn.tune(SAMPLES / "dull.mcap", **options)
 
 
 def test_a_doubtful_ball_warns():
     with pytest.warns(UserWarning, match="denser than any metal"):
-        tunenet.tune(SAMPLES / "dull.mcap", ball_diameter_m=0.04, ball_mass_kg=2.7)
+        tn.tune(SAMPLES / "dull.mcap", ball_diameter_m=0.04, ball_mass_kg=2.7)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_engine_is_chosen_for_the_call_alone(engine: str):
     pytest.importorskip(engine)
-    tuning = tunenet.tune(SAMPLES / "dull.mcap", engine=engine)
+    tuning = tn.tune(SAMPLES / "dull.mcap", engine=engine)
     assert tuning.record.simulator is not None
     assert tuning.record.simulator["engine"].startswith(engine)
-    with pytest.raises(tunenet.UsageError, match="no engine is named"):
-        tunenet.tune(SAMPLES / "dull.mcap", engine="havok")
+    with pytest.raises(tn.UsageError, match="no engine is named"):
+        tn.tune(SAMPLES / "dull.mcap", engine="havok")
 
 
 def test_results_are_kept_and_never_replace_anothers(tmp_path: Path):
-    one, other = (tunenet.tune(SAMPLES / f"{name}.mcap") for name in ("dull", "bouncy"))
-    kept = tunenet.save_tuning(one, tmp_path / "a.json")
-    assert tunenet.read_tuning(kept).estimates == one.record.estimates
-    tunenet.save_tuning(one, kept)
-    with pytest.raises(tunenet.LogError, match=r"is the tuning of dull.mcap, not of bouncy.mcap"):
-        tunenet.save_tuning(other, kept)
-    seen = tunenet.review(one, tmp_path / "a.rrd")
-    tunenet.review(one, seen)
-    with pytest.raises(tunenet.LogError, match=r"is the review of another log, not of bouncy"):
-        tunenet.review(other, seen)
-    in_memory = tunenet.tune(tunenet.simulate(tunenet.DropOrder(seed=1)))
-    with pytest.raises(tunenet.LogError, match="is the review of another log, not of episode"):
-        tunenet.review(in_memory, seen)
-    tunenet.save_tuning(in_memory, tmp_path / "b.json")
-    with pytest.raises(tunenet.LogError, match="is the tuning of"):
-        tunenet.save_tuning(one, tmp_path / "b.json")
-    with pytest.raises(tunenet.UsageError, match=r"name it a\.rrd"):
-        tunenet.review(one, tmp_path / "a.json")
-    with pytest.raises(tunenet.LogError, match="could not be read"):
-        tunenet.review(tunenet.tune("nowhere.mcap"), tmp_path / "c.rrd")
+    one, other = (tn.tune(SAMPLES / f"{name}.mcap") for name in ("dull", "bouncy"))
+    kept = tn.save_tuning(one, tmp_path / "a.json")
+    assert tn.read_tuning(kept).estimates == one.record.estimates
+    tn.save_tuning(one, kept)
+    with pytest.raises(tn.LogError, match=r"is the tuning of dull.mcap, not of bouncy.mcap"):
+        tn.save_tuning(other, kept)
+    seen = tn.review(one, tmp_path / "a.rrd")
+    tn.review(one, seen)
+    with pytest.raises(tn.LogError, match=r"is the review of another log, not of bouncy"):
+        tn.review(other, seen)
+    in_memory = tn.tune(tn.simulate(tn.DropOrder(seed=1)))
+    with pytest.raises(tn.LogError, match="is the review of another log, not of episode"):
+        tn.review(in_memory, seen)
+    tn.save_tuning(in_memory, tmp_path / "b.json")
+    with pytest.raises(tn.LogError, match="is the tuning of"):
+        tn.save_tuning(one, tmp_path / "b.json")
+    with pytest.raises(tn.UsageError, match=r"name it a\.rrd"):
+        tn.review(one, tmp_path / "a.json")
+    with pytest.raises(tn.LogError, match="could not be read"):
+        tn.review(tn.tune("nowhere.mcap"), tmp_path / "c.rrd")
 
 
 def test_many_logs_are_a_table(tmp_path: Path):
     logs = [SAMPLES / "dull.mcap", SAMPLES / "bouncy.mcap"]
-    table = tunenet.tune_all(logs, tmp_path, jobs=1, reviewed="none", method="fit")
+    table = tn.tune_all(logs, tmp_path, jobs=1, reviewed="none", method="fit")
     assert sorted(Path(log).name for log in table.log) == ["bouncy.mcap", "dull.mcap"]
     assert (table.verdict == "ok").all()
     assert not list(tmp_path.glob("dull.rrd"))
-    again = tunenet.tune_all(logs, tmp_path, jobs=1, reviewed="none", method="fit", resume=True)
+    again = tn.tune_all(logs, tmp_path, jobs=1, reviewed="none", method="fit", resume=True)
     assert list(again.tuned) == list(table.tuned)  # none was done again
 
 
 def test_a_tuned_ball_goes_into_an_engine(tmp_path: Path):
-    tuning = tunenet.tune(SAMPLES / "dull.mcap")
-    (file,) = tunenet.export(tuning, "mujoco", tmp_path / "ball.xml", speed_m_s=2.0)
+    tuning = tn.tune(SAMPLES / "dull.mcap")
+    (file,) = tn.export(tuning, "mujoco", tmp_path / "ball.xml", speed_m_s=2.0)
     assert "<mujoco" in file.read_text()
-    assert tunenet.export(tuning, "mujoco", file) == (file,)
-    other = tunenet.tune(SAMPLES / "bouncy.mcap")
-    with pytest.raises(tunenet.LogError, match=r"of dull.mcap, not of bouncy.mcap.*overwrite=True"):
-        tunenet.export(other, "mujoco", file)
-    with pytest.raises(tunenet.UsageError, match="choose one of: pybullet"):
-        tunenet.export(tuning, "havok", tmp_path / "ball.xml")
+    assert tn.export(tuning, "mujoco", file) == (file,)
+    other = tn.tune(SAMPLES / "bouncy.mcap")
+    with pytest.raises(tn.LogError, match=r"of dull.mcap, not of bouncy.mcap.*overwrite=True"):
+        tn.export(other, "mujoco", file)
+    with pytest.raises(tn.UsageError, match="choose one of: pybullet"):
+        tn.export(tuning, "havok", tmp_path / "ball.xml")
 
 
 def test_a_campaign_is_reviewed(tmp_path: Path):
-    campaign = tunenet.review_campaign(SAMPLES / "campaign", tmp_path / "c.rrd", jobs=1)
+    campaign = tn.review_campaign(SAMPLES / "campaign", tmp_path / "c.rrd", jobs=1)
     assert campaign.attempts
     assert (tmp_path / "c.rrd").stat().st_size > 10_000
 
 
 def test_a_film_is_of_a_drop_alone():
-    with pytest.raises(tunenet.UsageError, match="only a drop can be filmed"):
-        tunenet.simulate(tunenet.PayloadOrder(), film=tunenet.FilmOrder())
-    shot = tunenet.simulate(tunenet.ShotOrder(seed=2))
+    with pytest.raises(tn.UsageError, match="only a drop can be filmed"):
+        tn.simulate(tn.PayloadOrder(), film=tn.FilmOrder())
+    shot = tn.simulate(tn.ShotOrder(seed=2))
     assert shot.info.kind == "bounce-shot"
 
 
 def test_a_report_and_its_figures(tmp_path: Path):
     for name in ("dull", "bouncy"):
-        tunenet.save_tuning(tunenet.tune(SAMPLES / f"{name}.mcap"), tmp_path / f"{name}.json")
-    page, *figures = tunenet.report(
+        tn.save_tuning(tn.tune(SAMPLES / f"{name}.mcap"), tmp_path / f"{name}.json")
+    page, *figures = tn.report(
         tmp_path, tmp_path / "all.html", figures=tmp_path / "figures", kind="png"
     )
     assert "dull.mcap" in page.read_text()
     assert figures
     assert all(figure.suffix == ".png" for figure in figures)
-    with pytest.raises(tunenet.LogError, match=r"of bouncy\.mcap, not of dull\.mcap"):
-        tunenet.report(tmp_path / "dull.json", page)
-    table = tunenet.compare([tmp_path / "dull.json", tmp_path / "bouncy.json"]).to_frame()
+    with pytest.raises(tn.LogError, match=r"of bouncy\.mcap, not of dull\.mcap"):
+        tn.report(tmp_path / "dull.json", page)
+    table = tn.compare([tmp_path / "dull.json", tmp_path / "bouncy.json"]).to_frame()
     values = table[table.parameter == "restitution"].set_index("log").value
     assert values["bouncy.mcap"] > values["dull.mcap"]

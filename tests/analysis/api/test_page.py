@@ -10,7 +10,7 @@ from types import FunctionType
 
 import pytest
 
-import analysis.api as tunenet
+import tunenet_logs as tn
 from tests.conftest import ROOT
 
 
@@ -20,13 +20,13 @@ def test_the_page_is_made_of_the_docstrings_as_they_are():
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("name", tunenet.__all__)
+@pytest.mark.parametrize("name", tn.__all__)
 def test_every_public_name_is_documented(name: str):
     heading, text = (ROOT / "docs" / "api.md").read_text().split(f"\n### {name}\n", 1)
     assert heading
     text = text.partition("\n### ")[0].partition("\n## ")[0]
     assert len(text.split()) > 3
-    known = getattr(tunenet, name)
+    known = getattr(tn, name)
     if not isinstance(known, FunctionType):
         return
     documented = set(re.findall(r"^- `\**(\w+)`: \S", text, re.MULTILINE))

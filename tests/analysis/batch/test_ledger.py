@@ -21,10 +21,10 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from analysis.batch.ledger import journal, ledger_file
-from analysis.batch.one_log import Writing
 from tests import strangers
 from tests.conftest import BIN, Command
+from tunenet_logs.analysis.batch.ledger import journal, ledger_file
+from tunenet_logs.analysis.batch.run import Writing
 from tunenet_logs.errors import LogError, UsageError
 
 _START_NS = 1_700_000_000_000_000_000
@@ -256,9 +256,8 @@ def test_memory_does_not_grow_with_the_logs(tmp_path: Path):
         write_drop(tmp_path / "logs" / f"{seed}.mcap", seed)
     code = f"""
 from pathlib import Path
-from analysis.batch.found_logs import find_logs
-from analysis.batch.run import Order, run_batch
-from analysis.batch.one_log import Writing
+from tunenet_logs.analysis.batch.logs import find_logs
+from tunenet_logs.analysis.batch.run import Order, Writing, run_batch
 from tunenet_logs.terminal import Progress
 found = find_logs([Path({str(tmp_path / "logs")!r})]).logs
 def resident():

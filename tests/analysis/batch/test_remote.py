@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from analysis.batch.ledger import ledger_file
-from analysis.batch.remote_logs import fetched, log_address
 from tests.analysis.batch.relay import CountingRelay
 from tests.analysis.batch.test_ledger import ledger_of, write_drop
 from tests.conftest import Command
+from tunenet_logs.analysis.batch.ledger import ledger_file
+from tunenet_logs.analysis.batch.logs import fetched, log_address
 from tunenet_logs.errors import LogError
 
 pytest.importorskip("moto.server")
@@ -155,8 +155,8 @@ def hostile() -> Iterator[str]:
 def test_a_hostile_server_is_left(
     hostile: str, name: str, said: str, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("analysis.batch.remote_logs._SILENT_S", 1)
-    monkeypatch.setattr("analysis.batch.remote_logs._UNTOLD_BYTES", 20_000_000)
+    monkeypatch.setattr("tunenet_logs.analysis.batch.logs._SILENT_S", 1)
+    monkeypatch.setattr("tunenet_logs.analysis.batch.logs._UNTOLD_BYTES", 20_000_000)
     with pytest.raises(LogError) as caught, fetched(log_address(f"{hostile}/{name}")):
         pass
     assert said in str(caught.value)

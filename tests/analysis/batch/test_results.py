@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from analysis.batch.found_logs import FoundLog
-from analysis.batch.result_names import result_names
-from analysis.selection import Options
 from tests.conftest import record, tune_all
+from tunenet_logs.analysis.batch.logs import FoundLog, result_names
+from tunenet_logs.analysis.selection import Options
 from tunenet_logs.errors import LogError, UsageError, WeightsError
 from tunenet_logs.terminal import Progress
 
@@ -142,7 +141,7 @@ def test_an_output_that_cannot_be_written_is_told_with_the_result(drop_log: Path
 def test_a_full_disk_is_one_line_and_leaves_no_half_file(drop_log: Path, tmp_path: Path):
     code = f"""
 import resource, signal, sys
-from analysis.cli.tune import main
+from tunenet_logs.analysis.cli.tune import main
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 sys.exit(main([{str(drop_log)!r}, "-o", {str(tmp_path / "out")!r}]))

@@ -12,10 +12,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from analysis.batch.found_logs import find_logs
-from analysis.batch.text_table import check_csv, csv_place
 from tests.analysis.batch.test_ledger import ledger_of, write_drop
 from tests.conftest import BIN, Command
+from tunenet_logs.analysis.batch.ledger import check_csv, csv_place
+from tunenet_logs.analysis.batch.logs import find_logs
 from tunenet_logs.errors import UsageError
 
 

@@ -6,15 +6,15 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from analysis.record import record_of
-from analysis.record_json import to_json
-from analysis.selection import Options
-from analysis.tuning import tune_log
-from recorders.session import record_episode
-from recorders.simulated_drop import DropOrder, simulate_drop
 from tests.conftest import record
+from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.record import to_json
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import Signal
-from tunenet_logs.outcome import Outcome, write_outcome
+from tunenet_logs.outcomes import Outcome, write_outcome
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 from tunenet_logs.terminal import Progress
 
 START_NS = 1_800_000_000_000_000_000

@@ -8,18 +8,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.campaign.attempts import Attempt, attempts_of
-from analysis.campaign.build import campaign_of
-from analysis.campaign.files import Material, material_of, natural
-from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball, wilson95
-from analysis.campaign.small_film import RATE_HZ, WIDTH_PX, small_film
-from analysis.campaign.tuned_drop import TunedDrop, read_tuned_drop
-from analysis.motion import Curves
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
+from tunenet_logs.analysis.campaign import (
+    RATE_HZ,
+    WIDTH_PX,
+    Attempt,
+    Material,
+    TunedDrop,
+    attempts_of,
+    ball_rates,
+    campaign_of,
+    material_of,
+    natural,
+    overall_rates,
+    read_tuned_drop,
+    restitutions_by_ball,
+    small_film,
+    wilson95,
+)
+from tunenet_logs.analysis.record import Curves
 from tunenet_logs.errors import LogError
 from tunenet_logs.images import decode_image
-from tunenet_logs.outcome import BOUNCE_SHOT, Outcome
+from tunenet_logs.outcomes import BOUNCE_SHOT, Outcome
 from tunenet_logs.reader import read_episode
 from tunenet_logs.terminal import Progress
 

@@ -8,24 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.campaign.attempts import attempts_of
-from analysis.campaign.build import campaign_of
-from analysis.campaign.files import Material, material_of
-from analysis.campaign.rates import ball_rates, overall_rates, restitutions_by_ball
-from analysis.campaign.small_film import small_film
-from analysis.evaluation.shots.campaign import draw_trials, outcome_of
-from analysis.evaluation.shots.ground_truth_shot import take_shot
-from analysis.evaluation.shots.ground_truth_sim import HiddenBall
-from analysis.review.campaign.attempt import attempt_words
-from analysis.review.campaign.words import campaign_words
-from recorders.filmed_drop import FilmOrder
-from recorders.simulators.shot.rig import ShotRig
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.test_campaign import QUIET, attempts, drop, outcome
 from tests.conftest import Command, film
+from tunenet_logs.analysis.campaign import (
+    Material,
+    attempts_of,
+    ball_rates,
+    campaign_of,
+    material_of,
+    overall_rates,
+    restitutions_by_ball,
+    small_film,
+)
+from tunenet_logs.analysis.evaluation.studies.bounce_shot import draw_trials, outcome_of
+from tunenet_logs.analysis.evaluation.worlds.ball import HiddenBall, take_shot
+from tunenet_logs.analysis.review.campaign import attempt_words, campaign_words
 from tunenet_logs.errors import LogError
-from tunenet_logs.outcome import MAX_ATTEMPTS, write_outcome
+from tunenet_logs.outcomes import MAX_ATTEMPTS, write_outcome
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulated import FilmOrder
+from tunenet_logs.recorders.simulators.shot import ShotRig
 
 TRACK = "t,x,y,z\n"
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from analysis.campaign.tuned_drop import TunedDrop
-from analysis.cli.review import main
-from analysis.motion import Curves
-from analysis.review.campaign.overlay import _Axes, _observed, _simulated
 from tests.analysis.campaign import campaigns
 from tests.analysis.campaign.campaigns import MINUTE_NS, START_NS
 from tests.analysis.drop.test_review import contents, verified
 from tests.analysis.review.stored import Stored
 from tests.conftest import ROOT, Command, film
+from tunenet_logs.analysis.campaign import TunedDrop
+from tunenet_logs.analysis.cli.review import main
+from tunenet_logs.analysis.record import Curves
+from tunenet_logs.analysis.review.campaign import _CurveAxes, _observed, _simulated
 from tunenet_logs.images import decode_image
 
 STATES = ("/ball", "/drop", "/restitution", "/shot")
@@ -276,7 +276,7 @@ def test_samples_that_are_not_known_are_left_out_of_the_curves():
     simulated = np.array([np.nan, 1.0, 0.8, np.nan, 0.5, 0.4])
     overlay = Curves(0, np.arange(6.0), observed, simulated)
     drop = TunedDrop(None, None, "a", "gel", "ok", "", 0.7, None, overlay)
-    axes = _Axes(5.0, 1.0)
+    axes = _CurveAxes(5.0, 1.0)
     assert len(_observed(drop, axes)) == 5
     assert [len(stretch) for stretch in _simulated(drop, axes)] == [2, 2]
 

@@ -6,13 +6,19 @@ from collections.abc import Iterator
 
 import pytest
 
-from analysis.campaign.build import Campaign, campaign_of
-from analysis.campaign.tuned_drop import TunedDrop
-from analysis.review.campaign import write_campaign
-from analysis.review.campaign.times import ATTEMPT, FILM, WALL, Shown, Slot, slots_of
 from tests.analysis.campaign import campaigns
 from tests.analysis.review.stored import Stored
 from tests.conftest import film
+from tunenet_logs.analysis.campaign import Campaign, TunedDrop, campaign_of
+from tunenet_logs.analysis.review.campaign import (
+    ATTEMPT,
+    FILM,
+    WALL,
+    Shown,
+    Slot,
+    slots_of,
+    write_campaign,
+)
 from tunenet_logs.terminal import Progress
 
 

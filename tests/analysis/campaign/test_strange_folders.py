@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from analysis.campaign.files import material_of
 from tests.conftest import Command
+from tunenet_logs.analysis.campaign import material_of
 from tunenet_logs.errors import LogError
-from tunenet_logs.output.owned_file import OutputPlace, nothing
+from tunenet_logs.writing.owned_path import OutputPlace, nothing
 
 SUFFIXES = (".mcap", ".json", ".csv", ".mp4")
 
@@ -86,7 +86,7 @@ def test_a_folder_may_be_deeper_than_python_calls(tmp_path: Path):
 
 
 def test_a_folder_of_folders_has_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("analysis.campaign.files._MAX_ENTRIES", 50)
+    monkeypatch.setattr("tunenet_logs.analysis.campaign._MAX_ENTRIES", 50)
     for number in range(60):
         (tmp_path / str(number)).mkdir()
     told: list[str] = []

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from analysis.cli.tune import build_parser, given_options
-from analysis.tune_options import ball_doubts, options_of
-from recorders.simulators.balls import BALLS, Ball
 from tests.conftest import Command
+from tunenet_logs.analysis.cli.tune import given_options
+from tunenet_logs.analysis.options import ball_doubts, build_parser, options_of
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.known import BALLS, Ball
 
 
 def told(*words: str) -> Ball:

@@ -80,9 +80,9 @@ def test_wrong_usage_is_one_line_and_exit_code_2(command: Command, drop_log: Pat
 
 
 def test_weights_meant_for_another_preset_are_refused(command: Command, drop_log: Path):
-    import analysis.tunenet
+    from tunenet_logs.analysis import tunenet
 
-    shipped = Path(analysis.tunenet.__path__[0]) / "weights" / "drop-paper.safetensors"
+    shipped = Path(tunenet.__path__[0]) / "weights" / "drop-paper.safetensors"
     result = command("tunenet-tune", drop_log, "--weights", shipped)
     assert result.returncode == 1
     assert result.stderr.count("\n") == 1

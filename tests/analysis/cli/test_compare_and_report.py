@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from analysis.record_json import to_json
 from tests.analysis.records import drop_record, rejected_record
 from tests.conftest import Command
+from tunenet_logs.analysis.record import to_json
 
 
 @pytest.fixture
@@ -163,7 +163,7 @@ def test_without_the_extra_one_line_names_it(
             raise ModuleNotFoundError(f"No module named {module!r}", name=module)
         return import_module(module)
 
-    monkeypatch.setattr("analysis.optional_dependencies.import_module", missing)
+    monkeypatch.setattr("tunenet_logs.analysis.registry.import_module", missing)
     done = command(name, folder, option, folder / "a.html")
     assert done.returncode == 2
     assert "pip install 'tunenet-logs[report]'" in done.stderr

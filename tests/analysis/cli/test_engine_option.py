@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from recorders.simulators.engines import ENGINE_VARIABLE, ENGINES, engine
 from tests.conftest import Command
 from tests.engines import needs_pybullet
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.known import ENGINE_VARIABLE, ENGINES, engine
 
 CHOICES = [pytest.param("pybullet", marks=needs_pybullet), "mujoco"]
 

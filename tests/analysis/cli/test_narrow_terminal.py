@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from analysis.fitted_table import laid_out
 from tests.conftest import BIN, Command, record
+from tunenet_logs.analysis.presentation import laid_out
 
 COLUMNS = {
     "log": ["a" * 30 + ".mcap", "b.mcap"],

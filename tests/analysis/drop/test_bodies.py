@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.selection import Options
-from analysis.tuning import tune_episode
 from tests.strangers import Stranger
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
 

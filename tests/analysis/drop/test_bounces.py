@@ -10,17 +10,20 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from analysis.drop.review.bounces import bounce_view
-from analysis.drop.review.film import film_positions, model_path
-from analysis.drop.review.review_data import review_data
-from analysis.estimators.base import FitResult
-from analysis.record import Rebound, Tuning, record_of
-from analysis.record_json import to_json
-from analysis.review.tuning_review import write_review
-from analysis.review.words import result_words
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.analysis.drop.test_review import contents, verified
+from tunenet_logs.analysis.drop.review.views import (
+    bounce_view,
+    film_positions,
+    model_path,
+    review_data,
+)
+from tunenet_logs.analysis.estimators.base import FitResult
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.presentation import result_words
+from tunenet_logs.analysis.record import Rebound, to_json
+from tunenet_logs.analysis.review.tuning import write_review
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 
 RESTITUTIONS = (0.700, 0.712, 0.731)
 SPEEDS = (4.43, 3.10, 2.21)

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.selection import Options
-from analysis.tracking.pictures import Pictures
-from analysis.tuning import tune_episode
-from recorders.simulators.drop import DropRig, DropSimulator
 from tests.analysis.films import short_film
 from tests.conftest import Made
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.ball import DropRig, DropSimulator
 
 DAY_NS = 86_400 * 10**9
 

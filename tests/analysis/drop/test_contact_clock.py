@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.drop.contact_clock import ContactClock
+from tunenet_logs.analysis.drop.motion import ContactClock
 
 LASTS_S = 0.004
 

@@ -8,12 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.record import Tuning
-from analysis.selection import Hints, Options, Selection
-from analysis.tuning import tune_log
-from recorders.filmed_drop import FilmOrder, film_drop
-from recorders.session import record_episode
-from recorders.simulated_drop import DropOrder
 from tests.analysis.films import short_film
 from tests.conftest import ROOT, Command, Made, film
 from tests.engines import needs_pybullet
@@ -21,11 +15,16 @@ from tests.recorders.live_wait import LAST_RESORT_S
 from tests.recorders.mjpeg_camera import check_times, playing
 from tests.strangers import Stranger, write_poses
 from tunenet_logs import messages
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.selection import Hints, Options, Selection
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop
 from tunenet_logs.terminal import Progress
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.writer import EpisodeWriter
 
 SAMPLE = ROOT / "sample_logs" / "filmed.mcap"
 
@@ -47,7 +46,7 @@ def tuned(short: Path) -> Tuning:
 
 @pytest.mark.slow
 def test_fresh_films_of_random_cameras(tmp_path: Path):
-    """The figure to hold: mean absolute error .015. `python -m benchmarks.video` has more drops."""
+    """The figure to hold: mean absolute error .015. `tests.bench.video` has more drops."""
     rng = np.random.default_rng(40_001)
     off = []
     for index in range(4):

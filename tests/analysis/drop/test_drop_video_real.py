@@ -12,11 +12,11 @@ import av
 import numpy as np
 import pytest
 
-from analysis.batch import one_log
-from analysis.record import Tuning
-from analysis.tuning import tune_log
 from tests.analysis.films import short_film
 from tests.conftest import Command, Made, real
+from tunenet_logs.analysis.batch import run as one_log
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.reader import read_episode
 
 

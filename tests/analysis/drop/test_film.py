@@ -7,18 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.checks import Check
-from analysis.drop.bounce_model import BounceSamples
-from analysis.drop.checks import recording_checks
-from analysis.drop.detection import FilmDetection
-from analysis.drop.film import canonical_film, find_filmed_drop
-from analysis.drop.film_checks import film_checks, hop_check, scale_checks, seconds_out_of_view
-from analysis.drop.film_reasons import free_flight, why_not
-from analysis.tracking.track import Track
-from recorders.simulators.balls import Ball
-from recorders.simulators.closed_form.bounce import Bounce
 from tests.strangers import bounce_heights
+from tunenet_logs.analysis.checks import Check
+from tunenet_logs.analysis.drop.bounce_model import BounceSamples
+from tunenet_logs.analysis.drop.checks import (
+    film_checks,
+    hop_check,
+    recording_checks,
+    scale_checks,
+    seconds_out_of_view,
+)
+from tunenet_logs.analysis.drop.detection import FilmDetection
+from tunenet_logs.analysis.drop.film import canonical_film, find_filmed_drop, free_flight, why_not
+from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulators.ball import Bounce
+from tunenet_logs.recorders.simulators.known import Ball
 
 GRAVITY = 9.81
 
@@ -288,7 +292,7 @@ def test_what_hangs_on_the_clock_is_told_only_where_nothing_doubts_it(
     track = replace(track, stamps_ns=track.stamps_ns * slower)
     detection = FilmDetection(True, "/camera", 0, track, Ball(diameter_m), is_rate_known=said)
     assert detection.tells_speed == tells
-    assert (detection.extent[1] != "height not told") == tells
+    assert (detection.extent[1] != "height unknown") == tells
     assert all((one.impact_speed_m_s is not None) == tells for one in detection.rebounds)
     warned = any("slow motion" in one for one in detection.warnings)
     assert warned == (not tells and diameter_m is None)

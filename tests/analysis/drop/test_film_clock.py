@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.cli.tune import main
-from analysis.drop.film import find_filmed_drop
-from analysis.drop.motion import tells_speed
-from analysis.selection import Options, Selection
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.track import track_ball
-from analysis.tuning import tune_log
 from tests.analysis.films import short_film
 from tests.conftest import Made
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.analysis.cli.tune import main
+from tunenet_logs.analysis.drop.film import find_filmed_drop
+from tunenet_logs.analysis.drop.motion import tells_speed
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tracking.track import track_ball
+from tunenet_logs.analysis.tuning import tune_log
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 
@@ -34,7 +34,7 @@ def test_its_record_has_no_metre(made: Made, tmp_path: Path, capsys: pytest.Capt
     log = folder_of(made, tmp_path / "film")
     assert main([str(log), "-o", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
-    assert "height not told" in said.out
+    assert "height unknown" in said.out
     assert " m " not in said.out
     assert "--fps" in said.err
     record = json.loads((tmp_path / "out" / "film.json").read_text())

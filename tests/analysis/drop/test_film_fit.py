@@ -7,24 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.drop.film import FilmedDrop, find_filmed_drop
-from analysis.drop.film_checks import film_checks, size_trend
-from analysis.drop.film_faults import clock_test
-from analysis.drop.rebounds import fitted_rebounds, flight_ratio
-from analysis.evaluation.track_tuning import tune_track
-from analysis.evaluation.video.fault_tracks import TRACK_FAULTS, TrackFault
-from analysis.evaluation.video.tracks import (
+from tunenet_logs.analysis.drop.bounce_posterior import fitted_rebounds, flight_ratio
+from tunenet_logs.analysis.drop.checks import film_checks, size_trend
+from tunenet_logs.analysis.drop.film import FilmedDrop, clock_test, find_filmed_drop
+from tunenet_logs.analysis.evaluation.studies.video import tune_track
+from tunenet_logs.analysis.evaluation.worlds.camera import (
+    TRACK_FAULTS,
     A,
     B,
     BallRanges,
     C,
+    TrackFault,
     TrackScene,
     TrackSet,
     draw_scene,
     film,
 )
-from analysis.selection import Options, Selection
-from recorders.simulators.balls import BALLS, Ball
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.recorders.simulators.known import BALLS, Ball
 
 SEED = -77
 TENNIS_TABLE = BALLS["table-tennis"]

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from analysis.record import Tuning
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.analysis.films import short_film
 from tests.conftest import Made
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.describe import describe
-from tunenet_logs.gaps import Gap, gap_note
 from tunenet_logs.messages import CAMERA_TOPIC
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.timing.stamps import Gap, gap_note
+from tunenet_logs.writing.writer import EpisodeWriter
 
 START_NS = 1_700_000_000_000_000_000
 

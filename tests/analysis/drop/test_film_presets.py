@@ -5,27 +5,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.drop.detection import FilmDetection
-from analysis.drop.film import canonical_film, find_filmed_drop
-from analysis.drop.film_presets import TRAININGS
-from analysis.drop.presets import TRAININGS as DROP_TRAININGS
-from analysis.drop.problem import drop_problem
-from analysis.estimators.tunenet import TuneNet
-from analysis.evaluation.video.tracks import B, BallRanges, draw_scene, film
-from analysis.tunenet.checkpoint import shipped_model
-from analysis.tunenet.network import Model
-from recorders.simulators.balls import Ball
+from tunenet_logs.analysis.drop.detection import FilmDetection
+from tunenet_logs.analysis.drop.film import canonical_film, find_filmed_drop
+from tunenet_logs.analysis.drop.motion import drop_problem
+from tunenet_logs.analysis.drop.presets import FILM_TRAININGS
+from tunenet_logs.analysis.drop.presets import TRAININGS as DROP_TRAININGS
+from tunenet_logs.analysis.estimators.methods import TuneNet
+from tunenet_logs.analysis.evaluation.worlds.camera import B, BallRanges, draw_scene, film
+from tunenet_logs.analysis.tunenet.network import Model
+from tunenet_logs.analysis.tunenet.weights import shipped_model
+from tunenet_logs.recorders.simulators.known import Ball
 
 SEED = -78
 
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    return shipped_model(TRAININGS["default"].purpose)
+    return shipped_model(FILM_TRAININGS["default"].purpose)
 
 
 def test_films_and_positions_share_a_network():
-    assert TRAININGS["default"] is DROP_TRAININGS["default"]
+    assert FILM_TRAININGS["default"] is DROP_TRAININGS["default"]
 
 
 @pytest.mark.parametrize(

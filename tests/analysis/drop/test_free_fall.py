@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.drop.checks import recording_checks
-from analysis.drop.free_fall import find_drops
 from tests.strangers import bounce_heights
+from tunenet_logs.analysis.drop.checks import recording_checks
+from tunenet_logs.analysis.drop.free_flight import find_drops
 from tunenet_logs.errors import NotFoundError
 
 GRAVITY = 9.81

@@ -12,26 +12,26 @@ import pytest
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from analysis.cli.tune import main
-from analysis.drop.from_times import DropFromTimes
-from analysis.drop.times.fit import Rig
-from analysis.drop.times.missing_impacts import readings
-from analysis.drop.times.posterior import heard_ball
-from analysis.drop.times.rhythms import best_rhythm
-from analysis.evaluation.drop.impact_times import heard_set, times_figures
-from analysis.evaluation.drop.times_verdicts import NO_BALLS, verdicts
-from analysis.experiment import Claim
-from analysis.record import Tuning, record_of
-from analysis.record_json import record_from, to_json
-from analysis.selection import Options, Selection
-from analysis.terminal_table import row_of, table
-from analysis.tuning import tune_episode
-from recorders.simulators.balls import ball_named
-from recorders.simulators.closed_form.bounce import Bounce
 from tests.export_writers_video import phyphox_xlsx
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import FRAME_NS, Episode, EpisodeInfo, Signal
+from tunenet_logs.analysis.cli.tune import main
+from tunenet_logs.analysis.drop.experiments import DropFromTimes
+from tunenet_logs.analysis.drop.times.model import DropSetup, heard_ball
+from tunenet_logs.analysis.drop.times.readings import best_rhythm, readings
+from tunenet_logs.analysis.evaluation.studies.drop import (
+    NO_BALLS,
+    heard_set,
+    times_figures,
+    verdicts,
+)
+from tunenet_logs.analysis.experiment import Claim, Tuning, record_of
+from tunenet_logs.analysis.presentation import row_of, table
+from tunenet_logs.analysis.record import record_from, to_json
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode
+from tunenet_logs.episode import FRAME_NS, Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulators.ball import Bounce
+from tunenet_logs.recorders.simulators.known import ball_named
 
 GRAVITY_M_S2 = 9.80665
 HEIGHT_M, RESTITUTION, SLOPE, DRAG_1_M = 1.2, 0.78, 0.04, 0.02  # the ball of these tests
@@ -123,7 +123,7 @@ def test_a_known_ball_makes_it_surer():
 @pytest.mark.parametrize("missed", [2, 3, 5])
 def test_a_missed_impact_is_found(missed: int):
     times_s = np.delete(impacts(9, missed), missed)
-    ball = heard_ball(times_s, Rig())
+    ball = heard_ball(times_s, DropSetup())
     assert ball is not None
     assert ball.numbers.tolist() == [one for one in range(9) if one != missed]
     assert ball.values[0] == pytest.approx(at_second(), abs=0.012)
@@ -133,7 +133,7 @@ def test_a_missed_impact_is_found(missed: int):
 @pytest.mark.parametrize("noise_s", [1.1, 1.9, 2.6])
 def test_a_noise_is_found(noise_s: float):
     times_s = np.sort(np.append(impacts(9), noise_s))
-    ball = heard_ball(times_s, Rig())
+    ball = heard_ball(times_s, DropSetup())
     assert ball is not None
     assert ball.reading.false == 1
     assert noise_s not in ball.times_s
@@ -142,7 +142,7 @@ def test_a_noise_is_found(noise_s: float):
 
 def test_three_wrong_times_among_nine_are_found():
     times_s = np.sort(np.append(np.delete(impacts(10), [3, 6]), [1.3, 2.05]))
-    ball = heard_ball(times_s, Rig())
+    ball = heard_ball(times_s, DropSetup())
     assert ball is not None
     assert (ball.reading.missed, ball.reading.false) == (2, 2)
     assert ball.values[0] == pytest.approx(at_second(), abs=0.015)
@@ -185,7 +185,7 @@ def test_a_rhythm_is_named():
     }
     for name, times_s in rhythms.items():
         assert best_rhythm(times_s, steps, 0.0).name == name
-    ball = heard_ball(impacts(9), Rig())
+    ball = heard_ball(impacts(9), DropSetup())
     assert ball is not None
     assert ball.rhythm[1] > np.log(1000.0)
 
@@ -257,7 +257,7 @@ def test_the_signal_with_the_most_times_is_used_unless_one_is_named():
         **episode_of(times_s, "All/impacts").signals,
     }
     episode, way = Episode(EpisodeInfo(), both), DropFromTimes()
-    assert way.claim(episode, None) == Claim.PLAINLY
+    assert way.claim(episode, None) == Claim.CERTAIN
     assert way.detect(episode, Selection(), "default").topic == "All/impacts"
     named = way.detect(episode, Selection(topic="Simple/impacts"), "default")
     assert len(named.times_s) == 4
@@ -269,11 +269,11 @@ def test_positions_come_first():
     stamps_ns = np.arange(10) * 10_000_000
     positions = Signal("/ball", stamps_ns, np.zeros((10, 3)), ("x", "y", "z"), "m")
     episode = Episode(EpisodeInfo(), {**episode_of(impacts(5)).signals, "/ball": positions})
-    assert DropFromTimes().claim(episode, None) == Claim.PERHAPS
+    assert DropFromTimes().claim(episode, None) == Claim.POSSIBLE
 
 
 def test_record_table_and_review(tmp_path: Path):
-    from analysis.review.tuning_review import write_review
+    from tunenet_logs.analysis.review.tuning import write_review
 
     tuning = tuned(np.sort(np.append(np.delete(impacts(9), 4), 1.3)))
     record = record_of(tuning)
@@ -296,7 +296,7 @@ def test_made_up_balls_share_no_code_and_agree():
     """A Runge-Kutta ball without jitter is the closed form's."""
     rng = np.random.default_rng(2)
     heard = next(one for one in (heard_set(rng, 0) for _ in range(50)) if len(one.times_s) > 8)
-    ball = heard_ball(heard.times_s, Rig())
+    ball = heard_ball(heard.times_s, DropSetup())
     assert ball is not None
     assert abs(ball.values[0] - heard.restitution) < 5 * heard.bound
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.record import record_of
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode
-from benchmarks.throws import throw
-from recorders.simulators.drop import DropRig, DropSimulator
+from tests.bench.throws import throw
 from tests.conftest import real, tune_all
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode
+from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.recorders.simulators.ball import DropRig, DropSimulator
 from tunenet_logs.terminal import Progress
 
 # Restitutions of the basketball's six bounces, by parabolas of .16 s on each side.

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.real_balls.drops import record_drop
-from analysis.evaluation.real_balls.physics import RealBall
-from analysis.motion import Motion
-from analysis.record import record_of
-from analysis.record_json import read_record, to_json
-from analysis.selection import Options
-from analysis.tuning import tune_episode
+from tunenet_logs.analysis.evaluation.worlds.ball import RealBall, record_drop
+from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.record import Motion, read_record, to_json
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 
 # A table-tennis ball from 1.4 m, by an integrator that shares nothing with fit or simulator.

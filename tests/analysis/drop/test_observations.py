@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.drop import observations as views
-from analysis.drop.free_fall import find_drops
-from analysis.estimators.base import resample
-from recorders.simulators.contact import CALIBRATED
-from recorders.simulators.drop import DropRig, DropSimulator
 from tests.strangers import bounce_heights
+from tunenet_logs.analysis.drop import presets as views
+from tunenet_logs.analysis.drop.free_flight import find_drops
+from tunenet_logs.analysis.estimators.base import resample
+from tunenet_logs.recorders.simulators.ball import DropRig, DropSimulator
+from tunenet_logs.recorders.simulators.base import CALIBRATED
 
 
 def canonical_curve(restitution: float) -> np.ndarray:

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.drop.placed_pictures import placed_by_motion
-from analysis.selection import Options
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.track import track_ball
-from analysis.tuning import tune_log
 from tests.conftest import ROOT
+from tunenet_logs.analysis.drop.film import placed_by_motion
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tracking.track import track_ball
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.writing.writer import EpisodeWriter
 
 FILMED = ROOT / "sample_logs" / "filmed.mcap"
 TOPIC = "/camera"

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.drop.bounce_fit import BounceFit
-from analysis.drop.bounce_likelihood import ball_likelihoods
-from analysis.drop.bounce_model import (
+from tunenet_logs.analysis.drop.bounce_fit import BounceFit, fit_positions
+from tunenet_logs.analysis.drop.bounce_model import (
     CONTACT,
     DRAG,
     FALL,
@@ -18,11 +17,14 @@ from analysis.drop.bounce_model import (
     SPAN,
     BounceSamples,
 )
-from analysis.drop.bounce_posterior import BallPosterior, ball_posterior
-from analysis.drop.free_fall import Drop, find_drops
-from analysis.drop.positions_fit import fit_positions
-from recorders.simulated_drop import DropOrder, simulate_drop
+from tunenet_logs.analysis.drop.bounce_posterior import (
+    BallPosterior,
+    ball_likelihoods,
+    ball_posterior,
+)
+from tunenet_logs.analysis.drop.free_flight import Drop, find_drops
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 
 
 def recorded(**order: object) -> Drop:

@@ -11,20 +11,19 @@ import pytest
 from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
-from analysis.drop.review.film import film_positions
-from analysis.drop.review.review_data import review_data, values_words
-from analysis.record import Tuning, record_of
-from analysis.review.tuning_review import write_review
-from analysis.selection import Options
-from analysis.tuning import tune_episode, tune_log
-from recorders.simulators.contact import CALIBRATED
-from recorders.simulators.drop import DropRig, DropSimulator
 from tests.conftest import BIN, record
 from tests.engines import needs_pybullet
 from tests.strangers import Stranger, write_poses
+from tunenet_logs.analysis.drop.review.views import film_positions, review_data, values_words
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.review.tuning import write_review
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.reader import read_episode
-from tunenet_logs.writer import EpisodeWriter
+from tunenet_logs.recorders.simulators.ball import DropRig, DropSimulator
+from tunenet_logs.recorders.simulators.base import CALIBRATED
+from tunenet_logs.writing.writer import EpisodeWriter
 
 
 def verified(path: Path) -> None:

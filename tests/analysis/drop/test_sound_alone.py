@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.evaluation.sound.clip import SoundClip, draw_sound
-from analysis.evaluation.sound.negatives import NO_BOUNCES, draw_negative
-from analysis.record import Record, record_of
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode
+from tunenet_logs.analysis.evaluation.worlds.audio import (
+    NO_BOUNCES,
+    SoundClip,
+    draw_negative,
+    draw_sound,
+)
+from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.record import Record
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.reader import read_episode
 
 QUIET = (7, 8, 9)  # clips of a seed that nothing else uses

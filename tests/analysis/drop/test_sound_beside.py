@@ -9,19 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.detection import DropDetection
-from analysis.drop.ear_and_eye import with_sound as heard_with
-from analysis.drop.heard import HeardImpacts
-from analysis.drop.heard_match import foretold
-from analysis.drop.sound_beside import sound_beside
-from analysis.evaluation.sound.answers import without_sound
-from analysis.evaluation.sound.beside import UNRELATED, unrelated_sound
-from analysis.evaluation.sound.filmed import film_with_sound, track_with_sound, with_sound
-from analysis.record import Estimate, Tuning
-from analysis.record_json import read_record, to_json
-from analysis.selection import Options
-from analysis.terminal_table import sound_words
-from analysis.tuning import tune_episode, tune_log
+from tunenet_logs.analysis.drop.audio import HeardImpacts, foretold, sound_beside
+from tunenet_logs.analysis.drop.audio import with_sound as heard_with
+from tunenet_logs.analysis.drop.detection import DropDetection
+from tunenet_logs.analysis.evaluation.studies.audio import UNRELATED, unrelated_sound, without_sound
+from tunenet_logs.analysis.evaluation.worlds.audio import (
+    film_with_sound,
+    track_with_sound,
+    with_sound,
+)
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.presentation import sound_words
+from tunenet_logs.analysis.record import Estimate, read_record, to_json
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.errors import LogError
 
 SEED = 77

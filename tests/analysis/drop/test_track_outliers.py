@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop import problem
-from analysis.drop.track_outliers import ball_alone, without_jumps, without_repeats
-from analysis.record import record_of
-from analysis.selection import Options
-from analysis.tuning import tune_log
+from tunenet_logs.analysis.drop import motion as problem
+from tunenet_logs.analysis.drop.track import ball_alone, without_jumps, without_repeats
+from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import Signal
 
 # Of a drop that is filmed from the side; FALL in pictures.
@@ -145,10 +145,10 @@ def test_a_fall_of_miles_is_told_in_metres_only_where_there_are_any(
     stamps = np.arange(100, dtype=np.int64) * 31_795_000  # 0.6 m in 11 of them
     metres = replace(pixels, stamps_ns=stamps, values=(900 - pixels.values) * 1e-3)
     told = write(tmp_path / "m.csv", metres, "t_s,x_m,y_m", 3)
-    untold = write(tmp_path / "px.csv", pixels)
+    unidentifiable = write(tmp_path / "px.csv", pixels)
     monkeypatch.setattr(problem, "_HIGHEST_SIMULATED_M", 0.0)
     monkeypatch.setattr(problem, "HIGHEST_M", 0.0)
-    reason = record_of(tune_log(untold, Options())).reason
+    reason = record_of(tune_log(unidentifiable, Options())).reason
     assert reason is not None
     assert reason.startswith("no fall of a ball is seen in it")
     reason = record_of(tune_log(told, Options())).reason

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.drop.bounce_model import (
+from tunenet_logs.analysis.drop.bounce_model import (
     CONTACT,
     FALL,
     HIGH,
     RESTITUTION,
     SPAN,
+    AudioImpacts,
     BounceSamples,
 )
-from analysis.drop.heard_touches import HeardTouches
-from analysis.drop.own_restitutions import moved_by_own
-from analysis.evaluation.sound.answers import answer_to, without_sound
-from analysis.evaluation.sound.filmed import track_with_sound
+from tunenet_logs.analysis.drop.bounce_posterior import moved_by_own
+from tunenet_logs.analysis.evaluation.studies.audio import answer_to, without_sound
+from tunenet_logs.analysis.evaluation.worlds.audio import track_with_sound
 
 SEED, TRACKS, UNEVEN = 79, range(20), 0.003
 KEPT = 0.8
@@ -28,7 +28,7 @@ def ideal() -> tuple[BounceSamples, np.ndarray]:
     unknowns[[RESTITUTION, FALL, CONTACT, SPAN]] = KEPT, 0.0, 0.0, 1.0
     seconds = np.linspace(-0.9, 2 * sum(KEPT**flight for flight in range(1, 6)) - 0.01, 400)
     numbers = np.array([0, 1, 3, 4])
-    heard = HeardTouches(numbers, np.array([0.0, 1.6, 3.9, 4.7]), np.full(4, 1e-4))
+    heard = AudioImpacts(numbers, np.array([0.0, 1.6, 3.9, 4.7]), np.full(4, 1e-4))
     return BounceSamples(seconds, np.zeros(400), 1e-3, in_metres=True, heard=heard), unknowns
 
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.record import record_of
-from analysis.record_json import to_json
-from analysis.selection import Options
-from analysis.tuning import tune_episode
 from tests.strangers import bounce_heights
+from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.record import to_json
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import FRAME_NS, UNSTATED, Episode, EpisodeInfo, Signal
 
 E, RATE_HZ, FALL_M = 0.72, 120.0, 1.1

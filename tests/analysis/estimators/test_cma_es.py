@@ -9,12 +9,11 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from analysis.estimators.base import Observation, Problem, Trace
-from analysis.estimators.cma_es import ScaledCmaEs
-from recorders.simulators.base import Parameter
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode, EpisodeInfo
+from tunenet_logs.analysis.estimators.base import Observation, Problem, Trace
+from tunenet_logs.analysis.estimators.methods import ScaledCmaEs
+from tunenet_logs.episode import Array, Episode, EpisodeInfo
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.base import Parameter
 
 pytest.importorskip("cma")
 

@@ -8,13 +8,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from analysis.estimators.base import Observation, Problem
-from analysis.estimators.tunenet import TuneNet
-from analysis.tunenet.network import Model
-from recorders.simulators.base import Parameter
-from recorders.simulators.drop import RESTITUTION
+from tunenet_logs.analysis.estimators.base import Observation, Problem
+from tunenet_logs.analysis.estimators.methods import TuneNet
+from tunenet_logs.analysis.tunenet.network import Model
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.ball import RESTITUTION
+from tunenet_logs.recorders.simulators.base import Parameter
 
 
 class Line:

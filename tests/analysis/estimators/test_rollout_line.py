@@ -7,19 +7,19 @@ from typing import cast
 import numpy as np
 import pytest
 
-from analysis.drop.presets import TRAININGS
-from analysis.estimators.rollout_line import TuneNetThenLine, line_through
-from analysis.evaluation.drop.targets import (
+from tests.engines import needs_pybullet
+from tunenet_logs.analysis.drop.presets import TRAININGS
+from tunenet_logs.analysis.estimators.methods import TuneNetThenLine, line_through
+from tunenet_logs.analysis.evaluation.studies.drop_methods import (
     EASY,
     HARD,
     DropProblems,
     DropTarget,
     draw_targets,
 )
-from analysis.tunenet.checkpoint import shipped_model
-from analysis.tunenet.network import Model
-from recorders.simulators.contact import CALIBRATED, PAPER
-from tests.engines import needs_pybullet
+from tunenet_logs.analysis.tunenet.network import Model
+from tunenet_logs.analysis.tunenet.weights import shipped_model
+from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER
 
 
 @pytest.fixture(scope="module")

@@ -12,18 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.export import pybullet
-from analysis.export.check import checked, effective_restitutions
-from analysis.export.exported import ExportedBall
-from analysis.export.from_record import ExportOptions, exported
-from analysis.export.pybullet import dropped
-from analysis.export.registry import export_format
-from analysis.record_json import read_record
-from recorders.simulators.base import GRAVITY_M_S2
-from recorders.simulators.closed_form.bounce import Bounce
 from tests.analysis.export.tunings import ball_tuning
 from tests.conftest import Command
 from tests.engines import needs_pybullet
+from tunenet_logs.analysis.export import pybullet
+from tunenet_logs.analysis.export.exported import ExportedBall, ExportOptions, exported
+from tunenet_logs.analysis.export.files import checked, effective_restitutions
+from tunenet_logs.analysis.export.pybullet import dropped
+from tunenet_logs.analysis.export.registry import export_format
+from tunenet_logs.analysis.record import read_record
+from tunenet_logs.recorders.simulators.ball import Bounce
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 
 @pytest.fixture(scope="module")

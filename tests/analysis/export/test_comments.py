@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.export.comments import hash_comment, xml_comment
 from tests.analysis.export.tunings import HOSTILE
+from tunenet_logs.analysis.export.exported import hash_comment, xml_comment
 
 WORDS = st.lists(st.text(st.characters() | st.sampled_from("-><!#\n\r\x85\u2028\"'")), max_size=4)
 

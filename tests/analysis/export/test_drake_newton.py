@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.export import drake, newton
-from analysis.export.check import effective_restitutions
-from analysis.export.hunt_crossley import MIN, dissipation, restitution
-from analysis.export.registry import usual_suffix
-from recorders.simulators.base import GRAVITY_M_S2
 from tests.analysis.export.test_values import COM_M, MASS_KG, MOMENT_KG_M2, constants
 from tests.analysis.export.tunings import ball_tuning, payload_tuning
 from tests.conftest import Command
+from tunenet_logs.analysis.export import drake, newton
+from tunenet_logs.analysis.export.drake import MIN_RESTITUTION, dissipation, restitution
+from tunenet_logs.analysis.export.files import effective_restitutions
+from tunenet_logs.analysis.export.registry import usual_suffix
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 DRAKE = "{http://drake.mit.edu}"
 
@@ -64,7 +64,7 @@ def test_the_dissipation_gives_the_restitution(wanted: float, speed_m_s: float):
 
 def test_extreme_restitutions_have_a_dissipation():
     assert dissipation(1.0, 3.0) == pytest.approx(0.0, abs=1e-9)
-    assert dissipation(0.0, 3.0) == dissipation(MIN, 3.0)
+    assert dissipation(0.0, 3.0) == dissipation(MIN_RESTITUTION, 3.0)
     assert math.isfinite(dissipation(0.0, 3.0))
 
 

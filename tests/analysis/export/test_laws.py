@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from analysis.export.registry import FORMATS, export_format
 from tests.analysis.export.tunings import HOSTILE, ball_tuning, payload_tuning
 from tests.conftest import Command
+from tunenet_logs.analysis.export.registry import FORMATS, export_format
 
 MAKERS = {"ball": ball_tuning, "payload": payload_tuning}
 

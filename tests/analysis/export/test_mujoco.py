@@ -11,15 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from analysis.export.check import restitutions_at_impacts
-from analysis.export.exported import ExportedBall
-from analysis.export.from_record import ExportOptions, exported
-from analysis.export.mujoco import STEP_S, ball_text, dropped
-from analysis.record_json import read_record
-from recorders.simulators.base import GRAVITY_M_S2
-from recorders.simulators.closed_form.flight import flown
 from tests.analysis.export.tunings import ball_tuning, payload_tuning
 from tests.conftest import Command
+from tunenet_logs.analysis.export.exported import ExportedBall, ExportOptions, exported
+from tunenet_logs.analysis.export.files import restitutions_at_impacts
+from tunenet_logs.analysis.export.mujoco import STEP_S, ball_text, dropped
+from tunenet_logs.analysis.record import read_record
+from tunenet_logs.recorders.simulators.ball import flown
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 library: Any = mujoco
 

@@ -8,11 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF, Payload, jaco
-from recorders.simulators.arm.path import JointPath
 from tests.analysis.export.tunings import payload_tuning
 from tests.conftest import Command
 from tests.engines import needs_pybullet
+from tunenet_logs.recorders.simulators.arm.description import (
+    JACO_TOOL_LINK,
+    JACO_URDF,
+    Payload,
+    jaco,
+)
+from tunenet_logs.recorders.simulators.arm.path import JointPath
 
 POSE_RAD = (0.3, 2.5, 0.2, 1.5, 0.4, 1.9, 0.1)
 GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
@@ -37,7 +42,7 @@ def held_nm(bullet, client: int, arm: int) -> np.ndarray:
 
 @needs_pybullet
 def test_mounting_it_changes_the_torques_as_it_should(command: Command, tmp_path: Path):
-    from recorders.simulators.pybullet.engine import inverse_dynamics, pybullet
+    from tunenet_logs.recorders.simulators.pybullet import inverse_dynamics, pybullet
 
     mass_kg, com_m = 0.8, (0.01, -0.02, 0.03)
     tuning = payload_tuning(tmp_path / "a.json", mass_kg, com_m)

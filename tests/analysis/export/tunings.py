@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from recorders.simulators.base import GRAVITY_M_S2
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 # A log's name that would end every kind of comment and text.
 HOSTILE = (

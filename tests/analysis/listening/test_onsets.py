@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.evaluation.sound.sound_file import through_aac
-from analysis.listening.onsets import Onsets, onsets
-from tunenet_logs.arrays import Array
-from tunenet_logs.sound import Sound
+from tunenet_logs.analysis.evaluation.worlds.audio import through_aac
+from tunenet_logs.analysis.onsets import Onsets, onsets
+from tunenet_logs.episode import Array, Sound
 
 RATE_HZ = 44_100.0
 TRUE_S = np.array([0.81, 1.304, 1.622, 2.2071, 2.71])

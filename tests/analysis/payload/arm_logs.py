@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.payload.arm_log import read_arm_log
-from analysis.payload.arm_motion import ArmMotion, arm_motion
-from recorders.simulators.arm.description import Payload, jaco
-from recorders.simulators.arm.disturbances import Disturbances, real_driver
-from recorders.simulators.arm.driver import driver_episode
-from recorders.simulators.arm.path import circle, random_path
+from tunenet_logs.analysis.payload.arm_log import read_arm_log
+from tunenet_logs.analysis.payload.torque_model import ArmMotion, arm_motion
 from tunenet_logs.episode import Episode, Signal
+from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
+from tunenet_logs.recorders.simulators.arm.path import circle, random_path
+from tunenet_logs.recorders.simulators.arm.payload import Disturbances, driver_episode, real_driver
 
 ARM = jaco()
 CLEAN = Disturbances(rate_hz=60.0)

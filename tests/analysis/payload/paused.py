@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from recorders.simulators.arm.path import JointPath, eased
 from tests.analysis.payload.arm_logs import FULL_HZ
+from tunenet_logs.recorders.simulators.arm.path import JointPath, eased
 
 EASED_S = 0.8
 

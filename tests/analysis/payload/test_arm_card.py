@@ -10,22 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.payload.stranger_arm import FULL
-from analysis.evaluation.payload.stranger_runs import stranger_runs
-from analysis.payload.arm_card import ArmCard, arm_sha256, card_text, read_arm_card
-from analysis.payload.arm_log import read_arm_log
-from analysis.payload.arm_motion import arm_motion
-from analysis.payload.evidence import NormalEquations, posterior
-from analysis.payload.torque_fit import fit_payload
-from analysis.payload.torque_terms import arm_terms
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode
-from recorders.session import record_episode
-from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF, Payload
-from recorders.simulators.arm.known_arms import known_arm
 from tests.analysis.payload.arm_logs import ARM, any_log, changed, circle_log, driver, renamed
 from tests.conftest import Command
+from tunenet_logs.analysis.evaluation.worlds.arm import FULL, stranger_runs
+from tunenet_logs.analysis.payload.arm_card import ArmCard, arm_sha256, card_text, read_arm_card
+from tunenet_logs.analysis.payload.arm_log import read_arm_log
+from tunenet_logs.analysis.payload.noise import NormalEquations, posterior
+from tunenet_logs.analysis.payload.torque_fit import fit_payload
+from tunenet_logs.analysis.payload.torque_model import arm_motion, arm_terms
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF, Payload
+from tunenet_logs.recorders.simulators.arm.known import known_arm
 from tunenet_logs.terminal import Progress
 
 DRIVER = driver(12)

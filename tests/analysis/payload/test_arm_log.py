@@ -5,13 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.payload.arm_log import read_arm_log
-from analysis.payload.arm_motion import arm_motion
-from analysis.payload.driver_quirks import even_clock
-from recorders.simulators.arm.description import Payload
-from recorders.simulators.arm.disturbances import FieldClock
-from recorders.simulators.arm.driver import driver_episode
-from recorders.simulators.arm.path import circle, circle_at
 from tests.analysis.payload.arm_logs import (
     ARM,
     CLEAN,
@@ -24,7 +17,12 @@ from tests.analysis.payload.arm_logs import (
     with_fingers,
     with_values,
 )
+from tunenet_logs.analysis.payload.arm_log import even_clock, read_arm_log
+from tunenet_logs.analysis.payload.torque_model import arm_motion
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulators.arm.description import Payload
+from tunenet_logs.recorders.simulators.arm.path import circle, circle_at
+from tunenet_logs.recorders.simulators.arm.payload import FieldClock, driver_episode
 
 NUMBERED = tuple(f"joint{number}" for number in range(1, 8))
 

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.payload.arm_log import read_arm_log
-from analysis.payload.arm_motion import arm_motion
-from analysis.payload.checks import arm_checks, payload_checks
-from analysis.payload.torque_fit import fit_payload
-from recorders.simulators.arm.description import Payload
-from recorders.simulators.arm.driver import driver_episode
-from recorders.simulators.arm.path import JointPath, circle
 from tests.analysis.payload.arm_logs import ARM, CLEAN, changed, circle_log, driver, with_values
 from tests.conftest import real
+from tunenet_logs.analysis.payload.arm_log import read_arm_log
+from tunenet_logs.analysis.payload.checks import arm_checks, payload_checks
+from tunenet_logs.analysis.payload.torque_fit import fit_payload
+from tunenet_logs.analysis.payload.torque_model import arm_motion
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.arm.description import Payload
+from tunenet_logs.recorders.simulators.arm.path import JointPath, circle
+from tunenet_logs.recorders.simulators.arm.payload import driver_episode
 
 
 def failed(episode, tare=None, **part) -> dict[str, bool]:

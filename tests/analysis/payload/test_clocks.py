@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.payload.arm_log import most_knots, read_arm_log
-from analysis.payload.arm_motion import arm_motion, smoothing_spline
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode
-from recorders.simulators.arm.description import Payload
 from tests.analysis.payload.arm_logs import ARM, changed, circle_log
+from tunenet_logs.analysis.payload.arm_log import most_knots, read_arm_log
+from tunenet_logs.analysis.payload.torque_model import arm_motion, smoothing_spline
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulators.arm.description import Payload
 
 DAY_NS = 86_400 * 10**9
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.payload.coloured_noise import SeriesNoise, estimated, unknown
+from tunenet_logs.analysis.payload.noise import SeriesNoise, estimated, unknown
 
 SECONDS = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.02, 400))
 

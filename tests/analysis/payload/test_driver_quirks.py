@@ -2,7 +2,7 @@
 
 import pytest
 
-from analysis.payload.driver_quirks import match_joints
+from tunenet_logs.analysis.payload.arm_log import match_joints
 from tunenet_logs.errors import NotFoundError
 
 JACO = tuple(f"j2s7s300_joint_{number}" for number in range(1, 8))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.payload.evidence import (
+from tunenet_logs.analysis.payload.noise import (
     NormalEquations,
     averaged,
     likeliest_scales,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.payload.held import held
+from tunenet_logs.analysis.payload.torque_fit import held
 
 
 def normal(mass_kg, sd_kg, com_m=(0.0, 0.0, 0.0), moments=(0.0,) * 6, inertia_sd=1e-3):

@@ -9,19 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.record import Tuning
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode, tune_log
-from recorders.session import record_episode
-from recorders.simulated_payload import PayloadOrder, simulate_payload
-from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF, Payload, jaco
-from recorders.simulators.arm.dynamics import joint_efforts_nm
-from recorders.simulators.arm.path import circle_at
-from recorders.simulators.arm.payload import joint_signals
 from tests.conftest import Command, real
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
+from tunenet_logs.recorders.simulators.arm.description import (
+    JACO_TOOL_LINK,
+    JACO_URDF,
+    Payload,
+    jaco,
+)
+from tunenet_logs.recorders.simulators.arm.path import circle_at
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm, joint_signals
 from tunenet_logs.terminal import Progress
 
 TWO_JOINTS = """\

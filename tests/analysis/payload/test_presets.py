@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.payload.presets import CIRCLE_S, circle_phase_s, paper_torques, payload_readings
-from recorders.simulators.arm.description import jaco
-from recorders.simulators.arm.path import JointPath, circle_at
+from tunenet_logs.analysis.payload.detection import (
+    CIRCLE_S,
+    circle_phase_s,
+    paper_torques,
+    payload_readings,
+)
+from tunenet_logs.recorders.simulators.arm.description import jaco
+from tunenet_logs.recorders.simulators.arm.path import JointPath, circle_at
 
 
 def test_readings_add_up_to_the_mass():

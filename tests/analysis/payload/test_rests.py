@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from analysis.payload.arm_log import read_arm_log
-from analysis.payload.arm_motion import arm_motion
-from analysis.payload.checks import arm_checks
-from analysis.payload.new_samples import new_samples
-from analysis.selection import Options
-from analysis.tuning import tune_episode
-from recorders.simulators.arm.description import Payload
-from recorders.simulators.arm.disturbances import Disturbances, FieldClock
-from recorders.simulators.arm.driver import driver_episode
-from recorders.simulators.arm.path import circle, random_path
 from tests.analysis.payload.arm_logs import ARM, FULL_HZ, changed, with_values
 from tests.analysis.payload.paused import paused
+from tunenet_logs.analysis.payload.arm_log import new_samples, read_arm_log
+from tunenet_logs.analysis.payload.checks import arm_checks
+from tunenet_logs.analysis.payload.torque_model import arm_motion
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
+from tunenet_logs.recorders.simulators.arm.description import Payload
+from tunenet_logs.recorders.simulators.arm.path import circle, random_path
+from tunenet_logs.recorders.simulators.arm.payload import Disturbances, FieldClock, driver_episode
 
 TRUTH_KG = 1.803
 TURN = circle(FULL_HZ, 6.0)

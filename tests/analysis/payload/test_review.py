@@ -9,19 +9,18 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from analysis.payload.review.arm_scene import payload_radius_m
-from analysis.payload.review.review_data import payload_review_data
-from analysis.record import Tuning, record_of
-from analysis.review.tuning_review import write_review
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode, tune_log
-from recorders.simulated_payload import PayloadOrder, simulate_payload
-from recorders.simulators.arm.path import link_positions_m
 from tests.analysis.drop.test_review import contents, verified
 from tests.analysis.payload.test_payload import TWO_JOINTS, record
 from tests.conftest import real
 from tests.engines import needs_pybullet
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.payload.review import payload_radius_m, payload_review_data
+from tunenet_logs.analysis.review.tuning import write_review
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
+from tunenet_logs.recorders.simulators.arm.path import link_positions_m
 
 SLIDER = TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')
 ONE_JOINT = TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="fixed"')

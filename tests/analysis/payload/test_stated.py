@@ -9,13 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.record_json import read_record
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode, tune_log
-from recorders.session import record_episode
-from recorders.simulators.arm.description import Payload
-from recorders.simulators.arm.dynamics import held_efforts_nm
-from recorders.simulators.arm.path import circle_at
 from tests.analysis.payload.arm_logs import (
     ARM,
     CLEAN,
@@ -27,7 +20,14 @@ from tests.analysis.payload.arm_logs import (
     with_values,
 )
 from tests.conftest import Command
+from tunenet_logs.analysis.record import read_record
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Episode
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulators.arm.description import Payload
+from tunenet_logs.recorders.simulators.arm.path import circle_at
+from tunenet_logs.recorders.simulators.arm.payload import held_efforts_nm
 from tunenet_logs.terminal import Progress
 
 HELD = Payload(0.75)

@@ -6,16 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.payload.arm_log import read_arm_log
-from analysis.payload.arm_motion import ArmMotion, arm_motion
-from analysis.payload.held import held
-from analysis.payload.secant import secant
-from analysis.payload.torque_fit import fit_payload
-from analysis.payload.torque_model import ArmModel, Convention
-from recorders.simulators.arm.description import Payload
-from recorders.simulators.arm.disturbances import Disturbances
-from recorders.simulators.arm.driver import driver_episode
-from recorders.simulators.arm.path import circle, random_path
 from tests.analysis.payload.arm_logs import (
     ARM,
     CLEAN,
@@ -28,6 +18,13 @@ from tests.analysis.payload.arm_logs import (
     with_fingers,
     with_values,
 )
+from tunenet_logs.analysis.payload.arm_log import read_arm_log
+from tunenet_logs.analysis.payload.experiment import secant
+from tunenet_logs.analysis.payload.torque_fit import fit_payload, held
+from tunenet_logs.analysis.payload.torque_model import ArmModel, ArmMotion, Convention, arm_motion
+from tunenet_logs.recorders.simulators.arm.description import Payload
+from tunenet_logs.recorders.simulators.arm.path import circle, random_path
+from tunenet_logs.recorders.simulators.arm.payload import Disturbances, driver_episode
 
 MASS_KG = 0.62
 HELD = Payload(MASS_KG)
@@ -100,7 +97,7 @@ def test_the_centre_of_mass_is_identifiable_with_a_tare():
     tare = motion_of(circle_log(None, disturbances.another_run()))
     fit = fit_payload(ARM, motion_of(circle_log(Payload(0.9, com_m), disturbances)), [tare])
     assert fit.held.centre.is_identifiable
-    assert "told apart" in fit.identifiability
+    assert "separated" in fit.identifiability
     assert fit.held.mass_kg == pytest.approx(0.9, abs=0.04)
     np.testing.assert_allclose(fit.held.centre.com_m, com_m, atol=0.02)
     sds = np.abs(np.array(fit.held.centre.com_m) - com_m) / fit.held.centre.sds_m

@@ -5,13 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.payload.arm_motion import ArmMotion, smoothing_spline
-from analysis.payload.torque_model import CONVENTIONS, ArmModel, LoggedArm
-from analysis.payload.torque_terms import make_terms
-from recorders.simulators.arm.description import Payload
-from recorders.simulators.arm.dynamics import joint_efforts_nm
-from recorders.simulators.arm.path import random_path
 from tests.analysis.payload.arm_logs import ARM
+from tunenet_logs.analysis.payload.torque_model import (
+    CONVENTIONS,
+    ArmModel,
+    ArmMotion,
+    LoggedArm,
+    make_terms,
+    smoothing_spline,
+)
+from tunenet_logs.recorders.simulators.arm.description import Payload
+from tunenet_logs.recorders.simulators.arm.path import random_path
+from tunenet_logs.recorders.simulators.arm.payload import joint_efforts_nm
 
 PATH = random_path(ARM, 7, 60.0, 1.0)
 MOTION = (PATH.position_rad, PATH.velocity_rad_s, PATH.acceleration_rad_s2)

@@ -9,20 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from analysis.payload.which_arm import which_arm
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode
-from recorders.session import record_episode
-from recorders.simulated_payload import PayloadOrder, simulate_payload
-from recorders.simulators.arm.description import Payload
-from recorders.simulators.arm.disturbances import Disturbances
-from recorders.simulators.arm.driver import driver_episode
-from recorders.simulators.arm.known_arms import ARMS, DEFAULT, known_arm
-from recorders.simulators.arm.path import random_path
 from tests.conftest import Command, real
+from tunenet_logs.analysis.payload.arm_log import which_arm
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
+from tunenet_logs.recorders.simulators.arm.description import Payload
+from tunenet_logs.recorders.simulators.arm.known import ARMS, DEFAULT, known_arm
+from tunenet_logs.recorders.simulators.arm.path import random_path
+from tunenet_logs.recorders.simulators.arm.payload import Disturbances, driver_episode
 from tunenet_logs.terminal import Progress
 
 HELD_KG = 0.8

@@ -11,15 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.planning.known_ball import KnownBall, read_tuning, told_ball
-from analysis.planning.plan import plan_shot
-from analysis.planning.tolerance import signed_gap_m
-from recorders.simulators.bounce_shot import passes, shoot
-from recorders.simulators.shot.rig import Hoop, Release, ShotRig
-from recorders.simulators.speed_law import SpeedLaw
 from tests.analysis.drop.test_review import verified
 from tests.conftest import Command
+from tunenet_logs.analysis.planning import (
+    KnownBall,
+    plan_shot,
+    read_tuning,
+    signed_gap_m,
+    told_ball,
+)
 from tunenet_logs.errors import LogError, NotFoundError
+from tunenet_logs.recorders.simulators.ball import SpeedLaw
+from tunenet_logs.recorders.simulators.shot import Hoop, Release, ShotRig, passes, shoot
 
 RIG = ShotRig()
 
@@ -202,7 +205,7 @@ def test_bounces_that_scatter_within_their_intervals_are_averaged():
 
 
 def _ball(seen: np.ndarray) -> KnownBall:
-    from analysis.planning.known_ball import _fitted
+    from tunenet_logs.analysis.planning import _fitted
 
     return _fitted(seen)
 

@@ -11,14 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.planning.known_ball import read_tuning
-from analysis.planning.plan import plan_shot
-from analysis.planning.tolerance import signed_gap_m
-from recorders.simulators.bounce_shot import passes
-from recorders.simulators.speed_law import SpeedLaw
 from tests.analysis.planning.test_plan import RIG, tuning
 from tests.conftest import Command
+from tunenet_logs.analysis.planning import plan_shot, read_tuning, signed_gap_m
 from tunenet_logs.errors import LogError
+from tunenet_logs.recorders.simulators.ball import SpeedLaw
+from tunenet_logs.recorders.simulators.shot import passes
 
 
 @pytest.fixture(scope="module")

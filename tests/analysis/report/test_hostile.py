@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from analysis.record_json import to_json
 from tests.analysis.records import drop_record, rejected_record
 from tests.browser import WIDTHS, opened
 from tests.conftest import Command
+from tunenet_logs.analysis.record import to_json
 
 INJECTED = (
     "<script>alert(1)</script>",
@@ -47,7 +47,7 @@ def hostile(word: str) -> dict[str, Any]:
         "topic": word,
         "method": word,
         "warnings": [word, word],
-        "untold": [word],
+        "unidentifiable": [word],
         "parameters": {
             **fields["parameters"],
             word: {"value": 1.0, "interval95": [0.5, 1.5], "unit": word},

@@ -11,19 +11,18 @@ import pytest
 import rerun as rr
 import rerun.blueprint as rrb
 
-from analysis.cli.plan import main as plan_main
-from analysis.cli.review import main as review_main
-from analysis.record import Tuning, record_of
-from analysis.review.overview import write_overview
-from analysis.review.tuning_review import write_review
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_episode, tune_log
-from recorders.simulated_payload import PayloadOrder, simulate_payload
 from tests.analysis.campaign import campaigns
 from tests.analysis.drop.test_impact_times import episode_of, impacts
 from tests.analysis.payload.test_payload import record as record_payload
 from tests.analysis.review.stored import Stored
 from tests.conftest import ROOT, film, real, record
+from tunenet_logs.analysis.cli.plan import main as plan_main
+from tunenet_logs.analysis.cli.review import main as review_main
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.review.tuning import write_overview, write_review
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_episode, tune_log
+from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
 
 Make = Callable[[Path], Path]  # writes a review into a folder; its path
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from analysis.record import Estimate, Record, record_of
-from analysis.review.said_names import said_names
-from analysis.review.words import result_words
-from analysis.selection import Options
-from analysis.tuning import tune_log
+from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.presentation import result_words, said_names
+from tunenet_logs.analysis.record import Estimate, Record
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 
 
 def test_an_address_keeps_its_marks_and_loses_its_kind():

@@ -10,21 +10,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from analysis.drop.review.sound import envelope
-from analysis.evaluation.sound.alone import sound_alone
-from analysis.evaluation.sound.answers import without_sound
-from analysis.evaluation.sound.beside import unrelated_sound
-from analysis.evaluation.sound.clip import draw_sound
-from analysis.evaluation.sound.filmed import track_with_sound, with_sound
-from analysis.evaluation.sound.negatives import NoBounce
-from analysis.selection import Options
-from analysis.tuning import tune_episode
-from recorders.simulators.base import GRAVITY_M_S2
 from tests.analysis.review.stored import Stored
 from tests.analysis.review.test_no_view_is_empty import empty_views, review_of
 from tests.conftest import ROOT, film, record
+from tunenet_logs.analysis.drop.review.views import envelope
+from tunenet_logs.analysis.evaluation.studies.audio import (
+    sound_alone,
+    unrelated_sound,
+    without_sound,
+)
+from tunenet_logs.analysis.evaluation.worlds.audio import (
+    NoBounce,
+    draw_sound,
+    track_with_sound,
+    with_sound,
+)
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 RATE_HZ = 48_000
 SPEECH = unrelated_sound("speech", 4.0, 1, 0)

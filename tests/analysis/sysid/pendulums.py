@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from analysis.sysid.source import ModelSource
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode, EpisodeInfo, Signal
+from tunenet_logs.analysis.sysid.source import ModelSource
+from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 
 START_NS = 1_700_000_000_000_000_000
 MASS_KG, LENGTH_M, INERTIA_KG_M2 = 1.0, 0.4, 0.005

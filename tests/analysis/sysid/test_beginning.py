@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from analysis.sysid.beginning import Samples, beginning
-from analysis.sysid.initial_turn import initial_turn
-from recorders.simulators.mujoco.model_sensors import SensedSignal
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Signal
+from tunenet_logs.analysis.sysid.source import Samples, beginning, initial_turn
+from tunenet_logs.episode import Array, Signal
+from tunenet_logs.recorders.simulators.model.rollout import SensedSignal
 
 START_NS = 1_700_000_000_000_000_000
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.sysid.checks import match_check
-from analysis.sysid.compared import Column, ComparedColumns, noise_of
+from tunenet_logs.analysis.sysid.checks import match_check
+from tunenet_logs.analysis.sysid.fit import Column, ComparedColumns, noise_of
 
 SECONDS = np.arange(0, 4, 0.01)
 RNG = np.random.default_rng(3)

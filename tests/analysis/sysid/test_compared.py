@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.sysid.compared import compared, noise_of
+from tunenet_logs.analysis.sysid.fit import compared, noise_of
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
 SECONDS = np.arange(0, 10, 0.005)

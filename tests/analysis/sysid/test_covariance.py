@@ -7,9 +7,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import t
 
-from analysis.sysid.covariance import covariance
-from analysis.sysid.gauss_newton import Solution
 from tests.analysis.sysid.toy import SECONDS, line, parameter, target_of
+from tunenet_logs.analysis.sysid.fit import Solution, covariance
 
 LOGS = 400
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.sysid.covariance import covariance
-from analysis.sysid.gauss_newton import RolloutLeastSquares, Solution
 from tests.analysis.sysid.toy import SECONDS, Shape, line, parameter, run_of, target_of
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.sysid.fit import RolloutLeastSquares, Solution, covariance
+from tunenet_logs.episode import Array
 
 NOISE = 0.01
 

@@ -13,15 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import analysis.api as tunenet
-from analysis.record import Tuning
-from recorders.simulators.mujoco import model_child
-from recorders.simulators.mujoco.library import mujoco
-from recorders.simulators.mujoco.model_file import read_model
-from recorders.simulators.mujoco.model_process import ModelProcess
+import tunenet_logs as tn
 from tests.analysis.sysid.pendulums import pendulum_episode
 from tests.conftest import ROOT
+from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.errors import LogError
+from tunenet_logs.recorders.simulators.model import child as model_child
+from tunenet_logs.recorders.simulators.model.reading import ModelProcess, read_model
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 LOG = ROOT / "sample_logs" / "models" / "pendulum.mcap"
 BOB = """<body name="bob"><joint name="hinge" axis="0 -1 0" damping="0.05"/>
@@ -47,7 +46,7 @@ def model(folder: Path, world: str = "", option: str = "", memory: str = "") -> 
 
 
 def tuned(path: Path) -> Tuning:
-    return tunenet.tune(pendulum_episode(), model=path, parameters=["joint/hinge.damping=0:.2"])
+    return tn.tune(pendulum_episode(), model=path, parameters=["joint/hinge.damping=0:.2"])
 
 
 def run(path: Path, steps: int, controls: np.ndarray | None = None, **more: object):
@@ -108,7 +107,7 @@ def test_what_takes_too_long_is_foreseen(tmp_path: Path, monkeypatch: pytest.Mon
     text = Path(model_child.__file__).read_text().replace("_JUDGED_S = 5.0", "_JUDGED_S = 0.1")
     child = tmp_path / "child.py"
     child.write_text(text)
-    monkeypatch.setattr("recorders.simulators.mujoco.model_process._CHILD", child)
+    monkeypatch.setattr("tunenet_logs.recorders.simulators.model.reading._CHILD", child)
     slow = 'solver="PGS" iterations="100000" tolerance="0"'
     with pytest.raises(LogError, match=r"one rollout would take MuJoCo \d+ s for 300000 steps"):
         run(model(tmp_path, LANDS, slow), 300_000)
@@ -123,7 +122,11 @@ def worked_s(pid: int) -> float:
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc tells what the process does")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_step_without_end_hears_signals(tmp_path: Path, number: int):
-    words = [sys.executable, "-c", "from analysis.commands import tune; raise SystemExit(tune())"]
+    words = [
+        sys.executable,
+        "-c",
+        "from tunenet_logs.commands import tune; raise SystemExit(tune())",
+    ]
     words += [str(LOG), "--model", str(model(tmp_path, LANDS, ENDLESS))]
     words += ["--tune", "joint/hinge.damping=0:.2", "-o", str(tmp_path / "out")]
     process = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE, text=True)

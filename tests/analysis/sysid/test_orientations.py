@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import analysis.api as tunenet
-from analysis.sysid.poses import sensed_pose
-from analysis.sysid.source import Connected, ModelSource
-from recorders.simulators.mujoco.library import mujoco
+import tunenet_logs as tn
 from tests.driven_logs import POSE, START_NS, TF, Sent, pose, transform, write_cdr
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Signal
+from tunenet_logs.analysis.sysid.matching import sensed_pose
+from tunenet_logs.analysis.sysid.source import Connected, ModelSource
+from tunenet_logs.episode import Array, Signal
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 STEP_NS, EVERY, COUNT = 200_000, 25, 240
 
@@ -81,7 +80,7 @@ def test_a_tumbling_bodys_inertia_is_found(frame: str, tmp_path: Path):
     log, model = thrown(tmp_path / "a.mcap", frame), tmp_path / "bat.xml"
     model.write_text(THROWN.format(inertia=0.0045))
     tune = ["body/bat.inertia[0]=.002:.009"]
-    tuning = tunenet.tune(log, model=model, parameters=tune)
+    tuning = tn.tune(log, model=model, parameters=tune)
     assert tuning.verdict == "ok", tuning.reason
     row = tuning.to_frame().loc["body/bat.inertia[0]"]
     assert abs(row.value - 0.003) < 0.00002
@@ -144,7 +143,7 @@ def test_turned_axes_are_told_and_not_compared(tmp_path: Path):
 def test_a_swinging_link_is_tuned_by_its_poses_alone(tmp_path: Path):
     log, model = swung(tmp_path / "a.mcap", Rotation.identity(), 0.0), tmp_path / "arm.xml"
     model.write_text(ARM.format(damping=0.3))
-    tuning = tunenet.tune(log, model=model, parameters=["joint/hinge.damping=0:1"])
+    tuning = tn.tune(log, model=model, parameters=["joint/hinge.damping=0:1"])
     assert tuning.verdict == "ok", tuning.reason
     row = tuning.to_frame().loc["joint/hinge.damping"]
     assert abs(row.value - 0.1) < 0.001

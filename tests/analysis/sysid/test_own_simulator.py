@@ -9,20 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import analysis.api as tunenet
-from analysis.evaluation.sysid.model_log import ModelLog
-from analysis.evaluation.sysid.targets import MACHINES
-from analysis.record import Tuning
-from recorders.simulators.arm.description import jaco
-from recorders.simulators.arm.path import circle
-from recorders.simulators.arm.payload import PayloadSimulator
-from recorders.simulators.base import Parameter
-from recorders.simulators.drop import DropRig, DropSimulator
+import tunenet_logs as tn
 from tests.analysis.sysid.pendulums import DAMPING, MODEL, START_NS, swing
 from tests.conftest import ROOT, Command
 from tests.same_log import assert_same_log
+from tunenet_logs.analysis.evaluation.worlds.machines import MACHINES, ModelLog
+from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
+from tunenet_logs.recorders.simulators.arm.description import jaco
+from tunenet_logs.recorders.simulators.arm.path import circle
+from tunenet_logs.recorders.simulators.arm.payload import PayloadSimulator
+from tunenet_logs.recorders.simulators.ball import DropRig, DropSimulator
+from tunenet_logs.recorders.simulators.base import Parameter
 
 MODELS = ROOT / "sample_logs" / "models"
 PENDULUM, ARM, BLOCK = MACHINES
@@ -32,7 +31,7 @@ def tuned(log: ModelLog, folder: Path, **more: object) -> Tuning:
     path = folder / "model.xml"
     path.write_text(log.model)
     said = {"model": path, "parameters": log.tune, **more}
-    return tunenet.tune(log.episode, **said)  # pyright: ignore[reportArgumentType]
+    return tn.tune(log.episode, **said)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
@@ -46,14 +45,14 @@ def tuned(log: ModelLog, folder: Path, **more: object) -> Tuning:
 def test_a_sample_is_found_within_its_intervals(
     name: str, off: tuple[float, ...], command: Command, tmp_path: Path
 ):
-    from analysis.evaluation.sysid.samples import SEEDS
+    from tunenet_logs.analysis.evaluation.worlds.machines import SEEDS
 
     log = next(one for one in MACHINES if one.name == name).log(SEEDS[name], 1.0)
     files = [MODELS / f"{name}.{suffix}" for suffix in ("mcap", "xml", "yaml")]
     words = ["--model", files[1], "--tune", files[2], "-o", tmp_path, "--no-review"]
     result = command("tunenet-tune", files[0], *words)
     assert result.returncode == 0, result.stderr
-    record = tunenet.read_tuning(tmp_path / f"{name}.json")
+    record = tn.read_tuning(tmp_path / f"{name}.json")
     assert record.verdict == "ok", record.reason
     for one, allowed in zip(record.estimates, off, strict=True):
         assert isinstance(one.value, float)
@@ -64,7 +63,7 @@ def test_a_sample_is_found_within_its_intervals(
 
 
 def test_the_samples_are_as_they_are_made(tmp_path: Path):
-    from analysis.evaluation.sysid.samples import write_samples
+    from tunenet_logs.analysis.evaluation.worlds.machines import write_samples
 
     write_samples(tmp_path)
     for path in tmp_path.iterdir():
@@ -85,11 +84,11 @@ def test_efforts_that_jump_with_each_command_trap_no_delay(seed: int, tmp_path: 
 
 
 def test_what_a_log_cannot_tell_is_named(tmp_path: Path):
-    log = PENDULUM.untold(1_000_000, 1.0)
+    log = PENDULUM.unidentifiable(1_000_000, 1.0)
     tuning = tuned(log, tmp_path)
-    [check] = [one for one in tuning.checks if one.name == "the log tells every parameter"]
+    [check] = [one for one in tuning.checks if one.name == "every parameter is identifiable"]
     assert not check.passed
-    assert all(address in check.detail for address in log.untold)
+    assert all(address in check.detail for address in log.unidentifiable)
     assert tuning.verdict == "suspect"
 
 
@@ -141,7 +140,7 @@ def noisy(episode: Episode, share: float, start_ns: int = 0) -> Episode:
 
 def test_an_object_of_the_users_is_tuned():
     log = noisy(Spring().rollout({"stiffness": 37.0, "damping": 0.3}), 0.02, 10**18)
-    tuning = tunenet.tune(log, simulator=Spring())
+    tuning = tn.tune(log, simulator=Spring())
     assert tuning.verdict == "ok", tuning.reason
     frame = tuning.to_frame()
     assert abs(frame.value["stiffness"] - 37) < 0.1
@@ -152,7 +151,7 @@ def test_our_drop_is_such_an_object():
     simulator = DropSimulator(DropRig(gap_m=1.0, samples=200))
     truth = {"restitution": 0.72, "restitution_slope": 0.05, "drag": 0.05}
     log = simulator.rollout(truth)
-    tuning = tunenet.tune(noisy(log, 0.005), simulator=simulator)
+    tuning = tn.tune(noisy(log, 0.005), simulator=simulator)
     assert tuning.estimate is not None, tuning.reason
     assert abs(tuning.estimate[0] - 0.72) < 0.005
 
@@ -160,7 +159,7 @@ def test_our_drop_is_such_an_object():
 def test_our_payload_is_such_an_object():
     simulator = PayloadSimulator(jaco(), circle(), (0.01, 0.02, -0.01))
     log = simulator.rollout({"payload_mass": 0.8})
-    tuning = tunenet.tune(noisy(log, 0.01), simulator=simulator)
+    tuning = tn.tune(noisy(log, 0.01), simulator=simulator)
     assert tuning.estimate is not None, tuning.reason
     assert abs(tuning.estimate[0] - 0.8) < 0.01
 
@@ -180,7 +179,7 @@ def test_a_long_log_of_angles_that_are_cut_to_one_turn_is_tuned(tmp_path: Path):
     )
     path = tmp_path / "pendulum.xml"
     path.write_text(MODEL.format(floor="", shapes="").replace("-0.4", "0.4"))
-    tuning = tunenet.tune(log, model=path, parameters=["joint/hinge.damping=0:.2"])
+    tuning = tn.tune(log, model=path, parameters=["joint/hinge.damping=0:.2"])
     assert tuning.verdict == "ok", tuning.reason
     assert tuning.interval95 is not None
     low, high = tuning.interval95[0]
@@ -192,7 +191,7 @@ def test_a_simulator_that_shows_nothing_of_the_log_says_so():
     log = Episode(
         EpisodeInfo(), {"/else": Signal("/else", np.arange(9), np.ones((9, 1)), ("x",), "m")}
     )
-    tuning = tunenet.tune(log, simulator=Spring())
+    tuning = tn.tune(log, simulator=Spring())
     assert tuning.verdict == "rejected"
     assert "share no signal" in str(tuning.reason)
 
@@ -200,11 +199,11 @@ def test_a_simulator_that_shows_nothing_of_the_log_says_so():
 def test_options_that_do_not_go_together_say_so():
     log = Spring().rollout({"stiffness": 37.0, "damping": 0.3})
     with pytest.raises(UsageError, match="--model"):
-        tunenet.tune(log, parameters=["joint/a.damping"])
+        tn.tune(log, parameters=["joint/a.damping"])
     with pytest.raises(UsageError, match="nothing is to be tuned"):
-        tunenet.tune(log, model=MODELS / "block.xml")
+        tn.tune(log, model=MODELS / "block.xml")
     with pytest.raises(UsageError, match="leave them out"):
-        tunenet.tune(log, simulator=Spring(), task="drop")
+        tn.tune(log, simulator=Spring(), task="drop")
 
 
 def test_a_dry_run_says_what_is_used_and_writes_nothing(command: Command, tmp_path: Path):

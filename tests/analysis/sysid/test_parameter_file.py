@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from analysis.sysid.parameter_file import listed_parameters
+from tunenet_logs.analysis.sysid.source import listed_parameters
 from tunenet_logs.errors import UsageError
 
 

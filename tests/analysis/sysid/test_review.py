@@ -9,13 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.record import Tuning, record_of
-from analysis.review.tuning_review import write_review
-from analysis.selection import Options
-from analysis.sysid.review.review_data import simulator_review_data
-from analysis.sysid.source import GivenSimulator, ModelSource
-from analysis.tuning import tune_episode
-from recorders.simulators.base import Parameter
 from tests.analysis.drop.test_review import verified
 from tests.analysis.review.stored import Stored
 from tests.analysis.review.test_no_view_is_empty import empty_views
@@ -26,8 +19,14 @@ from tests.analysis.sysid.pendulums import (
     pendulum_episode,
     swing,
 )
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode, EpisodeInfo, Signal
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.review.tuning import write_review
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.sysid.review import simulator_review_data
+from tunenet_logs.analysis.sysid.source import GivenSimulator, ModelSource
+from tunenet_logs.analysis.tuning import tune_episode
+from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
+from tunenet_logs.recorders.simulators.base import Parameter
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-import analysis.api as tunenet
-from recorders.simulators.base import Parameter
+import tunenet_logs as tn
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
+from tunenet_logs.recorders.simulators.base import Parameter
 
 SECONDS = np.arange(500) / 100
 TRUTH = {"stiffness": 37.0, "damping": 0.3, "initial/cart.position": 1.06}
@@ -51,7 +51,7 @@ def test_a_search_finds_what_the_fit_finds(method: str):
     if method != "least-squares":
         pytest.importorskip({"tpe": "optuna", "cma-es": "cma"}[method])
     rollouts, off = (300, (1.5, 0.1)) if method == "tpe" else (400, (0.2, 0.01))
-    tuning = tunenet.tune(log(), simulator=Spring(), method=method, iterations=rollouts)
+    tuning = tn.tune(log(), simulator=Spring(), method=method, iterations=rollouts)
     frame = tuning.to_frame()
     assert abs(frame.value["stiffness"] - TRUTH["stiffness"]) < off[0]
     assert abs(frame.value["damping"] - TRUTH["damping"]) < off[1]
@@ -66,5 +66,5 @@ def test_brent_looks_where_the_user_does():
         def rollout(self, values: Mapping[str, float]) -> Episode:
             return super().rollout({**TRUTH, **values})
 
-    tuning = tunenet.tune(log(), simulator=Stiff(), method="brent", iterations=60)
+    tuning = tn.tune(log(), simulator=Stiff(), method="brent", iterations=60)
     assert abs(tuning.to_frame().value["stiffness"] - TRUTH["stiffness"]) < 0.2

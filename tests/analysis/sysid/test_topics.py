@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.sysid.compared import compared
-from analysis.sysid.initial_state import initial_state
-from analysis.sysid.topics import Match, matched
-from recorders.simulators.mujoco.library import mujoco
-from recorders.simulators.mujoco.model_process import ModelProcess
-from recorders.simulators.mujoco.model_simulator import ModelSimulator
+from tunenet_logs.analysis.sysid.fit import compared
+from tunenet_logs.analysis.sysid.matching import Match, matched
+from tunenet_logs.analysis.sysid.source import initial_state
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.recorders.simulators.model.reading import ModelProcess
+from tunenet_logs.recorders.simulators.model.rollout import ModelSimulator
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 PARTS = """<worldbody>
   <body name="upper"><joint name="shoulder" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/>

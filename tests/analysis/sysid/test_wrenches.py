@@ -9,11 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import analysis.api as tunenet
-from analysis.sysid.source import Connected, ModelSource
-from analysis.sysid.topics import matched
-from analysis.sysid.wrenches import sensed_wrench
-from recorders.simulators.mujoco.library import mujoco
+import tunenet_logs as tn
 from tests.driven_logs import (
     JOINT_STATE,
     NUMBERS,
@@ -25,10 +21,12 @@ from tests.driven_logs import (
     wrench,
     write_cdr,
 )
-from tunenet_logs.arrays import Array
-from tunenet_logs.episode import Episode, EpisodeInfo, Signal
+from tunenet_logs.analysis.sysid.matching import matched, sensed_wrench
+from tunenet_logs.analysis.sysid.source import Connected, ModelSource
+from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 LOAD_KG = 0.8
 # Of what moves it; commands come every so many steps, and so many later all is measured, from step
@@ -97,7 +95,7 @@ def connected(log: Path, folder: Path, told: Mapping[str, str]) -> Connected:
 )
 def test_a_load_is_found_by_its_wrench(sign: float, told: Mapping[str, str], tmp_path: Path):
     log = written(tmp_path / "run.mcap", sign)
-    tuning = tunenet.tune(log, model=model_file(tmp_path), parameters=TUNE, mapping=told)
+    tuning = tn.tune(log, model=model_file(tmp_path), parameters=TUNE, mapping=told)
     assert tuning.verdict == "ok", tuning.reason
     row = tuning.to_frame().loc["body/tool.mass"]
     assert abs(row.value - LOAD_KG) < 0.004
@@ -121,7 +119,7 @@ def test_a_sign_that_is_the_other_one_is_said_and_not_turned(tmp_path: Path):
 
 def test_an_offset_is_not_fitted_and_is_seen(tmp_path: Path):
     log = written(tmp_path / "run.mcap", offset_n=5.0)
-    tuning = tunenet.tune(log, model=model_file(tmp_path), parameters=TUNE)
+    tuning = tn.tune(log, model=model_file(tmp_path), parameters=TUNE)
     assert tuning.verdict != "ok"
 
 

@@ -6,10 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from analysis.sysid.compared import Column, ComparedColumns, noise_of
-from analysis.sysid.gauss_newton import Run
-from recorders.simulators.base import Parameter
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.sysid.fit import Column, ComparedColumns, Run, noise_of
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.base import Parameter
 
 SECONDS = np.linspace(0, 10, 400)
 Shape = Callable[[Array], Array]

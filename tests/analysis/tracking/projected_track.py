@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.tracking.track import Track
-from recorders.simulators.drop import TOPIC
-from recorders.simulators.pinhole import PinholeCamera
+from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.episode import Episode
+from tunenet_logs.recorders.simulators.ball import TOPIC
+from tunenet_logs.recorders.simulators.camera import PinholeCamera
 
 _GREY = (128, 128, 128)  # RGB of the ball: a track has a colour, and no light falls on this one
 

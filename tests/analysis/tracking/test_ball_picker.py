@@ -14,17 +14,15 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.tracking.ball_picker import Marking
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.thumbnails import Album, album_of
-from recorders.filmed_drop import FilmOrder, film_drop
-from recorders.session import record_episode
-from recorders.simulated_drop import DropOrder
 from tests.analysis.tracking.test_thumbnails import episode_of
 from tests.conftest import BIN, Command
 from tests.pages import Page, assert_for_this_machine_alone
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tracking.picker import Album, Marking, album_of
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.session import record_episode
+from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop
 from tunenet_logs.terminal import Progress
 
 BALL_PX, BALL_PICTURE = (159.5, 119.0), 21  # where the ball of `film` is in flight
@@ -152,7 +150,7 @@ def test_a_page_that_is_loaded_again_is_not_closed(
 ):
     asked, marking = page
     monkeypatch.setattr(
-        "analysis.tracking.ball_picker._AWAY_SECONDS", -1.0
+        "tunenet_logs.analysis.tracking.picker._AWAY_SECONDS", -1.0
     )  # who is away is gone at once
     assert asked.ask("POST", "/leave")[0] == 204
     with pytest.raises(KeyboardInterrupt):

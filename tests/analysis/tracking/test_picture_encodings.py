@@ -13,11 +13,6 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from analysis.record import Tuning, record_of
-from analysis.review.tuning_review import write_review
-from analysis.selection import Options
-from analysis.tracking.thumbnails import album_of
-from analysis.tuning import tune_log
 from tests.analysis.films import short_film
 from tests.conftest import Made
 from tests.picture_strangers import (
@@ -31,7 +26,12 @@ from tests.picture_strangers import (
     write_pictures,
 )
 from tests.tunenet_logs.test_images import with_size
-from tunenet_logs.jpeg import is_whole
+from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.review.tuning import write_review
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tracking.picker import album_of
+from tunenet_logs.analysis.tuning import tune_log
+from tunenet_logs.messages import is_whole
 from tunenet_logs.reader import read_episode
 
 
@@ -135,7 +135,7 @@ def test_forged_pictures_cost_no_memory(tmp_path: Path):
     assert all(f"{log}: " in said for log in logs)
     assert said.count("/eye") >= len(logs)
     assert used < MAX_BYTES
-    said, used = measured("analysis.cli.tune", *logs, "--jobs", 1)
+    said, used = measured("tunenet_logs.analysis.cli.tune", *logs, "--jobs", 1)
     assert all(said.count(f"{log}: ") == 1 for log in logs)
     assert said.count(" rejected ") == len(logs)
     assert "no ball is seen" in (tmp_path / "1.json").read_text()  # these were looked at

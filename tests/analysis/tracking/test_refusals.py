@@ -8,14 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.drop.film import find_filmed_drop
-from analysis.tracking.camera_motion import share_elsewhere
-from analysis.tracking.candidates import Candidates
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.rolling import longest_roll_px
-from analysis.tracking.track import track_ball
-from tunenet_logs.arrays import Picture
-from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
+from tunenet_logs.analysis.drop.film import find_filmed_drop
+from tunenet_logs.analysis.tracking.candidates import Candidates
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tracking.track import longest_roll_px, share_elsewhere, track_ball
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame, Picture
 from tunenet_logs.errors import NotFoundError
 
 WIDE, TALL = 320, 240

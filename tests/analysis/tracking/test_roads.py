@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin
 
-from analysis.record import Tuning
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.analysis.films import short_film
 from tests.conftest import Command, Made, real
 from tests.picture_strangers import (
@@ -23,6 +20,9 @@ from tests.picture_strangers import (
     write_pictures_folder,
     write_video_file,
 )
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.reader import read_episode
 
 START_NS = 1_700_000_000_000_000_000  # when a bag was recorded

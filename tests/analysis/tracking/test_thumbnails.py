@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.tracking import thumbnails
-from analysis.tracking.thumbnails import album_of
 from tests.recorders.test_video_file import write_video
+from tunenet_logs.analysis.tracking import picker as thumbnails
+from tunenet_logs.analysis.tracking.picker import album_of
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import UsageError
 from tunenet_logs.reader import read_episode

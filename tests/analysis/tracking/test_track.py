@@ -9,21 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.drop.film import find_filmed_drop
-from analysis.evaluation.track_tuning import tune_track
-from analysis.selection import Hints, Options
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.track import Track, track_ball
-from recorders.filmed_drop import FilmOrder, film_drop
-from recorders.simulated_drop import DropOrder, simulate_drop
-from recorders.simulators.drop import TOPIC
-from recorders.simulators.pinhole import PinholeCamera
 from tests.analysis.films import CAMERA, ORDER, kept, rendered_ball
 from tests.analysis.tracking.projected_track import projected_track
 from tests.conftest import Made
 from tests.strangers import bounce_heights
+from tunenet_logs.analysis.drop.film import find_filmed_drop
+from tunenet_logs.analysis.evaluation.studies.video import tune_track
+from tunenet_logs.analysis.selection import Hints, Options
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tracking.track import Track, track_ball
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop, simulate_drop
+from tunenet_logs.recorders.simulators.ball import TOPIC
+from tunenet_logs.recorders.simulators.camera import PinholeCamera
 
 
 def tracked(episode: Episode, hints: Hints | None = None) -> Track:

@@ -9,20 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.drop.film import find_filmed_drop
-from analysis.tracking import kept_film
-from analysis.tracking.arcs import _parabola
-from analysis.tracking.background import middle_of
-from analysis.tracking.candidates import Candidates
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.repeats import new_pictures
-from analysis.tracking.track import Redetection, Track, track_ball
-from recorders.simulated_drop import simulate_drop
-from recorders.simulators.drop import TOPIC
 from tests.analysis.films import CAMERA, ORDER, rendered_ball
 from tests.conftest import Made
 from tests.strangers import bounce_heights
+from tunenet_logs.analysis.drop.film import find_filmed_drop
+from tunenet_logs.analysis.tracking import frames as kept_film
+from tunenet_logs.analysis.tracking.candidates import Candidates, middle_of
+from tunenet_logs.analysis.tracking.flights import _parabola
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tracking.track import Redetection, Track, new_pictures, track_ball
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
+from tunenet_logs.recorders.simulated import simulate_drop
+from tunenet_logs.recorders.simulators.ball import TOPIC
 
 
 def tracked(episode: Episode) -> Track:

@@ -12,9 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.presets import TRAININGS
-from analysis.tunenet.checkpoint import Purpose, load_model, save_model, shipped_model
-from analysis.tunenet.network import NETWORKS, Model, Scaling, initial_weights
 from tests.analysis.tunenet.hostile_weights import (
     DTYPES,
     Header,
@@ -23,6 +20,9 @@ from tests.analysis.tunenet.hostile_weights import (
     parted,
     with_own_digest,
 )
+from tunenet_logs.analysis.drop.presets import TRAININGS
+from tunenet_logs.analysis.tunenet.network import NETWORKS, Model, Scaling, initial_weights
+from tunenet_logs.analysis.tunenet.weights import Purpose, load_model, save_model, shipped_model
 from tunenet_logs.errors import WeightsError
 
 PURPOSE = Purpose("drop", "default", "a curve", 12, 1, (60.0,))

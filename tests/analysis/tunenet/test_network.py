@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.tunenet.network import NETWORKS, Model, Network, Scaling, initial_weights
+from tunenet_logs.analysis.tunenet.network import NETWORKS, Model, Network, Scaling, initial_weights
 
 NONE, ONE = np.zeros(1), np.ones(1)
 

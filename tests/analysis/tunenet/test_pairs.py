@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.cluster import HERE, Cluster
-from analysis.drop.presets import TRAININGS as DROPS
-from analysis.experiment import Training
-from analysis.payload.presets import TRAININGS as PAYLOADS
-from analysis.tunenet import pairs
-from analysis.tunenet.pairs import Workers, observe_all
 from tests.conftest import Command
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.drop.presets import TRAININGS as DROPS
+from tunenet_logs.analysis.experiment import Training
+from tunenet_logs.analysis.parallel import HERE, Cluster
+from tunenet_logs.analysis.payload.detection import TRAININGS as PAYLOADS
+from tunenet_logs.analysis.tunenet import network as pairs
+from tunenet_logs.analysis.tunenet.network import Workers, observe_all
+from tunenet_logs.episode import Array
 from tunenet_logs.errors import TuneNetError
 from tunenet_logs.terminal import Progress
 

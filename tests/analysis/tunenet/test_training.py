@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.drop import film_presets
-from analysis.drop.presets import TRAININGS
-from analysis.tunenet.network import initial_weights
-from analysis.tunenet.pairs import mixed_pairs
-from analysis.tunenet.training import one_step_error, train
 from tests.engines import needs_pybullet
+from tunenet_logs.analysis.drop import presets as film_presets
+from tunenet_logs.analysis.drop.presets import TRAININGS
+from tunenet_logs.analysis.tunenet.network import (
+    initial_weights,
+    mixed_pairs,
+    one_step_error,
+    train,
+)
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)
@@ -38,7 +41,7 @@ def test_a_short_training_beats_no_training(name: str):
 
 @needs_pybullet
 def test_the_papers_pairs_of_films_show_z_beside_the_pictures_y():
-    pairs = film_presets.TRAININGS["paper"].make_pairs(12, 0, 1, QUIET)
+    pairs = film_presets.FILM_TRAININGS["paper"].make_pairs(12, 0, 1, QUIET)
     simulated, filmed = pairs.observations[pairs.proposed], pairs.observations[pairs.target]
     assert simulated.shape == filmed.shape == (12, 400, 1)
     assert 0.78 < simulated[:, 0].min() <= simulated[:, 0].max() < 1.02

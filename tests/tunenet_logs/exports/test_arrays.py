@@ -16,7 +16,7 @@ import scipy.io
 
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 T = np.arange(100) * 0.005

@@ -15,7 +15,7 @@ import pytest
 
 from tests.small_exports import KINDS, SLOW, small
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 MAX_S = 10.0

@@ -18,7 +18,7 @@ from tests.export_writers_video import (
 )
 from tunenet_logs.episode import FRAME_NS, Episode
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.formats.registry import open_log
 from tunenet_logs.reader import read_episode
 

@@ -21,10 +21,10 @@ from tests.tunenet_logs.exports.tracks import (
     written,
 )
 from tunenet_logs.episode import UNSTATED
-from tunenet_logs.formats.exports.start import start_of
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.kinds import start_of
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.formats.registry import _EXPORTS
-from tunenet_logs.late_stamps import correct_late_stamps
+from tunenet_logs.timing.arrivals import correct_late_stamps
 
 LAYOUTS = sorted(WRITERS)
 SEEN = np.isfinite(BALL[:, 0])

@@ -12,7 +12,7 @@ from tests.export_writers import write_motive
 from tests.tunenet_logs.exports.tracks import BALL, OTHER, RATE_HZ, SECONDS, read, skipped
 from tunenet_logs.episode import UNSTATED
 from tunenet_logs.errors import LogError
-from tunenet_logs.late_stamps import correct_late_stamps
+from tunenet_logs.timing.arrivals import correct_late_stamps
 
 
 def take(folder: Path, version: str = "1.23", **options: object) -> Path:
@@ -101,7 +101,7 @@ def test_too_many_columns_are_refused(tmp_path: Path):
 
 
 def test_more_numbers_than_are_held_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tunenet_logs.formats.exports.mocap.track_rows._MAX_ROWS", 100)
+    monkeypatch.setattr("tunenet_logs.formats.columns.table._MAX_ROWS", 100)
     with pytest.raises(LogError, match="export fewer markers or a part of the take"):
         read(take(tmp_path))
 

@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.payload.arm_log import read_arm_log
-from recorders.simulators.arm.description import jaco
 from tests.conftest import real
+from tunenet_logs.analysis.payload.arm_log import read_arm_log
 from tunenet_logs.errors import LogError, NotFoundError
-from tunenet_logs.formats.exports.arrays import parquet_columns
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.formats.readers import parquet as parquet_columns
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.arm.description import jaco
 
 pytestmark = pytest.mark.skipif(find_spec("pyarrow") is None, reason="pyarrow is not installed")
 

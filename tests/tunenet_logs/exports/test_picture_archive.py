@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from analysis.selection import Options
-from analysis.tuning import tune_log
 from tests.analysis.films import short_film
 from tests.conftest import Made
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import FRAME_NS, Episode
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 COUNT = 12

@@ -11,7 +11,7 @@ from tests.export_writers import write_qualisys
 from tests.tunenet_logs.exports.tracks import BALL, RATE_HZ, SECONDS, TRACKS, read
 from tunenet_logs.episode import UNSTATED
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 
 SEEN = np.isfinite(BALL[:, 0])
 

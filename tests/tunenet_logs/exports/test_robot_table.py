@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.payload.arm_log import read_arm_log
-from recorders.simulators.arm.description import jaco
+from tunenet_logs.analysis.payload.arm_log import read_arm_log
+from tunenet_logs.copying import import_log
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, NotFoundError
-from tunenet_logs.formats.read_options import ReadOptions
-from tunenet_logs.importing import import_log
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.arm.description import jaco
 
 RTDE = ("actual_q", "actual_qd", "actual_current", "target_moment", "target_q", "actual_TCP_pose")
 

@@ -16,7 +16,7 @@ import pytest
 from tests.export_writers_video import FilmedTrack, phyphox_xlsx, write_xlsx, xlsx_track
 from tests.hostile import LAUNCHER
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.exports.sheets import workbook
+from tunenet_logs.formats.readers import sheets as workbook
 from tunenet_logs.reader import read_episode
 
 pytestmark = pytest.mark.skipif(
@@ -259,7 +259,7 @@ def test_hostile_workbooks_are_refused_in_one_line(
 def test_process_that_reads_has_a_bound_of_memory(tmp_path: Path):
     path = tmp_path / "a.xlsx"
     sparse(path)
-    words = [sys.executable, workbook.sheet_process.__file__, str(path), "book"]
+    words = [sys.executable, workbook.sheet_child.__file__, str(path), "book"]
     done = subprocess.run(
         [sys.executable, "-c", LAUNCHER, *words], capture_output=True, text=True, timeout=60
     )

@@ -10,7 +10,7 @@ import pytest
 from tests.conftest import real
 from tests.export_writers_video import FilmedTrack, tracker, tracker_multi
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import ReadOptions
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.formats.registry import open_log
 from tunenet_logs.reader import read_episode
 

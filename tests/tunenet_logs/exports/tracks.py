@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.export_writers import SUFFIXES, WRITERS
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.read_options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.registry import open_log
 
 RATE_HZ = 120.0

@@ -8,24 +8,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.clips.ball import BallLook, add_ball
-from analysis.evaluation.clips.file import VERSIONS, write_clip, write_versions
-from analysis.evaluation.clips.film import clip_frames, frame_seconds, places_px
-from analysis.evaluation.clips.order import ClipOrder, draw_clip
-from analysis.evaluation.clips.run import (
+from tunenet_logs.analysis.evaluation.studies.video import (
     ClipResult,
     TransformedClip,
     clip_result,
+    clip_table,
     track_errors_px,
+    transformed_table,
     version_estimates,
 )
-from analysis.evaluation.clips.scene import Stage
-from analysis.evaluation.clips.tables import clip_table, transformed_table
-from analysis.evaluation.clips.view import View
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.track import Track, track_ball
-from recorders.simulators.pinhole import PinholeCamera
+from tunenet_logs.analysis.evaluation.worlds.camera import View
+from tunenet_logs.analysis.evaluation.worlds.clips import (
+    VERSIONS,
+    BallLook,
+    ClipOrder,
+    Stage,
+    add_ball,
+    clip_frames,
+    draw_clip,
+    frame_seconds,
+    places_px,
+    write_clip,
+    write_versions,
+)
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tracking.track import Track, track_ball
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.simulators.camera import PinholeCamera
 
 PLAIN = BallLook(0.05, (255.0, 255.0, 255.0), (0.0, 0.0, 1.0), 1.0, 0.0, 0.0, 0.1, 0.0)
 

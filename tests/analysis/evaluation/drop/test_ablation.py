@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.evaluation.drop.ablation import Antisymmetrised, DifferenceNetwork
-from analysis.tunenet.network import Network, PaperNetwork, initial_weights
+from tunenet_logs.analysis.evaluation.studies.drop_methods import Antisymmetrised, DifferenceNetwork
+from tunenet_logs.analysis.tunenet.network import Network, PaperNetwork, initial_weights
 
 NETWORKS = [DifferenceNetwork(), Antisymmetrised(PaperNetwork())]
 INPUTS = 7

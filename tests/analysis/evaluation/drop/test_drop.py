@@ -9,28 +9,41 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.drop.presets import TRAININGS
-from analysis.estimators.base import Estimator, Problem, Step, Trace
-from analysis.evaluation.drop.batches import (
+from tests.engines import needs_pybullet
+from tunenet_logs.analysis.drop.presets import TRAININGS
+from tunenet_logs.analysis.estimators.base import Estimator, Problem, Step, Trace
+from tunenet_logs.analysis.evaluation.studies.drop import (
+    DropExperiment,
+    draw_figure,
+    drop_csv,
+    drop_json,
+    drop_rows,
+    drop_tables,
+    error_curves,
+    run_drop,
+)
+from tunenet_logs.analysis.evaluation.studies.drop_methods import (
+    EASY,
+    HARD,
+    NETWORKS,
+    Cell,
+    DropResults,
+    DropTarget,
+    Effort,
+    Method,
+    MethodErrors,
     OverspentError,
     TargetBatch,
+    draw_targets,
     errors_of,
     estimate_batches,
+    paper_methods,
+    published_error,
+    user_methods,
 )
-from analysis.evaluation.drop.curves import error_curves
-from analysis.evaluation.drop.figure import draw_figure
-from analysis.evaluation.drop.method_registry import Method, paper_methods, user_methods
-from analysis.evaluation.drop.networks import NETWORKS, Effort
-from analysis.evaluation.drop.published import published_error
-from analysis.evaluation.drop.records import drop_csv, drop_json, drop_rows
-from analysis.evaluation.drop.results import Cell, DropResults, MethodErrors
-from analysis.evaluation.drop.run import DropExperiment, run_drop
-from analysis.evaluation.drop.tables import drop_tables
-from analysis.evaluation.drop.targets import EASY, HARD, DropTarget, draw_targets
-from analysis.evaluation.text import short
-from analysis.tunenet.checkpoint import shipped_model
-from recorders.simulators.contact import PAPER
-from tests.engines import needs_pybullet
+from tunenet_logs.analysis.evaluation.study import short
+from tunenet_logs.analysis.tunenet.weights import shipped_model
+from tunenet_logs.recorders.simulators.base import PAPER
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)

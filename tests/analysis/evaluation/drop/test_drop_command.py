@@ -13,12 +13,12 @@ from pathlib import Path
 import cv2
 import pytest
 
-from analysis.evaluation.choices import METHODS
-from analysis.evaluation.cli import build_parser, main
-from analysis.evaluation.drop.method_registry import NAMES
 from tests.analysis.drop.test_review import verified
 from tests.conftest import ROOT, Command
 from tests.engines import needs_pybullet
+from tunenet_logs.analysis.evaluation.cli import build_parser, main
+from tunenet_logs.analysis.evaluation.studies.drop_methods import NAMES
+from tunenet_logs.analysis.evaluation.study import METHODS
 
 
 def test_the_help_names_every_method():
@@ -53,7 +53,7 @@ def test_an_interrupt_ends_it_at_once_and_leaves_nothing(tmp_path: Path):
     words = ["drop", "--methods", "tpe", "--targets", "1000", "--jobs", "2"]
     words += ["--json", str(tmp_path / "a.json")]
     running = subprocess.Popen(
-        [sys.executable, "-m", "analysis.evaluation.cli", *words],
+        [sys.executable, "-m", "tunenet_logs.analysis.evaluation.cli", *words],
         cwd=ROOT,
         stderr=subprocess.PIPE,
         text=True,

@@ -9,25 +9,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.drop.flight_secant import FlightSecant
-from analysis.drop.presets import TRAININGS
-from analysis.estimators.base import Estimator, Problem, Trace
-from analysis.estimators.brent import Brent
-from analysis.estimators.least_squares import LeastSquares
-from analysis.estimators.tpe import Tpe
-from analysis.estimators.tunenet import TuneNet
-from analysis.evaluation.drop.method_registry import Method, paper_methods, user_methods
-from analysis.evaluation.drop.targets import EASY, HARD, DropProblems, DropTarget, draw_targets
-from analysis.evaluation.methods.cma_es import CmaEs
-from analysis.evaluation.methods.constant import Constant
-from analysis.evaluation.methods.direct import Direct, direct_pairs
-from analysis.evaluation.methods.entropy_search import EntropySearch
-from analysis.tunenet.network import Model, PaperNetwork, Scaling, initial_weights
-from analysis.tunenet.training import train
-from recorders.simulators.base import Simulator
-from recorders.simulators.contact import CALIBRATED, PAPER
 from tests.engines import needs_pybullet
+from tunenet_logs.analysis.drop.presets import TRAININGS, FlightSecant
+from tunenet_logs.analysis.estimators.base import Estimator, Problem, Trace
+from tunenet_logs.analysis.estimators.methods import Brent, LeastSquares, Tpe, TuneNet
+from tunenet_logs.analysis.evaluation.studies.baselines import (
+    CmaEs,
+    Constant,
+    Direct,
+    EntropySearch,
+    direct_pairs,
+)
+from tunenet_logs.analysis.evaluation.studies.drop_methods import (
+    EASY,
+    HARD,
+    DropProblems,
+    DropTarget,
+    Method,
+    draw_targets,
+    paper_methods,
+    user_methods,
+)
+from tunenet_logs.analysis.tunenet.network import (
+    Model,
+    PaperNetwork,
+    Scaling,
+    initial_weights,
+    train,
+)
 from tunenet_logs.episode import Episode
+from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER, Simulator
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)

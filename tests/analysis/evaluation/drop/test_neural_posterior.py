@@ -12,21 +12,39 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.estimators.base import Observation
-from analysis.evaluation.cli import main
-from analysis.evaluation.drop.batches import TargetBatch, errors_of
-from analysis.evaluation.drop.method_registry import Method, choose_methods
-from analysis.evaluation.drop.networks import Effort
-from analysis.evaluation.drop.posteriors import ends_of
-from analysis.evaluation.drop.records import drop_json
-from analysis.evaluation.drop.results import Cell, Credible, DropResults, MethodErrors
-from analysis.evaluation.drop.run import DropExperiment, run_drop
-from analysis.evaluation.drop.tables import drop_tables
-from analysis.evaluation.drop.targets import EASY, DropProblems, DropTarget, draw_targets
-from analysis.evaluation.methods.neural_posterior import GridDensity, NeuralPosterior, middles
-from analysis.evaluation.methods.sbi_network import SbiPosterior, train_posterior
-from recorders.simulators.contact import PAPER
 from tests.engines import needs_pybullet
+from tunenet_logs.analysis.estimators.base import Observation
+from tunenet_logs.analysis.evaluation.cli import main
+from tunenet_logs.analysis.evaluation.studies.baselines import (
+    GridDensity,
+    NeuralPosterior,
+    SbiPosterior,
+    middles,
+    train_posterior,
+)
+from tunenet_logs.analysis.evaluation.studies.drop import (
+    DropExperiment,
+    drop_json,
+    drop_tables,
+    run_drop,
+)
+from tunenet_logs.analysis.evaluation.studies.drop_methods import (
+    EASY,
+    Cell,
+    Credible,
+    DropProblems,
+    DropResults,
+    DropTarget,
+    Effort,
+    Method,
+    MethodErrors,
+    TargetBatch,
+    choose_methods,
+    draw_targets,
+    ends_of,
+    errors_of,
+)
+from tunenet_logs.recorders.simulators.base import PAPER
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)

@@ -8,17 +8,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.evaluation.drop.batches import errors_of
-from analysis.evaluation.drop.curves import error_curves
-from analysis.evaluation.drop.figure import draw_figure
-from analysis.evaluation.drop.method_registry import Method
-from analysis.evaluation.drop.records import drop_json, drop_rows
-from analysis.evaluation.drop.results import DropResults
-from analysis.evaluation.drop.run import DropExperiment, run_drop
-from analysis.evaluation.drop.tables import drop_markdown, drop_tables
-from analysis.evaluation.drop.targets import HARD, draw_targets
-from analysis.evaluation.text import short
 from tests.analysis.evaluation.drop.test_drop import EASY_CELL, QUIET, ready_methods, share
+from tunenet_logs.analysis.evaluation.studies.drop import (
+    DropExperiment,
+    draw_figure,
+    drop_json,
+    drop_markdown,
+    drop_rows,
+    drop_tables,
+    error_curves,
+    run_drop,
+)
+from tunenet_logs.analysis.evaluation.studies.drop_methods import (
+    HARD,
+    DropResults,
+    Method,
+    draw_targets,
+    errors_of,
+)
+from tunenet_logs.analysis.evaluation.study import short
 
 pytestmark = pytest.mark.slow
 

@@ -9,12 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.cli import main
-from analysis.evaluation.drop.intervals import coverage_of
-from analysis.evaluation.drop.method_registry import Group
-from analysis.evaluation.drop.records import intervals_json
-from analysis.evaluation.drop.results import Cell, DropResults, MethodErrors
-from analysis.evaluation.drop.tables import coverage_table, drop_markdown, drop_tables, factor
+from tunenet_logs.analysis.evaluation.cli import main
+from tunenet_logs.analysis.evaluation.studies.drop import (
+    coverage_table,
+    drop_markdown,
+    drop_tables,
+    factor,
+    intervals_json,
+)
+from tunenet_logs.analysis.evaluation.studies.drop_methods import (
+    Cell,
+    DropResults,
+    Group,
+    MethodErrors,
+    coverage_of,
+)
 
 EASY_CELL = Cell("drop", "paper", "Easy", 0.0)
 

@@ -8,32 +8,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.drop.targets import EASY, HARD
-from analysis.evaluation.engines.exact_engine import EXACT, simulated_in
-from analysis.evaluation.engines.motion import (
-    apart_percent,
-    fine_seconds,
-    integrated_m,
-    rebound_restitution,
-    simulated_m,
-)
-from analysis.evaluation.engines.run import (
+from tests.conftest import Command
+from tests.strangers import bounce_heights
+from tunenet_logs.analysis.evaluation.studies.drop_methods import EASY, HARD
+from tunenet_logs.analysis.evaluation.studies.engines import (
+    EXACT,
     METHODS,
     NAMES,
+    RANGES,
+    REAL,
     EngineLine,
     EngineOrder,
     EnginePortion,
     TunedTarget,
+    apart_percent,
+    drawn_targets,
+    engine_tables,
+    fine_seconds,
+    integrated_m,
     missing_engine,
+    rebound_restitution,
+    simulated_in,
+    simulated_m,
     tuned_targets,
 )
-from analysis.evaluation.engines.tables import engine_tables
-from analysis.evaluation.engines.targets import RANGES, REAL, drawn_targets
-from analysis.evaluation.real_balls.physics import RealBall
-from recorders.simulators.base import GRAVITY_M_S2
-from recorders.simulators.engines import ENGINES
-from tests.conftest import Command
-from tests.strangers import bounce_heights
+from tunenet_logs.analysis.evaluation.worlds.ball import RealBall
+from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
+from tunenet_logs.recorders.simulators.known import ENGINES
 
 EASY_RANGE = RANGES[0]
 

@@ -7,22 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.drop.film_presets import filled, paper_rows
-from analysis.drop.presets import PAPER_RESTITUTION
-from analysis.drop.projection import best_map
-from analysis.estimators.base import Estimator, Evaluation, Problem, Step, Trace
-from analysis.estimators.rollout_line import TuneNetThenLine
-from analysis.evaluation.drop.targets import EASY, DropTarget, draw_targets
-from analysis.evaluation.methods.best_visited import BestVisited
-from analysis.evaluation.motion.filmed_networks import filmed_pairs, train_ours_on_films
-from analysis.evaluation.motion.filmed_targets import FilmedProblems, as_seen, places_in_view
-from analysis.tracking.pictures import Pictures
-from analysis.tracking.track import track_ball
-from recorders.filmed_drop import FilmOrder, film_drop
-from recorders.simulated_drop import DropOrder
-from recorders.simulators.drop import TOPIC
-from recorders.simulators.pinhole import PinholeCamera
 from tests.engines import needs_pybullet
+from tunenet_logs.analysis.drop.bounce_model import best_map
+from tunenet_logs.analysis.drop.presets import PAPER_RESTITUTION, filled, paper_rows
+from tunenet_logs.analysis.estimators.base import Estimator, Evaluation, Problem, Step, Trace
+from tunenet_logs.analysis.estimators.methods import TuneNetThenLine
+from tunenet_logs.analysis.evaluation.studies.baselines import BestVisited
+from tunenet_logs.analysis.evaluation.studies.drop_methods import EASY, DropTarget, draw_targets
+from tunenet_logs.analysis.evaluation.studies.motion import (
+    FilmedProblems,
+    as_seen,
+    filmed_pairs,
+    places_in_view,
+    train_ours_on_films,
+)
+from tunenet_logs.analysis.tracking.frames import Pictures
+from tunenet_logs.analysis.tracking.track import track_ball
+from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop
+from tunenet_logs.recorders.simulators.ball import TOPIC
+from tunenet_logs.recorders.simulators.camera import PinholeCamera
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)

@@ -7,31 +7,38 @@ import dataclasses
 import numpy as np
 import pytest
 
-from analysis.drop.film_presets import TRAININGS as FILM_TRAININGS
-from analysis.drop.presets import TRAININGS
-from analysis.estimators.tunenet import TuneNet
-from analysis.evaluation.drop.targets import EASY, draw_targets
-from analysis.evaluation.motion.one_step.base import Memoryless, predict, stand_still
-from analysis.evaluation.motion.one_step.data import (
+from tests.engines import needs_pybullet
+from tunenet_logs.analysis.drop.presets import FILM_TRAININGS, TRAININGS
+from tunenet_logs.analysis.estimators.methods import TuneNet
+from tunenet_logs.analysis.evaluation.studies.drop_methods import EASY, draw_targets
+from tunenet_logs.analysis.evaluation.studies.motion import (
+    ROWS,
     EngineStep,
-    Transitions,
-    record_states,
-    training_drops,
-)
-from analysis.evaluation.motion.one_step.layers import first_weights
-from analysis.evaluation.motion.one_step.neural import NeuralRecipe
-from analysis.evaluation.motion.one_step.vrnn import Scales, VrnnHybrid, VrnnSizes, remember
-from analysis.evaluation.motion.one_step.vrnn_training import VrnnRecipe, recurrent_unit, train_vrnn
-from analysis.evaluation.motion.rows import ROWS, MotionError, motion_error, with_figures
-from analysis.evaluation.motion.run import (
+    Memoryless,
+    MotionError,
+    NeuralRecipe,
     OneStepTraining,
+    Scales,
+    Transitions,
     Tuners,
+    VrnnHybrid,
+    VrnnRecipe,
+    VrnnSizes,
+    first_weights,
+    motion_error,
     motion_table,
     one_step_errors,
+    predict,
+    record_states,
+    recurrent_unit,
+    remember,
+    stand_still,
+    train_vrnn,
+    training_drops,
     tuning_errors,
+    with_figures,
 )
-from analysis.tunenet.checkpoint import shipped_model
-from tests.engines import needs_pybullet
+from tunenet_logs.analysis.tunenet.weights import shipped_model
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from analysis.evaluation.cli import main
-from analysis.evaluation.motion import rows as motion_rows
-from analysis.evaluation.motion.records import motion_csv, motion_json
-from analysis.evaluation.motion.tables import motion_lines
 from tests.engines import needs_pybullet
+from tunenet_logs.analysis.evaluation.cli import main
+from tunenet_logs.analysis.evaluation.studies import motion as motion_rows
+from tunenet_logs.analysis.evaluation.studies.motion import motion_csv, motion_json, motion_lines
 
 SEEDS = (1, 2)
 

@@ -8,11 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.cli import main
-from analysis.evaluation.payload.logs import CASES, LogCase, log_rows, row_of
-from analysis.evaluation.payload.masses import METHODS, SETS, MassOrder, MassRow, mass_rows
-from analysis.evaluation.payload.tables import log_table, mass_table
-from analysis.tunenet.network import HomogeneousNetwork, initial_weights
+from tunenet_logs.analysis.evaluation.cli import main
+from tunenet_logs.analysis.evaluation.studies.payload import (
+    CASES,
+    METHODS,
+    SETS,
+    LogCase,
+    MassOrder,
+    MassRow,
+    log_rows,
+    log_table,
+    mass_rows,
+    mass_table,
+    row_of,
+)
+from tunenet_logs.analysis.tunenet.network import HomogeneousNetwork, initial_weights
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)

@@ -9,9 +9,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.cli import main
-from analysis.evaluation.payload.baselines import bound_kg, least_squares, tare_subtracted
-from analysis.evaluation.payload.stranger_arm import (
+from tunenet_logs.analysis.evaluation.cli import main
+from tunenet_logs.analysis.evaluation.studies.payload import (
+    LOGS_OF_A_SEED,
+    OUTCOMES,
+    PLAIN,
+    STRANGER_CASES,
+    STRANGER_SEEDS,
+    StrangerAnswer,
+    StrangerResult,
+    as_meant,
+    bound_kg,
+    least_squares,
+    outcome,
+    stranger_answer,
+    stranger_numbers,
+    stranger_result,
+    stranger_row,
+    stranger_table,
+    tare_subtracted,
+)
+from tunenet_logs.analysis.evaluation.worlds.arm import (
     CLEAN,
     FULL,
     LIGHT,
@@ -20,22 +38,8 @@ from analysis.evaluation.payload.stranger_arm import (
     described_arm,
     stranger_log,
 )
-from analysis.evaluation.payload.stranger_conventions import OUTCOMES, as_meant, outcome
-from analysis.evaluation.payload.strangers import (
-    LOGS_OF_A_SEED,
-    PLAIN,
-    STRANGER_CASES,
-    STRANGER_SEEDS,
-    StrangerAnswer,
-    StrangerResult,
-    stranger_answer,
-    stranger_numbers,
-    stranger_result,
-    stranger_row,
-)
-from analysis.evaluation.payload.tables import stranger_table
-from analysis.payload.torque_model import CONVENTIONS, Convention
-from recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF
+from tunenet_logs.analysis.payload.torque_model import CONVENTIONS, Convention
+from tunenet_logs.recorders.simulators.arm.description import JACO_TOOL_LINK, JACO_URDF
 
 SEED = 2000  # below the command's, above those of the fit's development
 (CLEAN_CASE,) = [case for case in STRANGER_CASES if case.troubles == CLEAN]

@@ -5,37 +5,38 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.evaluation.real_balls.airless import (
-    airless_off,
-    best_of_all,
-    first_rebound,
-    parabolas,
-)
-from analysis.evaluation.real_balls.balls import TABLE_BALLS, table_drops
-from analysis.evaluation.real_balls.drops import (
-    CELLS,
-    MAX_S,
-    MIN_FALL,
-    RecordedDrop,
-    WorldCell,
-    draw_drop,
-    record_drop,
-)
-from analysis.evaluation.real_balls.films import NOISE_PX, SIZE_PX, filmed
-from analysis.evaluation.real_balls.outcomes import (
+from tests.engines import needs_pybullet
+from tunenet_logs.analysis.evaluation.studies.real_balls import (
     SEEN,
     CellPortion,
     compared_drops,
+    fit_reference,
+    found_by,
     moved_drops,
+    off_motion,
+    off_path,
     reference_found,
 )
-from analysis.evaluation.real_balls.physics import RealBall
-from analysis.evaluation.real_balls.reference import fit_reference
-from analysis.evaluation.real_balls.tuned import found_by, off_motion, off_path
-from analysis.evaluation.track_tuning import tune_track
-from analysis.selection import Options
-from analysis.tuning import tune_episode
-from tests.engines import needs_pybullet
+from tunenet_logs.analysis.evaluation.studies.video import tune_track
+from tunenet_logs.analysis.evaluation.worlds.ball import (
+    CELLS,
+    MAX_S,
+    MIN_FALL,
+    TABLE_BALLS,
+    RealBall,
+    RecordedDrop,
+    WorldCell,
+    airless_off,
+    best_of_all,
+    draw_drop,
+    first_rebound,
+    parabolas,
+    record_drop,
+    table_drops,
+)
+from tunenet_logs.analysis.evaluation.worlds.camera import NOISE_PX, SIZE_PX, filmed
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tuning import tune_episode
 
 IDEAL = RealBall(0.7, 0.0, 0.0, 1.0)
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.evaluation.real_balls.airless import parabolas
-from analysis.evaluation.real_balls.physics import RealBall, fallen
+from tunenet_logs.analysis.evaluation.worlds.ball import RealBall, fallen, parabolas
 
 G = 9.81
 BALLS = [

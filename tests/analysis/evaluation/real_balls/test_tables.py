@@ -9,20 +9,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.choices import REAL_SECTIONS
-from analysis.evaluation.cli import main
-from analysis.evaluation.real_balls.figures import (
+from tunenet_logs.analysis.evaluation.cli import main
+from tunenet_logs.analysis.evaluation.studies.real_balls import (
+    COLUMNS,
+    LIGHT,
     NONE,
+    Compared,
+    FilmedBall,
+    Found,
+    Moved,
+    RealOrder,
     compared_lines,
+    film_lines,
     filmed_lines,
     moved_lines,
+    position_lines,
+    protocol,
+    real_csv,
+    real_json,
+    section_blocks,
     spread_of,
 )
-from analysis.evaluation.real_balls.outcomes import LIGHT, Compared, FilmedBall, Moved
-from analysis.evaluation.real_balls.records import COLUMNS, real_csv, real_json
-from analysis.evaluation.real_balls.run import RealOrder, film_lines, position_lines
-from analysis.evaluation.real_balls.tables import protocol, section_blocks
-from analysis.evaluation.real_balls.tuned import Found
+from tunenet_logs.analysis.evaluation.study import REAL_SECTIONS
 from tunenet_logs.terminal import Progress
 
 NAN = np.nan

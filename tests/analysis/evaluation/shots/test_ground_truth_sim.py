@@ -9,20 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.shots import ground_truth_sim
-from analysis.evaluation.shots.campaign import draw_trials
-from analysis.evaluation.shots.ground_truth_drop import DROP_M, MISHAPS, drop_of, impact_seconds
-from analysis.evaluation.shots.ground_truth_film import film_of, record_film, track_of
-from analysis.evaluation.shots.ground_truth_shot import take_shot
-from analysis.evaluation.shots.ground_truth_sim import HiddenBall, ground, run_ball
-from analysis.evaluation.track_tuning import tune_track
-from analysis.planning.known_ball import KnownBall
-from analysis.planning.plan import plan_shot
-from analysis.selection import Options, Selection
-from analysis.tuning import tune_log
-from recorders.simulators.balls import Ball
-from recorders.simulators.shot.rig import ShotRig
-from recorders.simulators.speed_law import SpeedLaw
+from tunenet_logs.analysis.evaluation.studies.bounce_shot import draw_trials
+from tunenet_logs.analysis.evaluation.studies.video import tune_track
+from tunenet_logs.analysis.evaluation.worlds import ball as ground_truth_sim
+from tunenet_logs.analysis.evaluation.worlds.ball import (
+    DROP_M,
+    MISHAPS,
+    HiddenBall,
+    drop_of,
+    ground,
+    impact_seconds,
+    run_ball,
+    take_shot,
+)
+from tunenet_logs.analysis.evaluation.worlds.clips import film_of, record_film, track_of
+from tunenet_logs.analysis.planning import KnownBall, plan_shot
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.tuning import tune_log
+from tunenet_logs.recorders.simulators.ball import SpeedLaw
+from tunenet_logs.recorders.simulators.known import Ball
+from tunenet_logs.recorders.simulators.shot import ShotRig
 
 BALL = HiddenBall("red gel", 0.74, 0.08)
 

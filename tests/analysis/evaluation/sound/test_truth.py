@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.evaluation.cli import main
-from analysis.evaluation.sound.bounces import GRAVITY_M_S2, BounceOrder, bounced
-from analysis.evaluation.sound.clip import draw_sound
-from analysis.evaluation.sound.phyphox_way import events_over
+from tunenet_logs.analysis.evaluation.cli import main
+from tunenet_logs.analysis.evaluation.studies.audio import events_over
+from tunenet_logs.analysis.evaluation.worlds.audio import draw_sound
+from tunenet_logs.analysis.evaluation.worlds.ball import GRAVITY_M_S2, BounceOrder, bounced
 
 ORDER = BounceOrder(height_m=1.1, restitution=0.8, slope=0.05, drag_1_m=0.13, contact_s=0.002)
 

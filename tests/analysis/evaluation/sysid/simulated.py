@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from analysis.evaluation.sysid.held_commands import HeldCommands
-from analysis.evaluation.sysid.model_log import ModelLog
-from recorders.simulators.mujoco.library import mujoco
-from tunenet_logs.arrays import Array
+from tunenet_logs.analysis.evaluation.worlds.machines import HeldCommands, ModelLog
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 
 @dataclass(frozen=True, eq=False)

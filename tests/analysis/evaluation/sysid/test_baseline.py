@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.evaluation.sysid.arm_logs import DELAY, PAYLOAD, arm_log
-from analysis.evaluation.sysid.baseline import toolbox_answer
-from analysis.evaluation.sysid.baseline_measured import measured
-from analysis.evaluation.sysid.held_commands import HeldCommands
-from analysis.evaluation.sysid.pendulum import pendulum_log
-from analysis.evaluation.sysid.sliding_block import FRICTION, block_log
-from recorders.simulators.mujoco.library import mujoco
+from tunenet_logs.analysis.evaluation.studies.sysid import measured, toolbox_answer
+from tunenet_logs.analysis.evaluation.worlds.machines import (
+    BLOCK_FRICTION,
+    DELAY,
+    PAYLOAD,
+    HeldCommands,
+    arm_log,
+    block_log,
+    pendulum_log,
+)
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 HELD = HeldCommands(np.array([0.0, 0.1, 0.3]), np.array([[1.0], [2.0], [-1.0]]))
 
@@ -63,6 +67,6 @@ def test_the_toolbox_finds_a_payload_and_a_delay():
 def test_the_toolbox_finds_a_friction_where_it_tunes_the_start():
     log = block_log(1)
     answer = toolbox_answer(log, tunes_start=True)
-    low, high = answer.intervals[FRICTION]
-    assert low < answer.values[FRICTION] < high
-    assert answer.values[FRICTION] == pytest.approx(log.truth[FRICTION], rel=0.02)
+    low, high = answer.intervals[BLOCK_FRICTION]
+    assert low < answer.values[BLOCK_FRICTION] < high
+    assert answer.values[BLOCK_FRICTION] == pytest.approx(log.truth[BLOCK_FRICTION], rel=0.02)

@@ -7,28 +7,34 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from analysis.evaluation.sysid.arm_logs import (
+from tests.analysis.evaluation.sysid.simulated import off, read, simulated
+from tunenet_logs.analysis.evaluation.worlds.machines import (
+    ARMATURE,
     DELAY,
     ELBOW_DAMPING,
+    FRICTION,
+    KP,
+    KV,
+    MASS,
+    NOISE,
     PAYLOAD,
+    PENDULUM_DAMPING,
+    POSE,
+    START_NS,
+    ModelLog,
+    Pendulum,
+    PlanarArm,
     arm_log,
     arm_with_a_brake,
-)
-from analysis.evaluation.sysid.model_log import NOISE, START_NS, ModelLog
-from analysis.evaluation.sysid.pendulum import (
-    ARMATURE,
-    DAMPING,
-    FRICTION,
-    MASS,
-    Pendulum,
+    block_log,
+    block_of_unknown_mass,
     pendulum_log,
     pendulum_of_unknown_mass,
+    wrong_arms,
+    wrong_blocks,
+    wrong_pendulums,
 )
-from analysis.evaluation.sysid.planar_arm import KP, KV, PlanarArm
-from analysis.evaluation.sysid.sliding_block import POSE, block_log, block_of_unknown_mass
-from analysis.evaluation.sysid.wrong_models import wrong_arms, wrong_blocks, wrong_pendulums
-from recorders.simulators.mujoco.library import mujoco
-from tests.analysis.evaluation.sysid.simulated import off, read, simulated
+from tunenet_logs.recorders.simulators.mujoco import mujoco
 
 MAKERS = (
     pendulum_log,
@@ -121,7 +127,7 @@ def test_a_command_is_obeyed_after_its_delay():
 @pytest.mark.parametrize("make", MAKERS)
 def test_logs_are_as_ros_has_them(make: Maker):
     log, again, loud = make(5), make(5), make(5, 2.0)
-    assert set(log.untold) <= set(log.truth)
+    assert set(log.unidentifiable) <= set(log.truth)
     assert [text.partition("=")[0] for text in log.tune] == list(log.truth)
     for address, ends in (text.split("=") for text in log.tune):
         low, high = map(float, ends.split(":"))
@@ -148,10 +154,15 @@ def test_noise_is_in_proportion_to_a_signal():
 
 
 def test_what_a_log_cannot_tell_is_named():
-    assert set(pendulum_of_unknown_mass(1).untold) == {DAMPING, FRICTION, ARMATURE, MASS}
-    assert arm_with_a_brake(1).untold == (ELBOW_DAMPING,)
+    assert set(pendulum_of_unknown_mass(1).unidentifiable) == {
+        PENDULUM_DAMPING,
+        FRICTION,
+        ARMATURE,
+        MASS,
+    }
+    assert arm_with_a_brake(1).unidentifiable == (ELBOW_DAMPING,)
     assert set(arm_with_a_brake(1).truth) == {PAYLOAD, DELAY, ELBOW_DAMPING}
-    assert block_of_unknown_mass(1).untold == ("body/block.mass",)
+    assert block_of_unknown_mass(1).unidentifiable == ("body/block.mass",)
 
 
 @pytest.mark.slow

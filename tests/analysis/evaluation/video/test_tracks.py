@@ -8,33 +8,39 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.evaluation.track_tuning import tune_track
-from analysis.evaluation.video.bouncing_ball import GRAVITY_M_S2, DroppedBall, drop_ball
-from analysis.evaluation.video.fault_paths import drifts, edge_first, edge_second
-from analysis.evaluation.video.fault_tracks import FAULT_BALLS, FAULT_SET, TRACK_FAULTS, TrackFault
-from analysis.evaluation.video.tracks import (
+from tunenet_logs.analysis.evaluation.studies.video import tune_track
+from tunenet_logs.analysis.evaluation.worlds.ball import GRAVITY_M_S2, DroppedBall, drop_ball
+from tunenet_logs.analysis.evaluation.worlds.camera import (
+    FAULT_BALLS,
+    FAULT_SET,
     NARROW,
     NOISES_PX,
+    SIZE_PX,
     TABLE_TENNIS_DRAG_1_M,
     TABLE_TENNIS_RADIUS_M,
+    TRACK_FAULTS,
     TRACK_SETS,
     WIDE,
     A,
     B,
     BallRanges,
     C,
+    TrackFault,
     TrackScene,
     TrackSet,
+    Viewpoint,
     draw_scene,
+    drifts,
+    edge_first,
+    edge_second,
     film,
     upright,
 )
-from analysis.evaluation.video.viewpoint import SIZE_PX, Viewpoint
-from analysis.selection import Options
-from analysis.tracking.track import Track
-from recorders.simulators.balls import BALLS
-from recorders.simulators.closed_form.bounce import Bounce
-from recorders.simulators.pinhole import PinholeCamera
+from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.tracking.track import Track
+from tunenet_logs.recorders.simulators.ball import Bounce
+from tunenet_logs.recorders.simulators.camera import PinholeCamera
+from tunenet_logs.recorders.simulators.known import BALLS
 
 Path = Callable[[TrackScene, np.random.Generator], np.ndarray]
 

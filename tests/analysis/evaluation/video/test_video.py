@@ -9,22 +9,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.evaluation.choices import SECTIONS
-from analysis.evaluation.cli import main
-from analysis.evaluation.video.fault_tracks import TRACK_FAULTS
-from analysis.evaluation.video.records import COLUMNS, video_csv, video_json
-from analysis.evaluation.video.run import VideoOrder, VideoRow, figures_of, track_sections
-from analysis.evaluation.video.sections import (
+from tunenet_logs.analysis.evaluation.cli import main
+from tunenet_logs.analysis.evaluation.studies.video import (
     BAD,
+    COLUMNS,
     DRAG,
     SETS,
     SLOPE,
     TRACK_SECTIONS,
     Portion,
     Section,
+    VideoOrder,
+    VideoRow,
+    figures_of,
     outcomes_of,
+    overall,
+    section_table,
+    track_sections,
+    video_blocks,
+    video_csv,
+    video_json,
 )
-from analysis.evaluation.video.tables import overall, section_table, video_blocks
+from tunenet_logs.analysis.evaluation.study import SECTIONS
+from tunenet_logs.analysis.evaluation.worlds.camera import TRACK_FAULTS
 from tunenet_logs.terminal import Progress
 
 QUIET = Progress(quiet=True)

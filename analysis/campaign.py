@@ -1,0 +1,989 @@
+"""Read a campaign: drops, their tunings and what the hardware then did, linked into attempts.
+
+Its files are sorted into logs, tunings and outcomes (`material_of`), linked into attempts
+(`attempts_of`) and, with untuned drops tuned and images read, made a `Campaign` (`campaign_of`).
+Rates and restitutions summarise it. `read_tunings` reads tunings alone.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import islice
+from math import sqrt
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from tunenet_logs.analysis.checks import Verdict
+from tunenet_logs.analysis.compare import distinct
+from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.record import Curves, Estimate, Record, read_record
+from tunenet_logs.episode import Frame, Picture
+from tunenet_logs.errors import LogError, TuneNetError
+from tunenet_logs.files import real_path
+from tunenet_logs.formats.registry import is_folder
+from tunenet_logs.images import decode_small
+from tunenet_logs.outcomes import (
+    BOUNCE_SHOT,
+    Outcome,
+    Warn,
+    holds_outcomes,
+    numbered,
+    read_outcomes,
+)
+from tunenet_logs.reader import read_episode
+from tunenet_logs.terminal import Progress, listed
+
+# ---- Small film: a drop's images downsampled, and a strobe image of them.
+
+WIDTH_PX = 160  # of the longer side: what a view in a corner of a review shows
+RATE_HZ = 30.0  # pictures a second, at most: they play smoothly
+_MAX_PICTURES = 300  # ten seconds at that rate: a drop is over by then
+_QUALITY = 75  # of JPEG, 0 to 100: small files, in which the ball is still clear
+# Stamps jitter: a picture that is early by so little counts as due.
+_SLACK_S = 0.25 / RATE_HZ
+
+_STROBES = 24  # pictures in a strobe picture: with more, the ball would overlap itself
+
+
+@dataclass(frozen=True)
+class SmallFilm:
+    """Downsampled images as JPEG.
+
+    Attributes:
+        start_ns: Origin of `seconds`.
+        seconds: Stamp of each image [s], increasing.
+        pictures: In their order.
+        strobe: The ball at many of those times, in one image.
+        size_px: (width, height) of each.
+    """
+
+    start_ns: int
+    seconds: tuple[float, ...]
+    pictures: tuple[bytes, ...]
+    strobe: bytes
+    size_px: tuple[int, int]
+
+
+def small_film(
+    log: Path, start_ns: int | None, window_s: tuple[float, float] | None
+) -> SmallFilm | None:
+    """Downsample the images of a log; None if it has none that can be read.
+
+    Args:
+        log: Of any kind.
+        start_ns: Origin of time; None for the first image.
+        window_s: First and last time since `start_ns`; None for all, up to the maximum count.
+    """
+    try:
+        episode = read_episode(log)
+    except TuneNetError:
+        return None
+    if not episode.picture_topics:
+        return None
+    first_s, last_s = window_s or (float("-inf"), float("inf"))
+    pace = _Pace()
+    seconds: list[float] = []
+    small: list[Picture] = []
+    with suppress(LogError):  # what was read before the damage is shown
+        for frame in episode.frames(episode.picture_topics[0]):
+            start_ns = frame.stamp_ns if start_ns is None else start_ns
+            at_s = (frame.stamp_ns - start_ns) * 1e-9
+            if not pace.is_due(at_s) or not first_s <= at_s <= last_s:
+                continue
+            with suppress(LogError):  # a damaged picture
+                picture = _reduced(frame)
+                if not small or picture.shape == small[0].shape:
+                    pace.took(at_s)
+                    seconds.append(at_s)
+                    small.append(picture)
+            if len(small) >= _MAX_PICTURES:
+                break
+    if not small or start_ns is None:
+        return None
+    height, width = small[0].shape[:2]
+    pictures = tuple(_jpeg(one) for one in small)
+    return SmallFilm(start_ns, tuple(seconds), pictures, _jpeg(strobe(small)), (width, height))
+
+
+class _Pace:
+    """Decimator that keeps images at most at `RATE_HZ`."""
+
+    def __init__(self) -> None:
+        self._due_s = float("-inf")
+        self._before_s = float("-inf")
+
+    def is_due(self, at_s: float) -> bool:
+        """Return whether the image of a time is the nearest to the one that is due."""
+        slack_s = min(_SLACK_S, (at_s - self._before_s) / 2)
+        self._before_s = at_s
+        return at_s >= self._due_s - slack_s
+
+    def took(self, at_s: float) -> None:
+        """Record that an image was kept."""
+        self._due_s = max(self._due_s, at_s) + 1 / RATE_HZ
+
+
+def _reduced(frame: Frame) -> Picture:
+    """Downsample an image; shape (H, W, 3), BGR."""
+    import cv2
+
+    is_bare = frame.size is not None
+    picture = frame.decode() if is_bare else decode_small(frame.data, frame.encoding, WIDTH_PX)
+    height, width = picture.shape[:2]
+    scale = min(1.0, WIDTH_PX / max(width, height))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2BGR), np.uint8)
+
+
+def strobe(pictures: list[Picture]) -> Picture:
+    """Compose a strobe image of moving objects over the static background, shape (H, W, 3).
+
+    Each pixel is taken from the image in which it is furthest from its median.
+    """
+    chosen = np.linspace(0, len(pictures) - 1, min(len(pictures), _STROBES)).round().astype(int)
+    stack = np.stack([pictures[index] for index in np.unique(chosen)])
+    usual = np.median(stack, axis=0).astype(np.int16)
+    off = np.abs(stack.astype(np.int16) - usual).sum(axis=3)
+    rows, columns = np.indices(usual.shape[:2])
+    return stack[off.argmax(axis=0), rows, columns]
+
+
+def _jpeg(picture: Picture) -> bytes:
+    import cv2
+
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+
+
+# ---- Tuned drop: one recorded drop, from the record of its tuning.
+
+State = Literal["drop", "doubtful drop", "rejected drop"]
+
+_FIRST_WALL_NS = 10**17  # stamps from 1973 on are a wall clock's; smaller ones count from a start
+_STATES: Mapping[Verdict, State] = {
+    "ok": "drop",
+    "suspect": "doubtful drop",
+    "rejected": "rejected drop",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class TunedDrop:
+    """One recorded drop.
+
+    Attributes:
+        log: The recording; None if only its tuning is there.
+        tuning: The JSON; None if it was tuned here and now.
+        name: Of the log.
+        ball: As it was named when recording; "" if it was not.
+        reason: Why the verdict is not "ok".
+        value: The coefficient of restitution; None for a rejected drop.
+        interval95: None if no valid one exists.
+        overlay: The curves; None if no drop was found.
+        window_s: Its first and last sample, since the log's first.
+        film: Its images; None if it has none, or they were not read.
+        others: Other scalar estimates: how the restitution falls with speed, drag.
+    """
+
+    log: Path | None
+    tuning: Path | None
+    name: str
+    ball: str
+    verdict: Verdict
+    reason: str
+    value: float | None
+    interval95: tuple[float, float] | None
+    overlay: Curves | None
+    window_s: tuple[float, float] | None = None
+    film: SmallFilm | None = None
+    others: tuple[Estimate, ...] = ()
+
+    @property
+    def state(self) -> State:
+        """Verdict in the words of a campaign."""
+        return _STATES[self.verdict]
+
+    @property
+    def wall_ns(self) -> int | None:
+        """Time of recording [ns since 1970]; None if its clock is no wall clock."""
+        known = self.overlay or self.film
+        start_ns = known.start_ns if known is not None else 0
+        return start_ns if start_ns > _FIRST_WALL_NS else None
+
+
+def read_tuned_drop(tuning: Path) -> TunedDrop | None:
+    """Read the drop of a tuning's JSON; None if the file is something else.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    tuning.stat()  # a file that cannot be read is no file of something else
+    try:
+        record = read_record(tuning)
+    except LogError:
+        return None
+    if record.task not in ("drop", None):
+        return None
+    name = Path(record.log).name
+    log = tuning.parent / name
+    is_beside = name not in ("", "..") and log.exists()
+    return drop_of(record, log if is_beside else None, tuning)
+
+
+def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
+    """Build the drop of a record, with its log and its JSON if they exist."""
+    restitution = record.estimate("restitution")
+    value, ends = (
+        (None, None) if restitution is None else (restitution.value, restitution.interval95)
+    )
+    window = record.window
+    return TunedDrop(
+        log=log,
+        tuning=tuning,
+        name=record.log,
+        ball=record.ball or "",
+        verdict=record.verdict,
+        reason=record.reason or "",
+        value=value if isinstance(value, float) else None,
+        interval95=ends,  # pyright: ignore[reportArgumentType] (one number has one interval)
+        overlay=record.motion.curves,
+        window_s=(window["start_s"], window["end_s"]) if window else None,
+        others=tuple(
+            known
+            for known in record.estimates
+            if known.name != "restitution" and isinstance(known.value, float)
+        ),
+    )
+
+
+# ---- Files: sort them into logs of drops, tunings and outcomes.
+
+# Suffixes of logs that are taken for a drop wherever they are found.
+_LOGS = frozenset((".mcap", ".bag", ".db3", ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"))
+
+# The same for a file that the user names: a table that merely lies in a folder may be anything.
+_NAMED_LOGS = _LOGS | {".csv", ".tsv"}
+
+_TABLES = frozenset((".csv", ".tsv", ".txt"))  # suffixes of what may be a table of outcomes
+# Of one folder: a campaign has hundreds; one with more is a home or a disk, named by mistake.
+_MAX_FILES = 20_000
+
+_MAX_ENTRIES = 100_000  # files and folders that are looked at: folders may hold no file
+
+
+@dataclass(frozen=True)
+class Material:
+    """Contents of a campaign's files.
+
+    Attributes:
+        outcomes: Sorted by time.
+        drops: Tuned, sorted by name.
+        untuned: Logs without a tuning.
+        roots: Folders that outcomes may name files from.
+    """
+
+    outcomes: tuple[Outcome, ...]
+    drops: tuple[TunedDrop, ...]
+    untuned: tuple[Path, ...]
+    roots: tuple[Path, ...]
+
+
+def material_of(places: Sequence[Path], warn: Warn) -> Material:
+    """Sort the files of folders, and files that were named.
+
+    Args:
+        places: Files, and folders, which are searched recursively.
+        warn: Called with what cannot be read.
+
+    Raises:
+        LogError: There is no such place or no file of a campaign in it, or a table of outcomes is
+            invalid.
+    """
+    named = frozenset(real_path(place) for place in places if place.is_file())
+    outcomes: list[Outcome] = []
+    drops: list[TunedDrop] = []
+    logs: list[Path] = []
+    outcome_files: list[Path] = []
+    for file in files_of(places, warn):
+        suffixes = _NAMED_LOGS if real_path(file) in named else _LOGS
+        try:
+            if file.suffix.lower() == ".json":
+                drops += filter(None, [read_tuned_drop(file)])
+            elif found := _outcomes(file, warn):
+                outcomes += found
+                outcome_files.append(file)
+            elif file.suffix.lower() in suffixes:
+                logs.append(file)
+        except OSError as error:
+            warn(f"{file}: cannot be read ({error.strerror})")
+    if not (outcomes or drops or logs):
+        words = ", ".join(map(str, places))
+        raise LogError(
+            f"{words}: holds no drop and no outcome; name a folder with logs that tunenet-record "
+            "wrote, and the tunings beside them"
+        )
+    roots = tuple(dict.fromkeys(place if place.is_dir() else place.parent for place in places))
+    no_drops = {real_path(file) for file in outcome_files}
+    drops = [
+        drop
+        for drop in _with_logs(drops, [*logs, *outcome_files], warn)
+        if drop.log is None or real_path(drop.log) not in no_drops
+    ]
+    texts = {outcome.tuning for outcome in outcomes if outcome.tuning}
+    drops = _one_each(
+        drops, frozenset(real_path(root / text) for text in texts for root in roots), warn
+    )
+    tuned = {real_path(drop.log) for drop in drops if drop.log is not None}
+    return Material(
+        outcomes=tuple(sorted(numbered(outcomes), key=lambda outcome: outcome.stamp_ns)),
+        drops=tuple(sorted(drops, key=lambda drop: natural(drop.name))),
+        untuned=tuple(log for log in logs if not tuned & {real_path(log), real_path(log).parent}),
+        roots=roots,
+    )
+
+
+def holds_campaign(places: Sequence[Path]) -> bool:
+    """Return whether outcomes are among these files; unreadable ones are skipped."""
+
+    def is_outcome(file: Path) -> bool:
+        try:
+            return bool(_outcomes(file, _silent))
+        except (LogError, OSError):
+            return False
+
+    return any(map(is_outcome, files_of(places, _silent)))
+
+
+def _silent(_: str) -> None:
+    """Ignore a warning: the next reader of these files reports it."""
+
+
+def natural(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a natural sort key: drop_2 before drop_10."""
+    parts: list[tuple[int, int, str]] = []
+    text = ""
+    for letter in [*name, ""]:
+        if text and (not letter or letter.isdecimal() != text[-1].isdecimal()):
+            is_number = text.isdecimal()
+            parts.append((0, int(text), "") if is_number else (1, 0, text))
+            text = ""
+        text += letter
+    return tuple(parts)
+
+
+def files_of(places: Iterable[Path], warn: Warn) -> Iterator[Path]:
+    """Yield every file of the places once, folders recursively."""
+    seen: set[Path] = set()
+    for place in places:
+        if not place.exists():
+            raise LogError(f"{place}: no such file or folder", "check its name")
+        found = _inside(place, warn) if place.is_dir() else [place]
+        for file in found:
+            if (full := real_path(file)) not in seen:
+                seen.add(full)
+                if _is_regular(file, warn):
+                    yield file
+
+
+def _inside(folder: Path, warn: Warn) -> list[Path]:
+    """List the files of a folder and its subfolders, its own first; links are not followed."""
+    found: list[Path] = []
+    waiting = [folder]
+    looked = 0
+    while waiting:
+        root = waiting.pop()
+        try:
+            with os.scandir(root) as entries:
+                every = list(islice(entries, _MAX_ENTRIES))
+        except OSError as error:
+            warn(f"{root}: cannot be read ({error.strerror})")
+            continue
+        looked += len(every)
+        folders = [entry.name for entry in every if entry.is_dir(follow_symlinks=False)]
+        names = [entry.name for entry in every if not _is_folder(entry)]
+        found += [Path(root, name) for name in sorted(names, key=natural)]
+        waiting += [Path(root, name) for name in sorted(folders, reverse=True)]
+        if len(found) > _MAX_FILES or looked >= _MAX_ENTRIES:
+            most = (
+                f"{_MAX_FILES} files"
+                if len(found) > _MAX_FILES
+                else f"{_MAX_ENTRIES} files and folders"
+            )
+            warn(f"{folder}: holds over {most}; those beyond are left out")
+            return found[:_MAX_FILES]
+    return found
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    """Return whether it is a folder or a link to one; circular links are not."""
+    return entry.is_dir(follow_symlinks=False) or (
+        entry.is_symlink() and is_folder(Path(entry.path))
+    )
+
+
+def _is_regular(file: Path, warn: Warn) -> bool:
+    """Return whether it is a file or a link to one; warn of pipes and circular links."""
+    try:
+        if file.is_file():
+            return True
+    except OSError as error:
+        warn(f"{file}: cannot be read ({error.strerror})")
+        return False
+    if file.suffix.lower() in _NAMED_LOGS | _TABLES | {".json"}:
+        warn(f"{file}: is no regular file; it is left out")
+    return False
+
+
+def _outcomes(file: Path, warn: Warn) -> Sequence[Outcome]:
+    """Read a file's outcomes; none if it is something else.
+
+    Raises:
+        LogError: A table of outcomes is invalid.
+        OSError: It cannot be read.
+    """
+    suffix = file.suffix.lower()
+    if suffix not in _TABLES and suffix != ".mcap":
+        return ()
+    try:
+        if not holds_outcomes(file):
+            return ()
+    except LogError as error:
+        warn(str(error))
+        return ()
+    try:
+        return read_outcomes(file, warn)
+    except LogError:
+        if suffix in _TABLES:
+            raise
+        return ()
+
+
+def _with_logs(drops: Iterable[TunedDrop], logs: Iterable[Path], warn: Warn) -> list[TunedDrop]:
+    """Match tunings that lie apart from their logs by name; warn and skip if ambiguous."""
+    by_name: dict[str, list[Path]] = {}
+    for log in logs:
+        by_name.setdefault(log.name, []).append(log)
+    placed: list[TunedDrop] = []
+    for drop in drops:
+        same = by_name.get(drop.name, []) if drop.log is None else []
+        if len(same) > 1:
+            warn(
+                f"{drop.tuning}: is left out, as {len(same)} logs are called {drop.name} "
+                f"({listed(map(str, same))}); put it beside its own"
+            )
+        else:
+            placed.append(replace(drop, log=same[0]) if same else drop)
+    return placed
+
+
+def _one_each(drops: Sequence[TunedDrop], named: frozenset[Path], warn: Warn) -> list[TunedDrop]:
+    """Keep one tuning per log, by `_rank`, so that no drop is counted twice."""
+    by_log: dict[Path, list[TunedDrop]] = {}
+    for drop in drops:
+        if drop.log is not None:
+            by_log.setdefault(real_path(drop.log), []).append(drop)
+    kept = [drop for drop in drops if drop.log is None]
+    for log, several in by_log.items():
+        chosen = min(several, key=lambda drop: _rank(drop, named))
+        if len(several) > 1:
+            warn(f"{log}: has {len(several)} tunings; {chosen.tuning} counts")
+        kept.append(chosen)
+    return kept
+
+
+def _rank(drop: TunedDrop, named: frozenset[Path]) -> tuple[bool, bool, str]:
+    """Rank tunings of one log: named by an outcome first, then named as the log is."""
+    tuning, log = drop.tuning or Path(), drop.log or Path()
+    return real_path(tuning) not in named, tuning.stem != log.stem, str(tuning)
+
+
+# ---- Attempts: link drops, tunings and outcomes, in the order in which they were made.
+
+_UNNAMED = "unnamed ball"  # of a drop whose recording names no ball, and that no outcome names
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One attempt: drops until one was good, then the shot's outcome.
+
+    Attributes:
+        number: Its position in the campaign, from 1.
+        ball: Name of the ball.
+        of_ball: Its position among those of this ball, from 1.
+        drops: In their order; the shot was tuned from the last.
+        outcome: None if none was recorded.
+    """
+
+    number: int
+    ball: str
+    of_ball: int
+    drops: tuple[TunedDrop, ...]
+    outcome: Outcome | None
+
+    @property
+    def used(self) -> TunedDrop | None:
+        """Drop that the shot was tuned from, or the last that was tried."""
+        return self.drops[-1] if self.drops else None
+
+    @property
+    def is_accepted(self) -> bool | None:
+        """Whether that drop passed the checks; None if unknown."""
+        return None if self.used is None else self.used.verdict != "rejected"
+
+    @property
+    def value(self) -> float | None:
+        """Coefficient of restitution that the shot was planned with, or would have been."""
+        if self.used is not None and self.used.value is not None:
+            return self.used.value
+        return None if self.outcome is None else self.outcome.tuned_parameter
+
+    @property
+    def interval95(self) -> tuple[float, float] | None:
+        """95 % interval of the restitution, if its tuning has one."""
+        return None if self.used is None else self.used.interval95
+
+    @property
+    def was_shot(self) -> bool:
+        """Whether the shot was taken: one that was given up has neither height nor miss."""
+        outcome = self.outcome
+        if outcome is None:
+            return False
+        is_measured = outcome.shot_height_m is not None or outcome.miss_m is not None
+        return outcome.success or is_measured or self.is_accepted is not False
+
+    @property
+    def name(self) -> str:
+        """Name for titles."""
+        return f"{self.number}: {self.ball}, {self.of_ball}"
+
+
+def attempts_of(material: Material, warn: Warn) -> tuple[Attempt, ...]:
+    """Link a campaign's drops and outcomes into attempts, in order.
+
+    A drop belongs to every outcome that names it. One that none names and that came before one
+    that is named, of the same ball, was tried for the same attempt. Drops are ordered by wall-clock
+    time if all have one, else by name.
+    """
+    drops = sorted(material.drops, key=lambda drop: natural(drop.name))
+    if all(drop.wall_ns is not None for drop in drops):
+        drops = sorted(material.drops, key=lambda drop: drop.wall_ns or 0)
+    latest = _latest(material.outcomes, warn)
+    linked = _linked(latest, drops, material.roots)
+    made: list[tuple[int, Attempt]] = []
+    waiting: list[tuple[int, TunedDrop]] = []
+    for index, drop in enumerate(drops):
+        for outcome in linked.get(id(drop), ()):
+            if drop.ball not in ("", outcome.ball):
+                warn(
+                    f"{outcome.name}: names {drop.name}, which was recorded as a drop of "
+                    f"{drop.ball}; it counts as this attempt's, correct the outcome if it is not"
+                )
+            tried = [pair for pair in waiting if pair[1].ball in ("", outcome.ball)]
+            waiting = [pair for pair in waiting if pair not in tried]
+            own = (*(before for _, before in tried), drop)
+            made.append((index, Attempt(0, outcome.ball, outcome.attempt, own, outcome)))
+        if id(drop) not in linked:
+            waiting.append((index, drop))
+    made += [
+        (index, Attempt(0, drop.ball or _UNNAMED, 0, (drop,), None)) for index, drop in waiting
+    ]
+    ordered = [attempt for _, attempt in sorted(made, key=lambda pair: pair[0])]
+    with_drop = {id(attempt.outcome) for attempt in ordered}
+    ordered += [
+        Attempt(0, outcome.ball, outcome.attempt, (), outcome)
+        for outcome in latest
+        if id(outcome) not in with_drop
+    ]
+    if all(_wall_ns(attempt) is not None for attempt in ordered):
+        ordered.sort(key=lambda attempt: _wall_ns(attempt) or 0)
+    return tuple(_numbered(ordered))
+
+
+def _latest(outcomes: Sequence[Outcome], warn: Warn) -> list[Outcome]:
+    """Keep the last of several outcomes of one attempt, in the order of the first ones."""
+    found: dict[tuple[str, str, int], Outcome] = {}
+    for outcome in outcomes:
+        key = (outcome.task, outcome.ball, outcome.attempt)
+        if key in found:
+            warn(
+                f"{outcome.name}: has several outcomes; the one of the latest time counts "
+                f"({outcome.word})"
+            )
+        found[key] = outcome
+    return list(found.values())
+
+
+def _linked(
+    outcomes: Sequence[Outcome], drops: Sequence[TunedDrop], roots: Sequence[Path]
+) -> dict[int, list[Outcome]]:
+    """Map the id of each drop to the outcomes that name its log or tuning."""
+    by_path = {real_path(path): drop for drop in drops for path in (drop.log, drop.tuning) if path}
+    by_name: dict[str, list[TunedDrop]] = {}
+    for drop in drops:
+        names = {drop.name, *(path.name for path in (drop.log, drop.tuning) if path)}
+        for name in names:
+            by_name.setdefault(name, []).append(drop)
+    linked: dict[int, list[Outcome]] = {}
+    for outcome in outcomes:
+        for text in (outcome.drop_log, outcome.tuning):
+            drop = _named(text, by_path, by_name, roots) if text else None
+            if drop is not None:
+                linked.setdefault(id(drop), []).append(outcome)
+                break
+    return linked
+
+
+def _named(
+    text: str,
+    by_path: dict[Path, TunedDrop],
+    by_name: dict[str, list[TunedDrop]],
+    roots: Sequence[Path],
+) -> TunedDrop | None:
+    """Find a drop by a path, or by a name that only one has: paths may be another machine's."""
+    for root in roots:
+        found = by_path.get(real_path(root / text))
+        if found is not None:
+            return found
+    same = by_name.get(Path(text).name, [])
+    return same[0] if len(same) == 1 else None
+
+
+def _wall_ns(attempt: Attempt) -> int | None:
+    """Return the latest time of its drops and outcome [ns since 1970], or None."""
+    times = [drop.wall_ns for drop in attempt.drops]
+    if attempt.outcome is not None:
+        times.append(attempt.outcome.stamp_ns or None)
+    known = [time_ns for time_ns in times if time_ns is not None]
+    return max(known) if known else None
+
+
+def _numbered(attempts: Sequence[Attempt]) -> list[Attempt]:
+    """Number attempts in the campaign, and by ball if the outcome does not."""
+    counts: dict[str, int] = {}
+    numbered: list[Attempt] = []
+    for number, attempt in enumerate(attempts, 1):
+        of_ball = attempt.of_ball or counts.get(attempt.ball, 0) + 1
+        counts[attempt.ball] = max(of_ball, counts.get(attempt.ball, 0))
+        numbered.append(replace(attempt, number=number, of_ball=of_ball))
+    return numbered
+
+
+# ---- Campaign: build its attempts, with images of the drops, from its files.
+
+_AROUND_S = 0.3  # of pictures before and after the curves: what led to them, what followed
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """A campaign to review.
+
+    Attributes:
+        name: Of the folder that was named first.
+        attempts: In their order, at least one.
+        tuned_now: How many drops had no tuning beside them.
+        unread: How many logs cannot be read; they are no attempts.
+        places: That were named, without links.
+    """
+
+    name: str
+    attempts: tuple[Attempt, ...]
+    tuned_now: int
+    unread: int
+    places: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Unread:
+    """Log that cannot be read, and why."""
+
+    reason: str
+
+
+def campaign_of(
+    places: Sequence[Path], jobs: int | None, progress: Progress, warn: Warn
+) -> Campaign:
+    """Read the files of a campaign, and tune drops that have no tuning; nothing is written.
+
+    Args:
+        places: Folders, logs, tunings, outcomes, tables of outcomes.
+        jobs: Processes; None for all cores.
+        progress: Shows the drop under way.
+        warn: Called with what cannot be read or does not fit.
+
+    Raises:
+        LogError: No file of a campaign is there.
+    """
+    material = material_of(places, warn)
+    work: list[TunedDrop | Path] = [*material.drops, *material.untuned]
+    pieces = [Piece(item, 1, item.name) for item in work]
+    read = parallel_map(_read, pieces, jobs, progress, ("reading", "drop")) if pieces else []
+    unread = [log for log in read if isinstance(log, _Unread)]
+    for log in unread:
+        warn(log.reason)
+    drops = sorted(
+        (drop for drop in read if isinstance(drop, TunedDrop)), key=lambda drop: natural(drop.name)
+    )
+    attempts = attempts_of(replace(material, drops=tuple(drops), untuned=()), warn)
+    if not attempts:
+        named = ", ".join(map(str, places))
+        raise LogError(f"{named}: no drop and no outcome of it can be read", "name others")
+    name = real_path(places[0]).name or "campaign"
+    tuned_now = sum(drop.tuning is None for drop in drops)
+    return Campaign(name, attempts, tuned_now, len(unread), places_of(places))
+
+
+def places_of(places: Sequence[Path]) -> tuple[str, ...]:
+    """Return the identity of a campaign: its files and folders, without links."""
+    return tuple(str(real_path(place)) for place in places)
+
+
+def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:
+    """Read a drop with its images, in a worker process."""
+    drop = _tuned(item) if isinstance(item, Path) else item
+    if not isinstance(drop, TunedDrop) or drop.log is None:
+        return drop
+    overlay = drop.overlay
+    window_s = drop.window_s
+    if overlay is not None:
+        window_s = overlay.seconds[0] - _AROUND_S, overlay.seconds[-1] + _AROUND_S
+    start_ns = overlay.start_ns if overlay is not None else None
+    return replace(drop, film=small_film(drop.log, start_ns, window_s))
+
+
+def _tuned(log: Path) -> TunedDrop | _Unread | None:
+    """Tune the drop of a log; None if it is something else than a drop."""
+    from tunenet_logs.analysis.experiment import record_of
+    from tunenet_logs.analysis.selection import Options
+    from tunenet_logs.analysis.tuning import tune_log
+
+    tuning = tune_log(log, Options())
+    if tuning.episode is None:
+        return _Unread(f"{log}: {tuning.reason}")
+    if tuning.task not in ("drop", None):
+        return None
+    return drop_of(record_of(tuning), log, None)
+
+
+# ---- Rates: successes beside the paper's, and restitutions by ball.
+
+_Z95 = 1.959963984540054  # standard deviations: 95 % of a normal distribution are within
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Success rate of some attempts.
+
+    Attributes:
+        name: Of these attempts.
+        successes: Number that succeeded.
+        count: Number with an outcome.
+        published: The paper's fraction; None if it has none.
+    """
+
+    name: str
+    successes: int
+    count: int
+    published: float | None = None
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of successes; NaN without attempts."""
+        return self.successes / self.count if self.count else float("nan")
+
+    @property
+    def interval95(self) -> tuple[float, float]:
+        """Wilson score interval; (0, 1) without attempts."""
+        return wilson95(self.successes, self.count)
+
+
+@dataclass(frozen=True)
+class BallRestitutions:
+    """Coefficients of restitution tuned for one ball.
+
+    Attributes:
+        name: Of the ball.
+        values: One per drop, in their order.
+        attempts: Numbers of the first attempts with those.
+        intervals95: None where one has none.
+    """
+
+    name: str
+    values: tuple[float, ...]
+    attempts: tuple[int, ...]
+    intervals95: tuple[tuple[float, float] | None, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean of the values."""
+        return float(np.mean(self.values))
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the values; NaN for a single one."""
+        return float(np.std(self.values, ddof=1)) if len(self.values) > 1 else float("nan")
+
+
+def wilson95(successes: int, count: int) -> tuple[float, float]:
+    """Return the 95 % Wilson score interval (1927) of a proportion; (0, 1) without a trial.
+
+    Unlike the normal approximation it stays within 0 and 1, and is valid for few trials.
+    """
+    if not count:
+        return 0.0, 1.0
+    fraction, square = successes / count, _Z95**2 / count
+    middle = (fraction + square / 2) / (1 + square)
+    half = _Z95 / (1 + square) * sqrt(fraction * (1 - fraction) / count + square / (4 * count))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def overall_rates(attempts: Sequence[Attempt]) -> tuple[Rate, ...]:
+    """Rate bounce shots (all, drop accepted, drop rejected), and the other tasks.
+
+    The paper counts by whether a drop left the table (Allevato et al. 2019, experiment 3): 87 % on
+    it, 18 % off it. The checks reject such a drop, or one that looks like it. The paper
+    has no figure for other tasks.
+    """
+    kinds: tuple[tuple[str, float, Callable[[Attempt], bool]], ...] = (
+        ("all", 0.62, lambda _: True),
+        ("drop accepted", 0.87, lambda one: one.is_accepted is True),
+        ("drop rejected", 0.18, lambda one: one.is_accepted is False),
+    )
+    tasks = _tasks_of(attempts)
+    shots = [attempt for attempt in attempts if _task(attempt) == BOUNCE_SHOT]
+    published = [_rate(name, filter(belongs, shots), rate) for name, rate, belongs in kinds]
+    others = [
+        _rate(f"task {task}", (attempt for attempt in attempts if _task(attempt) == task), None)
+        for task in tasks
+        if task != BOUNCE_SHOT
+    ]
+    return (*(published if shots or not others else ()), *others)
+
+
+def ball_rates(attempts: Sequence[Attempt]) -> tuple[Rate, ...]:
+    """Rate attempts by ball, in order, and by task if it is no bounce shot."""
+    tried = [
+        (
+            ball,
+            task,
+            [attempt for attempt in attempts if attempt.ball == ball and _task(attempt) == task],
+        )
+        for ball in _balls_of(attempts)
+        for task in _tasks_of(attempts)
+    ]
+    return tuple(
+        _rate(ball if task == BOUNCE_SHOT else f"{ball}, {task}", own, None)
+        for ball, task, own in tried
+        if own
+    )
+
+
+def _task(attempt: Attempt) -> str | None:
+    return None if attempt.outcome is None else attempt.outcome.task
+
+
+def _tasks_of(attempts: Iterable[Attempt]) -> tuple[str, ...]:
+    """List the tasks that were tried, in order of appearance."""
+    tasks = (attempt.outcome.task for attempt in attempts if attempt.outcome is not None)
+    return tuple(dict.fromkeys(tasks))
+
+
+def restitutions_by_ball(attempts: Sequence[Attempt]) -> tuple[BallRestitutions, ...]:
+    """Collect the restitutions of each ball that has one, in order of appearance.
+
+    A drop that several shots were planned with is one value.
+    """
+    first: dict[int, Attempt] = {}
+    for attempt in attempts:
+        first.setdefault(id(attempt.used or attempt), attempt)
+    found: list[BallRestitutions] = []
+    for ball in _balls_of(attempts):
+        tuned = [
+            (attempt, attempt.value)
+            for attempt in first.values()
+            if attempt.ball == ball and attempt.value is not None
+        ]
+        if tuned:
+            values = tuple(value for _, value in tuned)
+            numbers = tuple(attempt.number for attempt, _ in tuned)
+            intervals95 = tuple(attempt.interval95 for attempt, _ in tuned)
+            found.append(BallRestitutions(ball, values, numbers, intervals95))
+    return tuple(found)
+
+
+def _balls_of(attempts: Iterable[Attempt]) -> tuple[str, ...]:
+    """List the names of the balls, in order of appearance."""
+    return tuple(dict.fromkeys(attempt.ball for attempt in attempts))
+
+
+def _rate(name: str, attempts: Iterable[Attempt], published: float | None) -> Rate:
+    ended = [attempt.outcome for attempt in attempts if attempt.outcome is not None]
+    return Rate(name, sum(outcome.success for outcome in ended), len(ended), published)
+
+
+# ---- Tunings that a user names: JSONs of `tunenet-tune`, and folders with them.
+
+_MAX_LABEL_FOLDERS = 4  # folders that are put before a name to tell it from an equal one
+
+
+@dataclass(frozen=True, eq=False)
+class TuningFile:
+    """JSON of a tuning, and its record.
+
+    Attributes:
+        label: The log's name; with folders in front if several logs have it.
+    """
+
+    path: Path
+    record: Record
+    label: str
+
+
+def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
+    """Read tunings in the order they are named; those of a folder, searched recursively, by name.
+
+    Raises:
+        LogError: There is no such place, no tuning in any of them, or a named file is none.
+    """
+    named = {real_path(place) for place in places if place.is_file()}
+    found: list[tuple[Path, Record]] = []
+    for path in files_of(places, warn):
+        is_named = real_path(path) in named
+        if not is_named and path.suffix.lower() != ".json":
+            continue
+        try:
+            found.append((path, read_record(path)))
+        except LogError:
+            if is_named:
+                raise
+    if not found:
+        words = ", ".join(map(str, places))
+        raise LogError(f"{words}: holds no tuning; give the .json that tunenet-tune wrote")
+    labels = _labels(found)
+    return tuple(
+        TuningFile(path, record, label) for (path, record), label in zip(found, labels, strict=True)
+    )
+
+
+def in_order(tunings: Sequence[TuningFile]) -> tuple[TuningFile, ...]:
+    """Sort by labels in natural order."""
+    return tuple(sorted(tunings, key=lambda tuning: natural(tuning.label)))
+
+
+def _labels(found: Sequence[tuple[Path, Record]]) -> list[str]:
+    """Label logs; equal names get as many folders of their JSON as distinguish them."""
+    names = [record.log or path.stem for path, record in found]
+    counts = Counter(names)
+    labels = list(names)
+    for depth in range(_MAX_LABEL_FOLDERS):
+        again = Counter(labels)
+        for index, (path, _) in enumerate(found):
+            if counts[names[index]] > 1 and again[labels[index]] > 1:
+                folders = real_path(path).parent.parts[-1 - depth :]
+                labels[index] = f"{names[index]} ({'/'.join([*folders, path.stem])})"
+    return distinct(labels)

@@ -1,1 +1,0 @@
-"""Campaign: drops, their tunings, and the outcomes of the shots on hardware."""

@@ -1,0 +1,492 @@
+"""Estimation methods: TuneNet, the exact fit, secant steps through rollouts, and baselines.
+
+Secant steps need no exact fit. Near the target the residual is linear in the parameter, at first:
+the ball's first flight is exactly that, and each later impact bends it. So a line through two
+rollouts, fitted to the longest beginning of the episode that it explains to within the noise, lands
+on the target without another rollout. What is left of the budget goes to a local search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.analysis.estimators.base import (
+    Estimator,
+    Problem,
+    Search,
+    Setup,
+    Step,
+    Trace,
+    check_one_parameter,
+)
+from tunenet_logs.analysis.registry import needed
+from tunenet_logs.analysis.statistics import noise_of
+from tunenet_logs.analysis.tunenet.network import Model
+from tunenet_logs.episode import Array
+from tunenet_logs.errors import NotFoundError
+
+# ---- Brent's method on the cost: a baseline for one parameter.
+
+_CLOSE = 1e-6  # [parameter] at which it ends
+
+
+class Brent(Estimator):
+    """Bounded Brent search (golden section and parabolic steps) over one parameter's range.
+
+    It ignores the initial guess, and finds one local minimum of the cost: there are dozens.
+    """
+
+    name = "brent"
+    takes_one_parameter = True
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """Return the best rollout so far; see `Estimator.estimate`."""
+        from scipy.optimize import minimize_scalar
+
+        check_one_parameter(problem, self.name)
+        search = Search(problem, rollouts)
+        options = {"xatol": _CLOSE, "maxiter": max(rollouts, 1)}
+        return search.run(
+            lambda: minimize_scalar(
+                search.cost, bounds=problem.ranges[0], method="bounded", options=options
+            )
+        )
+
+
+# ---- CMA-ES (Hansen 2016) with the parameters scaled to their ranges: a baseline.
+
+
+_SIGMA = 0.3  # of each range, around the initial guess
+# Of pycma; one parameter gets a second coordinate beside it, on which nothing depends.
+_MIN_DIMENSIONS = 2
+
+
+class ScaledCmaEs(Estimator):
+    """CMA-ES on the L2 norm of the residual, from the initial guess, which is evaluated first.
+
+    Population size and bounds handling are pycma's. The answer is the best rollout; a budget's
+    remainder is spent on part of a generation.
+
+    Args:
+        seed: Of its sampling.
+    """
+
+    name = "cma-es"
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    @classmethod
+    def build(cls, setup: Setup) -> ScaledCmaEs:
+        """See `Estimator.build`."""
+        return cls(setup.seed)
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """Return the best rollout so far; see `Estimator.estimate`."""
+        search = Search(problem, rollouts)
+        return search.run(lambda: self._optimize(search, problem))
+
+    def _optimize(self, search: Search, problem: Problem) -> None:
+        cma = needed("cma")
+
+        count = len(problem.searched)
+        rng = np.random.default_rng(self._seed)
+        low, high = problem.ranges.T
+        shares = np.full(max(count, _MIN_DIMENSIONS), 0.5)
+        shares[:count] = (problem.start - low) / (high - low)
+        options = {
+            "bounds": [0.0, 1.0],
+            "randn": lambda *shape: rng.standard_normal(shape),
+            "seed": np.nan,  # numpy's own generator stays as it is
+            "verbose": -9,
+            "verb_log": 0,
+        }
+        search.cost(problem.start)
+        strategy = cma.CMAEvolutionStrategy(shares, _SIGMA, options)
+        while not strategy.stop():
+            points = strategy.ask()
+            values = [low + (high - low) * point[:count] for point in points]
+            strategy.tell(points, [search.cost(one) for one in values])
+
+
+# ---- Multi-start trust-region least squares: a baseline.
+
+
+class LeastSquares(Estimator):
+    """Trust-region reflective least squares (scipy) on the residual, from one start after another.
+
+    The first start is the initial guess; the others spread evenly over the ranges. Rollouts for
+    derivatives are charged like any other.
+
+    Args:
+        step: Relative step of the finite differences. A narrow one measures the slope of the local
+            minimum it lies in, one of dozens; one wider than those measures the underlying slope,
+            which leads further.
+    """
+
+    name = "least-squares"
+
+    def __init__(self, step: float = 0.06) -> None:
+        self._step = step
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """Return the best rollout so far; see `Estimator.estimate`."""
+        search = Search(problem, rollouts)
+        return search.run(lambda: self._optimize(search, problem))
+
+    def _optimize(self, search: Search, problem: Problem) -> None:
+        from scipy.optimize import least_squares
+
+        bounds = np.array([one.bounds for one in problem.searched]).T
+        for start in _starts(problem.start, problem.ranges):
+            least_squares(search.misfit, start, bounds=tuple(bounds), diff_step=self._step)
+            if search.least == 0:
+                return
+
+
+def _starts(first: Array, ranges: Array) -> Iterator[Array]:
+    """Yield the first start, then 1/2, 1/4, 3/4, 1/8, ... of the ranges (van der Corput)."""
+    yield first
+    low, high = ranges.T
+    index = 1
+    while True:
+        yield low + (high - low) * _reversed_bits(index)
+        index += 1
+
+
+def _reversed_bits(index: int) -> float:
+    """Return the van der Corput radical inverse in base 2: 1, 2, 3 gives 1/2, 1/4, 3/4."""
+    value, share = 0.0, 0.5
+    while index:
+        value += share * (index & 1)
+        index, share = index >> 1, share / 2
+    return value
+
+
+# ---- TuneNet: iterative residual tuning (algorithm 1 of Allevato et al. 2019), and the exact fit.
+
+_MAX_SHOWN = 5  # iterates of a fit, each of which gets a rollout to be shown
+
+
+class TuneNet(Estimator):
+    """Iterative residual tuning: K times the network's estimate of the residual (eq. 5), in bounds.
+
+    Resample is part of the observations, which share one axis.
+    """
+
+    name = "tunenet"
+    uses_network = True
+
+    def __init__(self, model: Model | None) -> None:
+        self._model = model
+
+    @classmethod
+    def build(cls, setup: Setup) -> TuneNet:
+        """See `Estimator.build`."""
+        return cls(setup.model)
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """Spend one rollout per iteration; see `Estimator.estimate`."""
+        model = self._model or (problem.train and problem.train())
+        assert model is not None
+        values = problem.initial
+        steps: list[Step] = []
+        for _ in range(rollouts):
+            spent = problem.rollouts
+            evaluation = problem.evaluate(values)
+            steps.append(Step(values, spent, evaluation))
+            simulated, target = evaluation.observation.values, problem.target.values
+            values = problem.clamp(values + residual_of(model, problem, simulated, target))
+        steps.append(Step(values, problem.rollouts))
+        return Trace(tuple(steps))
+
+
+class ExactFit(Estimator):
+    """Closed-form model fitted to every sample, from the middle of the parameters' ranges."""
+
+    name = "fit"
+    takes_steps = False
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:  # noqa: ARG002 (needs none)
+        """Fit without a rollout; see `Estimator.estimate`."""
+        trace = fitted(Trace((Step(problem.initial, problem.rollouts),)), problem)
+        if trace.fit is None:
+            raise NotFoundError("the log shows too little for the exact fit; try --method tunenet")
+        return trace
+
+
+class TuneNetThenFit(TuneNet):
+    """TuneNet's steps, then the exact fit from where they end."""
+
+    name = "tunenet+refine"
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """Spend all rollouts on the network, then fit; see `Estimator.estimate`."""
+        trace = fitted(super().estimate(problem, rollouts), problem)
+        return trace if trace.fit is not None else replace(trace, method=TuneNet.name)
+
+
+def residual_of(model: Model, problem: Problem, simulated: Array, target: Array) -> Array:
+    """Predict the parameter residual, shape (P,), from two observations of shape (L, C)."""
+    found = model(simulated[None], target[None])[0]
+    return found[: len(problem.parameters)] * problem.residual_units
+
+
+def fitted(trace: Trace, problem: Problem) -> Trace:
+    """Append the exact fit near its estimate to a trace; return the trace itself if the fit fails.
+
+    Raises:
+        NotFoundError: The problem has no exact fit.
+    """
+    if problem.exact_fit is None:
+        raise NotFoundError("no exact fit exists under this preset; use --method tunenet")
+    fit = problem.exact_fit(trace.estimate)
+    if fit is None:
+        return trace
+    on_the_way = [
+        Step(values[: len(fit.values)], problem.rollouts) for values in _thinned(fit.path[1:-1])
+    ]
+    return Trace((*trace.steps, *on_the_way, Step(fit.values, problem.rollouts)), fit)
+
+
+def _thinned(path: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Decimate the iterates of a fit."""
+    return path[:: len(path) // _MAX_SHOWN + 1]
+
+
+# ---- Secant steps through pairs of rollouts, after the network's steps or without.
+
+# Two steps find the basin of a cost that has dozens; where eight lines do not end, no more will.
+_NETWORK_STEPS, _LINE_STEPS = 2, 8
+
+# Points of the local scan, and its half width in standard errors of the last line.
+_SCAN, _SCAN_SDS = 13, 4.0
+
+# Half width of the scan [parameter]: its minimum, and that where no line was found.
+_MIN_REACH, _BLIND_REACH = 1e-4, 0.03
+
+_MIN_LINE_SAMPLES = 4  # twice the unknowns of a line
+_PROBE = 0.01  # step [parameter] to a second point: inside the basin, and well above rounding
+# Standard errors within which longer beginnings must agree with shorter ones (Lepski's rule).
+_CONSISTENT_SDS = 3.0
+
+# With 16 samples or more, chance hardly leaves a third of the noise's variance.
+_ENOUGH, _CHANCE = 16, 3.0
+
+_SAME = 1e-10  # differences [parameter, or of a curve] below it are rounding
+
+
+Visit = tuple[float, Array]  # a value and the misfit of its rollout
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Secant through two rollouts, solved for the target.
+
+    Attributes:
+        value: The parameter there.
+        sd: Its standard error.
+        samples: Length of the beginning of the episode that was fitted; 0 if none was.
+        before: The rollout that it starts from.
+    """
+
+    value: float
+    sd: float
+    samples: int
+    before: Visit
+
+
+class RolloutLine(Estimator):
+    """Secant steps through two rollouts, for one parameter.
+
+    Args:
+        model: The network that takes the first steps; None to start without one.
+    """
+
+    name = "line"
+    takes_one_parameter = True
+
+    def __init__(self, model: Model | None = None) -> None:
+        self._model = model
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """See `Estimator.estimate`."""
+        check_one_parameter(problem, self.name)
+        values = problem.initial
+        visited: list[Visit] = []
+        steps = [Step(values, 0)]
+        line: Line | None = None
+        network_steps = _NETWORK_STEPS if self._model else 0
+        for k in range(min(rollouts, network_steps + _LINE_STEPS)):
+            evaluation = problem.evaluate(values)
+            visited.append((float(values[0]), problem.misfit(evaluation)))
+            steps[-1] = Step(values, steps[-1].rollouts, evaluation)
+            if self._model and k < network_steps:
+                simulated, target = evaluation.observation.values, problem.target.values
+                values = problem.clamp(
+                    values + residual_of(self._model, problem, simulated, target)
+                )
+            else:
+                line = _next_line(visited, line, problem)
+                values = problem.clamp(np.array([line.value if line else _best(visited)[0]]))
+            steps.append(Step(values, problem.rollouts))
+            if k >= network_steps and line is None:
+                break
+        if rollouts > problem.rollouts:
+            reach = max(_SCAN_SDS * line.sd, _MIN_REACH) if line else _BLIND_REACH
+            search = Search(problem, rollouts, least=_cost(_best(visited)))
+            steps += _local_search(search, problem, values, reach)
+        return Trace(tuple(steps))
+
+
+class TuneNetThenLine(RolloutLine):
+    """Two of TuneNet's steps, then secant steps, for one parameter."""
+
+    name = "tunenet+line"
+    uses_network = True
+
+    def __init__(self, model: Model) -> None:
+        super().__init__(model)
+
+    @classmethod
+    def build(cls, setup: Setup) -> TuneNetThenLine:
+        """See `Estimator.build`."""
+        assert setup.model is not None
+        return cls(setup.model)
+
+
+def _cost(visit: Visit) -> float:
+    return float(np.linalg.norm(visit[1]))
+
+
+def _best(visited: list[Visit]) -> Visit:
+    return min(visited, key=_cost)
+
+
+def _next_line(visited: list[Visit], line: Line | None, problem: Problem) -> Line | None:
+    """Choose the next line: half way back if the last one increased the residual."""
+    if line is not None and line.samples:
+        here, before = visited[-1], line.before
+        size = [float(np.linalg.norm(misfit[: line.samples])) for _, misfit in (here, before)]
+        if size[0] > size[1]:
+            return replace(line, value=(here[0] + before[0]) / 2)
+    if all(abs(value - visited[-1][0]) <= _SAME for value, _ in visited):
+        return _probe(visited[-1], problem)
+    return line_through(visited, problem)
+
+
+def line_through(visited: list[Visit], problem: Problem) -> Line | None:
+    """Fit the secant through the last rollout and the one nearest to it in the parameter.
+
+    Least squares of residual + slope x change = 0 over the first n samples, for the largest n whose
+    answer is within 3 standard errors of every shorter beginning's (Lepski's rule): where the line
+    bends, longer beginnings contradict shorter ones.
+
+    Args:
+        visited: Value and residual of each rollout so far, shape (L * C,).
+        problem: For the target, whose noise is estimated by its third differences.
+
+    Returns:
+        None if two rollouts do not differ, or too little moves.
+    """
+    here, misfit = visited[-1]
+    others = [one for one in visited[:-1] if abs(one[0] - here) > _SAME]
+    if not others:
+        return None
+    there, other = min(others, key=lambda one: abs(one[0] - here))
+    slope = (misfit - other) / (here - there)
+    count = np.cumsum(np.abs(slope) > _SAME, dtype=np.intp)
+    usable = np.flatnonzero(count >= _MIN_LINE_SAMPLES)
+    if not len(usable):
+        return None
+    power = np.cumsum(slope * slope)[usable]
+    product = np.cumsum(slope * misfit)[usable]
+    left = np.clip(np.cumsum(misfit * misfit)[usable] - product**2 / power, 0.0, None)
+    values = here - product / power
+    sds = np.sqrt(_noise_variance(problem, left / count[usable], count[usable]) / power)
+    above = np.maximum.accumulate(values - _CONSISTENT_SDS * sds)
+    below = np.minimum.accumulate(values + _CONSISTENT_SDS * sds)
+    chosen = int(np.flatnonzero((above <= values) & (values <= below))[-1])
+    samples = int(usable[chosen]) + 1
+    return Line(float(values[chosen]), float(sds[chosen]), samples, visited[-1])
+
+
+def _probe(visit: Visit, problem: Problem) -> Line:
+    """Return a nearby value, for a second rollout where all so far were one."""
+    here = visit[0]
+    beside = float(problem.clamp(np.array([here + _PROBE]))[0])
+    return Line(beside if beside > here else here - _PROBE, _PROBE, 0, visit)
+
+
+def _noise_variance(problem: Problem, left: Array, count: NDArray[np.intp]) -> float:
+    """Estimate the noise variance by third differences, or less if a line leaves less."""
+    columns = problem.target.values.T
+    seen = [column[np.isfinite(column)] for column in columns]
+    noise = float(np.mean([noise_of(one) ** 2 for one in seen]))
+    least = left[count >= _ENOUGH].min(initial=np.inf)
+    return min(noise, _CHANCE * float(least))
+
+
+def _local_search(search: Search, problem: Problem, values: Array, reach: float) -> list[Step]:
+    """Scan `reach` to either side, then run Brent's method about the best value."""
+    from scipy.optimize import minimize_scalar
+
+    def cost(value: float) -> float:
+        return search.cost(np.array([value]))
+
+    def optimize() -> None:
+        places = values[0] + np.linspace(-reach, reach, _SCAN)
+        places = np.unique(problem.clamp(places[:, None])[:, 0])
+        costs = [cost(place) for place in places]
+        best = int(np.argmin(costs))
+        low, high = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
+        minimize_scalar(
+            cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)}
+        )
+
+    return list(search.run(optimize).steps[1:])
+
+
+# ---- Tree-structured Parzen estimator (Bergstra et al. 2011): a baseline.
+
+
+class Tpe(Estimator):
+    """optuna's TPE sampler on the cost, over the ranges, the initial guess first.
+
+    Args:
+        seed: Of its sampling.
+    """
+
+    name = "tpe"
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    @classmethod
+    def build(cls, setup: Setup) -> Tpe:
+        """See `Estimator.build`."""
+        return cls(setup.seed)
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """Return the best rollout so far; see `Estimator.estimate`."""
+        search = Search(problem, rollouts)
+        return search.run(lambda: self._optimize(search, problem))
+
+    def _optimize(self, search: Search, problem: Problem) -> None:
+        optuna = needed("optuna")
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self._seed))
+        names = [one.name for one in problem.searched]
+        study.enqueue_trial(dict(zip(names, problem.start.tolist(), strict=True)))
+        while search.left:
+            trial = study.ask()
+            values = [
+                trial.suggest_float(name, low, high)
+                for name, (low, high) in zip(names, problem.ranges.tolist(), strict=True)
+            ]
+            study.tell(trial, search.cost(np.array(values)))

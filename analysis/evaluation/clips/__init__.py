@@ -1,1 +1,0 @@
-"""Synthetic videos of falling balls, and what `tunenet-tune` makes of them."""

@@ -1,1 +1,0 @@
-"""Export the experiments' figures to Rerun."""

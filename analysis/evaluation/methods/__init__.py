@@ -1,1 +1,0 @@
-"""Methods that only the experiments compare."""

@@ -1,1 +1,0 @@
-"""Predict motion, table 3: tuned simulators and one-step predictors of a ball's height."""

@@ -1,1 +1,0 @@
-"""First experiment: the mass in an arm's gripper, from its torques."""

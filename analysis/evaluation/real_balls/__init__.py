@@ -1,1 +1,0 @@
-"""Tune real balls: air, a restitution that falls with speed; does the tuned one move alike?"""

@@ -1,1 +1,0 @@
-"""Third experiment in simulation: drop, tune, plan, and shoot in a hidden world."""

@@ -1,1 +1,0 @@
-"""Synthesise bounces as a microphone hears them, and tune from them."""

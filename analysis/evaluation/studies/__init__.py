@@ -1,0 +1,1 @@
+"""Experiments of `tunenet-eval`: run, measured against the truth, tabulated, exported."""

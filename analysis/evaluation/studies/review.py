@@ -1,0 +1,114 @@
+"""Plot the paper's figure in Rerun: error against rollouts, a view for Easy and one for Hard.
+
+Rerun's plots have no logarithmic axis, so what is plotted is log10 of the error, and the views are
+named so.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from tunenet_logs.analysis.evaluation.studies.drop import (
+    PANELS,
+    ErrorCurve,
+    drop_markdown,
+    error_curves,
+)
+from tunenet_logs.analysis.evaluation.studies.drop_methods import DropResults
+from tunenet_logs.analysis.review.drawing import application_id, entity_of
+
+ROLLOUTS = "rollouts"  # its timeline: what a method has been allowed so far
+# The axis is this many times as long as the curves; the legend stands beside them.
+_LEGEND_ROOM = 1.5
+
+
+def write_convergence(results: DropResults, path: Path) -> None:
+    """Write the recording of an experiment to `path` (.rrd).
+
+    Raises:
+        OSError: `path` cannot be written.
+    """
+    content = f"{results.seeds} {results.targets}".encode()
+    content += b"".join(
+        outcome.method.encode() + outcome.errors.tobytes() for outcome in results.outcomes
+    )
+    identity = hashlib.sha256(content).hexdigest()[:16]
+    stream = rr.RecordingStream(application_id("eval drop"), recording_id=identity)
+    memory = stream.memory_recording()
+    stream.send_recording_name("restitution by rollouts")
+    views: list[rrb.View] = []
+    for panel in PANELS:
+        curves = error_curves(results, panel)
+        for curve in curves:
+            _log_curve(stream, panel, curve)
+        if curves:
+            views.append(_view(panel, curves))
+    words = rr.TextDocument(drop_markdown(results), media_type="text/markdown")
+    stream.log("results", words, static=True)
+    stream.send_blueprint(_blueprint(views))
+    stream.flush()
+    path.write_bytes(memory.drain_as_bytes())
+    stream.disconnect()
+
+
+def _log_curve(stream: rr.RecordingStream, panel: str, curve: ErrorCurve) -> None:
+    entity = entity_of("error", panel, curve.method)
+    width = 3.5 if curve.is_ours else 1.8
+    lines = rr.SeriesLines(
+        colors=[curve.color], names=[curve.label], widths=[width], aggregation_policy="Off"
+    )
+    stream.log(entity, lines, static=True)
+    _send(stream, entity, curve.rollouts, curve.mean)
+    if curve.paper:
+        marks = entity_of("error", panel, f"{curve.method} published")
+        points = rr.SeriesPoints(
+            colors=[curve.color],
+            names=[f"{curve.label} (paper)"],
+            markers=["diamond"],
+            marker_sizes=[5.0],
+        )
+        stream.log(marks, points, static=True)
+        rollouts, errors = np.array(curve.paper).T
+        _send(stream, marks, rollouts, errors)
+
+
+def _send(
+    stream: rr.RecordingStream, entity: str, rollouts: np.ndarray, errors: np.ndarray
+) -> None:
+    index = rr.TimeColumn(ROLLOUTS, sequence=rollouts.astype(np.int64))
+    stream.send_columns(
+        entity, indexes=[index], columns=rr.Scalars.columns(scalars=np.log10(errors))
+    )
+
+
+def _view(panel: str, curves: list[ErrorCurve]) -> rrb.View:
+    lowest = min(float(curve.mean.min()) for curve in curves)
+    reach = (float(np.log10(lowest)) - 0.3, 0.0)
+    longest = max(len(curve.mean) - 1 for curve in curves)
+    ends = (0, round(_LEGEND_ROOM * longest))
+    start, end = (rr.TimeRangeBoundary.absolute(seq=at) for at in ends)
+    return rrb.TimeSeriesView(
+        origin=entity_of("error", panel),
+        name=f"GT {panel}: log10 of the mean absolute error, by rollouts",
+        axis_x=rrb.TimeAxis(link="Independent", view_range=rr.TimeRange(start=start, end=end)),
+        axis_y=rrb.ScalarAxis(range=reach),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+    )
+
+
+def _blueprint(views: list[rrb.View]) -> rrb.Blueprint:
+    words = rrb.TextDocumentView(origin="/results", name="results")
+    plots = rrb.Horizontal(*views)
+    return rrb.Blueprint(
+        rrb.Vertical(plots, words, row_shares=[3, 2]) if views else words,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=ROLLOUTS),
+        auto_views=False,
+        auto_layout=False,
+    )

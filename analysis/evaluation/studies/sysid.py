@@ -1,0 +1,748 @@
+"""Tune users' models of machines that no engine simulated, and beside them by `mujoco.sysid`.
+
+MuJoCo's own toolbox gets the same logs and is used as well as it can be. It needs absl-py,
+colorama, PyYAML and tabulate beside MuJoCo and SciPy; plotly and imageio, which draw its reports,
+may be missing.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from tunenet_logs.analysis.evaluation.study import csv_text, json_text, seeds_in_words, table_line
+from tunenet_logs.analysis.evaluation.worlds.machines import MACHINES, HeldCommands, ModelLog
+from tunenet_logs.analysis.parallel import Piece, parallel_map
+from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.sysid.experiment import ROLLOUTS, SimulatorExperiment
+from tunenet_logs.analysis.sysid.fit import SimulatorFit
+from tunenet_logs.analysis.sysid.source import ModelSource
+from tunenet_logs.analysis.tuning import tune_episode
+from tunenet_logs.episode import Array, Episode, Signal
+from tunenet_logs.errors import NotFoundError
+from tunenet_logs.recorders.simulators.mujoco import mujoco
+from tunenet_logs.terminal import Progress
+
+# ---- Input of `mujoco.sysid` from a log: model sensors, samples, and a first state.
+
+
+STATES, COMMANDS = "/joint_states", "/joint_commands.position"
+
+_START_S = 0.1  # the first samples, by which the first state is told
+# Each of a signal's columns counts as having this share of their largest standard deviation.
+_MIN_SHARE = 0.05
+
+_QUANTITIES = {
+    "position": "mjSENS_JOINTPOS",
+    "velocity": "mjSENS_JOINTVEL",
+    "effort": "mjSENS_JOINTACTFRC",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Measurements of a log.
+
+    Attributes:
+        seconds: of the samples, after the first of all that are simulated, shape (T,).
+        values: in the order of the model's sensors, shape (T, C).
+        weights: by sensor; None where all columns have one noise.
+        start: positions, then velocities, of the joints or in the plane, shape (S,).
+        start_reach: how far that can be off, shape (S,).
+        commands: of the model's actuators; None without any.
+    """
+
+    seconds: Array
+    values: Array
+    weights: dict[str, float] | None
+    start: Array
+    start_reach: Array
+    commands: HeldCommands | None
+
+    def count(self, step_s: float) -> int:
+        """Return the number of steps until the last sample, and one more."""
+        return int(np.ceil(self.seconds[-1] / step_s)) + 2
+
+
+def measured(episode: Episode, spec: Any, *, with_efforts: bool) -> Measured:
+    """Convert the log's samples; `spec` gets a sensor for each quantity of the joints."""
+    pose = next((one for one in episode.signals.values() if one.is_position), None)
+    if pose is not None:
+        return _posed(pose, spec)
+    joints = [joint.name for joint in spec.joints]
+    columns: list[Array] = []
+    weights: dict[str, float] = {}
+    for quantity, kind in _QUANTITIES.items():
+        signal = episode.signals.get(f"{STATES}.{quantity}")
+        if signal is None or (quantity == "effort" and not with_efforts):
+            continue
+        spread = np.std(signal.values, axis=0)
+        spread = np.maximum(spread, _MIN_SHARE * np.max(spread))
+        for joint in joints:
+            at = signal.columns.index(joint)
+            name = f"{quantity} of {joint}"
+            sensor_type = getattr(mujoco().mjtSensor, kind)
+            joint_type = mujoco().mjtObj.mjOBJ_JOINT
+            spec.add_sensor(name=name, type=sensor_type, objtype=joint_type, objname=joint)
+            columns.append(signal.values[:, at])
+            weights[name] = 1.0 / float(spread[at])
+    positions, velocities = (episode.signals[f"{STATES}.{one}"] for one in ("position", "velocity"))
+    start = [_state(positions, velocities, joint) for joint in joints]
+    reach = [_reach(positions, velocities, joint) for joint in joints]
+    begin_ns = int(positions.stamps_ns[0])
+    return Measured(
+        positions.seconds,
+        np.column_stack(columns),
+        weights,
+        np.array(start).T.ravel(),
+        np.array(reach).T.ravel(),
+        _commands(episode, joints, begin_ns),
+    )
+
+
+def _commands(episode: Episode, joints: list[str], begin_ns: int) -> HeldCommands | None:
+    signal = episode.signals.get(COMMANDS)
+    if signal is None:
+        return None
+    order = [signal.columns.index(joint) for joint in joints]
+    seconds = (signal.stamps_ns - begin_ns).astype(np.float64) * 1e-9
+    return HeldCommands(seconds, signal.values[:, order])
+
+
+def _state(positions: Signal, velocities: Signal, joint: str) -> tuple[float, float]:
+    """Fit position and velocity at the first sample by a parabola through the first of both."""
+    at = positions.columns.index(joint)
+    first = positions.seconds <= _START_S
+    seconds = positions.seconds[first]
+    spreads = np.std(positions.values[:, at]), np.std(velocities.values[:, at])
+    one, none = np.ones_like(seconds), np.zeros_like(seconds)
+    places = np.column_stack([one, seconds, seconds**2 / 2]) / spreads[0]
+    speeds = np.column_stack([none, one, seconds]) / spreads[1]
+    target = np.concatenate(
+        [positions.values[first, at] / spreads[0], velocities.values[first, at] / spreads[1]]
+    )
+    found = np.linalg.lstsq(np.concatenate([places, speeds]), target, rcond=None)[0]
+    return float(found[0]), float(found[1])
+
+
+def _reach(positions: Signal, velocities: Signal, joint: str) -> tuple[float, float]:
+    at = positions.columns.index(joint)
+    widest = (np.std(one.values, axis=0) for one in (positions, velocities))
+    place, speed = (max(float(one[at]), _MIN_SHARE * float(np.max(one))) for one in widest)
+    return 0.3 * place, 0.5 * speed
+
+
+def _posed(pose: Signal, spec: Any) -> Measured:
+    """Convert a free body's positions; the height and the turn at the start are the model's."""
+    body = pose.name.split("/")[1]
+    frame, body_type = mujoco().mjtSensor.mjSENS_FRAMEPOS, mujoco().mjtObj.mjOBJ_BODY
+    spec.add_sensor(name="place", type=frame, objtype=body_type, objname=body)
+    first = pose.seconds <= _START_S
+    curve = np.polynomial.polynomial.polyfit(pose.seconds[first], pose.values[first, :2], 2)
+    reach = np.array([0.02, 0.02, 0.5, 0.5])
+    return Measured(
+        pose.seconds, pose.values, None, np.asarray(curve[:2].ravel(), np.float64), reach, None
+    )
+
+
+# ---- Estimate with `mujoco.sysid`.
+
+
+# Modules that `mujoco.sysid` imports; without one of them its names are missing.
+NEEDED = ("absl", "colorama", "tabulate", "yaml")
+
+_PLACE = re.compile(r"(?P<kind>[a-z]+)/(?P<name>.+)\.(?P<field>[a-z]+)(?P<index>\[\d\])?")
+_DELAY = "delay/commands"
+_START = "start"
+# Step of finite differences; at the usual 1.5e-8 the solver's own tolerance is seen.
+_STEP = 1e-6
+
+# Unit in which a delay is tuned, so that its differences are over 2 ms, and not within a step.
+_DELAY_UNIT_S = 2000.0
+
+# Change of the parameters, over all of them, at which it ends: 2 microseconds of a delay.
+_MIN_CHANGE = 1e-9
+
+# `_STEP` where a contact is simulated, whose small hops are other ones at any other value.
+_CONTACT_STEP = 5e-3
+
+_MAX_ITERATIONS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class ToolboxAnswer:
+    """Answer of `mujoco.sysid` to a log.
+
+    Attributes:
+        values: by address.
+        intervals: of 95 %, by address; infinite where it says so.
+        rollouts: simulated in all, those of finite differences too.
+        seconds: CPU time that it took.
+    """
+
+    values: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    rollouts: int
+    seconds: float
+
+
+def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1) -> ToolboxAnswer:
+    """Estimate the log's parameters with `mujoco.sysid`.
+
+    Residuals are over each signal's standard deviation, which the noise is in proportion to.
+    Torques are left out where a delay is tuned: they jump with every command, so that least
+    squares over them have a minimum in each 10 ms of it, and the toolbox stays in the nearest.
+
+    Args:
+        log: with the owner's model.
+        tunes_start: whether the state at the log's start is estimated with the parameters, for
+            which the toolbox has no means of its own but a rollout that is handed to it; else it
+            is what the log's first samples say.
+        threads: that simulate.
+
+    Raises:
+        NotFoundError: a module that the toolbox imports is not installed.
+    """
+    sysid = _toolbox()
+    began_s = time.process_time()
+    spec = mujoco().MjSpec.from_string(log.model)
+    delayed = any(text.startswith(_DELAY) for text in log.tune)
+    seen = measured(log.episode, spec, with_efforts=not delayed)
+    parameters = sysid.ParameterDict()
+    for text in log.tune:
+        parameters.add(_parameter(sysid, spec, text))
+    if tunes_start:
+        low, high = seen.start - seen.start_reach, seen.start + seen.start_reach
+        parameters.add(sysid.Parameter(_START, seen.start, low, high))
+    model = spec.compile()
+    ticks_s = np.arange(seen.count(model.opt.timestep) + 1) * model.opt.timestep
+    samples = sysid.TimeSeries.from_names(seen.seconds, seen.values, model)
+    sequence = sysid.ModelSequences(
+        "log",
+        spec,
+        "log",
+        _full_state(sysid, model, seen.start),
+        sysid.TimeSeries(ticks_s, np.zeros((len(ticks_s), model.nu))),
+        samples,
+    )
+    transform = sysid.SignalTransform(normalize=False)
+    if seen.weights is not None:
+        transform.set_sensor_weights(seen.weights)
+    rollouts = _Rollouts(sysid, seen, samples.signal_mapping)
+    residual = sysid.build_residual_fn(
+        models_sequences=[sequence],
+        modify_residual=transform.apply,
+        custom_rollout=rollouts,
+        n_threads=threads,
+        resample_true=False,
+    )
+    found, result = sysid.optimize(
+        parameters.move_off_bounds(),
+        residual,
+        "mujoco",
+        verbose=False,
+        max_iters=_MAX_ITERATIONS,
+        eps=_STEP if seen.weights is not None else _CONTACT_STEP,
+        xtol=_MIN_CHANGE,
+        x_scale="jac",
+        output=io.StringIO(),
+    )
+    last, _, _ = residual(found.as_vector(), found)
+    _, halves = sysid.calculate_intervals(last, result.jac)
+    addresses = [text.partition("=")[0] for text in log.tune]
+    units = np.array([_DELAY_UNIT_S if one == _DELAY else 1.0 for one in addresses])
+    values = units * found.as_vector()[: len(units)]
+    halves = units * halves[: len(units)]
+    ends = np.column_stack([values - halves, values + halves])
+    intervals = {
+        one: (low, high) for one, (low, high) in zip(addresses, ends.tolist(), strict=True)
+    }
+    return ToolboxAnswer(
+        dict(zip(addresses, values.tolist(), strict=True)),
+        intervals,
+        rollouts.count,
+        time.process_time() - began_s,
+    )
+
+
+class _Rollouts:
+    """Rollouts for the toolbox.
+
+    It obeys commands late, starts where a parameter says, and puts sensors' samples at their times:
+    MuJoCo takes them at a step's start, and the toolbox has them at its end.
+    """
+
+    def __init__(self, sysid: Any, seen: Measured, sensors: Any) -> None:
+        self.count = 0
+        self._sysid, self._seen, self._sensors = sysid, seen, sensors
+
+    def __call__(
+        self,
+        *,
+        models: Sequence[Any],
+        datas: Sequence[Any],
+        initial_states: Sequence[Array],
+        param_dicts: Sequence[Any],
+        **rest: Any,
+    ) -> list[Any]:
+        """Simulate each model with its parameters."""
+        self.count += len(models)
+        seen, series = self._seen, self._sysid.TimeSeries
+        controls, states = [], list(initial_states)
+        for at, (model, parameters) in enumerate(zip(models, param_dicts, strict=True)):
+            step_s = model.opt.timestep
+            count = seen.count(step_s)
+            control = np.zeros((count + 1, model.nu))
+            if seen.commands is not None:
+                delay_s = _seconds(parameters[_DELAY].value) if _DELAY in parameters else 0.0
+                control = seen.commands.over_steps(step_s, count + 1, delay_s)
+            controls.append(series(np.arange(count + 1) * step_s, control))
+            if _START in parameters:
+                states[at] = _full_state(self._sysid, model, parameters[_START].value)
+        rest["control_signal"], rest["initial_states"] = controls, states
+        rolled = self._sysid.sysid_rollout(models=models, datas=datas, **rest)
+        return [self._on_time(one) for one in rolled]
+
+    def _on_time(self, rolled: Any) -> Any:
+        times_s = rolled.sensordata.times - rolled.model.opt.timestep
+        # the very map of what is measured: the toolbox compares them with !=
+        series = self._sysid.TimeSeries(times_s, rolled.sensordata.data, self._sensors)
+        return rolled.replace(sensordata=series)
+
+
+def _toolbox() -> Any:
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if missing:
+        raise NotFoundError(
+            f"mujoco.sysid cannot be imported without {', '.join(missing)}",
+            "pip install absl-py colorama PyYAML tabulate",
+        )
+    return import_module("mujoco.sysid")
+
+
+def _full_state(sysid: Any, model: Any, start: Array) -> Array:
+    """Return the simulator's state: of joints, or of a body in the plane."""
+    places, speeds = np.split(np.asarray(start), 2)
+    positions, velocities = np.array(model.qpos0), np.zeros(model.nv)
+    positions[: len(places)], velocities[: len(speeds)] = places, speeds
+    return sysid.create_initial_state(model, positions, velocities)
+
+
+def _seconds(delay: Array) -> float:
+    return _DELAY_UNIT_S * float(delay[0])
+
+
+def _parameter(sysid: Any, spec: Any, text: str) -> Any:
+    address, _, ends = text.partition("=")
+    low, high = map(float, ends.split(":"))
+    if address == _DELAY:
+        low, high = low / _DELAY_UNIT_S, high / _DELAY_UNIT_S
+        return sysid.Parameter(address, (low + high) / 2, low, high)
+    place = _PLACE.fullmatch(address)
+    assert place is not None
+    found = place["kind"], place["name"], place["field"]
+
+    def modify(changed: Any, parameter: Any) -> None:
+        _put(changed, *found, float(parameter.value[0]))
+
+    now = min(max(_get(spec, *found), low), high)
+    return sysid.Parameter(address, now, low, high, modifier=modify)
+
+
+def _holder(spec: Any, kind: str, name: str) -> Any:
+    """Return the element with the number; of a body without its own mass, its only geom."""
+    element = getattr(spec, kind)(name)
+    return element.geoms[0] if kind == "body" and not element.mass > 0 else element
+
+
+def _get(spec: Any, kind: str, name: str, field: str) -> float:
+    return float(np.ravel(getattr(_holder(spec, kind, name), field))[0])
+
+
+def _put(spec: Any, kind: str, name: str, field: str, value: float) -> None:
+    """Write a number, the first of an array; with a body's mass go its moments of inertia."""
+    holder = _holder(spec, kind, name)
+    now = getattr(holder, field)
+    if kind == "body" and hasattr(holder, "inertia"):
+        holder.inertia = holder.inertia * (value / holder.mass)
+    if isinstance(now, np.ndarray) and now.size > 1:
+        now[0] = value
+    else:
+        setattr(holder, field, value)
+
+
+# ---- One log: tuned by ours, by the toolbox, and by the network's first step.
+
+
+Section = Literal["tuned", "untold", "wrong", "toolbox", "network"]
+
+
+@dataclass(frozen=True)
+class MachineTrial:
+    """Log to be tuned.
+
+    Attributes:
+        section: what is asked of it.
+        machine: its number in `MACHINES`.
+        seed: of it.
+        noise: times the usual one.
+    """
+
+    section: Section
+    machine: int
+    seed: int
+    noise: float = 1.0
+
+
+@dataclass(frozen=True)
+class FoundValue:
+    """Estimate of one parameter.
+
+    Attributes:
+        address: which.
+        truth: of the machine; NaN where the model is another's.
+        value: NaN where none was given.
+        low: end of the 95 % interval; NaN without one.
+        high: likewise.
+        range: that it was looked for in, its width.
+        is_told: whether the result reports it as identifiable.
+        can_be_told: whether it is identifiable.
+    """
+
+    address: str
+    truth: float
+    value: float
+    low: float
+    high: float
+    range: float
+    is_told: bool = True
+    can_be_told: bool = True
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether the interval holds the truth."""
+        return self.low <= self.truth <= self.high
+
+
+@dataclass(frozen=True)
+class SysidOutcome:
+    """Result for one log.
+
+    Attributes:
+        trial: which.
+        what: of several models of one log.
+        verdict: "" of the toolbox, which gives none.
+        found: by parameter.
+        rollouts: simulated in all.
+        seconds: of the processor.
+    """
+
+    trial: MachineTrial
+    what: str
+    verdict: str
+    found: tuple[FoundValue, ...]
+    rollouts: int
+    seconds: float
+
+
+def outcomes_of(trial: MachineTrial) -> list[SysidOutcome]:
+    """Run a trial."""
+    machine = MACHINES[trial.machine]
+    if trial.section == "untold":
+        return [_tuned(trial, machine.unidentifiable(trial.seed, trial.noise))]
+    log = machine.log(trial.seed, trial.noise)
+    if trial.section == "tuned":
+        return [_tuned(trial, log)]
+    if trial.section == "toolbox":
+        return [_by_toolbox(trial, log)]
+    if trial.section == "network":
+        return [_first_steps(trial, log)]
+    models = machine.wrong(log)
+    return [_tuned(trial, replace(log, model=model), what) for what, model in models.items()]
+
+
+def _source(log: ModelLog, folder: str) -> ModelSource:
+    path = Path(folder) / "model.xml"
+    path.write_text(log.model)
+    return ModelSource(path, log.tune)
+
+
+def _tuned(trial: MachineTrial, log: ModelLog, what: str = "") -> SysidOutcome:
+    with tempfile.TemporaryDirectory() as folder:
+        began_s = time.process_time()
+        tuning = tune_episode(log.episode, Options(source=_source(log, folder)))
+        seconds = time.process_time() - began_s
+    found: list[FoundValue] = []
+    if tuning.trace is not None and tuning.trace.fit is not None:
+        fit: SimulatorFit = tuning.trace.fit.detail
+        unidentifiable = {one.name for one in fit.unidentifiable}
+        for one, value, ends in zip(
+            tuning.parameters, tuning.trace.estimate, tuning.trace.fit.interval95, strict=True
+        ):
+            low, high = one.training_range
+            found.append(
+                FoundValue(
+                    one.name,
+                    np.nan if what else log.truth[one.name],
+                    float(value),
+                    *map(float, ends),
+                    range=high - low,
+                    is_told=one.name not in unidentifiable,
+                    can_be_told=one.name not in log.unidentifiable,
+                )
+            )
+    return SysidOutcome(trial, what, tuning.verdict, tuple(found), tuning.rollouts, seconds)
+
+
+def _by_toolbox(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
+    answer = toolbox_answer(log, tunes_start=True)
+    found = tuple(
+        FoundValue(address, truth, answer.values[address], *answer.intervals[address], np.nan)
+        for address, truth in log.truth.items()
+    )
+    return SysidOutcome(trial, "", "", found, answer.rollouts, answer.seconds)
+
+
+_STARTS = 20  # random places in the ranges from which the network makes its first step
+
+
+def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
+    """Take one step of the network from each of many random starts: a row a start and value."""
+    from tunenet_logs.analysis.estimators.methods import residual_of
+
+    with tempfile.TemporaryDirectory() as folder:
+        began_s = time.process_time()
+        experiment = SimulatorExperiment(_source(log, folder))
+        detection = experiment.detect(log.episode, Selection(), "default")
+        parameters = experiment.source.parameters
+        problem = experiment.problem(detection, np.array([one.initial for one in parameters]))
+        assert problem.train is not None
+        model = problem.train()
+        seconds = time.process_time() - began_s
+    rng = np.random.default_rng((trial.seed, 77))
+    found: list[FoundValue] = []
+    for _ in range(_STARTS):
+        start = np.array([rng.uniform(*one.training_range) for one in parameters])
+        seen = problem.evaluate(start).observation.values
+        stepped = start + residual_of(model, problem, seen, problem.target.values)
+        for one, value in zip(parameters, problem.clamp(stepped), strict=True):
+            low, high = one.training_range
+            row = (one.name, log.truth[one.name], float(value), np.nan, np.nan, high - low)
+            found.append(FoundValue(*row))
+    return SysidOutcome(trial, "", "", tuple(found), ROLLOUTS, seconds)
+
+
+def trials(
+    sections: Sequence[str], seeds: Sequence[int], logs: int, noises: Sequence[float]
+) -> list[MachineTrial]:
+    """List all trials.
+
+    Args:
+        sections: which.
+        seeds: each with its own logs.
+        logs: for each seed, machine and section; a fifth of them where the noise is another than
+            the usual one, a twentieth for the network.
+        noises: times the usual one, of the section "tuned".
+    """
+    found: list[MachineTrial] = []
+    for machine in range(len(MACHINES)):
+        for seed in seeds:
+            own = range(seed * 1_000_000, seed * 1_000_000 + logs)
+            fewer, few = own[: max(1, logs // 5)], own[: max(1, logs // 20)]
+            for section in ("tuned", "untold", "wrong", "toolbox", "network"):
+                if section not in sections:
+                    continue
+                for noise in noises if section == "tuned" else (1.0,):
+                    chosen = own if noise == 1.0 else fewer
+                    chosen = few if section == "network" else chosen
+                    found += [MachineTrial(section, machine, one, noise) for one in chosen]
+    return found
+
+
+# ---- Run: section by section.
+
+
+NOISES = (1.0, 0.5, 2.0)  # times the noise that the logs usually have
+
+
+@dataclass(frozen=True)
+class SysidOrder:
+    """Settings of the experiment.
+
+    Attributes:
+        seeds: each with its own logs.
+        logs: for each seed, machine and section; see `trials`.
+        sections: of `study.SYSID_SECTIONS`.
+        jobs: processes; None for all cores.
+    """
+
+    seeds: Sequence[int]
+    logs: int
+    sections: Sequence[str]
+    jobs: int | None = None
+
+
+def sysid_sections(
+    order: SysidOrder, progress: Progress
+) -> Iterator[tuple[str, list[SysidOutcome]]]:
+    """Yield all results section by section."""
+    for section in order.sections:
+        wanted = trials([section], order.seeds, order.logs, NOISES)
+        pieces = [Piece(trial, name=_name(trial)) for trial in wanted]
+        found = parallel_map(outcomes_of, pieces, order.jobs, progress, (section, "log"))
+        yield section, [one for some in found for one in some]
+
+
+def _name(trial: MachineTrial) -> str:
+    return f"{MACHINES[trial.machine].name} {trial.seed}"
+
+
+# ---- JSON and CSV: one row for each log and parameter.
+
+
+# Of the CSV.
+COLUMNS = (
+    *("section", "machine", "seed", "noise", "what", "verdict", "rollouts", "seconds"),
+    *("address", "truth", "value", "low", "high", "range", "is_told", "can_be_told"),
+)
+
+
+def sysid_json(outcomes: Sequence[SysidOutcome], order: SysidOrder) -> str:
+    """Serialise every log and parameter."""
+    head = {"experiment": "sysid", "seeds": list(order.seeds), "logs": order.logs}
+    return json_text({**head, "rows": list(_rows(outcomes))})
+
+
+def sysid_csv(outcomes: Sequence[SysidOutcome]) -> str:
+    """Format every log and parameter as a table."""
+    return csv_text(COLUMNS, _rows(outcomes))
+
+
+def _rows(outcomes: Sequence[SysidOutcome]) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    for one in outcomes:
+        head = {
+            "section": one.trial.section,
+            "machine": MACHINES[one.trial.machine].name,
+            "seed": one.trial.seed,
+            "noise": one.trial.noise,
+            "what": one.what,
+            "verdict": one.verdict,
+            "rollouts": one.rollouts,
+            "seconds": round(one.seconds, 2),
+        }
+        for found in one.found:
+            figures = {
+                name: None if isinstance(value, float) and not math.isfinite(value) else value
+                for name, value in asdict(found).items()
+            }
+            rows.append({**head, **figures})
+        if not one.found:
+            rows.append(head)
+    return rows
+
+
+# ---- Tables for a terminal.
+
+
+_WIDTHS = (10, 7, 26, 6, 10, 9, 10, 9, 10, 0)
+
+_HEADS = {
+    "tuned": "Tuned by the default method: logs of machines that SciPy integrates.",
+    "toolbox": "The same logs by mujoco.sysid, the state at the start tuned along.",
+    "untold": "One more parameter is tuned, which such a log cannot tell.",
+    "wrong": "Models of other machines: none should come out ok.",
+    "network": "One step of a network trained on the spot, from 20 random starts a log.",
+}
+
+
+def sysid_table(section: str, outcomes: Sequence[SysidOutcome], order: SysidOrder) -> str:
+    """Tabulate one section."""
+    what = f"{seeds_in_words(order.seeds)}, {order.logs} logs a machine"
+    head = f"{section}: {_HEADS[section]} {what}."
+    makers = {"wrong": _wrong, "untold": _unidentifiable, "network": _network}
+    return "\n".join([head, *makers.get(section, _errors)(outcomes)])
+
+
+def groups(
+    outcomes: Sequence[SysidOutcome],
+) -> Iterable[tuple[str, float, str, list[SysidOutcome], list[FoundValue]]]:
+    """Yield machine, noise, address, the logs, and each log's estimate of the parameter."""
+    keys = dict.fromkeys(
+        (one.trial.machine, one.trial.noise, found.address)
+        for one in outcomes
+        for found in one.found
+    )
+    for machine, noise, address in keys:
+        logs = [one for one in outcomes if (one.trial.machine, one.trial.noise) == (machine, noise)]
+        found = [each for one in logs for each in one.found if each.address == address]
+        yield MACHINES[machine].name, noise, address, logs, found
+
+
+def errors_of(found: Sequence[FoundValue]) -> np.ndarray:
+    """Return absolute errors, shape (N,)."""
+    return np.array([abs(one.value - one.truth) for one in found])
+
+
+def _errors(outcomes: Sequence[SysidOutcome]) -> list[str]:
+    names = ("machine", "noise", "parameter", "logs", "median", "of truth", "worst", "covered")
+    lines = [table_line((*names, "rollouts", "s"), _WIDTHS)]
+    for machine, noise, address, logs, found in groups(outcomes):
+        errors = errors_of(found)
+        shares = errors / np.abs([one.truth for one in found])
+        covered = 100 * np.mean([one.is_covered for one in found])
+        cells = [machine, f"{noise:g}", address, str(len(found)), f"{np.median(errors):.2g}"]
+        cells += [f"{100 * np.median(shares):.2f} %", f"{errors.max():.2g}", f"{covered:.1f} %"]
+        cells += [f"{np.median([one.rollouts for one in logs]):.0f}"]
+        lines.append(
+            table_line((*cells, f"{np.median([one.seconds for one in logs]):.1f}"), _WIDTHS)
+        )
+    return lines
+
+
+def _unidentifiable(outcomes: Sequence[SysidOutcome]) -> list[str]:
+    lines = [
+        table_line(("machine", "", "parameter", "logs", "cannot be told", "", "said so"), _WIDTHS)
+    ]
+    for machine, _, address, _, found in groups(outcomes):
+        said = 100 * np.mean([not one.is_told for one in found])
+        cannot = "no" if found[0].can_be_told else "yes"
+        cells = (machine, "", address, str(len(found)), cannot, "", f"{said:.1f} %")
+        lines.append(table_line(cells, _WIDTHS))
+    return lines
+
+
+def _wrong(outcomes: Sequence[SysidOutcome]) -> list[str]:
+    widths = (10, 34, 7, 5, 9, 0)
+    lines = [table_line(("machine", "model", "tries", "ok", "suspect", "rejected"), widths)]
+    for machine, what in dict.fromkeys((one.trial.machine, one.what) for one in outcomes):
+        mine = [one for one in outcomes if (one.trial.machine, one.what) == (machine, what)]
+        counts = [
+            sum(one.verdict == name for one in mine) for name in ("ok", "suspect", "rejected")
+        ]
+        cells = (MACHINES[machine].name, what, str(len(mine)), *map(str, counts))
+        lines.append(table_line(cells, widths))
+    return lines
+
+
+def _network(outcomes: Sequence[SysidOutcome]) -> list[str]:
+    lines = [
+        table_line(("machine", "", "parameter", "logs", "median", "", "of the range"), _WIDTHS)
+    ]
+    for machine, _, address, logs, found in groups(outcomes):
+        errors = errors_of(found)
+        share = 100 * np.median(errors) / found[0].range
+        cells = (machine, "", address, str(len(logs)), f"{np.median(errors):.2g}", "")
+        lines.append(table_line((*cells, f"{share:.2f} %"), _WIDTHS))
+    return lines

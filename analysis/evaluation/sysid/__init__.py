@@ -1,1 +1,0 @@
-"""Tune MuJoCo models to logs of machines that no engine simulated."""

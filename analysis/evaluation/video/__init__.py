@@ -1,1 +1,0 @@
-"""Measure the tuning of filmed drops' tracks: rigs drawn at random, good and faulty tracks."""

@@ -1,0 +1,1 @@
+"""Made-up worlds whose truth is known; they share no code with what is fitted to them."""

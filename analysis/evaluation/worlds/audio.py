@@ -1,0 +1,1396 @@
+"""Synthesise bounces as a phone hears them, with the truth behind them, and sounds that are none.
+
+A ball and a table ring, in a room, before a phone; a quiet room, a fan, speech or music is behind
+them at a given ratio. Nothing is a recording: all of it is made from random numbers.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.analysis.evaluation.worlds.ball import (
+    BounceHistory,
+    BounceOrder,
+    DroppedBall,
+    bounced,
+)
+from tunenet_logs.analysis.evaluation.worlds.camera import SIZES_PX
+from tunenet_logs.analysis.evaluation.worlds.clips import (
+    ClipOrder,
+    clip_frames,
+    draw_clip_of,
+    frame_seconds,
+)
+from tunenet_logs.episode import Array, Channel, Episode, EpisodeInfo, Signal, Sound
+from tunenet_logs.recorders.simulators.known import Ball
+
+# ---- Music that nobody wrote: chords, a melody and drums on a beat.
+
+
+_SCALE = (0, 2, 4, 5, 7, 9, 11)  # semitones of a major scale
+
+
+def music(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
+    """Synthesise a band, about as loud as 1 at the loudest."""
+    count = int(seconds * rate_hz)
+    sound = np.zeros(count)
+    beat_s = 60 / rng.uniform(70, 160)
+    root_hz = 110 * 2 ** (rng.integers(12) / 12)
+    pluck_s, has_drums = rng.uniform(0.002, 0.02), rng.random() < 0.75
+    starts_s = -rng.uniform(0.0, beat_s)
+    for beat in range(int(seconds / beat_s) + 2):
+        at_s = starts_s + beat * beat_s
+        if beat % 4 == 0:
+            degree = int(rng.integers(6))
+            for step in (0, 2, 4):
+                hz = root_hz * _ratio(degree + step)
+                _add(sound, at_s, _note(4 * beat_s, hz, 0.04, 1.5, rate_hz, rng), 0.25, rate_hz)
+        for half in range(2):
+            if rng.random() < 0.6:
+                hz = 2 * root_hz * _ratio(int(rng.integers(10)))
+                long_s = beat_s * rng.choice([0.5, 1.0])
+                tone = _note(long_s, hz, pluck_s, rng.uniform(0.1, 0.5), rate_hz, rng)
+                _add(sound, at_s + half * beat_s / 2, tone, 0.4, rate_hz)
+            if has_drums and rng.random() < 0.8:
+                _add(sound, at_s + half * beat_s / 2, _drum("hat", rate_hz, rng), 0.25, rate_hz)
+        if has_drums:
+            kind = "kick" if beat % 2 == 0 else "snare"
+            _add(sound, at_s, _drum(kind, rate_hz, rng), 0.8, rate_hz)
+    return sound / max(float(np.max(np.abs(sound), initial=0.0)), 1e-9)
+
+
+def _ratio(degree: int) -> float:
+    octave, step = divmod(degree, len(_SCALE))
+    return 2 ** (octave + _SCALE[step] / 12)
+
+
+def _add(sound: Array, at_s: float, part: Array, gain: float, rate_hz: float) -> None:
+    start = int(at_s * rate_hz)
+    if start < 0:
+        part, start = part[-start:], 0
+    end = min(len(sound), start + len(part))
+    if start < end:
+        sound[start:end] += gain * part[: end - start]
+
+
+def _note(
+    seconds: float,
+    hz: float,
+    rise_s: float,
+    fall_s: float,
+    rate_hz: float,
+    rng: np.random.Generator,
+) -> Array:
+    time = np.arange(int(seconds * rate_hz)) / rate_hz
+    sound = np.zeros(len(time))
+    steep = rng.uniform(0.8, 1.8)
+    for number in range(1, 9):
+        if number * hz < 0.4 * rate_hz:
+            turn = rng.uniform(0, 2 * np.pi)
+            sound += number**-steep * np.sin(2 * np.pi * number * hz * time + turn)
+    end = np.clip((seconds - time) / 0.02, 0, 1)
+    return sound / 2 * np.minimum(time / rise_s, 1) * np.exp(-time / fall_s) * end
+
+
+def _drum(kind: str, rate_hz: float, rng: np.random.Generator) -> Array:
+    time = np.arange(int(0.25 * rate_hz)) / rate_hz
+    noise = rng.standard_normal(len(time))
+    if kind == "kick":
+        sweep = 50 * time + 4.0 * (1 - np.exp(-time / 0.03))
+        return np.sin(2 * np.pi * sweep) * np.exp(-time / 0.09) * np.minimum(time / 0.001, 1)
+    if kind == "hat":
+        return 0.5 * np.diff(noise, prepend=0.0) * np.exp(-time / rng.uniform(0.01, 0.05))
+    ring = np.sin(2 * np.pi * 190 * time) * np.exp(-time / 0.05)
+    return 0.5 * ring + 0.4 * noise * np.exp(-time / rng.uniform(0.04, 0.1))
+
+
+# ---- Speech without words: a pulsed throat through resonances, hisses, pauses.
+
+
+# First three formants of vowels (Peterson and Barney 1952, men).
+_VOWELS_HZ = (
+    *((730, 1090, 2440), (270, 2290, 3010), (300, 870, 2240), (530, 1840, 2480)),
+    *((570, 840, 2410), (660, 1720, 2410), (440, 1020, 2240), (490, 1350, 1690)),
+)
+
+_WIDTHS_HZ = (70.0, 100.0, 150.0)
+
+
+def speech(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
+    """Synthesise somebody who talks, about as loud as 1 at the loudest."""
+    count = int(seconds * rate_hz)
+    sound = np.zeros(count)
+    pitch_hz, size = rng.uniform(90, 230), rng.uniform(0.95, 1.2)
+    at_s = rng.uniform(0.0, 0.4)
+    while at_s < seconds:
+        for _ in range(int(rng.integers(2, 9))):  # a phrase
+            for part in _syllable(pitch_hz * np.exp(rng.normal(0, 0.12)), size, rate_hz, rng):
+                start = int(at_s * rate_hz)
+                end = min(count, start + len(part))
+                if start < end:
+                    sound[start:end] += part[: end - start]
+                at_s += len(part) / rate_hz
+            at_s += rng.choice([0.0, 0.0, rng.uniform(0.02, 0.1)])
+        at_s += rng.uniform(0.15, 0.8)
+    return sound / max(float(np.max(np.abs(sound), initial=0.0)), 1e-9)
+
+
+def _syllable(
+    pitch_hz: float, size: float, rate_hz: float, rng: np.random.Generator
+) -> list[Array]:
+    """Synthesise a consonant, mostly, and a vowel."""
+    parts: list[Array] = []
+    kind = rng.choice(["hiss", "burst", "none"], p=[0.35, 0.4, 0.25])
+    if kind == "hiss":
+        parts.append(_hiss(rng.uniform(0.05, 0.14), rate_hz, rng))
+    elif kind == "burst":
+        parts.append(np.zeros(int(rng.uniform(0.02, 0.08) * rate_hz)))
+        parts.append(_burst(rate_hz, rng))
+    parts.append(_vowel(rng.uniform(0.08, 0.26), pitch_hz, size, rate_hz, rng))
+    return parts
+
+
+def _vowel(
+    seconds: float, pitch_hz: float, size: float, rate_hz: float, rng: np.random.Generator
+) -> Array:
+    from scipy.signal import lfilter
+
+    count = int(seconds * rate_hz)
+    glide = np.linspace(1.0, np.exp(rng.normal(-0.05, 0.08)), count)
+    phase = np.cumsum(pitch_hz * glide * (1 + 0.01 * rng.standard_normal(count))) / rate_hz
+    pulses = np.zeros(count)
+    pulses[1:] = np.diff(np.floor(phase)) > 0
+    pulses = lfilter([1.0], [1.0, -0.96], pulses)  # a throat's closing, 6 dB an octave
+    pulses = pulses + 0.02 * rng.standard_normal(count)
+    formants = _VOWELS_HZ[int(rng.integers(len(_VOWELS_HZ)))]
+    for hz, width in zip(formants, _WIDTHS_HZ, strict=True):
+        radius = np.exp(-np.pi * width / rate_hz)
+        turn = 2 * np.pi * hz * size / rate_hz
+        shape = [1.0, -2 * radius * np.cos(turn), radius**2]
+        pulses = lfilter([sum(shape)], shape, pulses)
+    sound = np.diff(pulses, prepend=0.0)  # the lips
+    rise, fall = int(rng.uniform(0.008, 0.04) * rate_hz), int(0.04 * rate_hz)
+    envelope = np.minimum(np.arange(count) / rise, 1) * np.minimum(np.arange(count)[::-1] / fall, 1)
+    sound = sound * envelope
+    return rng.uniform(0.4, 1.0) * sound / max(float(np.max(np.abs(sound))), 1e-9)
+
+
+def _hiss(seconds: float, rate_hz: float, rng: np.random.Generator) -> Array:
+    from scipy.signal import butter, sosfilt
+
+    low = rng.uniform(1500, 4500)
+    ends = [low, min(low + rng.uniform(2000, 5000), 0.45 * rate_hz)]
+    band = butter(2, ends, "bandpass", fs=rate_hz, output="sos")
+    count = int(seconds * rate_hz)
+    noise = np.asarray(sosfilt(band, rng.standard_normal(count)))
+    noise *= np.sin(np.pi * (np.arange(count) + 0.5) / count) ** rng.uniform(0.3, 1.0)
+    return rng.uniform(0.1, 0.4) * noise / max(float(np.max(np.abs(noise))), 1e-9)
+
+
+def _burst(rate_hz: float, rng: np.random.Generator) -> Array:
+    """Synthesise p, t or k, which start at once."""
+    from scipy.signal import butter, sosfilt
+
+    count = int(rng.uniform(0.012, 0.04) * rate_hz)
+    low = rng.uniform(500, 3000)
+    band = butter(1, [low, low * rng.uniform(1.5, 3.0)], "bandpass", fs=rate_hz, output="sos")
+    noise = np.asarray(sosfilt(band, rng.standard_normal(count)))
+    noise *= np.exp(-np.arange(count) / rate_hz / rng.uniform(0.003, 0.01))
+    return rng.uniform(0.2, 0.7) * noise / max(float(np.max(np.abs(noise))), 1e-9)
+
+
+# ---- Backgrounds: a quiet room, a fan, speech, music.
+
+
+Background = Literal["quiet", "noise", "speech", "music"]
+BACKGROUNDS: tuple[Background, ...] = get_args(Background)
+
+
+def background_sound(
+    kind: Background, seconds: float, rate_hz: float, rng: np.random.Generator
+) -> Array:
+    """Synthesise a background of any loudness, shape (N,).
+
+    Args:
+        kind: "quiet" has noise that falls with frequency, and hum; "noise" is white, pink or of a
+            fan with its blades; "speech" and "music" have a little of the first below them.
+        seconds: how long.
+        rate_hz: of its samples.
+        rng: draws it.
+    """
+    count = int(seconds * rate_hz)
+    if kind == "noise":
+        noise = coloured_noise(count, rate_hz, rng.choice([0.0, 0.5, 1.0]), rng)
+        if rng.random() < 0.4:
+            time = np.arange(count) / rate_hz
+            blades = 1 + 0.5 * np.sin(2 * np.pi * rng.uniform(20, 90) * time)
+            noise = noise * blades
+        return noise
+    room = coloured_noise(count, rate_hz, rng.uniform(0.5, 1.0), rng)
+    room += rng.uniform(0.0, 1.0) * hum(count, rate_hz, rng)
+    if kind == "quiet":
+        return room
+    made = (speech if kind == "speech" else music)(seconds, rate_hz, rng)[:count]
+    loud = np.sqrt(np.mean(made**2))
+    return made + loud * 10 ** (-rng.uniform(20, 35) / 20) * room / np.sqrt(np.mean(room**2))
+
+
+def coloured_noise(count: int, rate_hz: float, fall: float, rng: np.random.Generator) -> Array:
+    """Synthesise noise with amplitude f^-`fall`: 0 is white, .5 pink, 1 brown."""
+    spectrum = np.fft.rfft(rng.standard_normal(count))
+    hz = np.fft.rfftfreq(count, 1 / rate_hz)
+    return np.fft.irfft(spectrum * np.maximum(hz, 30.0) ** -fall, count) * 30.0**fall
+
+
+def hum(count: int, rate_hz: float, rng: np.random.Generator) -> Array:
+    """Synthesise mains hum with harmonics, about as strong as 1."""
+    time = np.arange(count) / rate_hz
+    mains_hz = rng.choice([50.0, 60.0])
+    turns = rng.uniform(0, 2 * np.pi, 6)
+    return sum(
+        (
+            np.sin(2 * np.pi * mains_hz * number * time + turn) / number
+            for number, turn in enumerate(turns, 1)
+        ),
+        start=np.zeros(count),
+    )
+
+
+# ---- Balls and tables that sound: sizes, masses, contacts, and the modes that ring.
+
+
+Range = tuple[float, float]
+
+_AIR_KG_M3 = 1.2
+
+
+@dataclass(frozen=True)
+class SoundingBall:
+    """Kind of ball.
+
+    Attributes:
+        name: in tables.
+        diameter_m: range that one is drawn from.
+        density_kg_m3: of the whole ball, likewise.
+        drag_coefficient: Cd at the speeds of a drop.
+        contact_s: range of a contact's duration at 1 m/s.
+        strike_s: range of the time in which a touch gets to its full strength.
+        ball_hz: range of the ball's own modes.
+        ball_ring_s: range of the time in which one falls to 1/e.
+        slap: range of the strength of the noise of the touch, over the modes'.
+    """
+
+    name: str
+    diameter_m: Range
+    density_kg_m3: Range
+    drag_coefficient: float
+    contact_s: Range
+    strike_s: Range
+    ball_hz: Range
+    ball_ring_s: Range
+    slap: Range
+
+
+# Contacts from .3 to 8 ms, drags from .0013 to .13 per m.
+SOUNDING_BALLS = (
+    SoundingBall(
+        *("table tennis", (0.0398, 0.0402), (79.0, 82.5), 0.47, (0.0008, 0.0013)),
+        *((0.0001, 0.0003), (4500.0, 9500.0), (0.001, 0.004), (0.3, 1.0)),
+    ),
+    SoundingBall(
+        *("golf", (0.0427, 0.0430), (1090.0, 1128.0), 0.50, (0.0005, 0.0008)),
+        *((0.0001, 0.0003), (2500.0, 8000.0), (0.001, 0.004), (0.2, 0.8)),
+    ),
+    SoundingBall(
+        *("tennis", (0.0654, 0.0686), (355.0, 385.0), 0.55, (0.0045, 0.0065)),
+        *((0.0003, 0.0010), (250.0, 1400.0), (0.003, 0.012), (0.5, 1.5)),
+    ),
+    SoundingBall(
+        *("racquetball", (0.0567, 0.0577), (395.0, 415.0), 0.47, (0.0045, 0.0080)),
+        *((0.0003, 0.0010), (300.0, 1800.0), (0.003, 0.012), (0.5, 1.5)),
+    ),
+    SoundingBall(
+        *("steel", (0.012, 0.040), (7750.0, 7900.0), 0.47, (0.0003, 0.0004)),
+        *((0.00005, 0.0002), (9000.0, 16000.0), (0.0005, 0.002), (0.1, 0.6)),
+    ),
+    SoundingBall(
+        *("marble", (0.014, 0.025), (2450.0, 2550.0), 0.47, (0.0003, 0.0004)),
+        *((0.00005, 0.0002), (7000.0, 16000.0), (0.0005, 0.002), (0.1, 0.6)),
+    ),
+    SoundingBall(
+        *("rubber", (0.025, 0.050), (1000.0, 1250.0), 0.47, (0.0025, 0.0050)),
+        *((0.0002, 0.0008), (500.0, 3000.0), (0.002, 0.008), (0.4, 1.2)),
+    ),
+    SoundingBall(
+        *("wood", (0.025, 0.060), (600.0, 800.0), 0.47, (0.0005, 0.0010)),
+        *((0.0001, 0.0004), (1500.0, 6000.0), (0.001, 0.004), (0.2, 0.8)),
+    ),
+    SoundingBall(
+        *("hollow plastic", (0.060, 0.075), (100.0, 150.0), 0.50, (0.0020, 0.0040)),
+        *((0.0002, 0.0006), (700.0, 4000.0), (0.002, 0.010), (0.3, 1.0)),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class SoundingTable:
+    """Kind of table or floor.
+
+    Attributes:
+        name: for a reader.
+        modes: how many there are, at least and at most.
+        table_hz: range of their frequencies.
+        table_ring_s: range of the time in which one falls to 1/e.
+    """
+
+    name: str
+    modes: tuple[int, int]
+    table_hz: Range
+    table_ring_s: Range
+
+
+SOUNDING_TABLES = (
+    SoundingTable("wooden table", (8, 14), (120.0, 3500.0), (0.006, 0.040)),
+    SoundingTable("laminate floor", (8, 14), (150.0, 2500.0), (0.004, 0.025)),
+    SoundingTable("stone", (5, 10), (700.0, 9000.0), (0.001, 0.010)),
+    SoundingTable("glass", (5, 10), (500.0, 7000.0), (0.010, 0.080)),
+    SoundingTable("metal plate", (8, 14), (300.0, 6000.0), (0.030, 0.150)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactVoice:
+    """Sound of one ball on one table.
+
+    Attributes:
+        modes_hz: frequencies, shape (M,).
+        rings_s: time in which each falls to 1/e, shape (M,).
+        gains: of each in an impact at 1 m/s, before the strike's own low pass, shape (M,).
+        strike_s: in which a touch at 1 m/s gets to its full strength.
+        slap_gain: of the noise of the touch.
+        slap_s: in which that falls to 1/e.
+        slap_hz: its band.
+        loudness: power of the speed that all grows with.
+        uneven: by which the strength of each mode differs from impact to impact (log, one sd).
+    """
+
+    modes_hz: Array
+    rings_s: Array
+    gains: Array
+    strike_s: float
+    slap_gain: float
+    slap_s: float
+    slap_hz: Range
+    loudness: float
+    uneven: float
+
+
+@dataclass(frozen=True)
+class SampledBall:
+    """One ball of a kind.
+
+    Attributes:
+        kind: its name.
+        told: what a user can say of it: size and mass of the kind's middle.
+        drag_1_m: of this one.
+        contact_s: of it at 1 m/s.
+    """
+
+    kind: str
+    told: Ball
+    drag_1_m: float
+    contact_s: float
+
+
+# By which a ball's drag differs from what its size and mass say (log, one sd): seams, nap, air.
+_DRAG_SD = 0.05
+
+
+def draw_ball(kind: SoundingBall, rng: np.random.Generator) -> SampledBall:
+    """Draw a ball of this kind: a user weighs and measures it to 1 %."""
+    diameter_m = float(rng.uniform(*kind.diameter_m))
+    mass_kg = float(rng.uniform(*kind.density_kg_m3)) * np.pi / 6 * diameter_m**3
+    area_m2 = np.pi / 4 * diameter_m**2
+    drag = _AIR_KG_M3 * kind.drag_coefficient * area_m2 / (2 * mass_kg)
+    off = np.exp(rng.normal(0.0, [0.01, 0.01, _DRAG_SD]))
+    told = Ball(float(diameter_m * off[0]), float(mass_kg * off[1]), kind.drag_coefficient)
+    contact_s = float(np.exp(rng.uniform(*np.log(kind.contact_s))))
+    return SampledBall(kind.name, told, float(drag * off[2]), contact_s)
+
+
+def draw_voice(
+    kind: SoundingBall, table: SoundingTable, loudness: float, rng: np.random.Generator
+) -> ImpactVoice:
+    """Draw the sound of a ball of this kind on such a table."""
+    of_ball, of_table = int(rng.integers(3, 7)), int(rng.integers(*table.modes, endpoint=True))
+    hz = np.concatenate(
+        [_log_drawn(kind.ball_hz, of_ball, rng), _log_drawn(table.table_hz, of_table, rng)]
+    )
+    rings = np.concatenate(
+        [_log_drawn(kind.ball_ring_s, of_ball, rng), _log_drawn(table.table_ring_s, of_table, rng)]
+    )
+    gains = np.exp(rng.normal(0.0, 0.6, of_ball + of_table)) * rng.choice([-1.0, 1.0], len(hz))
+    gains[:of_ball] *= rng.uniform(0.2, 1.5)
+    gains /= np.sqrt(np.sum(gains**2))
+    return ImpactVoice(
+        modes_hz=hz,
+        rings_s=rings,
+        gains=gains,
+        strike_s=float(_log_drawn(kind.strike_s, 1, rng)[0]),
+        slap_gain=float(rng.uniform(*kind.slap)),
+        slap_s=float(rng.uniform(0.0008, 0.004)),
+        slap_hz=(float(rng.uniform(600, 2000)), float(rng.uniform(4000, 12000))),
+        loudness=loudness,
+        uneven=float(rng.uniform(0.05, 0.25)),
+    )
+
+
+def _log_drawn(ends: Range, count: int, rng: np.random.Generator) -> Array:
+    return np.exp(rng.uniform(np.log(ends[0]), np.log(ends[1]), count))
+
+
+# ---- Impact sounds: damped modes and the noise of a touch.
+
+
+# A strike gets to its full strength in a time that goes as the speed to this power: fast impacts
+# are brighter.
+_BRIGHTER = -0.3
+
+_MAX_RING_S = 1.2  # of an impact's sound
+_RINGS = 7.0  # a mode is followed for so many of its times, but no longer
+
+
+def add_impacts(
+    samples: Array,
+    rate_hz: float,
+    voice: ImpactVoice,
+    impacts: Iterable[tuple[float, float]],
+    rng: np.random.Generator,
+) -> None:
+    """Add impacts, each (onset [s], speed [m/s]), to a sound in place, shape (N,)."""
+    for begins_s, speed_m_s in impacts:
+        first = int(np.ceil(begins_s * rate_hz))
+        last = min(len(samples), first + int(_MAX_RING_S * rate_hz))
+        uneven = np.exp(rng.normal(0.0, voice.uneven, len(voice.gains)))
+        overall = np.exp(rng.normal(0.0, 0.1))
+        slap_seed = int(rng.integers(2**31))
+        if first >= last or first < 0:
+            continue
+        seconds = np.arange(first, last) / rate_hz - begins_s
+        sound = _one(voice, seconds, rate_hz, speed_m_s, uneven, slap_seed)
+        samples[first:last] += overall * speed_m_s**voice.loudness * sound
+
+
+def _one(
+    voice: ImpactVoice,
+    seconds: Array,
+    rate_hz: float,
+    speed_m_s: float,
+    uneven: Array,
+    slap_seed: int,
+) -> Array:
+    """Synthesise one impact at times after its touch, shape (T,), without its loudness."""
+    strike_s = voice.strike_s * speed_m_s**_BRIGHTER
+    part = np.clip(seconds / strike_s, 0.0, 1.0)
+    strength = part * part * (3 - 2 * part)
+    sound = np.zeros(len(seconds))
+    for hz, ring_s, gain in zip(voice.modes_hz, voice.rings_s, voice.gains * uneven, strict=True):
+        if hz > 0.47 * rate_hz:
+            continue
+        heard = seconds[: int(_RINGS * ring_s * rate_hz) + 1]
+        dulled = gain / (1 + (hz * strike_s) ** 2)
+        sound[: len(heard)] += dulled * np.exp(-heard / ring_s) * np.sin(2 * np.pi * hz * heard)
+    noise = _slap(voice, seconds[: int(8 * voice.slap_s * rate_hz) + 1], rate_hz, slap_seed)
+    sound[: len(noise)] += noise
+    return strength * sound
+
+
+def _slap(voice: ImpactVoice, seconds: Array, rate_hz: float, seed: int) -> Array:
+    from scipy.signal import butter, sosfilt
+
+    low, high = voice.slap_hz
+    band = butter(1, [low, min(high, 0.45 * rate_hz)], "bandpass", fs=rate_hz, output="sos")
+    white = np.random.default_rng(seed).standard_normal(len(seconds) + 200)
+    noise = np.asarray(sosfilt(band, white))[200:]
+    return voice.slap_gain * noise * np.exp(-seconds / voice.slap_s)
+
+
+# ---- Loudness: impacts beside the background.
+
+
+OCTAVES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)  # middles of bands an octave wide
+WINDOW_S = 0.02
+
+
+def impact_ratio(foreground: Array, background: Array, rate_hz: float, impacts_s: Array) -> float:
+    """Return the signal-to-noise ratio of a bounce [dB].
+
+    Of the impacts, the one of median power in its first 20 ms is taken, and the octave in which it
+    has most power in that time. The ratio is that power over the background's mean power in the
+    same octave. An ear that listens there hears that impact at this ratio, louder ones better.
+
+    Args:
+        foreground: the ball alone, as recorded, shape (N,).
+        background: the rest, shape (N,).
+        rate_hz: of both.
+        impacts_s: when the sound of each impact begins, after the first sample.
+    """
+    count = int(WINDOW_S * rate_hz)
+    windows = [foreground[(at := int(time * rate_hz)) : at + count] for time in impacts_s]
+    powers = np.array([float(np.mean(window**2)) for window in windows])
+    middle = windows[int(np.argsort(powers)[(len(powers) - 1) // 2])]
+    bands = np.array([_power(middle, rate_hz, hz) for hz in OCTAVES_HZ])
+    loudest = int(np.argmax(bands))
+    below = max(_power(background, rate_hz, OCTAVES_HZ[loudest]), 1e-30)
+    return float(10 * np.log10(bands[loudest] / below))
+
+
+def _power(samples: Array, rate_hz: float, middle_hz: float) -> float:
+    """Return the mean power in an octave (by Parseval's theorem)."""
+    power = np.abs(np.fft.rfft(samples)) ** 2
+    hz = np.fft.rfftfreq(len(samples), 1 / rate_hz)
+    inside = (hz >= middle_hz / np.sqrt(2)) & (hz < middle_hz * np.sqrt(2))
+    return float(2 * power[inside].sum() / len(samples) ** 2)
+
+
+# ---- A room, a microphone and a phone's electronics.
+
+
+_BLOCK = 64  # samples that automatic gain is the same for, before it is smoothed
+
+
+@dataclass(frozen=True)
+class SoundRoom:
+    """Room and where the microphone stands in it.
+
+    Attributes:
+        echo_s: time in which echoes fall by 60 dB.
+        direct_db: power of the direct sound over that of the echo's tail.
+        reflections: how many come one by one.
+        seed: of them.
+    """
+
+    echo_s: float
+    direct_db: float
+    reflections: int
+    seed: int
+
+    def response(self, rate_hz: float) -> Array:
+        """Return the impulse response; the direct sound is its first sample, of 1."""
+        rng = np.random.default_rng(self.seed)
+        count = int(min(self.echo_s, 0.9) * rate_hz)
+        seconds = np.arange(count) / rate_hz
+        tail = rng.standard_normal(count) * 10 ** (-3 * seconds / self.echo_s)
+        tail *= np.clip((seconds - 0.004) / 0.012, 0.0, 1.0)
+        smooth = rng.uniform(0.1, 0.6)  # walls take more of high notes
+        tail[1:] = (1 - smooth) * tail[1:] + smooth * tail[:-1]
+        tail *= np.sqrt(10 ** (-self.direct_db / 10) / np.sum(tail**2))
+        tail[0] = 1.0
+        for _ in range(self.reflections):
+            at_s = rng.uniform(0.0015, 0.03)
+            gain = rng.uniform(0.1, 0.5) * rng.choice([-1.0, 1.0], p=[0.2, 0.8])
+            exact = at_s * rate_hz
+            whole, part = int(exact), exact - int(exact)
+            tail[whole] += gain * (1 - part)
+            tail[whole + 1] += gain * part
+        return tail
+
+    def heard(self, samples: Array, rate_hz: float) -> Array:
+        """Convolve a sound with this room, as long as before."""
+        from scipy.signal import fftconvolve
+
+        return fftconvolve(samples, self.response(rate_hz))[: len(samples)]
+
+
+def draw_room(rng: np.random.Generator) -> SoundRoom:
+    """Draw any room, the phone up to a few steps from the ball."""
+    return SoundRoom(
+        echo_s=float(rng.uniform(0.2, 0.8)),
+        direct_db=float(rng.uniform(0.0, 15.0)),
+        reflections=int(rng.integers(2, 8)),
+        seed=int(rng.integers(2**31)),
+    )
+
+
+@dataclass(frozen=True)
+class SoundPhone:
+    """Microphone and electronics of a phone.
+
+    Attributes:
+        low_hz: lower end of its band.
+        high_hz: upper end.
+        peak: loudest sample of what it records, of full scale; over 1 is clipped.
+        gain_ratio: compression of its automatic gain; 1 for none.
+        release_s: in which that gain comes back.
+    """
+
+    low_hz: float
+    high_hz: float
+    peak: float
+    gain_ratio: float = 1.0
+    release_s: float = 0.5
+
+    def band(self, samples: Array, rate_hz: float) -> Array:
+        """Apply the microphone's band-pass filter; causal, as every microphone."""
+        from scipy.signal import butter, sosfilt
+
+        high = min(self.high_hz, 0.46 * rate_hz)
+        sections = butter(2, [self.low_hz, high], "bandpass", fs=rate_hz, output="sos")
+        return np.asarray(sosfilt(sections, samples))
+
+    def recorded(self, samples: Array, rate_hz: float) -> Array:
+        """Apply gain, full scale and 16 bits."""
+        if self.gain_ratio > 1:
+            samples = samples * _automatic_gain(samples, rate_hz, self.gain_ratio, self.release_s)
+        loudest = float(np.max(np.abs(samples), initial=1e-9))
+        clipped = np.clip(self.peak / loudest * samples, -1.0, 32767 / 32768)
+        return np.round(clipped * 32768) / 32768
+
+
+def _automatic_gain(samples: Array, rate_hz: float, ratio: float, release_s: float) -> Array:
+    """Return a gain for each sample that falls within 5 ms and comes back slowly."""
+    count = -(-len(samples) // _BLOCK)
+    padded = np.pad(np.abs(samples), (0, count * _BLOCK - len(samples)))
+    peaks = padded.reshape(count, _BLOCK).max(axis=1)
+    up = np.exp(-_BLOCK / rate_hz / 0.005)
+    down = np.exp(-_BLOCK / rate_hz / release_s)
+    floor = 0.02 * float(peaks.max(initial=1e-9))
+    level, levels = floor, np.empty(count)
+    for at, peak in enumerate(np.maximum(peaks, floor).tolist()):
+        keep = up if peak > level else down
+        level = keep * level + (1 - keep) * peak
+        levels[at] = level
+    gains = (levels / floor) ** (1 / ratio - 1)
+    middles = (np.arange(count) + 1.0) * _BLOCK  # what a block's gain is known from lies before it
+    return np.interp(np.arange(len(samples)), middles, gains)
+
+
+def draw_phone(rng: np.random.Generator) -> SoundPhone:
+    """Draw any phone: a fourth with automatic gain, a sixth of them overdriven."""
+    clips = rng.random() < 1 / 6
+    return SoundPhone(
+        low_hz=float(rng.uniform(60.0, 200.0)),
+        high_hz=float(rng.uniform(10000.0, 18000.0)),
+        peak=float(rng.uniform(1.2, 3.0) if clips else rng.uniform(0.1, 0.95)),
+        gain_ratio=float(rng.uniform(1.5, 4.0)) if rng.random() < 0.25 else 1.0,
+        release_s=float(rng.uniform(0.2, 1.5)),
+    )
+
+
+# ---- Files as users have them: PCM in WAV, or AAC in M4A.
+
+
+AAC_BIT_S = 64_000
+_AAC_SAMPLES = 1024  # of one packet
+
+
+def write_sound(samples: NDArray[np.float32], rate_hz: int, path: Path) -> None:
+    """Write .wav (16 bits) or .m4a (AAC, 64 kbit/s), by the path's end."""
+    data = wav_bytes(samples, rate_hz) if path.suffix == ".wav" else aac_bytes(samples, rate_hz)
+    path.write_bytes(data)
+
+
+def wav_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
+    """Encode a WAV file of 16 bits, one channel."""
+    import wave
+
+    whole = np.clip(np.round(samples.astype(np.float64) * 32768), -32768, 32767).astype("<i2")
+    held = io.BytesIO()
+    with wave.open(held, "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(rate_hz)
+        file.writeframes(whole.tobytes())
+    return held.getvalue()
+
+
+def aac_bytes(samples: NDArray[np.float32], rate_hz: int) -> bytes:
+    """Encode an M4A file, with the encoder's priming before the first sample, as phones do."""
+    import av
+
+    held = io.BytesIO()
+    with av.open(held, "w", format="mp4") as container:
+        stream: Any = container.add_stream("aac", rate=rate_hz)
+        stream.bit_rate = AAC_BIT_S
+        stream.layout = "mono"
+        add_sound(container, stream, samples, rate_hz)
+    return held.getvalue()
+
+
+def add_sound(
+    container: Any, stream: Any, samples: NDArray[np.float32], rate_hz: int, at: int = 0
+) -> None:
+    """Encode a sound, shape (N,), into an open PyAV container."""
+    import av
+
+    for start in range(0, len(samples), _AAC_SAMPLES):
+        piece = np.ascontiguousarray(samples[None, start : start + _AAC_SAMPLES], np.float32)
+        frame = av.AudioFrame.from_ndarray(piece, format="fltp", layout="mono")
+        frame.sample_rate, frame.pts = rate_hz, at + start
+        container.mux(stream.encode(frame))
+    container.mux(stream.encode(None))
+
+
+def through_aac(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float32]:
+    """Pass a sound through AAC: as long as before, at the same times."""
+    import av
+
+    heard = np.zeros(len(samples), np.float32)
+    with av.open(io.BytesIO(aac_bytes(samples, rate_hz)), "r") as container:
+        for frame in container.decode(audio=0):
+            assert frame.pts is not None
+            assert frame.time_base is not None
+            start = round(float(frame.pts * frame.time_base) * rate_hz)
+            piece = frame.to_ndarray()[0]
+            low, high = max(start, 0), min(start + len(piece), len(heard))
+            if low < high:
+                heard[low:high] = piece[low - start : high - start]
+    return np.clip(heard, -1.0, 1.0)
+
+
+# ---- A bounce drawn at random, as a phone hears it, with the truth behind it.
+
+
+Codec = Literal["pcm", "aac"]
+
+RESTITUTIONS = (0.5, 0.95)
+SLOPES = (0.0, 0.15)
+HEIGHTS_M = (0.3, 1.5)
+SNRS_DB = (20.0, 40.0)  # drawn evenly, where no ratio is asked for
+MIN_IMPACTS, MAX_IMPACTS = 5, 14  # of the impacts that are loud enough, those that are recorded
+FAINTEST = 10**-1.5  # an impact counts as audible down to 30 dB below the loudest
+_BOUNCE_SEEDS = 1_000_000  # added to a seed: negative is for choosing, positive for reporting
+RATES_HZ = (44_100, 48_000)
+SPEED_OF_SOUND_M_S = 343.0
+_LOUDNESS = (1.2, 1.8)
+_LEAD_S = (0.2, 1.2)
+_DISTANCE_M = (0.15, 1.5)
+_WALK_M_S = 0.03  # standard deviation of the speed by which the ball comes nearer or goes away
+_MAX_BOUNCE_S = 10.0  # from the release to the end of a recording
+
+
+@dataclass(frozen=True, eq=False)
+class SoundScene:
+    """Bounce and where it is heard, before any background.
+
+    Attributes:
+        ball: what bounces.
+        table: on what, its name.
+        history: the bounce.
+        voice: how they sound together.
+        room: around them.
+        phone: that records.
+        audible: how many impacts are recorded and at most 30 dB below the loudest.
+        rate_hz: of the samples.
+        release_s: when the ball is let go, after the first sample.
+        lasts_s: length of the recording.
+        distance_m: from ball to microphone at the release.
+        walk_m_s: by which that grows.
+        seed: of what differs from impact to impact.
+    """
+
+    ball: SampledBall
+    table: str
+    history: BounceHistory
+    voice: ImpactVoice
+    room: SoundRoom
+    phone: SoundPhone
+    audible: int
+    rate_hz: int
+    release_s: float
+    lasts_s: float
+    distance_m: float
+    walk_m_s: float
+    seed: int
+
+    @property
+    def touches_s(self) -> Array:
+        """Start of each contact after the first sample, to the end of the recording."""
+        touches = self.release_s + self.history.touches_s
+        return touches[touches < self.lasts_s]
+
+    @property
+    def impacts_s(self) -> Array:
+        """Arrival of each contact's sound at the microphone, after the first sample."""
+        away_m = self.distance_m + self.walk_m_s * (self.touches_s - self.release_s)
+        return self.touches_s + np.maximum(away_m, 0.05) / SPEED_OF_SOUND_M_S
+
+    def foreground(self) -> Array:
+        """Synthesise the ball alone, in its room, by the phone's microphone, shape (N,)."""
+        samples = np.zeros(int(self.lasts_s * self.rate_hz))
+        impacts = zip(self.impacts_s, self.history.speeds_m_s, strict=False)
+        add_impacts(samples, self.rate_hz, self.voice, impacts, np.random.default_rng(self.seed))
+        return self.phone.band(self.room.heard(samples, self.rate_hz), self.rate_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class SoundClip:
+    """Recording and its truth.
+
+    Attributes:
+        samples: full scale 1, shape (N,).
+        rate_hz: of them.
+        scene: the bounce.
+        background: what else is heard.
+        snr_db: see `impact_ratio`.
+        codec: that the samples went through.
+    """
+
+    samples: NDArray[np.float32]
+    rate_hz: int
+    scene: SoundScene
+    background: Background
+    snr_db: float
+    codec: Codec
+
+    @property
+    def impacts_s(self) -> Array:
+        """Arrival of each impact's sound, after the first sample, shape (N,)."""
+        return self.scene.impacts_s
+
+    @property
+    def restitutions(self) -> Array:
+        """Restitution of each impact, shape (N,)."""
+        return self.scene.history.restitutions[: len(self.impacts_s)]
+
+    @property
+    def contacts_s(self) -> Array:
+        """Duration of each contact, shape (N,)."""
+        return self.scene.history.contacts_s[: len(self.impacts_s)]
+
+    @property
+    def ball_name(self) -> str:
+        """Kind of ball."""
+        return self.scene.ball.kind
+
+    @property
+    def drag_1_m(self) -> float:
+        """Drag deceleration over speed squared."""
+        return self.scene.history.order.drag_1_m
+
+    @property
+    def height_m(self) -> float:
+        """Height of the fall."""
+        return self.scene.history.order.height_m
+
+    def write(self, path: Path) -> None:
+        """Write as .wav or .m4a; the first as it is, the second encoded (once more, if it was)."""
+        write_sound(self.samples, self.rate_hz, path)
+
+    def sound(self, name: str = "/audio", start_ns: int = 0) -> Sound:
+        """Return the sound in memory, as a reader gives it."""
+        return Sound(
+            name=name,
+            start_ns=start_ns,
+            rate_hz=float(self.rate_hz),
+            samples=self.samples,
+            file_rate_hz=float(self.rate_hz),
+            codec="pcm_s16le" if self.codec == "pcm" else "aac",
+        )
+
+
+def draw_sound(
+    seed: int,
+    number: int,
+    *,
+    background: Background | None = None,
+    snr_db: float | None = None,
+    codec: Codec = "pcm",
+    uneven: float = 0.0,
+) -> SoundClip:
+    """Draw clip `number` of a seed: the same bounce for any background, ratio and codec."""
+    rng = np.random.default_rng([_BOUNCE_SEEDS + seed, number, *b"bounce"])
+    scene = draw_scene(rng, uneven=uneven)
+    rng = np.random.default_rng([_BOUNCE_SEEDS + seed, number, *b"background"])
+    drawn = BACKGROUNDS[int(rng.integers(len(BACKGROUNDS)))]
+    ratio_db = float(rng.uniform(*SNRS_DB))
+    return recorded(
+        scene,
+        drawn if background is None else background,
+        ratio_db if snr_db is None else snr_db,
+        codec,
+        int(rng.integers(2**31)),
+    )
+
+
+def recorded(
+    scene: SoundScene, background: Background, snr_db: float, codec: Codec, seed: int
+) -> SoundClip:
+    """Mix a bounce with a background, and record it by the phone."""
+    rate_hz, lasts_s = scene.rate_hz, scene.lasts_s
+    foreground = scene.foreground()
+    other = background_sound(background, lasts_s, rate_hz, np.random.default_rng(seed))
+    other = scene.phone.band(other[: len(foreground)], rate_hz)
+    heard = scene.impacts_s[: scene.audible]
+    off_db = impact_ratio(foreground, other, rate_hz, heard) - snr_db
+    mixed = foreground + 10 ** (off_db / 20) * other
+    samples = scene.phone.recorded(mixed, rate_hz).astype(np.float32)
+    if codec == "aac":
+        samples = through_aac(samples, rate_hz)
+    samples.flags.writeable = False
+    return SoundClip(samples, rate_hz, scene, background, snr_db, codec)
+
+
+def draw_scene(
+    rng: np.random.Generator, lasts_s: float | None = None, uneven: float = 0.0
+) -> SoundScene:
+    """Draw any ball on any table that is heard at least five times.
+
+    Args:
+        rng: draws it.
+        lasts_s: of the recording after the release; None to end it after 5 to 14 audible impacts.
+        uneven: see `BounceOrder`.
+    """
+    while True:
+        kind = SOUNDING_BALLS[int(rng.integers(len(SOUNDING_BALLS)))]
+        table = SOUNDING_TABLES[int(rng.integers(len(SOUNDING_TABLES)))]
+        ball = draw_ball(kind, rng)
+        order = BounceOrder(
+            float(rng.uniform(*HEIGHTS_M)),
+            float(rng.uniform(*RESTITUTIONS)),
+            float(rng.uniform(*SLOPES)),
+            ball.drag_1_m,
+            ball.contact_s,
+            uneven,
+            int(rng.integers(2**31)) if uneven else 0,
+        )
+        loudness = float(rng.uniform(*_LOUDNESS))
+        history = bounced(order)
+        loud = history.speeds_m_s**loudness
+        audible = int(np.count_nonzero(loud > FAINTEST * loud[0]))
+        release_s = float(rng.uniform(*_LEAD_S))
+        most = int(rng.integers(MIN_IMPACTS, MAX_IMPACTS + 1))
+        end_s = lasts_s or _end_s(history, min(audible, most), rng)
+        audible = min(audible, int(np.count_nonzero(history.touches_s < end_s - 0.02)))
+        scene = SoundScene(
+            ball=ball,
+            table=table.name,
+            history=history,
+            voice=draw_voice(kind, table, loudness, rng),
+            room=draw_room(rng),
+            phone=draw_phone(rng),
+            audible=audible,
+            rate_hz=int(rng.choice(RATES_HZ)),
+            release_s=release_s,
+            lasts_s=release_s + end_s,
+            distance_m=float(rng.uniform(*_DISTANCE_M)),
+            walk_m_s=float(rng.normal(0.0, _WALK_M_S)),
+            seed=int(rng.integers(2**31)),
+        )
+        if audible >= MIN_IMPACTS:
+            return scene
+
+
+def _end_s(history: BounceHistory, count: int, rng: np.random.Generator) -> float:
+    """Draw the end of the recording after the release: in the flight after so many impacts."""
+    touches = history.touches_s
+    if count < len(touches):
+        flight = touches[count] - touches[count - 1]
+        return float(min(touches[count - 1] + rng.uniform(0.4, 0.95) * flight, _MAX_BOUNCE_S))
+    return float(min(touches[-1] + rng.uniform(0.3, 1.0), _MAX_BOUNCE_S))
+
+
+# ---- Sounds that are no bounce of one ball, and must not be taken for one.
+
+
+_LASTS_S = (3.0, 8.0)
+_RATE_HZ = 48_000
+_NO_BOUNCE_SEEDS = 2_000_000
+
+# What strikes, in place of a ball: only its modes and its slap count.
+_HAND = SoundingBall(
+    *("hand", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
+    *((0.0003, 0.001), (500.0, 2500.0), (0.001, 0.006), (1.0, 3.0)),
+)
+_HEEL = SoundingBall(
+    *("heel", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
+    *((0.0005, 0.003), (80.0, 600.0), (0.004, 0.02), (0.1, 0.6)),
+)
+_KEY = SoundingBall(
+    *("key", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
+    *((0.0001, 0.0004), (1500.0, 7000.0), (0.001, 0.006), (0.3, 1.0)),
+)
+_DROP = SoundingBall(
+    *("drop", (0.1, 0.1), (1000.0, 1000.0), 0.5, (0.004, 0.004)),
+    *((0.0001, 0.0006), (800.0, 9000.0), (0.0005, 0.004), (0.5, 2.0)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class NoBounce:
+    """Recording of something else.
+
+    Attributes:
+        kind: one of `NO_BOUNCES`.
+        samples: full scale 1, shape (N,).
+        rate_hz: of them.
+        codec: that they went through: "pcm" or "aac".
+    """
+
+    kind: str
+    samples: NDArray[np.float32]
+    rate_hz: int
+    codec: str
+
+    def write(self, path: Path) -> None:
+        """Write as .wav or .m4a."""
+        write_sound(self.samples, self.rate_hz, path)
+
+    def sound(self, name: str = "/audio", start_ns: int = 0) -> Sound:
+        """Return the sound in memory, as a reader gives it."""
+        rate_hz = float(self.rate_hz)
+        return Sound(name, start_ns, rate_hz, self.samples, rate_hz, codec=self.codec)
+
+
+# From the length [s] and random numbers, a sound before room and microphone.
+Maker = Callable[[float, np.random.Generator], Array]
+
+
+def _struck(
+    striker: SoundingBall,
+    events: list[tuple[float, float]],
+    lasts_s: float,
+    rng: np.random.Generator,
+) -> Array:
+    """Synthesise strikes at these times [s] with these speeds [m/s]."""
+    voice = _voice(striker, SOUNDING_TABLES[int(rng.integers(len(SOUNDING_TABLES)))], rng)
+    samples = np.zeros(int(lasts_s * _RATE_HZ))
+    add_impacts(samples, _RATE_HZ, voice, events, rng)
+    return samples
+
+
+def _voice(striker: SoundingBall, table: SoundingTable, rng: np.random.Generator) -> ImpactVoice:
+    return replace(draw_voice(striker, table, 1.5, rng), uneven=float(rng.uniform(0.15, 0.4)))
+
+
+def _beats(
+    lasts_s: float, period_s: float, jitter_s: float, uneven: float, rng: np.random.Generator
+) -> list[tuple[float, float]]:
+    """Draw times about a period apart, and speeds."""
+    events: list[tuple[float, float]] = []
+    at_s = rng.uniform(0.2, 0.8)
+    while at_s < lasts_s - 0.1:
+        events.append((at_s, float(np.exp(rng.normal(0.0, uneven)))))
+        at_s += max(period_s + rng.normal(0.0, jitter_s), 0.05)
+    return events
+
+
+def _claps(lasts_s: float, rng: np.random.Generator) -> Array:
+    """Synthesise claps, even, or faster and faster."""
+    events = _beats(lasts_s, rng.uniform(0.25, 0.7), rng.uniform(0.003, 0.03), 0.2, rng)
+    if rng.random() < 0.4:
+        begins_s, shorter = events[0][0], rng.uniform(0.85, 0.97)
+        gaps = rng.uniform(0.4, 0.8) * shorter ** np.arange(30) * rng.normal(1, 0.02, 30)
+        times = begins_s + np.cumsum(gaps)
+        events = [(float(t), float(np.exp(rng.normal(0, 0.2)))) for t in times if t < lasts_s - 0.1]
+    return _struck(_HAND, events, lasts_s, rng)
+
+
+def _dribble(lasts_s: float, rng: np.random.Generator) -> Array:
+    """Synthesise a dribbled ball; the hand is heard, too, in some."""
+    period_s = rng.uniform(0.35, 0.8)
+    touches = _beats(lasts_s, period_s, rng.uniform(0.01, 0.05), 0.12, rng)
+    kind = SOUNDING_BALLS[int(rng.choice([2, 3, 6, 8]))]
+    sound = _struck(kind, touches, lasts_s, rng)
+    if rng.random() < 0.6:
+        pats = [(at + rng.uniform(0.35, 0.6) * period_s, 0.4 * hard) for at, hard in touches]
+        sound += _struck(_HAND, pats, lasts_s, rng)
+    return sound
+
+
+def _two_balls(lasts_s: float, rng: np.random.Generator) -> Array:
+    """Synthesise two balls, released within six tenths of a second, of similar loudness."""
+    samples = np.zeros(int((lasts_s + 1.0) * _RATE_HZ))
+    later_s = 0.0
+    for _ in range(2):
+        scene = draw_scene(rng, lasts_s)
+        one = np.zeros_like(samples)
+        begins = scene.history.touches_s + 0.4 + later_s
+        speeds = scene.history.speeds_m_s
+        add_impacts(one, _RATE_HZ, scene.voice, zip(begins, speeds, strict=True), rng)
+        samples += one / np.max(np.abs(one)) * 10 ** (rng.uniform(-6, 0) / 20)
+        later_s = rng.uniform(0.02, 0.6)
+    return samples[: int(lasts_s * _RATE_HZ)]
+
+
+def _metronome(lasts_s: float, rng: np.random.Generator) -> Array:
+    period_s = 60 / rng.uniform(60, 208)
+    return _struck(_KEY, _beats(lasts_s, period_s, 0.00005, 0.02, rng), lasts_s, rng)
+
+
+def _footsteps(lasts_s: float, rng: np.random.Generator) -> Array:
+    """Synthesise steps, each a heel and a sole; somebody comes or goes."""
+    steps = _beats(lasts_s, rng.uniform(0.4, 0.65), 0.015, 0.2, rng)
+    nearer = rng.uniform(-0.4, 0.4)
+    heels = [(at, hard * float(np.exp(nearer * (at - lasts_s / 2)))) for at, hard in steps]
+    soles = [(at + rng.uniform(0.06, 0.12), 0.5 * hard) for at, hard in heels]
+    return _struck(_HEEL, heels, lasts_s, rng) + _struck(_HEEL, soles, lasts_s, rng)
+
+
+def _knocking(lasts_s: float, rng: np.random.Generator) -> Array:
+    """Synthesise groups of three to six knocks."""
+    events: list[tuple[float, float]] = []
+    at_s = rng.uniform(0.2, 1.0)
+    while at_s < lasts_s - 0.2:
+        period_s = rng.uniform(0.12, 0.35)
+        for _ in range(int(rng.integers(3, 7))):
+            events.append((at_s, float(np.exp(rng.normal(0, 0.2)))))
+            at_s += period_s * rng.normal(1, 0.06)
+        at_s += rng.uniform(0.6, 2.0)
+    return _struck(_HAND, events, lasts_s, rng)
+
+
+def _keyboard(lasts_s: float, rng: np.random.Generator) -> Array:
+    """Synthesise keys that go down and up."""
+    events: list[tuple[float, float]] = []
+    at_s = rng.uniform(0.1, 0.6)
+    while at_s < lasts_s - 0.2:
+        hard = float(np.exp(rng.normal(0, 0.4)))
+        events += [(at_s, hard), (at_s + rng.uniform(0.05, 0.12), 0.4 * hard)]
+        at_s += rng.gamma(3.0, 0.06) + (rng.random() < 0.1) * rng.uniform(0.3, 1.0)
+    return _struck(_KEY, sorted(events), lasts_s, rng)
+
+
+def _rain(lasts_s: float, rng: np.random.Generator) -> Array:
+    """Synthesise drops or clicks at random, few or many."""
+    count = rng.poisson(lasts_s * np.exp(rng.uniform(np.log(1.5), np.log(25.0))))
+    times = np.sort(rng.uniform(0.1, lasts_s - 0.1, count))
+    events = [(float(at), float(np.exp(rng.normal(0, 0.5)))) for at in times]
+    return _struck(_DROP, events, lasts_s, rng)
+
+
+def _single(lasts_s: float, rng: np.random.Generator) -> Array:
+    kind = SOUNDING_BALLS[int(rng.integers(len(SOUNDING_BALLS)))]
+    return _struck(kind, [(float(rng.uniform(0.3, lasts_s - 0.5)), 3.0)], lasts_s, rng)
+
+
+def _speech(lasts_s: float, rng: np.random.Generator) -> Array:
+    return speech(lasts_s, _RATE_HZ, rng)
+
+
+def _music(lasts_s: float, rng: np.random.Generator) -> Array:
+    return music(lasts_s, _RATE_HZ, rng)
+
+
+def _nothing(lasts_s: float, rng: np.random.Generator) -> Array:  # noqa: ARG001
+    return np.zeros(int(lasts_s * _RATE_HZ))
+
+
+# By name, what is heard. Of "noise" only the background is, of "silence" nothing at all.
+NO_BOUNCES: dict[str, Maker] = {
+    "speech": _speech,
+    "music": _music,
+    "claps": _claps,
+    "dribble": _dribble,
+    "two balls": _two_balls,
+    "metronome": _metronome,
+    "footsteps": _footsteps,
+    "knocking": _knocking,
+    "keyboard": _keyboard,
+    "rain": _rain,
+    "one impact": _single,
+    "noise": _nothing,
+    "silence": _nothing,
+}
+
+
+def draw_negatives(seed: int, count: int) -> Iterator[NoBounce]:
+    """Yield `count` sounds, of each kind in turn; the same however many are drawn."""
+    for number in range(count):
+        yield draw_negative(seed, number)
+
+
+def draw_negative(seed: int, number: int) -> NoBounce:
+    """Draw sound `number` of a seed, in a room, by a phone, a third of them through AAC."""
+    rng = np.random.default_rng([_NO_BOUNCE_SEEDS + seed, number, *b"no bounce"])
+    kind = list(NO_BOUNCES)[number % len(NO_BOUNCES)]
+    lasts_s = float(rng.uniform(*_LASTS_S))
+    codec = "aac" if rng.random() < 1 / 3 else "pcm"
+    made = NO_BOUNCES[kind](lasts_s, rng)
+    if kind == "silence":
+        return NoBounce(kind, made.astype(np.float32), _RATE_HZ, codec)
+    phone, room = draw_phone(rng), draw_room(rng)
+    heard = phone.band(room.heard(made, _RATE_HZ), _RATE_HZ)
+    behind = "quiet" if kind != "noise" or rng.random() < 0.5 else "noise"
+    other = background_sound(behind, lasts_s, _RATE_HZ, rng)[: len(heard)]
+    other = phone.band(other, _RATE_HZ)
+    loud = float(np.max(np.abs(heard))) or 1.0
+    weak_db = float(rng.uniform(30, 55))
+    other *= loud * 10 ** (-weak_db / 20) / np.sqrt(np.mean(other**2))
+    samples = phone.recorded(heard + other, _RATE_HZ).astype(np.float32)
+    if codec == "aac":
+        samples = through_aac(samples, _RATE_HZ)
+    samples.flags.writeable = False
+    return NoBounce(kind, samples, _RATE_HZ, codec)
+
+
+# ---- A bounce filmed and heard: a phone's mp4, its sound off by a constant; or a track.
+
+
+FILM_HZ = 30.0
+OFFSET_S = 0.040  # sound is early or late by up to this
+TRACK_NOISE_M = 0.002  # standard deviation of a coordinate of a track of positions
+_SMALL_PX = SIZES_PX[:5]
+_MAX_FILM_S = 4.0  # from the release to the end of a film
+_EXPOSURES_S = (0.0, 0.008)
+_TICKS_HZ = 90_000
+_FILM_SEEDS = 3_000_000
+_START_NS = 1_700_000_000_000_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class FilmedSound:
+    """Video with its sound.
+
+    Attributes:
+        order: the pictures.
+        clip: the sound.
+        offset_s: by which the sound is late, on the pictures' clock.
+    """
+
+    order: ClipOrder
+    clip: SoundClip
+    offset_s: float
+
+    @property
+    def restitution(self) -> float:
+        """Restitution at the first impact."""
+        return self.clip.scene.history.order.restitution
+
+    def write(self, path: Path, *, with_sound: bool = True) -> None:
+        """Write H.264 and AAC at 64 kbit/s, in an mp4."""
+        import av
+
+        width, height = (side // 2 * 2 for side in self.order.view.size_px)
+        with av.open(str(path), "w") as container:
+            options = {"crf": str(self.order.h264_factor), "preset": "ultrafast"}
+            film: Any = container.add_stream("libx264", rate=30, options=options)
+            film.width, film.height, film.pix_fmt = width, height, "yuv420p"
+            film.codec_context.time_base = Fraction(1, _TICKS_HZ)
+            film.thread_count = 1
+            audio: Any = None
+            if with_sound:
+                audio = container.add_stream("aac", rate=self.clip.rate_hz)
+                audio.bit_rate, audio.layout = AAC_BIT_S, "mono"
+            seconds = frame_seconds(self.order) + self.order.held_s
+            for picture, second in zip(clip_frames(self.order), seconds, strict=True):
+                cut = np.ascontiguousarray(picture[:height, :width])
+                frame = av.VideoFrame.from_ndarray(cut, format="rgb24")
+                frame.pts, frame.time_base = round(second * _TICKS_HZ), Fraction(1, _TICKS_HZ)
+                container.mux(film.encode(frame))
+            container.mux(film.encode())
+            if audio is not None:
+                late = round(self.offset_s * self.clip.rate_hz)
+                kept = self.clip.samples[max(-late, 0) :]
+                add_sound(container, audio, kept, self.clip.rate_hz, max(late, 0))
+
+
+def film_with_sound(
+    seed: int,
+    number: int,
+    snr_db: float = 20.0,
+    background: Background | None = None,
+    uneven: float = 0.0,
+) -> FilmedSound:
+    """Draw video `number` of a seed, 30 fps, pictures up to 640 by 360."""
+    rng = np.random.default_rng([_FILM_SEEDS + seed, number, *b"film"])
+    scene = short_scene(rng, uneven)
+    bounce = scene.history.order
+    ball = DroppedBall(bounce.height_m, bounce.restitution, bounce.slope, bounce.drag_1_m)
+    order = replace(
+        draw_clip_of(ball, rng, _SMALL_PX),
+        rate_hz=FILM_HZ,
+        held_s=scene.release_s,
+        length_s=scene.lasts_s - scene.release_s,
+        exposure_s=float(rng.uniform(*_EXPOSURES_S)),
+        person=None,
+        as_log=False,
+        heights_m=scene.history.heights_m,
+    )
+    return FilmedSound(order, *_heard(scene, snr_db, background, rng))
+
+
+def short_scene(rng: np.random.Generator, uneven: float = 0.0) -> SoundScene:
+    """Draw a bounce that is recorded for four seconds after the release at most."""
+    scene = draw_scene(rng, uneven=uneven)
+    if scene.lasts_s - scene.release_s <= _MAX_FILM_S:
+        return scene
+    end_s = scene.release_s + _MAX_FILM_S
+    audible = int(np.count_nonzero(scene.impacts_s[: scene.audible] < end_s - 0.02))
+    return replace(scene, lasts_s=end_s, audible=audible)
+
+
+def _heard(
+    scene: SoundScene, snr_db: float, background: Background | None, rng: np.random.Generator
+) -> tuple[SoundClip, float]:
+    drawn = BACKGROUNDS[int(rng.integers(len(BACKGROUNDS)))]
+    seed = int(rng.integers(2**31))
+    offset_s = float(rng.uniform(-OFFSET_S, OFFSET_S))
+    return recorded(scene, background or drawn, snr_db, "pcm", seed), offset_s
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedSound:
+    """Track of the ball's positions at 30 Hz, and its sound.
+
+    Attributes:
+        clip: the sound.
+        offset_s: by which the sound is late, on the positions' clock.
+        seconds: of the positions, after the first, shape (T,).
+        positions_m: z is up, shape (T, 3).
+    """
+
+    clip: SoundClip
+    offset_s: float
+    seconds: Array
+    positions_m: Array
+
+    @property
+    def restitution(self) -> float:
+        """Restitution at the first impact."""
+        return self.clip.scene.history.order.restitution
+
+    def episode(self) -> Episode:
+        """Build the log in memory."""
+        stamps_ns = _START_NS + np.round(self.seconds * 1e9).astype(np.int64)
+        signal = Signal("/ball/pose", stamps_ns, self.positions_m, ("x", "y", "z"), "m")
+        return with_sound(Episode(EpisodeInfo(), {signal.name: signal}), self.clip, self.offset_s)
+
+
+def track_with_sound(
+    seed: int,
+    number: int,
+    snr_db: float = 20.0,
+    background: Background | None = None,
+    uneven: float = 0.0,
+) -> TrackedSound:
+    """Draw track `number` of a seed; see `film_with_sound`."""
+    rng = np.random.default_rng([_FILM_SEEDS + seed, number, *b"track"])
+    scene = short_scene(rng, uneven)
+    seconds = np.arange(0.0, scene.lasts_s, 1 / FILM_HZ)
+    positions = np.tile([*rng.uniform(-1, 1, 2), rng.uniform(0, 1)], (len(seconds), 1))
+    positions[:, 2] += scene.history.heights_m(seconds - scene.release_s)
+    positions += rng.normal(0.0, TRACK_NOISE_M, positions.shape)
+    clip, offset_s = _heard(scene, snr_db, background, rng)
+    return TrackedSound(clip, offset_s, seconds, positions)
+
+
+def with_sound(episode: Episode, heard: SoundClip | NoBounce, offset_s: float = 0.0) -> Episode:
+    """Add a sound that begins `offset_s` after the episode's first sample or picture."""
+    stamps = [int(signal.stamps_ns[0]) for signal in episode.signals.values()]
+    stamps += [int(channel.log_ns[0]) for channel in episode.channels if len(channel.log_ns)]
+    start_ns = min(stamps, default=_START_NS) + round(offset_s * 1e9)
+    channel = Channel("/audio", "", "", np.array([start_ns]), sounds=True)
+    return replace(
+        episode,
+        channels=(*episode.channels, channel),
+        open_sound=lambda topic: heard.sound(topic, start_ns),
+    )

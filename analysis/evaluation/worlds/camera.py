@@ -1,0 +1,813 @@
+"""Put cameras before falling balls, and make the tracks that a tracker would find, good and faulty.
+
+Balls are integrated (`worlds.ball`) and projected by nothing that the fit uses. What a tracker adds
+is noise, whole pixels, gaps, and pictures before the ball is let go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.analysis.evaluation.worlds.ball import (
+    GRAVITY_M_S2,
+    TEST_SEEDS,
+    DroppedBall,
+    Fall,
+    RecordedDrop,
+    drop_ball,
+)
+from tunenet_logs.analysis.tracking.track import Track
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.camera import PinholeCamera
+
+# ---- Camera of a synthetic clip: a pinhole, which may be rolled, and where it may stand.
+
+
+# Width and height: webcams and phones, upright ones too.
+SIZES_PX = (
+    (320, 240),
+    (480, 270),
+    (480, 640),
+    (640, 360),
+    (640, 480),
+    (720, 1280),
+    (848, 480),
+    (960, 540),
+    (1280, 720),
+    (1280, 960),
+)
+
+# Where people stand: lens, distance [drop heights], elevation, and standard deviation of the roll.
+_VIEW_FOV_DEG = (35.0, 65.0)
+_VIEW_AWAY = (1.2, 4.0)
+_VIEW_ELEVATION_DEG = (-5.0, 45.0)
+_ROLL_DEG = 3.0
+
+_MIN_SPAN = 0.35  # of the fall, over the picture's height
+_RADIUS_PX = (2.5, 60.0)  # of the ball: smaller is a speck, larger fills the picture
+_VIEW_MARGIN_PX = 3.0  # between the ball and the frame
+_MIN_EYE_M = 0.05  # height of the camera over the floor
+_TRIES = 60  # before a ball of another size is drawn
+
+
+@dataclass(frozen=True)
+class View:
+    """Pinhole camera turned about its optical axis.
+
+    Attributes:
+        camera: where from, upright.
+        roll_rad: clockwise turn of the picture.
+    """
+
+    camera: PinholeCamera
+    roll_rad: float
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.camera.size_px
+
+    @property
+    def middle_px(self) -> Array:
+        """Principal point, shape (2,)."""
+        return (np.array(self.size_px) - 1) / 2
+
+    @property
+    def camera_from_world(self) -> Array:
+        """Rotation whose rows are the image's right and down, and forward, shape (3, 3)."""
+        cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return turn @ self.camera.camera_from_world
+
+    def seen_from_camera(self, points_m: Array) -> Array:
+        """Transform points to camera axes [m], shape (N, 3)."""
+        return (points_m - np.array(self.camera.position_m)) @ self.camera_from_world.T
+
+    def image_from_world(self, points_m: Array) -> Array:
+        """Project points to pixels, shape (N, 2); the first pixel's centre is 0, 0."""
+        seen = self.seen_from_camera(points_m)
+        return self.middle_px + self.camera.focal_px * seen[:, :2] / seen[:, 2:]
+
+    def directions(self, box: tuple[int, int, int, int]) -> NDArray[np.float32]:
+        """Return viewing directions of a box's pixels, camera axes, (H, W, 3); 1 forward."""
+        left, top, right, bottom = box
+        looks = np.ones((bottom - top, right - left, 3), np.float32)
+        x, y = self.middle_px
+        looks[:, :, 0] = (np.arange(left, right) - x) / self.camera.focal_px
+        looks[:, :, 1] = ((np.arange(top, bottom) - y) / self.camera.focal_px)[:, None]
+        return looks
+
+
+def random_view(
+    rng: np.random.Generator,
+    drop_m: float,
+    radius_m: float,
+    sizes_px: Sequence[tuple[int, int]] = SIZES_PX,
+) -> View | None:
+    """Draw a camera with the whole fall in view, at a fair size; None after `_TRIES`."""
+    size = sizes_px[int(rng.integers(len(sizes_px)))]
+    path = np.array([[0.0, 0.0, radius_m], [0.0, 0.0, radius_m + drop_m]])
+    for _ in range(_TRIES):
+        distance = drop_m * rng.uniform(*_VIEW_AWAY) + 4 * radius_m
+        elevation = np.radians(rng.uniform(*_VIEW_ELEVATION_DEG))
+        aim = radius_m + drop_m * rng.uniform(0.35, 0.6)
+        position = (-distance * np.cos(elevation), 0.0, aim + distance * np.sin(elevation))
+        target = (0.0, drop_m * rng.normal(0.0, 0.15), aim)
+        camera = PinholeCamera(position, target, size, rng.uniform(*_VIEW_FOV_DEG))
+        view = View(camera, float(np.radians(rng.normal(0.0, _ROLL_DEG))))
+        if position[2] > max(_MIN_EYE_M, 1.5 * radius_m) and _shows(view, path, radius_m):
+            return view
+    return None
+
+
+def _shows(view: View, path_m: Array, radius_m: float) -> bool:
+    pixels = view.image_from_world(path_m)
+    radius_px = view.camera.radius_px(path_m, radius_m)
+    margin = _VIEW_MARGIN_PX + 1.2 * radius_px.max()
+    inside = (pixels > margin) & (pixels < np.array(view.size_px) - 1 - margin)
+    least, most = _RADIUS_PX
+    fair = least < radius_px.min() and radius_px.max() < min(most, 0.08 * max(view.size_px))
+    return bool(inside.all() and fair and np.ptp(pixels[:, 1]) > _MIN_SPAN * view.size_px[1])
+
+
+# ---- Track of a recorded drop before a camera, without rendering it.
+# A pinhole stands anywhere from which a person films a drop. Places have noise and are not rounded.
+
+
+NOISE_PX = 0.3  # standard deviation of a coordinate
+SIZE_PX = (320, 240)  # width and height of a picture
+# Of the camera: distance [drop heights] and elevation, both seen from the middle of the drop, the
+# drop over the picture's height, and how far the ball is from the middle column at most.
+_FILMED_AWAY = (1.5, 5.0)
+_FILMED_ELEVATION_DEG = (-10.0, 35.0)
+_IN_PICTURE = (0.5, 0.85)
+_ASIDE_PX = 40.0
+
+# Standard deviations of what a tracker says: of the vertical's direction and of a radius.
+_PLUMB_DEG, _FILMED_RADIUS_NOISE = 1.0, 0.03
+
+
+def filmed(drop: RecordedDrop, radius_m: float, rng: np.random.Generator) -> Track:
+    """Simulate the track of the ball; `drop` says when a picture is taken."""
+    pixels, depth_m, focal_px = _seen(drop, rng)
+    noise = rng.normal(0.0, 1.0, (len(pixels), 3))
+    places = pixels[2:] + NOISE_PX * noise[2:, :2]
+    radii = focal_px * radius_m / depth_m[2:] * (1 + _FILMED_RADIUS_NOISE * noise[2:, 2])
+    inside = np.all((places > 0) & (places < np.array(SIZE_PX) - 1), axis=1)
+    places[~inside], radii[~inside] = np.nan, np.nan
+    plumb = (pixels[1] - pixels[0]) * GRAVITY_M_S2 / drop.ball.drop_m
+    return Track(
+        stamps_ns=drop.stamps_ns,
+        places_px=places,
+        radius_px=radii,
+        confidence=inside.astype(np.float64),
+        size_px=SIZE_PX,
+        gravity_px=_turn(np.radians(rng.normal(0.0, _PLUMB_DEG))) @ plumb,
+        colour=(200, 120, 60),
+    )
+
+
+def _seen(drop: RecordedDrop, rng: np.random.Generator) -> tuple[Array, Array, float]:
+    """Return pixels, shape (2 + T, 2), depths, shape (2 + T,) [m], and focal length [px].
+
+    Of the release and the contact, then of the ball in each picture.
+    """
+    fall_m = drop.ball.drop_m
+    heights = np.concatenate([[fall_m, 0.0], drop.truth_m(drop.seconds)])
+    away = fall_m * rng.uniform(*_FILMED_AWAY)
+    elevation = np.radians(rng.uniform(*_FILMED_ELEVATION_DEG))
+    elevation = max(elevation, -np.arctan2(0.4 * fall_m, away))  # not from under the table
+    up = heights - fall_m / 2
+    depth = away - up * np.sin(elevation)
+    rows = -up * np.cos(elevation) / depth
+    focal = rng.uniform(*_IN_PICTURE) * SIZE_PX[1] / float(rows[1] - rows[0])
+    down = focal * (rows - (rows[0] + rows[1]) / 2)
+    across = np.full_like(down, rng.uniform(-_ASIDE_PX, _ASIDE_PX)) * away / depth
+    turned = np.column_stack([across, down]) @ _turn(np.radians(rng.normal(0.0, _ROLL_DEG))).T
+    return turned + (np.array(SIZE_PX) - 1) / 2, depth, focal
+
+
+def _turn(angle: float) -> Array:
+    """Return the rotation by an angle [rad], shape (2, 2)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+# ---- Viewpoints before a falling ball: the paper's rig, and anywhere.
+# The world's origin is the middle of the ball where it touches the table, z is up.
+
+
+PAPER_RADIUS_M = 0.5
+# The paper's is 40 degrees, at which a fifth of its drops are cut off by the frame.
+PAPER_FOV_DEG = (40.0, 60.0)
+
+_PAPER_REACH_M = (5.0, 10.0)
+_PAPER_HEIGHT_M = (5.0, 8.0)
+_PAPER_AIM_M = 2.0  # of its camera, from the plane that the ball hits; see `paper_viewpoint`
+_FALLS_AWAY = (0.8, 4.0)
+_VIEWPOINT_ELEVATION_DEG = (-25.0, 50.0)
+_VIEWPOINT_ROLL_DEG = 4.0
+_DROP_IN_PICTURE = (0.4, 0.85)
+_VIEWPOINT_FOV_DEG = (15.0, 90.0)  # of any camera: see `any_viewpoint`
+_VIEWPOINT_MARGIN_PX = 2.0  # between a ball and the frame, at the start and at the contact
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """Pinhole camera without distortion.
+
+    Attributes:
+        position_m: where it stands.
+        aim_m: the point in the middle of its picture.
+        focal_px: focal length.
+        roll_deg: by which its picture is turned.
+    """
+
+    position_m: tuple[float, float, float]
+    aim_m: tuple[float, float, float]
+    focal_px: float
+    roll_deg: float = 0.0
+
+    def image_from_world(self, points_m: Array) -> tuple[Array, Array]:
+        """Project points, (N, 3), to pixels, (N, 2), and depths, (N,); NaN behind."""
+        ahead = np.subtract(self.aim_m, self.position_m)
+        heading = np.arctan2(ahead[1], ahead[0])
+        rise = np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))
+        offset = points_m - np.array(self.position_m)
+        along = offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading)
+        right = offset[:, 0] * np.sin(heading) - offset[:, 1] * np.cos(heading)
+        depth = along * np.cos(rise) + offset[:, 2] * np.sin(rise)
+        down = along * np.sin(rise) - offset[:, 2] * np.cos(rise)
+        roll = np.radians(self.roll_deg)
+        columns = right * np.cos(roll) - down * np.sin(roll)
+        rows = right * np.sin(roll) + down * np.cos(roll)
+        scale = self.focal_px / np.where(depth > 0, depth, np.nan)
+        middle = (np.array(SIZE_PX) - 1) / 2
+        return middle + np.column_stack([columns, rows]) * scale[:, None], depth
+
+    def radius_px(self, depth_m: Array, radius_m: float) -> Array:
+        """Return a ball's approximate image radius at these depths [m], NaN behind, (N,)."""
+        return self.focal_px * radius_m / np.where(depth_m > 0, depth_m, np.nan)
+
+    def shows(self, points_m: Array, radius_m: float) -> NDArray[np.bool_]:
+        """Check whether a ball is wholly in view at these points, of shape (N, 3); shape (N,)."""
+        pixels, depth = self.image_from_world(points_m)
+        margin = self.radius_px(depth, radius_m)[:, None]
+        far = np.array(SIZE_PX) - 1 - margin
+        return np.all((pixels >= margin) & (pixels <= far), axis=1)  # NaN is not
+
+    def plumb_px(self, drop_m: float) -> Array:
+        """Return the image vector from the start of a fall to the contact, shape (2,) [px]."""
+        (top, low), _ = self.image_from_world(np.array([[0.0, 0.0, drop_m], [0.0, 0.0, 0.0]]))
+        return low - top
+
+
+def paper_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> Viewpoint:
+    """Draw the paper's camera, with all of the drop in view.
+
+    r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m, aimed at (0, 0, 2) m over the table (Allevato
+    et al. 2019, experiment 3).
+    """
+    while True:
+        reach, theta = rng.uniform(*_PAPER_REACH_M), rng.uniform(0.0, 2 * np.pi)
+        up = rng.uniform(*_PAPER_HEIGHT_M)
+        position = (reach * np.cos(theta), reach * np.sin(theta), up - radius_m)
+        focal = _focal_px(rng.uniform(*PAPER_FOV_DEG))
+        view = Viewpoint(position, (0.0, 0.0, _PAPER_AIM_M - radius_m), focal)
+        if _shows_the_drop(view, drop_m, radius_m):
+            return view
+
+
+def any_viewpoint(rng: np.random.Generator, drop_m: float, radius_m: float) -> Viewpoint:
+    """Draw a camera from which a person films a drop, so that it takes U(.4, .85) of the view.
+
+    0.8 to 4 drop heights away (evenly in the logarithm), 25 degrees below to 50 above the middle of
+    the drop but not below the table, turned by a few degrees, aimed at about that middle, with any
+    lens of 15 to 90 degrees that does so.
+    """
+    while True:
+        away = drop_m * float(np.exp(rng.uniform(*np.log(_FALLS_AWAY))))
+        above = np.radians(rng.uniform(*_VIEWPOINT_ELEVATION_DEG))
+        theta = rng.uniform(0.0, 2 * np.pi)
+        aside, up = drop_m * rng.normal(0.0, 0.1, 2), drop_m * rng.uniform(0.35, 0.6)
+        position = (
+            away * np.cos(above) * np.cos(theta),
+            away * np.cos(above) * np.sin(theta),
+            up + away * np.sin(above),
+        )
+        aim = (float(aside[0]), float(aside[1]), up)
+        roll = float(rng.normal(0.0, _VIEWPOINT_ROLL_DEG))
+        wanted = rng.uniform(*_DROP_IN_PICTURE) * SIZE_PX[1]
+        focal = wanted / np.linalg.norm(Viewpoint(position, aim, 1.0).plumb_px(drop_m))
+        view = Viewpoint(position, aim, float(focal), roll)
+        fits = (
+            _focal_px(_VIEWPOINT_FOV_DEG[1]) <= focal <= _focal_px(_VIEWPOINT_FOV_DEG[0])
+            and position[2] > 0
+        )
+        if fits and _shows_the_drop(view, drop_m, radius_m):
+            return view
+
+
+def _focal_px(fov_deg: float) -> float:
+    return float(SIZE_PX[1] / 2 / np.tan(np.radians(fov_deg) / 2))
+
+
+def _shows_the_drop(view: Viewpoint, drop_m: float, radius_m: float) -> bool:
+    path = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, drop_m]])
+    _, depth = view.image_from_world(path)
+    spare_m = _VIEWPOINT_MARGIN_PX * float(depth.max()) / view.focal_px
+    return bool(view.shows(path, radius_m + spare_m).all())
+
+
+# ---- Sets of tracks: rigs, balls, and what a tracker makes of a scene.
+
+
+Mask = NDArray[np.bool_]
+Range = tuple[float, float]
+
+NOISES_PX = (0.3, 1.0)  # standard deviations of a coordinate: of a good tracker, and of a poor one
+NARROW: Range = (0.3, 0.7)
+WIDE: Range = (0.1, 0.95)  # restitutions: the paper's, and nearly all
+TABLE_TENNIS_RADIUS_M = 0.020
+# Air of 1.2 kg/m3 on a ball of 2.7 g, Cd 0.47.
+TABLE_TENNIS_DRAG_1_M = 0.5 * 1.2 * 0.47 * np.pi * TABLE_TENNIS_RADIUS_M**2 / 0.0027
+
+_RADII = (0.015, 0.06)  # of balls, over the drop height
+_HELD_S = (0.0, 0.6)  # from the first picture to the release, where the rig is not free
+# Of free rigs, in fall times: the first picture is up to the one before the release or up to the
+# other after it; and how many pictures a fall has.
+_FROM_FALLS, _FRAMES_A_FALL = (-0.6, 0.4), (6.0, 150.0)
+
+_MAX_LOST = 0.1  # up to this share of the pictures lack the ball
+_GAPS, _GAP_FALLS = 0.3, (0.05, 0.3)  # this share of the tracks has a gap, of so many fall times
+
+_EARLY_ENDS = 0.1  # this share of the tracks ends early
+_EARLY_FALLS = (2.0, 4.0)  # so many fall times after the release
+# Least fraction of the first flight's pictures that show the ball: it is what is measured.
+_SEEN_OF_FLIGHT = 0.6
+
+_RADIUS_NOISE = 0.05  # standard deviation of a radius, over it
+
+
+@dataclass(frozen=True)
+class TrackSet:
+    """Kind of rig.
+
+    Attributes:
+        name: in tables; what is drawn depends on it.
+        drop_m: range of the fall.
+        radius_m: of the ball; None for 1.5 to 6 % of the fall.
+        lasts: range of what is filmed after the release [fall times].
+        paper: before the paper's camera; else before any.
+        free: any frame rate, release held or unseen, pictures without the ball, early ends; else
+            60 Hz from before the release on.
+    """
+
+    name: str
+    drop_m: Range
+    radius_m: float | None = None
+    lasts: Range = (4.0, 8.0)
+    paper: bool = False
+    free: bool = False
+
+
+A = TrackSet("A", (3.5, 4.5), PAPER_RADIUS_M, paper=True)
+B = TrackSet("B", (0.2, 5.0))
+C = TrackSet("C", (0.2, 5.0), free=True)
+TRACK_SETS = (A, B, C)
+
+
+@dataclass(frozen=True)
+class BallRanges:
+    """Ranges of the ball's parameters, each drawn uniformly.
+
+    Attributes:
+        restitution: at the first impact.
+        slope: see `DroppedBall`.
+        drag_1_m: likewise, of every ball.
+    """
+
+    restitution: Range
+    slope: Range = (0.0, 0.0)
+    drag_1_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrackScene:
+    """All that determines a track: a fault changes one thing of it.
+
+    Attributes:
+        ball: its restitution is the truth.
+        radius_m: of the ball.
+        view: the camera.
+        seconds: of the pictures, after the release, shape (T,).
+        lost: pictures in which the tracker does not find the ball, shape (T,).
+        noise_px: standard deviation of a coordinate, before it is rounded.
+        seed: of that noise.
+    """
+
+    ball: DroppedBall
+    radius_m: float
+    view: Viewpoint
+    seconds: Array
+    lost: Mask
+    noise_px: float
+    seed: int
+
+    def fall(self) -> Fall:
+        """Return the ball's motion if nothing goes wrong."""
+        return drop_ball(self.ball, self.seconds)
+
+
+def draw_scene(
+    which: TrackSet, balls: BallRanges, noise_px: float, seed: int, number: int
+) -> TrackScene:
+    """Draw scene `number` of a seed: the same for any noise and number drawn.
+
+    Negative seeds are for choosing, positive ones for reporting.
+    """
+    low, high = balls.restitution
+    rng = np.random.default_rng(
+        [TEST_SEEDS + seed, number, *f"{which.name} {low:g} {high:g}".encode()]
+    )
+    drop_m = float(rng.uniform(*which.drop_m))
+    restitution, slope = rng.uniform(*balls.restitution), rng.uniform(*balls.slope)
+    ball = DroppedBall(drop_m, float(restitution), float(slope), balls.drag_1_m)
+    radius_m = which.radius_m or drop_m * float(rng.uniform(*_RADII))
+    view = (paper_viewpoint if which.paper else any_viewpoint)(rng, drop_m, radius_m)
+    seconds = _seconds(which, ball, rng)
+    lost = _lost(ball, seconds, rng) if which.free else np.zeros(len(seconds), dtype=bool)
+    return TrackScene(ball, radius_m, view, seconds, lost, noise_px, int(rng.integers(2**31)))
+
+
+def film(scene: TrackScene, points_m: Array | None = None) -> Track:
+    """Simulate the track of the ball, or of one at `points_m` (shape (T, 3)) instead.
+
+    It is lost where it is not wholly in the picture.
+    """
+    if points_m is None:
+        points_m = upright(scene.fall().heights_m)
+    centers_px, depth_m = scene.view.image_from_world(points_m)
+    radii = scene.view.radius_px(depth_m, scene.radius_m)
+    return track_from_pixels(
+        scene, centers_px, radii, scene.lost | ~scene.view.shows(points_m, scene.radius_m)
+    )
+
+
+def track_from_pixels(scene: TrackScene, centers_px: Array, radius_px: Array, lost: Mask) -> Track:
+    """Make a track from pixels: with noise, rounded, its radius to halves.
+
+    Args:
+        scene: the stamps, the noise, the camera's vertical.
+        centers_px: shape (T, 2).
+        radius_px: shape (T,).
+        lost: pictures in which it is not found, shape (T,).
+    """
+    rng = np.random.default_rng(scene.seed)
+    noise = rng.normal(0.0, 1.0, (len(scene.seconds), 3))
+    turn = np.radians(rng.normal(0.0, _PLUMB_DEG))
+    rounded = np.round(centers_px + scene.noise_px * noise[:, :2])
+    radii = np.maximum(np.round(2 * radius_px * (1 + _RADIUS_NOISE * noise[:, 2])) / 2, 0.5)
+    rounded[lost], radii[lost] = np.nan, np.nan
+    plumb = scene.view.plumb_px(scene.ball.drop_m) * GRAVITY_M_S2 / scene.ball.drop_m
+    turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ plumb
+    return Track(
+        stamps_ns=np.round((scene.seconds - scene.seconds[0]) * 1e9).astype(np.int64),
+        places_px=rounded,
+        radius_px=radii,
+        confidence=(~lost).astype(np.float64),
+        size_px=SIZE_PX,
+        gravity_px=turned,
+        colour=(128, 128, 128),
+    )
+
+
+def upright(heights_m: Array) -> Array:
+    """Return points straight over the contact, shape (T, 3) [m], of heights, shape (T,)."""
+    nothing = np.zeros_like(heights_m)
+    return np.column_stack([nothing, nothing, heights_m])
+
+
+def _seconds(which: TrackSet, ball: DroppedBall, rng: np.random.Generator) -> Array:
+    lasts = rng.uniform(*which.lasts) * ball.fall_s
+    if not which.free:
+        return np.arange(-rng.uniform(*_HELD_S), lasts, 1 / 60)
+    if rng.random() < _EARLY_ENDS:
+        lasts = rng.uniform(*_EARLY_FALLS) * ball.fall_s
+    seen = rng.choice(_FROM_FALLS) * rng.random() * ball.fall_s
+    return np.arange(seen, lasts, ball.fall_s / rng.uniform(*_FRAMES_A_FALL))
+
+
+def _lost(ball: DroppedBall, seconds: Array, rng: np.random.Generator) -> Mask:
+    """Draw lost pictures, at times a gap too; most of the first flight is seen."""
+    impacts = drop_ball(ball, np.append(seconds, 4 * ball.fall_s)).impacts_s
+    flight = (seconds > impacts[0]) & (seconds < impacts[1])
+    while True:
+        lost = rng.random(len(seconds)) < rng.uniform(0.0, _MAX_LOST)
+        if rng.random() < _GAPS:
+            start = rng.uniform(-0.5, 3.0) * ball.fall_s
+            end = start + rng.uniform(*_GAP_FALLS) * ball.fall_s
+            lost |= (seconds > start) & (seconds < end)
+        if not flight.any() or np.mean(~lost[flight]) >= _SEEN_OF_FLIGHT:
+            return lost
+
+
+# ---- Paths of balls that spoil a drop, each in place of the good one's.
+# Made from a scene that lasts for six fall times at least, and a random generator: points [m],
+# shape (T, 3), at the times of the scene's pictures.
+
+
+# Fraction of the first impact's speed at which a ball that will roll off moves sideways.
+_SIDEWAYS = (0.05, 0.25)
+
+_BELOW = (0.3, 1.5)  # from the table down to the next thing that it hits [drop heights]
+_TILT_DEG = (10.0, 45.0)  # of an edge's normal where the ball hits it, from the vertical
+# Fraction of the way to the camera that a drifting ball goes in a fall time.
+_TOWARDS = (0.05, 0.15)
+
+_CATCH_FALLS = (0.05, 0.15)  # how long hands give way [fall times]
+
+
+def rolls_off(scene: TrackScene, rng: np.random.Generator) -> Array:
+    """Roll or fly over the edge after the first or second bounce, and fall."""
+    fall = scene.fall()
+    bounces = int(rng.integers(1, 3))
+    landed_s, speed = fall.impacts_s[bounces], fall.impact_speeds_m_s[bounces]
+    off_s = landed_s
+    if rng.random() < 0.5:
+        off_s, speed = landed_s + scene.ball.fall_s * rng.uniform(0.0, 1.0), 0.0
+    below = _from_above(scene, off_s, scene.ball.drop_m * rng.uniform(*_BELOW), -speed)
+    heights = np.where(scene.seconds < landed_s, fall.heights_m, below)
+    sideways_m_s = rng.uniform(*_SIDEWAYS) * fall.impact_speeds_m_s[0]
+    return _moving(scene, heights, fall.impacts_s[0], sideways_m_s, rng)
+
+
+def edge_first(scene: TrackScene, rng: np.random.Generator) -> Array:
+    """Hit an edge at the first impact."""
+    return _edge(scene, 0, rng)
+
+
+def edge_second(scene: TrackScene, rng: np.random.Generator) -> Array:
+    """Hit an edge at the second impact."""
+    return _edge(scene, 1, rng)
+
+
+def thrown(scene: TrackScene, rng: np.random.Generator) -> Array:
+    """Throw up and catch, once or twice, without an impact."""
+    heights = np.zeros(len(scene.seconds))
+    start_s, top_m = 0.0, scene.ball.drop_m * rng.uniform(0.6, 1.0)
+    for _ in range(int(rng.integers(1, 3))):
+        speed = np.sqrt(2 * GRAVITY_M_S2 * top_m)
+        lasts_s = 2 * speed / GRAVITY_M_S2 * rng.uniform(0.9, 1.0)
+        since = np.maximum(scene.seconds - start_s, 0.0)
+        flight = np.minimum(since, lasts_s)
+        heights += speed * flight - GRAVITY_M_S2 / 2 * flight**2
+        caught_m_s = speed - GRAVITY_M_S2 * lasts_s
+        heights += _given_way(scene, since - lasts_s, caught_m_s, rng)
+        start_s += lasts_s + scene.ball.fall_s * rng.uniform(0.5, 1.2)
+        top_m *= rng.uniform(0.3, 0.9)
+    return upright(heights)
+
+
+def held(scene: TrackScene, rng: np.random.Generator) -> Array:
+    """Hold in a hand that is not still."""
+    drop_m, fall_s = scene.ball.drop_m, scene.ball.fall_s
+    reach_m = drop_m * rng.uniform(0.02, 0.15)
+    slow_s = fall_s * rng.uniform(0.3, 1.0)
+    hand = [smooth_noise(scene.seconds, slow_s, rng) for _ in range(3)]
+    middle = np.array([0.0, 0.0, drop_m * rng.uniform(0.4, 0.9)])
+    return middle + reach_m * np.column_stack(hand)
+
+
+def caught(scene: TrackScene, rng: np.random.Generator) -> Array:
+    """Catch in the flight after the first bounce, and carry on."""
+    fall, ball = scene.fall(), scene.ball
+    up_m_s = ball.restitution * fall.impact_speeds_m_s[0]
+    flown_s = 2 * up_m_s / GRAVITY_M_S2 * rng.uniform(0.3, 0.95)
+    at_m = up_m_s * flown_s - GRAVITY_M_S2 / 2 * flown_s**2
+    since = scene.seconds - fall.impacts_s[0] - flown_s
+    hand = _given_way(scene, since, up_m_s - GRAVITY_M_S2 * flown_s, rng)
+    way = np.clip(since / (ball.fall_s * rng.uniform(1.0, 3.0)), 0.0, 1.0)
+    carried_m = rng.uniform(0.0, 0.8) * ball.drop_m * (3 * way**2 - 2 * way**3)
+    return upright(np.where(since < 0, fall.heights_m, at_m + hand + carried_m))
+
+
+def drifts(scene: TrackScene, rng: np.random.Generator) -> Array:
+    """Drift towards the camera or away from the release on."""
+    towards = np.array([*scene.view.position_m[:2], 0.0])
+    rate = rng.choice([-1.0, 1.0]) * rng.uniform(*_TOWARDS)
+    gone = np.maximum(scene.seconds, 0.0) / scene.ball.fall_s * rate
+    return upright(scene.fall().heights_m) + gone[:, None] * towards
+
+
+def smooth_noise(seconds: Array, slow_s: float, rng: np.random.Generator) -> Array:
+    """Draw a random function of mean 0 and deviation 1 that changes over `slow_s`, (T,)."""
+    waves = 40
+    rates = rng.normal(0.0, 1.0, waves) / slow_s
+    phases = rng.uniform(0.0, 2 * np.pi, waves)
+    return np.sqrt(2 / waves) * np.cos(seconds[:, None] * rates + phases).sum(axis=1)
+
+
+def _edge(scene: TrackScene, hit: int, rng: np.random.Generator) -> Array:
+    """Rebound about a tilted normal: over the edge of a table or tile, and on beside it."""
+    fall = scene.fall()
+    at_s, speed = fall.impacts_s[hit], fall.impact_speeds_m_s[hit]
+    tilt = np.radians(rng.uniform(*_TILT_DEG))
+    kept = (1 + scene.ball.restitution) * speed * np.cos(tilt)
+    up_m_s, sideways_m_s = kept * np.cos(tilt) - speed, kept * np.sin(tilt)
+    is_table = rng.random() < 0.5
+    below_m = scene.ball.drop_m * rng.uniform(*_BELOW) if is_table else 0.0
+    after = _from_above(scene, at_s, below_m, up_m_s if is_table else max(up_m_s, 0.0))
+    heights = np.where(scene.seconds < at_s, fall.heights_m, after)
+    return _moving(scene, heights, at_s, sideways_m_s, rng)
+
+
+def _from_above(scene: TrackScene, start_s: float, below_m: float, up_m_s: float) -> Array:
+    """Return heights from `start_s` on, where what is hit next lies that far below."""
+    ball = DroppedBall(below_m, scene.ball.restitution, speed_m_s=up_m_s)
+    return drop_ball(ball, scene.seconds - start_s).heights_m - below_m
+
+
+def _moving(
+    scene: TrackScene, heights: Array, start_s: float, speed_m_s: float, rng: np.random.Generator
+) -> Array:
+    """Move sideways in any direction, from `start_s` on."""
+    way = rng.uniform(0.0, 2 * np.pi)
+    gone = speed_m_s * np.maximum(scene.seconds - start_s, 0.0)
+    return np.column_stack([gone * np.cos(way), gone * np.sin(way), heights])
+
+
+def _given_way(scene: TrackScene, since: Array, speed: float, rng: np.random.Generator) -> Array:
+    """Return how far a hand that catches at that upward speed goes with it."""
+    slow_s = scene.ball.fall_s * rng.uniform(*_CATCH_FALLS)
+    after = np.maximum(since, 0.0)
+    return speed * after * np.exp(-after / slow_s)
+
+
+# ---- Faulty tracks: what goes wrong at drops, before cameras and in trackers.
+# Each class is a good scene with one thing changed. What must not happen is that its restitution is
+# wrong and looks right.
+
+
+Maker = Callable[[TrackScene, np.random.Generator], Track]
+
+# As B, and long enough that what goes wrong is filmed.
+FAULT_SET = replace(B, name="bad", lasts=(6.0, 8.0))
+
+FAULT_BALLS = BallRanges((0.3, 0.9))
+
+_FRAMES = 20  # that a camera freezes for or loses
+_LOST_FRACTION = 0.1  # of frames that are lost here and there
+_FAR_PX = 30.0  # from the ball to what a tracker jumps to: more than a ball's width
+_EDGE_PX = 8.0  # from the frame to where other objects are
+
+
+@dataclass(frozen=True)
+class TrackFault:
+    """Kind of fault of a track.
+
+    Attributes:
+        name: for files.
+        label: for tables.
+        make: the faulty track of a scene.
+        bounces: whether its first impact is one of the ball; where it is not, no restitution is
+            right.
+    """
+
+    name: str
+    label: str
+    make: Maker
+    bounces: bool = True
+
+    def track(self, scene: TrackScene) -> Track:
+        """Make the faulty track, the same for the same scene."""
+        return self.make(scene, np.random.default_rng([scene.seed, *self.name.encode()]))
+
+
+def _path(points: Callable[[TrackScene, np.random.Generator], Array]) -> Maker:
+    return lambda scene, rng: film(scene, points(scene, rng))
+
+
+def _still(scene: TrackScene, rng: np.random.Generator) -> Track:
+    """Track something that does not move."""
+    return _object(scene, np.tile(_anywhere(rng), (len(scene.seconds), 1)))
+
+
+def _wandering(scene: TrackScene, rng: np.random.Generator) -> Track:
+    """Track something that wanders about smoothly."""
+    slow_s = rng.uniform(0.2, 1.0)
+    period = scene.seconds[1] - scene.seconds[0]
+    walk = [np.cumsum(smooth_noise(scene.seconds, slow_s, rng)) * period for _ in range(2)]
+    places = np.column_stack(walk)
+    room = np.array(SIZE_PX) - 1 - 2 * _EDGE_PX
+    places *= rng.uniform(0.2, 1.0) * np.min(room / np.ptp(places, axis=0))
+    places -= places.min(axis=0)
+    return _object(scene, places + _EDGE_PX + rng.random(2) * (room - np.ptp(places, axis=0)))
+
+
+def _leaves(scene: TrackScene, rng: np.random.Generator) -> Track:
+    """Lose the ball between mid-fall and the end of the first flight."""
+    first, second = scene.fall().impacts_s[:2]
+    leaves_s = rng.uniform(first / 2, second)
+    return film(replace(scene, lost=scene.lost | (scene.seconds > leaves_s)))
+
+
+def _freezes(scene: TrackScene, rng: np.random.Generator) -> Track:
+    """Repeat one picture 20 times while the stamps go on."""
+    track = film(scene)
+    start = _in_flight(scene, rng)
+    numbers = np.arange(len(scene.seconds))
+    numbers[start : start + _FRAMES] = start
+    return replace(track, places_px=track.places_px[numbers], radius_px=track.radius_px[numbers])
+
+
+def _loses_frames(scene: TrackScene, rng: np.random.Generator) -> Track:
+    """Drop 20 frames silently."""
+    start = _in_flight(scene, rng)
+    kept = np.ones(len(scene.seconds), dtype=bool)
+    kept[start : start + _FRAMES] = False
+    return _closed_up(film(scene), kept)
+
+
+def _loses_some(scene: TrackScene, rng: np.random.Generator) -> Track:
+    """Drop a tenth of all frames silently, here and there."""
+    return _closed_up(film(scene), rng.random(len(scene.seconds)) >= _LOST_FRACTION)
+
+
+def _slows_down(scene: TrackScene, rng: np.random.Generator) -> Track:
+    """Drop every second frame silently from some moment on."""
+    numbers = np.arange(len(scene.seconds))
+    since = numbers - _in_flight(scene, rng)
+    return _closed_up(film(scene), (since < 0) | (since % 2 == 0))
+
+
+def _jumps(scene: TrackScene, rng: np.random.Generator) -> Track:
+    """Track something else for a part of the flight."""
+    ball = film(scene)
+    start = _in_flight(scene, rng)
+    lasts_s = scene.ball.fall_s * rng.uniform(0.2, 0.6)
+    away = (scene.seconds >= scene.seconds[start]) & (
+        scene.seconds < scene.seconds[start] + lasts_s
+    )
+    away[start : start + 3] = True
+    place = _anywhere(rng)
+    while np.linalg.norm(ball.places_px[away] - place, axis=1).min() < _FAR_PX:
+        place = _anywhere(rng)
+    other = _object(replace(scene, seed=scene.seed + 1), np.tile(place, (len(away), 1)))
+    return replace(
+        ball,
+        places_px=np.where(away[:, None], other.places_px, ball.places_px),
+        radius_px=np.where(away, other.radius_px, ball.radius_px),
+    )
+
+
+def _in_flight(scene: TrackScene, rng: np.random.Generator) -> int:
+    """Draw a picture between the early fall and the end of the first flight."""
+    second_s = float(scene.fall().impacts_s[1])
+    start_s = rng.uniform(0.3 * scene.ball.fall_s, second_s)
+    return int(np.searchsorted(scene.seconds, start_s))
+
+
+def _closed_up(track: Track, kept: NDArray[np.bool_]) -> Track:
+    return replace(
+        track,
+        stamps_ns=track.stamps_ns[: kept.sum()],
+        places_px=track.places_px[kept],
+        radius_px=track.radius_px[kept],
+        confidence=track.confidence[kept],
+    )
+
+
+def _anywhere(rng: np.random.Generator) -> Array:
+    return rng.uniform(_EDGE_PX, np.array(SIZE_PX) - 1 - _EDGE_PX)
+
+
+def _object(scene: TrackScene, places_px: Array) -> Track:
+    """Make the track of something as large as the ball."""
+    _, depth = scene.view.image_from_world(np.array([[0.0, 0.0, scene.ball.drop_m / 2]]))
+    radii = np.full(len(places_px), scene.view.radius_px(depth, scene.radius_m)[0])
+    return track_from_pixels(scene, places_px, radii, np.zeros(len(places_px), dtype=bool))
+
+
+# Those of docs/experiments.md, in its order.
+TRACK_FAULTS = (
+    TrackFault("still", "something that lies still", _still, bounces=False),
+    TrackFault("wandering", "something that wanders about", _wandering, bounces=False),
+    TrackFault("leaves", "leaves the view", _leaves),
+    TrackFault("rolls-off", "rolls off the table", _path(rolls_off)),
+    TrackFault("edge-first", "hits an edge, first impact", _path(edge_first)),
+    TrackFault("edge-second", "hits an edge, second impact", _path(edge_second)),
+    TrackFault("thrown", "thrown and caught", _path(thrown), bounces=False),
+    TrackFault("held", "held in a hand", _path(held), bounces=False),
+    TrackFault("caught", "caught after the first bounce", _path(caught)),
+    TrackFault("drifts", "drifts towards the camera or away", _path(drifts)),
+    TrackFault("freezes", "camera freezes, 20 frames", _freezes),
+    TrackFault("loses-20", "20 frames lost, no stamps", _loses_frames),
+    TrackFault("loses-tenth", "10 % of frames lost, no stamps", _loses_some),
+    TrackFault("slows", "60 fps turn to 30, no stamps", _slows_down),
+    TrackFault("jumps", "tracker on something else in flight", _jumps),
+)

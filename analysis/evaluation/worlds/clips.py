@@ -1,0 +1,1005 @@
+"""Render synthetic films of a dropped ball: clips of any room, and drops of the hidden world.
+
+A ball is drawn by rays before a static scene; what is drawn at random (rig, room, hand, bystander)
+is in a `ClipOrder` or a `DropFilm`. Files are as users have them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.analysis.evaluation.worlds.ball import (
+    DROP_M,
+    FILMED_S,
+    GRAVITY_M_S2,
+    HELD_S,
+    MASS_KG,
+    RADIUS_M,
+    DroppedBall,
+    HiddenDrop,
+    drop_ball,
+)
+from tunenet_logs.analysis.evaluation.worlds.camera import SIZES_PX, View, random_view
+from tunenet_logs.analysis.tracking.track import Track
+from tunenet_logs.episode import Array, EpisodeInfo, Frame, Picture
+from tunenet_logs.messages import CAMERA_TOPIC
+from tunenet_logs.recorders.simulators.camera import PinholeCamera
+from tunenet_logs.writing.writer import EpisodeWriter
+
+# ---- Static scene: a textured floor, a wall behind it, a light.
+
+
+_TEXTURE_PX = 512  # side of a texture, which is repeated
+_WALL_FALLS = (0.3, 1.5)  # from the ball to the wall behind it [drop heights]
+_WALL_TURN_RAD = 0.6  # most that the wall is turned about the vertical
+_FINER = 2  # points along each side of a pixel, whose mean is its colour (antialiasing)
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Static part of a scene.
+
+    Attributes:
+        picture: RGB, uint8, shape (H, W, 3).
+        floor_m: x and y of the floor that each pixel shows, float32, shape (H, W, 2); NaN where it
+            shows the wall.
+    """
+
+    picture: Picture
+    floor_m: NDArray[np.float32]
+
+
+def draw_stage(view: View, drop_m: float, rng: np.random.Generator) -> Stage:
+    """Render a floor and a wall of random colour, texture and light, as the camera sees them."""
+    import cv2
+
+    wall_m = drop_m * rng.uniform(*_WALL_FALLS)
+    turn = rng.uniform(-_WALL_TURN_RAD, _WALL_TURN_RAD)
+    floor, wall = _texture(rng), _texture(rng)
+    floor_scale, wall_scale = (drop_m * rng.uniform(0.3, 1.5) / _TEXTURE_PX for _ in range(2))
+    width, height = view.size_px
+    looks = _fine_directions(view) @ view.camera_from_world.astype(np.float32)
+    along, at_m, is_floor = _surfaces(view, looks, wall_m, turn)
+    scale = np.where(is_floor, floor_scale, wall_scale)
+    columns, rows = ((along[:, :, axis] / scale).astype(np.float32) for axis in (0, 1))
+    picked = [
+        cv2.remap(one, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        for one in (wall, floor)
+    ]
+    fine = np.where(is_floor[:, :, None], picked[1], picked[0]).astype(np.float32)
+    fine *= _light(fine.shape[:2], rng)
+    small = cv2.resize(np.clip(fine, 0, 255), (width, height), interpolation=cv2.INTER_AREA)
+    middle = at_m[_FINER // 2 :: _FINER, _FINER // 2 :: _FINER, :2]
+    shown = np.where(is_floor[_FINER // 2 :: _FINER, _FINER // 2 :: _FINER, None], middle, np.nan)
+    picture = np.round(np.asarray(small)).astype(np.uint8)
+    return Stage(picture, shown.astype(np.float32))
+
+
+def _fine_directions(view: View) -> NDArray[np.float32]:
+    """Return the directions of `_FINER` by `_FINER` points of each pixel."""
+    width, height = view.size_px
+    x, y = view.middle_px
+    offsets = (np.arange(_FINER) + 0.5) / _FINER - 0.5
+    looks = np.ones((height * _FINER, width * _FINER, 3), np.float32)
+    columns = (np.arange(width)[:, None] + offsets).ravel()
+    rows = (np.arange(height)[:, None] + offsets).ravel()
+    looks[:, :, 0] = (columns - x) / view.camera.focal_px
+    looks[:, :, 1] = ((rows - y) / view.camera.focal_px)[:, None]
+    return looks
+
+
+def _surfaces(
+    view: View, looks: NDArray[np.float32], wall_m: float, turn: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return coordinates on the surface seen [m], world places [m], and whether it is the floor."""
+    position = np.array(view.camera.position_m, np.float32)
+    normal = np.array([-np.cos(turn), np.sin(turn), 0.0], np.float32)  # towards the camera
+    sideways = np.array([normal[1], -normal[0], 0.0], np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_floor = np.where(looks[:, :, 2] < 0, -position[2] / looks[:, :, 2], np.inf)
+        facing = looks @ normal
+        to_wall = np.where(facing < 0, -(wall_m + position @ normal) / facing, np.inf)
+    to_wall = np.where(to_wall > 0, to_wall, np.inf)
+    is_floor = to_floor < to_wall
+    reach = np.minimum(np.minimum(to_floor, to_wall), 1e3)
+    at_m = position + reach[:, :, None] * looks
+    on_wall = np.stack([at_m @ sideways, -at_m[:, :, 2]], axis=2)
+    along = np.where(is_floor[:, :, None], at_m[:, :, :2], on_wall)
+    return along.astype(np.float64), at_m.astype(np.float64), is_floor
+
+
+def _texture(rng: np.random.Generator) -> Picture:
+    """Draw a texture, plain, rough, striped or chequered, of a dull, dark or light colour."""
+    import cv2
+
+    side = _TEXTURE_PX
+    colour = np.array(_room_colour(rng))
+    pattern = np.zeros((side, side))
+    for cells, strength in ((6, 0.05), (24, 0.05), (96, 0.05), (256, 0.05)):
+        rough = rng.normal(0.0, strength * rng.random(), (cells, cells))
+        pattern += cv2.resize(rough, (side, side), interpolation=cv2.INTER_CUBIC)
+    kind = rng.choice(["plain", "plain", "boards", "tiles"])
+    y, x = np.mgrid[:side, :side]
+    lines = side // int(rng.choice([4, 8, 16]))
+    if kind == "boards":
+        pattern += rng.normal(0, 0.08, side // lines)[(x // lines) % (side // lines)]
+        pattern -= 0.25 * (x % lines < 2)
+    elif kind == "tiles":
+        pattern += rng.uniform(0, 0.35) * ((x // lines + y // lines) % 2 - 0.5)
+    tinted = colour * (1 + pattern[:, :, None])
+    return np.clip(tinted, 0, 255).astype(np.uint8)
+
+
+def _room_colour(rng: np.random.Generator) -> list[float]:
+    import colorsys
+
+    saturation = rng.choice([rng.uniform(0.0, 0.2), rng.uniform(0.0, 0.6)])
+    return [255 * c for c in colorsys.hsv_to_rgb(rng.random(), saturation, rng.uniform(0.2, 0.95))]
+
+
+def _light(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Draw a light that falls off to one side and to the corners, shape (H, W, 1)."""
+    y = np.linspace(-1, 1, shape[0], dtype=np.float32)[:, None]
+    x = np.linspace(-1, 1, shape[1], dtype=np.float32)[None]
+    slope_x, slope_y = rng.uniform(-0.2, 0.2, 2)
+    corners = rng.uniform(0.0, 0.15)
+    light = 1 + slope_x * x + slope_y * y - corners * (x**2 + y**2)
+    return (rng.uniform(0.75, 1.05) * light)[:, :, None].astype(np.float32)
+
+
+# ---- Ray-cast ball: shaded, with its shadow and its reflection, only where they are.
+# A sphere of radius r at c (camera axes) covers a pixel that looks along d where g(d) = (d c)^2 -
+# d^2 (c^2 - r^2) > 0, an ellipse. Of a pixel on its edge 1/2 + g / |grad g| is ball.
+
+
+Box = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class BallLook:
+    """Appearance of the ball.
+
+    Attributes:
+        radius_m: of the ball.
+        colour: RGB, 0 to 255.
+        light: unit vector to the lamp, in the world.
+        ambient: fraction of the light that comes from everywhere.
+        gloss: strength of the highlight, 0 to 1.
+        shadow: fraction of the light that the middle of its shadow lacks.
+        softness: width of the shadow's edge over the ball's height.
+        mirror: how much of it the floor reflects, 0 to 1.
+    """
+
+    radius_m: float
+    colour: tuple[float, float, float]
+    light: tuple[float, float, float]
+    ambient: float
+    gloss: float
+    shadow: float
+    softness: float
+    mirror: float
+
+
+def add_ball(frame: Picture, view: View, stage: Stage, look: BallLook, centers_m: Array) -> None:
+    """Render a ball at its positions `centers_m`, shape (S, 3), while the shutter is open."""
+    if look.shadow > 0:
+        _add_shadow(frame, view, stage, look, centers_m)
+    if look.mirror > 0:
+        below = centers_m * np.array([1.0, 1.0, -1.0])
+        _add_spheres(frame, view, look, below, stage.floor_m)
+    _add_spheres(frame, view, look, centers_m, None)
+
+
+def _add_spheres(
+    frame: Picture,
+    view: View,
+    look: BallLook,
+    centers_m: Array,
+    through: NDArray[np.float32] | None,
+) -> None:
+    """Blend in the mean of the spheres; `through` a floor they are faint, and only there."""
+    boxes = [_box(view, center, look.radius_m) for center in centers_m]
+    left, top = np.min([box[:2] for box in boxes], axis=0)
+    right, bottom = np.max([box[2:] for box in boxes], axis=0)
+    if left >= right or top >= bottom:
+        return
+    cover = np.zeros((bottom - top, right - left), np.float32)
+    light = np.zeros((bottom - top, right - left, 3), np.float32)
+    for center, box in zip(centers_m, boxes, strict=True):
+        if box[0] >= box[2] or box[1] >= box[3]:
+            continue
+        part = slice(box[1] - top, box[3] - top), slice(box[0] - left, box[2] - left)
+        covered, colours = _sphere(view, center, look, box)
+        cover[part] += covered / len(centers_m)
+        light[part] += covered[:, :, None] * colours / len(centers_m)
+    where = slice(top, bottom), slice(left, right)
+    if through is not None:
+        shown = look.mirror * np.isfinite(through[where][:, :, 0])
+        cover, light = cover * shown, light * shown[:, :, None]
+    behind = frame[where].astype(np.float32)
+    frame[where] = np.clip(behind * (1 - cover[:, :, None]) + light + 0.5, 0, 255)
+
+
+def _box(view: View, center_m: Array, radius_m: float) -> Box:
+    """Return the pixels a sphere may touch: left, top, right, bottom; empty out of view."""
+    seen = view.seen_from_camera(center_m[None])[0]
+    if seen[2] < 2 * radius_m:
+        return 0, 0, 0, 0
+    x, y = view.image_from_world(center_m[None])[0]
+    half = 1.15 * view.camera.focal_px * radius_m / (seen[2] - radius_m) + 2
+    width, height = view.size_px
+    left, top = max(0, int(x - half)), max(0, int(y - half))
+    return left, top, min(width, int(x + half) + 2), min(height, int(y + half) + 2)
+
+
+def _sphere(
+    view: View, center_m: Array, look: BallLook, box: Box
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the ball's coverage of each pixel, shape (H, W), and colour, shape (H, W, 3)."""
+    center = view.seen_from_camera(center_m[None])[0].astype(np.float32)
+    looks = view.directions(box)
+    along = looks @ center
+    squared = (looks**2).sum(axis=2)
+    rim = np.float32(center @ center - look.radius_m**2)
+    inside = along**2 - squared * rim
+    slope = 2 * (along[:, :, None] * center[:2] - looks[:, :, :2] * rim) / view.camera.focal_px
+    steepness = np.sqrt((slope**2).sum(axis=2)) + 1e-12
+    covered = np.clip(0.5 + inside / steepness, 0, 1)
+    reach = (along - np.sqrt(np.maximum(inside, 0))) / squared
+    normal = (reach[:, :, None] * looks - center) / np.float32(look.radius_m)
+    normal /= np.sqrt((normal**2).sum(axis=2, keepdims=True)) + 1e-9
+    lamp = (view.camera_from_world @ np.array(look.light)).astype(np.float32)
+    facing = normal @ lamp
+    bright = look.ambient + (1 - look.ambient) * np.maximum(facing, 0)
+    towards = -looks / np.sqrt(squared)[:, :, None]
+    bounced = 2 * facing[:, :, None] * normal - lamp
+    shine = np.maximum((bounced * towards).sum(axis=2), 0) ** 24
+    colours = bright[:, :, None] * np.array(look.colour, np.float32)
+    return covered, colours + 255 * look.gloss * shine[:, :, None]
+
+
+def _add_shadow(frame: Picture, view: View, stage: Stage, look: BallLook, centers_m: Array) -> None:
+    """Darken the floor where the ball keeps the lamp's light away, softer the higher it is."""
+    middle = centers_m[len(centers_m) // 2]
+    lamp = np.array(look.light)
+    ground = (middle - lamp / lamp[2] * middle[2])[:2]
+    edge = look.softness * (middle[2] - look.radius_m) + 0.1 * look.radius_m
+    turns = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    reach = look.radius_m + edge
+    rim = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(16)]) * 1.3 * reach
+    rim[:, :2] += ground
+    if view.seen_from_camera(rim)[:, 2].min() <= 0.02:
+        return
+    pixels = view.image_from_world(rim)
+    width, height = view.size_px
+    left, top = np.maximum(np.floor(pixels.min(axis=0)), 0).astype(int)
+    right, bottom = np.minimum(np.ceil(pixels.max(axis=0)) + 1, [width, height]).astype(int)
+    if left >= right or top >= bottom:
+        return
+    where = slice(top, bottom), slice(left, right)
+    apart = np.linalg.norm(stage.floor_m[where] - ground.astype(np.float32), axis=2)
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    depth = look.shadow * (look.radius_m / (look.radius_m + edge / 2)) ** 2
+    dark = depth * np.clip((reach - apart) / (2 * edge), 0, 1)
+    frame[where] = frame[where] * (1 - dark[:, :, None]) + 0.5
+
+
+# ---- Content of a clip, drawn at random: the ball, rig, room and bystanders.
+
+
+DROPS_M = (0.2, 2.0)
+RESTITUTION = (0.1, 0.95)
+RATES_HZ = (30.0, 120.0)  # drawn evenly: what a person films at home with a phone
+EXPOSURE_S = 0.008
+NOISE = 6.0  # the most: a room's light; standard deviation of a pixel, of 255
+_RADIUS_M = (0.012, 0.06)  # from a marble to a small football
+_FALLS = (5.0, 9.0)
+_MAX_S = 4.0  # filmed after the release: so many fall times, but no longer than that
+# Of 255, in the colour that differs most, on nearly all and on half of the way of the fall: what a
+# person can follow.
+_MIN_CONTRAST = (20.0, 30.0)
+
+
+@dataclass(frozen=True)
+class Hand:
+    """Hand that holds the ball until it lets go, and then leaves.
+
+    Attributes:
+        colour: RGB.
+        covers: whether it is before the ball; else behind.
+        leaves: which way [ball radii a second], right and down.
+        follows_s: how long it goes on downward with half the ball's acceleration.
+        grip: where its middle is, from the ball's [ball radii], right and down.
+    """
+
+    colour: tuple[int, int, int]
+    covers: bool
+    leaves: tuple[float, float]
+    follows_s: float
+    grip: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Person:
+    """Person who walks through behind the ball.
+
+    Attributes:
+        colours: RGB of head, body and legs.
+        from_s: when, after the release.
+        height: of the picture's height.
+        crossing_s: from one edge to the other; negative from the right.
+    """
+
+    colours: tuple[tuple[int, int, int], ...]
+    from_s: float
+    height: float
+    crossing_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class ClipOrder:
+    """Specification of one clip.
+
+    Attributes:
+        ball: what falls.
+        view: where from.
+        stage: what is behind it.
+        look: of the ball.
+        rate_hz: frames a second.
+        held_s: from the first frame to the release.
+        length_s: from the release to the last frame.
+        exposure_s: how long the shutter is open, centred on a frame's stamp.
+        noise: standard deviation of a pixel, of 255.
+        flicker: amplitude of a lamp's at twice the mains.
+        hand: None where the ball is held by nothing that shows.
+        person: None where nobody comes.
+        as_log: recorded to MCAP as JPEGs; else to mp4 as H.264.
+        jpeg_quality: of 100.
+        h264_factor: constant rate factor; smaller is better.
+        pixel_seed: draws the noise.
+        heights_m: of the ball over its contact at times after the release, shape (T,), where they
+            are not what `ball` does by itself.
+    """
+
+    ball: DroppedBall
+    view: View
+    stage: Stage
+    look: BallLook
+    rate_hz: float
+    held_s: float
+    length_s: float
+    exposure_s: float
+    noise: float
+    flicker: float
+    hand: Hand | None
+    person: Person | None
+    as_log: bool
+    jpeg_quality: int
+    h264_factor: int
+    pixel_seed: int
+    heights_m: Callable[[Array], Array] | None = None
+
+
+def draw_clip(seed: int, index: int) -> ClipOrder:
+    """Draw the clip of that number; the same numbers give the same clip."""
+    rng = np.random.default_rng([seed, index, 0xC11B])
+    ball = DroppedBall(float(rng.uniform(*DROPS_M)), float(rng.uniform(*RESTITUTION)))
+    return draw_clip_of(ball, rng)
+
+
+def draw_clip_of(
+    ball: DroppedBall, rng: np.random.Generator, sizes_px: Sequence[tuple[int, int]] = SIZES_PX
+) -> ClipOrder:
+    """Draw a clip of this ball, with images of one of these sizes."""
+    while True:
+        radius_m = float(rng.uniform(*_RADIUS_M))
+        view = random_view(rng, ball.drop_m, radius_m, sizes_px)
+        if view is not None:
+            break
+    stage = draw_stage(view, ball.drop_m, rng)
+    look = _visible_look(rng, radius_m, view, stage, ball)
+    fall_s = ball.fall_s
+    rate_hz = float(rng.choice([30.0, 60.0, 120.0, rng.uniform(*RATES_HZ)]))
+    return ClipOrder(
+        ball=ball,
+        view=view,
+        stage=stage,
+        look=look,
+        rate_hz=rate_hz,
+        held_s=float(rng.uniform(0.1, 0.8)),
+        length_s=float(min(rng.uniform(*_FALLS) * fall_s + 0.3, _MAX_S)),
+        exposure_s=float(rng.uniform(0.0, min(EXPOSURE_S, 0.95 / rate_hz))),
+        noise=float(rng.uniform(0.0, NOISE)),
+        flicker=float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.0, 0.03)])),
+        hand=_hand(rng) if rng.random() < 0.65 else None,
+        person=_person(rng, fall_s) if rng.random() < 0.15 else None,
+        as_log=bool(rng.random() < 0.3),
+        jpeg_quality=int(rng.integers(80, 96)),
+        h264_factor=int(rng.integers(16, 24)),
+        pixel_seed=int(rng.integers(2**31)),
+    )
+
+
+def _visible_look(
+    rng: np.random.Generator, radius_m: float, view: View, stage: Stage, ball: DroppedBall
+) -> BallLook:
+    """Draw a ball with enough contrast to its background for a person to follow it."""
+    heights = radius_m + ball.drop_m * np.linspace(0.0, 1.0, 9)
+    places = np.column_stack([np.zeros((9, 2)), heights])
+    columns, rows = np.round(view.image_from_world(places)).astype(int).T
+    behind = stage.picture[rows, columns].astype(np.float64)
+    look = _look(rng, radius_m)
+    while True:
+        mean = np.array(look.colour) * (look.ambient + 0.5 * (1 - look.ambient))
+        apart = np.quantile(np.abs(behind - mean).max(axis=1), [0.15, 0.5])
+        if (apart > _MIN_CONTRAST).all():
+            return look
+        look = replace(look, colour=_ball_colour(rng))
+
+
+def _look(rng: np.random.Generator, radius_m: float) -> BallLook:
+    light = np.array([rng.uniform(-0.9, 0.4), rng.uniform(-0.6, 0.6), 1.0])
+    light /= np.linalg.norm(light)
+    return BallLook(
+        radius_m=radius_m,
+        colour=_ball_colour(rng),
+        light=(float(light[0]), float(light[1]), float(light[2])),
+        ambient=float(rng.uniform(0.35, 0.8)),
+        gloss=float(rng.choice([0.0, rng.uniform(0.0, 0.7)])),
+        shadow=float(rng.choice([0.0, rng.uniform(0.1, 0.6), rng.uniform(0.1, 0.6)])),
+        softness=float(rng.uniform(0.02, 0.3)),
+        mirror=float(rng.choice([0.0, 0.0, 0.0, rng.uniform(0.05, 0.25)])),
+    )
+
+
+def _ball_colour(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Draw a colour: vivid, dull, or grey; dark and light."""
+    import colorsys
+
+    saturation = rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.15, 0.5), rng.uniform(0.5, 1)])
+    red, green, blue = colorsys.hsv_to_rgb(rng.random(), float(saturation), rng.uniform(0.12, 1.0))
+    return 255 * red, 255 * green, 255 * blue
+
+
+def _hand(rng: np.random.Generator) -> Hand:
+    tone = rng.uniform(0.3, 1.0)
+    red, green, blue = (int(tone * part) for part in (225, 170, 140))
+    angle = rng.uniform(-2.6, -0.5)  # from above
+    speed = rng.uniform(0.0, 12.0)
+    away = angle + rng.normal(0.0, 0.4)
+    reach = rng.uniform(0.8, 1.4)
+    return Hand(
+        colour=(red, green, blue),
+        covers=bool(rng.random() < 0.5),
+        leaves=(float(speed * np.cos(away)), float(speed * np.sin(away))),
+        follows_s=float(rng.choice([0.0, 0.0, rng.uniform(0.0, 0.15)])),
+        grip=(float(reach * np.cos(angle)), float(reach * np.sin(angle))),
+    )
+
+
+def _person(rng: np.random.Generator, fall_s: float) -> Person:
+    colours = rng.integers(20, 220, (3, 3))
+    return Person(
+        colours=tuple((int(red), int(green), int(blue)) for red, green, blue in colours),
+        from_s=float(fall_s * rng.uniform(1.5, 4.0)),
+        height=float(rng.uniform(0.5, 1.1)),
+        crossing_s=float(rng.choice([-1, 1]) * rng.uniform(1.5, 4.0)),
+    )
+
+
+# ---- Frames of a clip, with the true position of its ball.
+
+
+_MAX_SUBFRAMES = 16  # positions of the ball while a shutter is open: enough for a smooth streak
+# A ball that moves less while the shutter is open is drawn once, one that moves more 16 times, and
+# every other one four times.
+_STILL_PX, _FAST_PX = 0.2, 4.0
+
+_MAINS_HZ = 50.0  # Europe's: lamps flicker at twice this
+_NOISE_PICTURES = 3  # drawing noise for each frame anew would take longer than all the rest
+_NOISE_MARGIN_PX = 64  # by how much a noise picture is larger than a frame, to be cut out anywhere
+_MIN_NOISE = 0.05  # of 255: less would be rounded away
+
+
+def frame_seconds(order: ClipOrder) -> Array:
+    """Return the times of the frames after the release, shape (T,)."""
+    count = int((order.held_s + order.length_s) * order.rate_hz)
+    return np.arange(count) / order.rate_hz - order.held_s
+
+
+def centers_m(order: ClipOrder, seconds: Array) -> Array:
+    """Return the ball's centre in the world, shape (T, 3) [m], at `seconds` after the release."""
+    if order.heights_m is not None:
+        up = order.heights_m(seconds) + order.look.radius_m
+    else:
+        up = drop_ball(order.ball, seconds).heights_m + order.look.radius_m
+    return np.column_stack([np.zeros((len(up), 2)), up])
+
+
+def places_px(order: ClipOrder) -> Array:
+    """Project the ball's centre into each frame at its stamp, shape (T, 2) [px]."""
+    return order.view.image_from_world(centers_m(order, frame_seconds(order)))
+
+
+def clip_frames(order: ClipOrder) -> Iterator[Picture]:
+    """Yield the frames, RGB, uint8, shape (H, W, 3)."""
+    import cv2
+
+    seconds = frame_seconds(order)
+    exposed = _exposed(order, seconds)
+    noise = SensorNoise(np.random.default_rng(order.pixel_seed), order.view.size_px, order.noise)
+    for centers, second in zip(exposed, seconds.tolist(), strict=True):
+        frame = order.stage.picture.copy()
+        if order.person is not None:
+            _add_person(frame, order.person, second)
+        hand = order.hand
+        if hand is not None and not hand.covers:
+            _add_hand(frame, order, hand, second)
+        add_ball(frame, order.view, order.stage, order.look, centers)
+        if hand is not None and hand.covers:
+            _add_hand(frame, order, hand, second)
+        if order.flicker:
+            gain = 1 + order.flicker * np.sin(4 * np.pi * _MAINS_HZ * second)
+            frame = np.asarray(cv2.convertScaleAbs(frame, alpha=gain), np.uint8)
+        yield noise.added_to(frame)
+
+
+def _exposed(order: ClipOrder, seconds: Array) -> list[Array]:
+    """Return the ball's centres during each frame's exposure, shape (1, 4 or 16, 3) [m] each."""
+    offsets = (np.arange(_MAX_SUBFRAMES) + 0.5) / _MAX_SUBFRAMES - 0.5
+    fine = (seconds[:, None] + offsets * order.exposure_s).ravel()
+    centers = centers_m(order, fine)
+    pixels = order.view.image_from_world(centers).reshape(len(seconds), _MAX_SUBFRAMES, 2)
+    centers = centers.reshape(len(seconds), _MAX_SUBFRAMES, 3)
+    ways = np.linalg.norm(np.diff(pixels, axis=1), axis=2).sum(axis=1)
+    chosen = []
+    for way_px, positions in zip(ways.tolist(), centers, strict=True):
+        if way_px < _STILL_PX:
+            chosen.append(positions[_MAX_SUBFRAMES // 2][None])
+        else:
+            chosen.append(positions if way_px > _FAST_PX else positions[1::4])
+    return chosen
+
+
+class SensorNoise:
+    """White sensor noise of std `noise` of 255: a few noise images, from random corners."""
+
+    def __init__(self, rng: np.random.Generator, size_px: tuple[int, int], noise: float) -> None:
+        self._rng = rng
+        self._width, self._height = size_px
+        shape = (self._height + _NOISE_MARGIN_PX, self._width + _NOISE_MARGIN_PX, 3)
+        self._pictures = [
+            np.round(rng.standard_normal(shape, np.float32) * noise).astype(np.int16)
+            for _ in range(_NOISE_PICTURES if noise > _MIN_NOISE else 0)
+        ]
+
+    def added_to(self, frame: Picture) -> Picture:
+        """Add noise to a copy of the frame."""
+        import cv2
+
+        if not self._pictures:
+            return frame
+        picture = self._pictures[int(self._rng.integers(len(self._pictures)))]
+        top, left = self._rng.integers(_NOISE_MARGIN_PX, size=2)
+        noise = picture[top : top + self._height, left : left + self._width]
+        return np.asarray(cv2.add(frame, noise, dtype=cv2.CV_8U), np.uint8)
+
+
+def _add_hand(frame: Picture, order: ClipOrder, hand: Hand, second: float) -> None:
+    """Draw a palm with an arm that comes from beyond the image's edge."""
+    import cv2
+
+    start = centers_m(order, np.array([0.0]))
+    x, y = order.view.image_from_world(start)[0]
+    radius = float(order.view.camera.radius_px(start, order.look.radius_m)[0])
+    after = max(second, 0.0)
+    x, y = x + radius * (hand.grip[0]), y + radius * hand.grip[1]
+    together = min(after, hand.follows_s)
+    low = start - np.array([0.0, 0.0, GRAVITY_M_S2 * together**2 / 4])
+    y += float(order.view.image_from_world(low)[0, 1] - order.view.image_from_world(start)[0, 1])
+    away = max(after - hand.follows_s, 0.0)
+    x, y = x + radius * hand.leaves[0] * away, y + radius * hand.leaves[1] * away
+    reach = 4 * max(frame.shape[:2])
+    length = np.hypot(*hand.grip)
+    far = (x + reach * hand.grip[0] / length, y + reach * hand.grip[1] / length)
+    palm = (round(16 * float(x)), round(16 * float(y)))
+    elbow = (round(16 * float(far[0])), round(16 * float(far[1])))
+    if max(map(abs, palm)) > 2**18:
+        return
+    thick = max(1, round(0.9 * radius))
+    cv2.line(frame, palm, elbow, hand.colour, thick, cv2.LINE_AA, 4)
+    axes = (round(16 * 1.0 * radius), round(16 * 0.8 * radius))
+    turn = float(np.degrees(np.arctan2(hand.grip[1], hand.grip[0])))
+    cv2.ellipse(frame, palm, axes, turn, 0, 360, hand.colour, -1, cv2.LINE_AA, 4)
+
+
+def _add_person(frame: Picture, person: Person, second: float) -> None:
+    """Draw a person walking from one edge to the other."""
+    import cv2
+
+    if second < person.from_s:
+        return
+    height, width = frame.shape[:2]
+    tall = person.height * height
+    crossed = (second - person.from_s) / abs(person.crossing_s)
+    if crossed > 1:
+        return
+    crossed = crossed if person.crossing_s > 0 else 1 - crossed
+    x = -0.2 * tall + crossed * (width + 0.4 * tall)
+    foot = 0.95 * height
+    swing = 0.12 * tall * float(np.sin(2 * np.pi * 0.9 * second))
+    head, body, legs = person.colours
+    top = foot - tall
+    for side in (-1, 1):
+        ends = (round(x), round(foot - 0.45 * tall)), (round(x + side * swing), round(foot))
+        cv2.line(frame, *ends, legs, max(2, round(0.07 * tall)), cv2.LINE_AA)
+    corners = (
+        (round(x - 0.1 * tall), round(top + 0.14 * tall)),
+        (
+            round(x + 0.1 * tall),
+            round(foot - 0.42 * tall),
+        ),
+    )
+    cv2.rectangle(frame, *corners, body, -1)
+    cv2.circle(frame, (round(x), round(top + 0.07 * tall)), round(0.07 * tall), head, -1)
+
+
+# ---- Files of a clip as users have them: a phone's mp4, or a log of JPEGs.
+
+
+_TICKS_HZ = 90_000  # the clock of an mp4's stamps, as most phones have it
+# Bytes from the name of an mp4's track header to its display matrix (ISO/IEC 14496-12, 8.3.2).
+_MATRIX_AT = 44
+
+# What can be made of one clip that changes nothing of its ball.
+VERSIONS = (
+    "as filmed",
+    "1/8 speed",
+    "half size",
+    "mirrored",
+    "rotated, flagged",
+    "every 2nd frame",
+)
+
+_ROTATED, _HALF_SIZE, _MIRRORED = VERSIONS[4], VERSIONS[2], VERSIONS[3]
+
+
+class _Sink(Protocol):
+    """Sink of frames."""
+
+    def add(self, picture: Picture, second: float) -> None: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None: ...
+
+
+def write_clip(order: ClipOrder, folder: Path) -> Path:
+    """Write the clip as filmed to a new file."""
+    return write_versions(order, folder, VERSIONS[:1])[0]
+
+
+def write_versions(order: ClipOrder, folder: Path, versions: tuple[str, ...]) -> list[Path]:
+    """Render one clip once, and write some of its `VERSIONS`; one file each."""
+    suffix = "mcap" if order.as_log and versions == VERSIONS[:1] else "mp4"
+    paths = [folder / f"clip_{VERSIONS.index(one)}.{suffix}" for one in versions]
+    with ExitStack() as stack:
+        sinks: list[_Sink] = []
+        for one, path in zip(versions, paths, strict=True):
+            sink: _Sink = _Log(order, path) if suffix == "mcap" else _Mp4(order, path, one)
+            sinks.append(stack.enter_context(sink))
+        seconds = frame_seconds(order) + order.held_s
+        for at, (picture, second) in enumerate(zip(clip_frames(order), seconds, strict=True)):
+            for one, sink in zip(versions, sinks, strict=True):
+                if one != VERSIONS[5] or at % 2 == 0:
+                    sink.add(
+                        _changed(picture, one), float(second) * (8 if one == VERSIONS[1] else 1)
+                    )
+    for one, path in zip(versions, paths, strict=True):
+        if one == _ROTATED:
+            _flag_rotation(path)
+    return paths
+
+
+def _changed(picture: Picture, version: str) -> Picture:
+    import cv2
+
+    if version == _HALF_SIZE:
+        height, width = picture.shape[:2]
+        size = (width // 2, height // 2)
+        return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    if version == _MIRRORED:
+        return np.ascontiguousarray(picture[:, ::-1])
+    if version == _ROTATED:
+        return np.asarray(cv2.rotate(picture, cv2.ROTATE_90_COUNTERCLOCKWISE), np.uint8)
+    return picture
+
+
+class _Mp4:
+    """H.264 with frame times."""
+
+    def __init__(self, order: ClipOrder, path: Path, version: str) -> None:
+        import av
+
+        width, height = order.view.size_px
+        if version == _HALF_SIZE:
+            width, height = width // 2, height // 2
+        if version == _ROTATED:
+            width, height = height, width
+        self._size = (width // 2 * 2, height // 2 * 2)  # colours are stored for two by two pixels
+        self._container = av.open(str(path), "w")
+        options = {"crf": str(order.h264_factor), "preset": "ultrafast"}
+        stream: Any = self._container.add_stream("libx264", rate=30, options=options)
+        stream.width, stream.height = self._size
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.time_base = Fraction(1, _TICKS_HZ)
+        stream.thread_count = 1
+        self._stream = stream
+
+    def add(self, picture: Picture, second: float) -> None:
+        import av
+
+        width, height = self._size
+        cut = np.ascontiguousarray(picture[:height, :width])
+        frame = av.VideoFrame.from_ndarray(cut, format="rgb24")
+        frame.pts, frame.time_base = round(second * _TICKS_HZ), Fraction(1, _TICKS_HZ)
+        self._container.mux(self._stream.encode(frame))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._container.mux(self._stream.encode())
+        self._container.close()
+
+
+class _Log:
+    """MCAP of JPEGs, as our own recorder writes."""
+
+    def __init__(self, order: ClipOrder, path: Path) -> None:
+        self._writer = EpisodeWriter(path, EpisodeInfo(), live=False)
+        self._quality = order.jpeg_quality
+
+    def add(self, picture: Picture, second: float) -> None:
+        import cv2
+
+        options = [cv2.IMWRITE_JPEG_QUALITY, self._quality]
+        _, data = cv2.imencode(".jpg", picture[:, :, ::-1], options)
+        self._writer.write_frame("/camera", Frame(round(second * 1e9), "jpeg", data.tobytes()))
+
+    def __enter__(self) -> Self:
+        self._writer.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._writer.__exit__(kind, error, traceback)
+
+
+def _flag_rotation(path: Path) -> None:
+    """Set the rotation flag of an mp4 to a quarter turn, clockwise."""
+    data = bytearray(path.read_bytes())
+    at = data.index(b"tkhd") + _MATRIX_AT
+    rows = np.array([[0, 1 << 16, 0], [-(1 << 16), 0, 0], [0, 0, 1 << 30]], ">i4")
+    data[at : at + 36] = rows.tobytes()
+    path.write_bytes(data)
+
+
+# ---- Film of a hidden drop by a camera of unknown pose: pictures in a log, or a track.
+
+
+SIZE_PX = (640, 480)
+FRAME_HZ = 60.0
+FILM_EXPOSURE_S = 0.004
+FILM_NOISE = 4.0
+TRACK_NOISE_PX = 0.15  # of a projected track: what the tracker has on such films
+_DISTANCE_M = (1.5, 3.0)
+_ELEVATION_DEG = (-5.0, 35.0)
+_FOV_DEG = (36.0, 62.0)
+_ROLL_DEG = 2.0
+_MIN_SHARE = 0.35
+_MARGIN_PX = 20.0
+_SUBFRAMES = 6
+_QUALITY = 85
+_MIN_FILM_CONTRAST = 35.0
+_COLOURS = {
+    "red gel": (205, 40, 50),
+    "racquetball": (40, 70, 190),
+    "tennis": (200, 220, 60),
+    "foam": (240, 130, 30),
+    "lacrosse": (235, 235, 230),
+    "super": (120, 40, 150),
+}
+_GREY = (128, 128, 128)
+_LOWEST_M = 0.1
+_TURNS = 4  # until a camera is turned as it should: each gets nearer
+_FALL_M = np.array([[0.0, 0.0, RADIUS_M], [0.0, 0.0, RADIUS_M + DROP_M]])
+_START_M = _FALL_M[1:]
+
+
+@dataclass(frozen=True, eq=False)
+class DropFilm:
+    """Drop and its camera.
+
+    Attributes:
+        drop: what happens.
+        view: the camera.
+        seed: of the room and the noise.
+    """
+
+    drop: HiddenDrop
+    view: View
+    seed: int
+
+    @property
+    def seconds(self) -> Array:
+        """Frame times after the release, shape (T,)."""
+        return np.arange(int((HELD_S + FILMED_S) * FRAME_HZ)) / FRAME_HZ - HELD_S
+
+
+def film_of(drop: HiddenDrop, rng: np.random.Generator) -> DropFilm:
+    """Draw a camera with the whole fall in view; of a ball that will leave it, most of it."""
+    while True:
+        view = drop_view(rng)
+        seed = int(rng.integers(2**31))
+        if drop.leaves_s is None:
+            return DropFilm(drop, view, seed)
+        turned = view
+        for _ in range(_TURNS):
+            turned = _turned_away(turned, drop)
+        if _is_inside(turned.image_from_world(_START_M)):
+            return DropFilm(drop, turned, seed)
+
+
+def drop_view(rng: np.random.Generator) -> View:
+    """Draw a camera 1.5 to 3 m away with the whole fall in view, at a fair size."""
+    while True:
+        distance, elevation = rng.uniform(*_DISTANCE_M), np.radians(rng.uniform(*_ELEVATION_DEG))
+        aim = DROP_M * rng.uniform(0.35, 0.6)
+        up = max(aim + distance * np.sin(elevation), _LOWEST_M)
+        position = (float(-distance * np.cos(elevation)), 0.0, float(up))
+        target = (0.0, float(rng.normal(0.0, 0.1)), float(aim))
+        camera = PinholeCamera(position, target, SIZE_PX, float(rng.uniform(*_FOV_DEG)))
+        view = View(camera, float(np.radians(rng.normal(0.0, _ROLL_DEG))))
+        pixels = view.image_from_world(_FALL_M)
+        if _is_inside(pixels) and np.ptp(pixels[:, 1]) > _MIN_SHARE * SIZE_PX[1]:
+            return view
+
+
+def record_film(film: DropFilm, path: Path) -> None:
+    """Write the film as the recorder does: JPEGs in a log, and what is known of the ball."""
+    import cv2
+
+    ball = film.drop.ball
+    info = EpisodeInfo(
+        kind="drop",
+        source="hidden world, drawn",
+        rig={
+            "ball_diameter_m": 2 * RADIUS_M,
+            "ball_mass_kg": MASS_KG,
+            "drop_height_m": DROP_M,
+        },
+        truth={"restitution": ball.restitution_at(film.drop.impact_m_s)},
+        notes={"ball": ball.name},
+    )
+    options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+    with EpisodeWriter(path, info, live=False) as writer:
+        for second, picture in zip(film.seconds + HELD_S, _frames(film), strict=True):
+            _, data = cv2.imencode(".jpg", picture[:, :, ::-1], options)
+            frame = Frame(round(float(second) * 1e9), "jpeg", data.tobytes())
+            writer.write_frame(CAMERA_TOPIC, frame)
+
+
+def track_of(film: DropFilm) -> Track:
+    """Simulate the track that a tracker would find, without pictures."""
+    rng = np.random.default_rng(film.seed)
+    centers = film.drop.centers_m(film.seconds)
+    places = film.view.image_from_world(centers)
+    radii = film.view.camera.radius_px(centers, RADIUS_M)
+    places += rng.normal(0.0, TRACK_NOISE_PX, places.shape)
+    room = np.array(SIZE_PX) - 1 - radii[:, None]
+    seen = np.all((places > radii[:, None]) & (places < room), axis=1)
+    seen &= centers[:, 0] > film.view.camera.position_m[0] + 0.2
+    top, low = film.view.image_from_world(np.array([[0, 0, DROP_M + RADIUS_M], [0, 0, RADIUS_M]]))
+    places[~seen] = np.nan
+    return Track(
+        stamps_ns=np.round((film.seconds + HELD_S) * 1e9).astype(np.int64),
+        places_px=places,
+        radius_px=np.where(seen, radii, np.nan),
+        confidence=seen.astype(np.float64),
+        size_px=SIZE_PX,
+        gravity_px=low - top,
+        colour=_GREY,
+    )
+
+
+def _is_inside(pixels: Array) -> bool:
+    far = np.array(SIZE_PX) - 1 - _MARGIN_PX
+    return bool(np.all((pixels > _MARGIN_PX) & (pixels < far)))
+
+
+def _turned_away(view: View, drop: HiddenDrop) -> View:
+    """Turn the camera so that a ball that is to leave crosses the image's edge."""
+    assert drop.leaves_s is not None
+    camera = view.camera
+    at = drop.centers_m(np.array([drop.leaves_s]))
+    to_right = math.sin(drop.heading_rad) < 0  # y is to the left of a camera that looks along x
+    edge = SIZE_PX[0] + 5.0 if to_right else -5.0
+    off_px = float(view.image_from_world(at)[0, 0]) - edge
+    angle = math.atan2(off_px, camera.focal_px)
+    x, y = camera.target_m[0] - camera.position_m[0], camera.target_m[1] - camera.position_m[1]
+    cos, sin = math.cos(-angle), math.sin(-angle)
+    target = (
+        camera.position_m[0] + cos * x - sin * y,
+        camera.position_m[1] + sin * x + cos * y,
+        camera.target_m[2],
+    )
+    turned = PinholeCamera(camera.position_m, target, camera.size_px, camera.fov_deg)
+    return View(turned, view.roll_rad)
+
+
+def _frames(film: DropFilm) -> Iterator[Picture]:
+    rng = np.random.default_rng(film.seed)
+    stage, look = _room(film, rng)
+    noise = SensorNoise(rng, SIZE_PX, FILM_NOISE)
+    offsets = ((np.arange(_SUBFRAMES) + 0.5) / _SUBFRAMES - 0.5) * FILM_EXPOSURE_S
+    seconds = film.seconds
+    centers = film.drop.centers_m((seconds[:, None] + offsets).ravel())
+    above = look, BallLook(**{**vars(look), "shadow": 0.0, "mirror": 0.0})
+    for places in centers.reshape(len(seconds), _SUBFRAMES, 3):
+        frame = stage.picture.copy()
+        moves = np.linalg.norm(places[-1] - places[0]) > 5e-4
+        shown = places if moves else places[:1]
+        add_ball(frame, film.view, stage, above[int(places[0, 2] < 0)], shown)
+        yield noise.added_to(frame)
+
+
+def _room(film: DropFilm, rng: np.random.Generator) -> tuple[Stage, BallLook]:
+    """Draw a room before which a person could follow the ball."""
+    heights = RADIUS_M + DROP_M * np.linspace(0.0, 1.0, 9)
+    places = film.view.image_from_world(np.column_stack([np.zeros((9, 2)), heights]))
+    far = np.array(SIZE_PX) - 1
+    columns, rows = np.clip(np.round(places), 0, far).astype(int).T
+    colour = _COLOURS.get(film.drop.ball.name, _COLOURS["foam"])
+    light = np.array([rng.uniform(-0.9, 0.4), rng.uniform(-0.6, 0.6), 1.0])
+    light /= np.linalg.norm(light)
+    look = BallLook(
+        radius_m=RADIUS_M,
+        colour=colour,
+        light=(float(light[0]), float(light[1]), float(light[2])),
+        ambient=float(rng.uniform(0.4, 0.8)),
+        gloss=float(rng.uniform(0.0, 0.6)),
+        shadow=float(rng.choice([0.0, rng.uniform(0.1, 0.6)])),
+        softness=float(rng.uniform(0.02, 0.3)),
+        mirror=0.0,
+    )
+    while True:
+        stage = draw_stage(film.view, DROP_M, rng)
+        behind = stage.picture[rows, columns].astype(np.float64)
+        mean = np.array(colour) * (look.ambient + 0.5 * (1 - look.ambient))
+        if np.quantile(np.abs(behind - mean).max(axis=1), 0.15) > _MIN_FILM_CONTRAST:
+            return stage, look

@@ -1,1 +1,0 @@
-"""Onset detection in sound."""

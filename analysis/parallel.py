@@ -1,0 +1,377 @@
+"""Map work over processes of this machine, or over a Ray cluster with Ray Data.
+
+Items under way when a worker dies are retried, each alone.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import active_children, get_context, parent_process
+from threading import Thread, current_thread, main_thread
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from tunenet_logs.console import BLAS_THREADS
+from tunenet_logs.errors import UsageError
+from tunenet_logs.process import heard, is_silent, signals_held, silence_libraries
+from tunenet_logs.recorders.simulators.known import ENGINE_VARIABLE
+from tunenet_logs.terminal import Progress
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+# ---- Ray cluster: one actor per core, libraries loaded once.
+
+_AT_A_TIME = 16  # items of a task: each task costs Ray some milliseconds
+_TASKS_AN_ACTOR = 4  # at least: a task has fewer items where there are few
+_ANSWERS_S = 10  # within which a cluster's head takes a call
+HERE = "local"  # the address of a cluster that is started on this machine for the work
+_LOOPBACK = "127.0.0.1"
+# Where such a cluster listens: Ray takes an address of the network in its place, and listens on
+# all, unless this variable says that it is to stay on one machine.
+_ONLY_HERE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Ray cluster to work on.
+
+    Attributes:
+        address: Of its head, "auto" for the one that this machine is part of, or `HERE`.
+        jobs: Number of actors; None for all cores of the cluster.
+    """
+
+    address: str = HERE
+    jobs: int | None = None
+
+
+def on_cluster(
+    cluster: Cluster,
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    lost: Callable[[Item], Result],
+) -> Iterator[tuple[int, Result]]:
+    """Map `work` over items on a cluster, in the order they are done; see `streamed`.
+
+    Args:
+        cluster: The cluster.
+        work: A function of a module, so that an actor can import it.
+        items: Items to map.
+        lost: Builds the result of an item whose actor died twice.
+
+    Raises:
+        UsageError: Ray is not installed, or nobody answers at the address.
+        Exception: Raised by `work`.
+    """
+    left = set(range(len(items)))
+    with _connected(cluster) as actors:
+        at_a_time = max(1, min(_AT_A_TIME, len(items) // (actors * _TASKS_AN_ACTOR)))
+        for many in (at_a_time, 1):
+            rows = [{"number": at, "item": items[at]} for at in sorted(left)]
+            for at, result in _done(work, rows, min(actors, max(1, len(rows))), many):
+                if at in left:
+                    left.remove(at)
+                    yield at, result
+            if not left:
+                break
+        for at in sorted(left):
+            yield at, lost(items[at])
+
+
+def _done(
+    work: Callable[[Item], Result], rows: list[dict[str, Any]], actors: int, at_a_time: int
+) -> Iterator[tuple[int, Result]]:
+    """Yield the actors' results; nothing of those that die."""
+    import ray.data
+
+    if not rows:
+        return
+    blocks = -(-len(rows) // at_a_time)
+    given = ray.data.from_items(rows, override_num_blocks=blocks)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "`ray_remote_args_fn` is deprecated")  # nothing else yet
+        done = given.map_batches(
+            _Worker,
+            fn_constructor_args=(work,),
+            concurrency=actors,
+            batch_size=None,
+            batch_format="numpy",
+            num_cpus=1,
+            ray_remote_args_fn=_remote,
+        )
+    for batch in done.iter_batches(batch_size=None, batch_format="numpy", prefetch_batches=0):
+        for at, result in zip(batch["number"].tolist(), batch["result"], strict=True):
+            if isinstance(result, _Raised):
+                raise result.error
+            yield at, result
+
+
+def _remote() -> dict[str, Any]:
+    """Return Ray's options: dead actors restart, but tasks are not retried unasked."""
+    return {"max_restarts": -1, "max_task_retries": 0}
+
+
+@dataclass(frozen=True)
+class _Raised:
+    """Stand-in for a result where `work` raised."""
+
+    error: Exception
+
+
+class _Worker:
+    """Actor: libraries and models are loaded once in it, by the first item."""
+
+    def __init__(self, work: Callable[[Any], Any]) -> None:
+        self._work = work
+
+    def __call__(self, batch: Mapping[str, Any]) -> dict[str, Any]:
+        """Return results by number; errors of `work` are raised again where they are taken."""
+        results = np.empty(len(batch["item"]), object)
+        for at, item in enumerate(batch["item"]):
+            try:
+                results[at] = self._work(item)
+            except Exception as error:  # noqa: BLE001
+                results[at] = _Raised(error)
+        return {"number": batch["number"], "result": results}
+
+
+@contextmanager
+def _connected(cluster: Cluster) -> Iterator[int]:
+    """Connect to a cluster, and yield the number of actors that its cores allow.
+
+    Raises:
+        UsageError: There is none.
+    """
+    address, jobs = cluster.address, cluster.jobs
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    os.environ.setdefault("RAY_DEDUP_LOGS", "0")
+    if address == HERE:  # read when Ray is imported, here and in the processes that it starts
+        os.environ[_ONLY_HERE] = "0"
+    try:
+        import ray
+        import ray.data
+        from ray._private import ray_constants
+    except ImportError as error:
+        raise UsageError(
+            f"--ray needs Ray ({error}); install the extra: pip install 'tunenet-logs[cluster]'"
+        ) from error
+    import logging
+
+    ray_constants.ENABLE_RAY_CLUSTER = address != HERE  # where somebody imported it before
+    variables: dict[str, str] = dict.fromkeys(BLAS_THREADS, "1")
+    if ENGINE_VARIABLE in os.environ:
+        variables[ENGINE_VARIABLE] = os.environ[ENGINE_VARIABLE]
+    begin = partial(
+        ray.init,
+        runtime_env={"env_vars": variables},
+        include_dashboard=False if address == HERE else None,
+        logging_level=logging.ERROR,
+        log_to_driver=False,
+        configure_logging=True,
+    )
+    stops = signal.getsignal(signal.SIGTERM)
+    try:
+        if ":" in address:  # Ray itself tries for minutes, and then ends the process
+            host, _, port = address.removeprefix("ray://").rpartition(":")
+            socket.create_connection((host, int(port)), _ANSWERS_S).close()
+        if address == HERE:
+            cores = jobs or len(os.sched_getaffinity(0))
+            begin(address=HERE, num_cpus=cores, _node_ip_address=_LOOPBACK)
+        else:
+            begin(address=address)
+    except (OSError, OverflowError, ValueError, RuntimeError) as error:
+        raise UsageError(f"--ray {address}: no cluster answers ({error})") from error
+    finally:
+        if current_thread() is main_thread():  # Ray's own handler ends the process at once
+            signal.signal(signal.SIGTERM, stops)
+    context = ray.data.DataContext.get_current()
+    context.max_errored_blocks = -1
+    context.enable_progress_bars = False
+    context.print_on_execution_start = False
+    logging.getLogger("ray.data").setLevel(logging.CRITICAL)
+    try:
+        cores = int(ray.cluster_resources().get("CPU", 1))
+        yield max(1, min(cores, jobs or cores))
+    finally:
+        ray.shutdown()
+        os.environ.pop(_ONLY_HERE, None)
+
+
+# ---- Processes of this machine: results and their order are deterministic.
+
+_AHEAD = 2  # items given out for each process: the next is there when one is done
+_TRIES = 2  # of an item alone, after a process died: one may have been killed for another's memory
+
+
+@dataclass(frozen=True)
+class Piece(Generic[Item]):
+    """Unit of work of one process.
+
+    Attributes:
+        units: How much that is, for the progress bar.
+        name: Shown beside it.
+    """
+
+    item: Item
+    units: int = 1
+    name: str = ""
+
+
+def parallel_map(
+    work: Callable[[Item], Result],
+    pieces: Sequence[Piece[Item]],
+    jobs: int | None,
+    progress: Progress,
+    what: tuple[str, str],
+) -> list[Result]:
+    """Map `work` over pieces in `jobs` processes; results keep their order.
+
+    Args:
+        work: A function of a module, so that a process can import it.
+        pieces: Units of work.
+        jobs: None for all cores.
+        progress: Shows what is under way.
+        what: Verb and unit of the progress bar.
+
+    Raises:
+        BrokenProcessPool: A process died.
+    """
+    total = sum(piece.units for piece in pieces)
+    results: dict[int, Result] = {}
+    with progress.bar(total, *what) as bar:
+        for at, result in streamed(work, [piece.item for piece in pieces], jobs):
+            results[at] = result
+            if pieces[at].name:
+                bar.set_postfix_str(pieces[at].name, refresh=False)
+            bar.update(pieces[at].units)
+    return [results[at] for at in range(len(pieces))]
+
+
+def streamed(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    jobs: int | None,
+    *,
+    may_stay: bool = False,
+    lost: Callable[[Item], Result] | None = None,
+) -> Iterator[tuple[int, Result]]:
+    """Map `work` over items in `jobs` processes, and yield results as they are done.
+
+    A process that dies takes with it what all of them had under way: each is retried alone.
+
+    Args:
+        work: A function of a module, so that a process can import it.
+        items: Items to map.
+        jobs: None for all cores.
+        may_stay: Whether one job runs in this process, with as many threads as that has.
+        lost: Builds the result of an item whose process died alone, too, at each try; without it a
+            process that dies is an error.
+
+    Yields:
+        The index of an item, and its result.
+
+    Raises:
+        BrokenProcessPool: A process died, and there is no `lost`.
+    """
+    jobs = min(jobs or len(os.sched_getaffinity(0)), max(1, len(items)))
+    if jobs == 1 and may_stay:
+        yield from ((at, work(item)) for at, item in enumerate(items))
+        return
+    waiting = deque(range(len(items)))
+    while waiting:
+        under_way: set[int] = set()
+        try:
+            yield from _pooled(work, items, waiting, under_way, jobs)
+        except BrokenProcessPool:
+            if lost is None:
+                raise
+        for at in sorted(under_way):
+            yield at, _alone(work, items[at], lost)
+
+
+def _pooled(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    waiting: deque[int],
+    under_way: set[int],
+    jobs: int,
+) -> Iterator[tuple[int, Result]]:
+    """Run waiting items, few ahead at a time, so that results never pile up."""
+    with _pool(jobs) as pool:
+        futures: dict[Future[Result], int] = {}
+        while waiting or futures:
+            with signals_held(), heard():  # this process ends its workers, quietly
+                while waiting and len(futures) < _AHEAD * jobs:
+                    at = waiting.popleft()
+                    under_way.add(at)
+                    futures[pool.submit(work, items[at])] = at
+            for future in wait(futures, return_when=FIRST_COMPLETED).done:
+                result = future.result()
+                at = futures.pop(future)
+                under_way.discard(at)
+                yield at, result
+
+
+def _alone(
+    work: Callable[[Item], Result], item: Item, lost: Callable[[Item], Result] | None
+) -> Result:
+    """Run one item in a process of its own, up to `_TRIES` times."""
+    for _ in range(_TRIES):
+        with suppress(BrokenProcessPool), _pool(1) as pool:
+            with signals_held(), heard():
+                future = pool.submit(work, item)
+            return future.result()
+    assert lost is not None
+    return lost(item)
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Open a pool of single-threaded processes; an error or Ctrl-C ends them at once.
+
+    The number of BLAS threads decides a product's last bits.
+    """
+    before = {name: os.environ.get(name) for name in BLAS_THREADS}
+    os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(is_silent(),)
+    )
+    try:
+        yield pool
+    except BaseException:
+        for worker in active_children():
+            worker.terminate()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name)
+            else:
+                os.environ[name] = value
+    pool.shutdown()
+
+
+def _begin(silently: bool) -> None:
+    """Initialise a worker, which ends with the process that started it."""
+    if silently:
+        silence_libraries()
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    if (parent := parent_process()) is not None:
+        parent.join()
+        os._exit(1)

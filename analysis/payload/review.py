@@ -1,0 +1,780 @@
+"""Review of a payload: torques, the arm in 3D, the mass, and the nuisance terms.
+
+The log's timeline shows the torques of all iterations and their residuals; the iterations'
+timeline, what one iteration's payload adds to the empty arm's torques.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.payload.detection import EFFORT, PayloadDetection
+from tunenet_logs.analysis.payload.torque_fit import Nuisance, PayloadFit
+from tunenet_logs.analysis.review.drawing import (
+    FITTED,
+    ITERATION,
+    KEY_SHARES,
+    LOG_TIME,
+    MUTED,
+    OBSERVED,
+    WIDTH,
+    Color,
+    Iterates,
+    at_seconds,
+    by_iteration,
+    chart_view,
+    eye_controls,
+    filled,
+    iterates_view,
+    log_grid,
+    log_iterates,
+    log_key,
+    mixed,
+    ramp,
+    screen_radius,
+    send_scalars,
+    span_of,
+    ticked,
+    ticks,
+)
+from tunenet_logs.analysis.statistics import TWO_SIDED
+from tunenet_logs.episode import Array
+from tunenet_logs.recorders.simulators.arm.description import Arm, rotation_from_rpy
+from tunenet_logs.recorders.simulators.arm.path import LinkPoses, link_poses
+from tunenet_logs.recorders.simulators.arm.payload import PAYLOAD_MASS
+
+# ---- Data that the review draws: torques over the log's time
+
+_MAX_JOINTS = 8  # that are drawn, those that feel the payload most: more would be too small to read
+# Of one curve: more can neither be told apart nor be loaded soon.
+_MAX_CURVE_HZ, _MAX_SAMPLES = 120.0, 3000
+
+_BOLD, _FINE = 1.6, 0.8  # widths of the result's curve and of earlier iterations' [points]
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueCurve:
+    """Simulated torques of all joints, and how they are drawn.
+
+    Attributes:
+        name: "k=3", "refined", "fit".
+        label: The same with its mass, for a legend.
+        color: Of the line.
+        width: Of the line [points].
+        mass_kg: That they were simulated with.
+        effort_nm: [N·m], shape (T, J).
+    """
+
+    name: str
+    label: str
+    color: Color
+    width: float
+    mass_kg: float
+    effort_nm: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadReviewData:
+    """Torques of one tuning, and the motion that they drive.
+
+    Attributes:
+        arm: Without a payload.
+        seconds: Since the log's first sample [s], shape (T,).
+        position_rad: Of the joints [rad], shape (T, J).
+        observed_nm: Torques with the joint's sign, the arm's weight included [N·m], shape (T, J).
+        empty_nm: Of the model with an empty gripper [N·m], shape (T, J).
+        felt_nm_per_kg: RMS torque per kilogram at each joint [N·m/kg], shape (J,).
+        used: Joints whose torques count, shape (J,).
+        order: Joints that are drawn; those that feel the payload most first.
+        simulated: Torques of the rigid model, one per iteration; the last is the result.
+        fitted: Torques with friction, offsets and all that the fit finds; None without a fit.
+        fit: The fit itself; None without.
+        com_m: Position of the payload in the tool frame [m].
+        interval95: Of the mass [kg]; None if no valid one exists.
+        has_estimate: Whether there is a mass to report.
+    """
+
+    arm: Arm
+    seconds: Array
+    position_rad: Array
+    observed_nm: Array
+    empty_nm: Array
+    felt_nm_per_kg: Array
+    used: NDArray[np.bool_]
+    order: tuple[int, ...]
+    simulated: tuple[TorqueCurve, ...]
+    fitted: TorqueCurve | None
+    fit: PayloadFit | None
+    com_m: tuple[float, float, float]
+    interval95: tuple[float, float] | None
+    has_estimate: bool
+
+    @property
+    def result(self) -> TorqueCurve:
+        """Torques of the last iterate."""
+        return self.simulated[-1]
+
+    def title(self, joint: int, what: str = "") -> str:
+        """Format a joint's number with the unit of its torque: "joint 2 [N·m]"."""
+        unit = "N" if self.arm.joints[joint].is_prismatic else "N·m"
+        return " ".join(filter(None, (f"joint {joint + 1}", what, f"[{unit}]")))
+
+
+def payload_review_data(tuning: Tuning) -> PayloadReviewData:
+    """Collect the data from a tuning that found an arm's motion."""
+    found: PayloadDetection = tuning.detection
+    seconds = found.path.seconds
+    rate_hz = 1 / float(np.median(np.diff(seconds)))
+    every = max(round(rate_hz / _MAX_CURVE_HZ), -(-len(seconds) // _MAX_SAMPLES), 1)
+    kept = slice(None, None, every)
+    felt = np.sqrt(np.mean(found.simulator.efforts_nm_per_kg**2, axis=0))
+    fit = tuning.trace.fit.detail if tuning.trace and tuning.trace.fit else None
+    fitted = None
+    if fit is not None:
+        # As the observed torques are drawn: with the arm's weight in them.
+        effort_nm = (fit.predicted_nm + found.effort_nm - fit.effort_nm)[kept]
+        label = "fit, with friction"
+        fitted = TorqueCurve("fit", label, FITTED, _BOLD, fit.held.mass_kg, effort_nm)
+    steps = tuning.trace.steps if tuning.trace else ()
+    simulated: list[TorqueCurve] = []
+    for k, step in enumerate(steps):
+        assert step.evaluation is not None
+        is_last = k == len(steps) - 1
+        name = "refined" if is_last and fit is not None else f"k={k}"
+        mass_kg = float(step.values[0])
+        simulated.append(
+            TorqueCurve(
+                name=name,
+                label=f"{name}  {mass_kg:.4f} kg",
+                color=ramp(k, len(steps)),
+                width=_BOLD if is_last else _FINE,
+                mass_kg=mass_kg,
+                effort_nm=step.evaluation.episode.signals[EFFORT].values[kept],
+            )
+        )
+    interval = tuning.interval95
+    return PayloadReviewData(
+        arm=found.arm,
+        seconds=seconds[kept],
+        position_rad=found.path.position_rad[kept],
+        observed_nm=found.effort_nm[kept],
+        empty_nm=found.simulator.empty_efforts_nm[kept],
+        felt_nm_per_kg=felt,
+        used=found.fit.used,
+        order=tuple(np.argsort(-felt, kind="stable")[:_MAX_JOINTS].tolist()),
+        simulated=tuple(simulated),
+        fitted=fitted,
+        fit=fit,
+        com_m=found.simulator.com_m,
+        interval95=None if interval is None else (float(interval[0, 0]), float(interval[0, 1])),
+        has_estimate=tuning.estimate is not None,
+    )
+
+
+# ---- 3D scene of the arm along its measured path, with its payload
+
+# Greys, so that the payload alone has a colour; the base's axes x, y, z as usual.
+_GROUND = (16, 18, 24)
+_LINES = (52, 55, 64)
+_ARM = (150, 156, 170)
+_JOINT = (92, 98, 114)
+_GRIPPER = (205, 208, 214)
+_AXES = ((230, 90, 90), (110, 200, 110), (100, 150, 255))
+
+# Radii of the first link and of the last one, in reaches of the arm as all sizes here: an arm of
+# any size looks the same.
+_THICK, _THIN = 0.042, 0.026
+
+_PALM_FRACTION = 0.5  # of the way from the last joint to the tool frame; the fingers are the rest
+# Half of the fingers' distance, in lengths of the gripper; their radius, in reaches.
+_GRIP, _FINGER = 0.3, 0.010
+
+# Radii of the payload, in reaches: it can be seen, and does not hide the arm.
+_MIN_SIZE, _MAX_SIZE = 0.018, 0.15
+
+_WATER_KG_M3 = 1000.0  # density of the ball that is drawn: the payload's is unknown
+# Tiles of the ground along each side, the length of one and of the base's axes, in reaches.
+_TILES, _TILE, _AXIS = 5, 0.3, 0.28
+
+_TRAIL_S = 1.0  # of the path behind the payload: shows which way it moves
+_LABEL = 0.055  # of the mass above the ball, in reaches
+_ASIDE_RAD = 0.85  # of the camera, from the path's front: links hide each other less
+_MARGIN = 0.04  # around the arm and its payload, in reaches
+_MAX_HZ = 30.0  # poses that are sent: a screen shows few more
+_LEVEL = 0.3  # a path's normal less horizontal than this: it is seen from the arm's side
+
+
+def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
+    """Log the ground, the arm in its poses, and its payload."""
+    rate_hz = 1 / float(np.median(np.diff(data.seconds)))
+    kept = slice(None, None, max(1, round(rate_hz / _MAX_HZ)))
+    seconds, poses = data.seconds[kept], link_poses(data.arm, data.position_rad[kept])
+    steps = [joint.origin_m for joint in data.arm.joints] + [data.arm.tool_from_last_m]
+    reach_m = max(sum(math.hypot(*step) for step in steps), 1e-3)
+    stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    tile, half = _TILE * reach_m, _TILES * _TILE * reach_m / 2
+    at = [-half + tile * k for k in range(_TILES + 1)]
+    lines = [[[x, -half, 0], [x, half, 0]] for x in at]
+    lines += [[[-half, y, 0], [half, y, 0]] for y in at]
+    grid = rr.LineStrips3D(lines, colors=[_LINES], radii=screen_radius(0.6))
+    stream.log("scene/ground", grid, static=True)
+    axes = rr.Arrows3D(
+        vectors=_AXIS * reach_m * np.eye(3),
+        colors=_AXES,
+        radii=[0.006 * reach_m],
+        labels=["x", "y", "z"],
+        show_labels=True,
+    )
+    stream.log("scene/base_axes", axes, static=True)
+    _log_links(stream, data.arm, reach_m)
+    for frame in range(1, poses.position_m.shape[1]):
+        columns = rr.Transform3D.columns(
+            translation=poses.position_m[:, frame], mat3x3=poses.rotation[:, frame]
+        )
+        is_tool = frame == len(data.arm.joints) + 1
+        entity = "scene/arm/tool" if is_tool else f"scene/arm/link_{frame}"
+        stream.send_columns(entity, indexes=[at_seconds(seconds)], columns=columns)
+    if any(joint.is_prismatic for joint in data.arm.joints):
+        _log_slides(stream, seconds, poses, reach_m)
+    radius_m = payload_radius_m(data.result.mass_kg, reach_m)
+    _log_payload(stream, data, seconds, poses, radius_m, radius_m + _LABEL * reach_m)
+    return _view(poses, radius_m + _MARGIN * reach_m)
+
+
+def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
+    """Place the camera in front of the path so that all of the arm fits."""
+    points = poses.position_m.reshape(-1, 3)
+    # Along the normal of the plane that the tool moves in, turned aside and up.
+    tool = poses.position_m[:, -1]
+    outward = tool.mean(axis=0)[:2]
+    normal = np.linalg.svd(tool - tool.mean(axis=0))[2][2] if len(tool) > 2 else np.zeros(3)
+    flat = normal[:2]
+    if np.linalg.norm(flat) < _LEVEL:
+        reaches = np.linalg.norm(outward) > 0
+        flat = np.array([outward[1], -outward[0]]) if reaches else np.array([0.0, -1.0])
+    if flat @ outward < 0:
+        flat = -flat
+    azimuth_rad = math.atan2(flat[1], flat[0]) + _ASIDE_RAD
+    return rrb.Spatial3DView(
+        origin="/scene",
+        name="the arm along its measured path",
+        background=_GROUND,
+        line_grid=False,
+        eye_controls=eye_controls(points, azimuth_rad, margin_m),
+    )
+
+
+def payload_radius_m(mass_kg: float, reach_m: float) -> float:
+    """Return the radius of a ball of water of that mass, clipped to what is visible."""
+    water_m = (3 * max(mass_kg, 0.0) / (4 * math.pi * _WATER_KG_M3)) ** (1 / 3)
+    return min(max(water_m, _MIN_SIZE * reach_m), _MAX_SIZE * reach_m)
+
+
+def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
+    """Log each link from its own joint to the next one, in its own frame, and the gripper."""
+    ends = [joint.origin_m for joint in arm.joints]
+    radii = np.linspace(_THICK, _THIN, len(ends) + 1) * reach_m
+    stream.log("scene/arm/base", _capsules([((0, 0, 0), ends[0])], [radii[0]], _ARM), static=True)
+    for number, radius in enumerate(radii[1:], start=1):
+        entity = f"scene/arm/link_{number}"
+        if number < len(ends):
+            parts = [((0, 0, 0), ends[number])]
+            stream.log(entity, _capsules(parts, [radius], _ARM), static=True)
+        hinge = rr.Ellipsoids3D(
+            half_sizes=[[1.25 * radius] * 3], colors=[_JOINT], fill_mode="solid"
+        )
+        stream.log(f"{entity}/joint", hinge, static=True)
+        label = rr.Points3D(
+            [[0, 0, 0]],
+            labels=[str(number)],
+            colors=[MUTED],
+            radii=screen_radius(0.1),
+            show_labels=True,
+        )
+        stream.log(f"{entity}/number", label, static=True)
+    tip = np.array(arm.tool_from_last_m)
+    length = float(np.linalg.norm(tip))
+    if length < 1e-3 * reach_m:
+        return
+    # The gripper: a palm and two fingers up to the tool frame, in the last link's.
+    entity = f"scene/arm/link_{len(ends)}"
+    axes = rotation_from_rpy(arm.tool_from_last_rpy)
+    aside = next((axis for axis in axes.T[[1, 2]] if abs(axis @ tip) < 0.7 * length), axes[:, 0])
+    aside = aside - (aside @ tip) / length**2 * tip
+    aside *= _GRIP * length / np.linalg.norm(aside)
+    palm = _PALM_FRACTION * tip
+    stream.log(entity, _capsules([((0, 0, 0), palm)], [radii[-1]], _ARM), static=True)
+    fingers = [(palm + side * aside, tip + side * aside) for side in (-1, 1)]
+    bones = [(palm - aside, palm + aside), *fingers]
+    widths = [_FINGER * reach_m] * len(bones)
+    stream.log(f"{entity}/gripper", _capsules(bones, widths, _GRIPPER), static=True)
+
+
+def _log_slides(
+    stream: rr.RecordingStream, seconds: Array, poses: LinkPoses, reach_m: float
+) -> None:
+    """Log the connections of links with prismatic joints."""
+    strips = poses.position_m.astype(np.float32)
+    style = rr.LineStrips3D.from_fields(colors=[_JOINT], radii=[_FINGER * reach_m])
+    stream.log("scene/slides", style, static=True)
+    columns = rr.LineStrips3D.columns(strips=list(strips))
+    stream.send_columns("scene/slides", indexes=[at_seconds(seconds)], columns=columns)
+
+
+def _log_payload(
+    stream: rr.RecordingStream,
+    data: PayloadReviewData,
+    seconds: Array,
+    poses: LinkPoses,
+    radius_m: float,
+    label_m: float,
+) -> None:
+    """Log a ball in the tool frame, its mass `label_m` above it, and its path."""
+    result, at_m = data.result, np.array(data.com_m)
+    color = result.color if data.has_estimate else MUTED
+    ball = rr.Ellipsoids3D(
+        centers=[at_m], half_sizes=[[radius_m] * 3], colors=[color], fill_mode="solid"
+    )
+    stream.log("scene/arm/tool/payload", ball, static=True)
+    centers = poses.position_m[:, -1] + poses.rotation[:, -1] @ at_m
+    over = np.array([0.0, 0.0, label_m])
+    style = rr.Points3D.from_fields(
+        labels=[f"{result.mass_kg:.3f} kg" if data.has_estimate else "rejected"],
+        colors=[color],
+        radii=screen_radius(0.1),
+        show_labels=True,
+    )
+    stream.log("scene/mass", style, static=True)
+    index = at_seconds(seconds)
+    columns = rr.Points3D.columns(positions=centers + over)
+    stream.send_columns("scene/mass", indexes=[index], columns=columns)
+    path = rr.LineStrips3D([centers], colors=[MUTED], radii=screen_radius(0.7))
+    stream.log("scene/path", path, static=True)
+    style = rr.LineStrips3D.from_fields(colors=[color], radii=screen_radius(1.8))
+    stream.log("scene/trail", style, static=True)
+    begins = np.searchsorted(seconds, seconds - _TRAIL_S)
+    trails = [centers[begin : end + 1] for end, begin in enumerate(begins)]
+    columns = rr.LineStrips3D.columns(strips=trails)
+    stream.send_columns("scene/trail", indexes=[index], columns=columns)
+
+
+def _capsules(
+    bones: Sequence[tuple[Sequence[float] | Array, Sequence[float] | Array]],
+    radii: Sequence[float],
+    color: tuple[int, int, int],
+) -> rr.Capsules3D:
+    """Build capsules between pairs of points [m]."""
+    starts = np.array([start for start, _ in bones], np.float64)
+    along = np.array([end for _, end in bones], np.float64) - starts
+    return rr.Capsules3D(
+        lengths=np.linalg.norm(along, axis=1),
+        radii=radii,
+        translations=starts,
+        quaternions=[rr.Quaternion(xyzw=_from_z(bone)) for bone in along],
+        colors=[color],
+        fill_mode="solid",
+    )
+
+
+def _from_z(along: Array) -> Array:
+    """Return the shortest rotation from z to a direction, a quaternion x, y, z, w, shape (4,)."""
+    length = float(np.linalg.norm(along))
+    if length == 0 or along[2] <= -length * (1 - 1e-9):
+        return np.array([1.0, 0.0, 0.0, 0.0]) if length else np.array([0.0, 0.0, 0.0, 1.0])
+    x, y, z = along / length
+    turn = np.array([-y, x, 0.0, 1 + z])
+    return turn / np.linalg.norm(turn)
+
+
+# ---- Charts of the nuisance terms, and of how much each joint feels the payload
+
+_PRIOR = (70, 74, 86)  # a grey behind the values: how large such terms usually are
+_CAP = 0.015  # half the width of an interval's ends, in heights of a chart
+_CHART_HEADROOM = 1.1  # of a chart's axis, over the largest value
+_MAX_MARKS = 16  # numbers of joints below a chart: more would overlap
+_MIN_BAR = 1e-3  # of the highest bar: a lower one is none
+_BAR = 0.3  # half a bar's width, of the width that a joint has
+
+
+@dataclass(frozen=True)
+class _Chart:
+    """Chart of terms of one kind, one per joint or more.
+
+    Attributes:
+        endings: Of their names, before the joint's number.
+        title: With the unit.
+        scale: From the fit's unit to the chart's.
+    """
+
+    endings: tuple[str, ...]
+    title: str
+    scale: float = 1.0
+
+
+_CHARTS = (
+    _Chart(("offset of joint",), "offset by joint [N·m]"),
+    _Chart(("viscous friction of joint",), "viscous friction by joint [N·m s/rad]"),
+    _Chart(("dry friction of joint",), "dry friction by joint [N·m]"),
+    _Chart(("gain of joint",), "gain error by joint [%]", 100.0),
+    _Chart(("mass of link",), "link heavier than the model's [%]", 100.0),
+    _Chart(
+        tuple(f"centre {axis} of link" for axis in "xyz"),
+        "link's centre off the model's, x y z [mm]",
+        1000.0,
+    ),
+    _Chart(("drift of joint",), "drift of the zero since the tare [N·m]"),
+)
+
+
+def log_terms(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.View]:
+    """Log a chart by joint of the torque per kilogram, and of each kind of term."""
+    _log_felt(stream, data)
+    felt = "what 1 kg does, dots: what is left [N·m]"
+    if data.fitted is None:
+        felt = "what 1 kg does to each joint [N·m]"
+    views: list[rrb.View] = [chart_view("felt", felt)]
+    if data.fit is not None:
+        words = rr.TextDocument(_terms_words(data.fit), media_type="text/markdown")
+        stream.log("terms", words, static=True)
+        views.append(rrb.TextDocumentView(origin="/terms", name="in words"))
+    named = [
+        (term.name.rpartition(" ")[0], term) for term in (data.fit.nuisances if data.fit else ())
+    ]
+    number = 0
+    for chart in _CHARTS:
+        terms = [[term for name, term in named if name == ending] for ending in chart.endings]
+        if all(terms):
+            _log_chart(stream, f"sheets/terms_{number}", chart, terms)
+            views.append(chart_view(f"terms_{number}", chart.title))
+            number += 1
+    return views
+
+
+def _terms_words(fit: PayloadFit) -> str:
+    """Describe what no chart shows."""
+    whose = "the joint's own" if fit.convention.sign > 0 else "the load's (the sign is turned)"
+    sentence = fit.identifiability[:1].upper() + fit.identifiability[1:]
+    weight = "with" if fit.convention.has_gravity else "without"
+    lines = [
+        "Dots and bars: by the log, 95 %. Boxes: before it, 95 %.",
+        f"The driver's torques are {whose}, {weight} the arm's weight in them; this leads by a "
+        f"log evidence of {fit.convention_odds:.0f}.",
+        f"{sentence}.",
+    ]
+    lags = [
+        f"{term.name} {round(1000 * term.value)} ± {1000 * TWO_SIDED * term.sd:.0f} ms"
+        for term in fit.nuisances
+        if term.group == "lag"
+    ]
+    lines.append(f"Torques behind positions: {', '.join(lags)}.")
+    lines.append(
+        f"Standard deviation of the mass: {fit.held.sd_kg:.4f} kg; the least that such torques "
+        f"allow: {fit.bound_kg:.4f} kg."
+    )
+    return "\n\n".join(lines)
+
+
+def _log_chart(
+    stream: rr.RecordingStream, sheet: str, chart: _Chart, terms: list[list[Nuisance]]
+) -> None:
+    """Log each term with its 95 % interval over that of its prior."""
+    numbers = [[(term.value, term.sd, term.prior_sd) for term in row] for row in terms]
+    values, sds, priors = chart.scale * np.moveaxis(np.array(numbers), -1, 0)
+    ends = TWO_SIDED * np.array([-sds, sds]) + values
+    reach = _CHART_HEADROOM * max(float(np.abs(ends).max()), TWO_SIDED * float(priors.max()), 1e-9)
+    count = len(terms[0])
+    x, marks = _joint_marks(count)
+    rows = [(-0.5 - value / (2 * reach), f"{value:g}") for value in ticks(-reach, reach, 2)]
+    log_grid(stream, sheet, WIDTH, rows, marks)
+    half = _BAR * WIDTH / count
+    boxes = rr.Boxes2D(
+        centers=np.column_stack([x, np.full(count, -0.5)]),
+        half_sizes=np.column_stack([np.full(count, half), TWO_SIDED * priors[0] / (2 * reach)]),
+        colors=[_PRIOR],
+        radii=screen_radius(0.6),
+    )
+    stream.log(f"{sheet}/prior", boxes, static=True)
+    aside = (np.arange(len(terms)) - (len(terms) - 1) / 2) * 2 * half / len(terms)
+    across = (x + aside[:, None]).ravel()
+    low, high = (-0.5 - ends / (2 * reach)).reshape(2, -1)
+    cap = min(_CAP, half / len(terms))
+    strips = []
+    for at, bottom, top in zip(across.tolist(), low.tolist(), high.tolist(), strict=True):
+        strips.append([[at, bottom], [at, top]])
+        strips += [[[at - cap, end], [at + cap, end]] for end in (bottom, top)]
+    bars = rr.LineStrips2D(strips, colors=[FITTED], radii=screen_radius(0.9))
+    stream.log(f"{sheet}/intervals", bars, static=True)
+    dots = rr.Points2D(
+        np.column_stack([across, -0.5 - values.ravel() / (2 * reach)]),
+        colors=[FITTED],
+        radii=screen_radius(3.5 if len(terms) == 1 else 2.5),
+        draw_order=40.0,
+    )
+    stream.log(f"{sheet}/values", dots, static=True)
+
+
+def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
+    """Log the torque per kilogram of each joint as bars, the fit's residual as dots."""
+    felt = data.felt_nm_per_kg
+    x, marks = _joint_marks(len(felt))
+    top = _CHART_HEADROOM * max(float(felt.max()), 1e-9)
+    rows = [(-value / top, f"{value:g}") for value in ticks(0.0, top, 2)]
+    log_grid(stream, "sheets/felt", WIDTH, rows, marks)
+    half = _BAR * WIDTH / len(felt)
+    slabs = [
+        filled(at - half, at + half, -value / top, 0.0)
+        for at, value in zip(x, felt, strict=True)
+        if value > _MIN_BAR * top
+    ]
+    bars = rr.LineStrips2D(
+        [strip for strips, _ in slabs for strip in strips],
+        colors=[mixed(data.result.color, 0.6)],
+        radii=[radius for strips, radius in slabs for _ in strips],
+        draw_order=10.0,
+    )
+    stream.log("sheets/felt/values", bars, static=True)
+    if data.fitted is not None:
+        rms_nm = np.sqrt(np.mean((data.fitted.effort_nm - data.observed_nm) ** 2, axis=0))
+        dots = rr.Points2D(
+            np.column_stack([x, -np.minimum(rms_nm / top, 1.0)]),
+            colors=[FITTED],
+            radii=screen_radius(4.0),
+            draw_order=40.0,
+        )
+        stream.log("sheets/felt/left", dots, static=True)
+
+
+def _joint_marks(count: int) -> tuple[Array, list[tuple[float, str]]]:
+    """Return positions across a chart, shape (J,), and the marks below."""
+    x = (np.arange(count) + 0.5) / count * WIDTH
+    every = -(-count // _MAX_MARKS)
+    return x, [(float(x[index]), str(index + 1)) for index in range(0, count, every)]
+
+
+# ---- Plots of the torques, sheets of one iteration, and the layout of all
+
+_MANY_SAMPLES = 150  # above which dots of the usual size would hide the lines
+# Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond.
+_TYPICAL_QUANTILE, _HEADROOM = 0.98, 1.3
+
+# Joints that the first tab has room for, so that their axes have ticks; the others have a tab.
+_PLAYED = 4
+
+_COLUMNS = 3  # of a tab of residuals: titles and ticks fit on a laptop's screen
+# Of the axes of torques, of a payload's part of them, and of residuals (half of it): less would
+# make noise look like torque.
+_MIN_SPAN_NM, _MIN_SHEET_NM, _MIN_REACH_NM = 2.0, 0.5, 0.05
+
+_ROOM = 0.05  # above and below the curves of a sheet, of what they span
+_ONE_COLUMN = 3  # joints whose charts lie one over the other; more take two columns
+_MIN_SPAN_KG = 0.02  # of the mass's axis: less would make steps of a gram look large
+
+
+def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
+    """Log all views of a payload's review, and return their layout."""
+    data = payload_review_data(tuning)
+    masses_kg = [curve.mass_kg for curve in data.simulated]
+    iterates = Iterates(
+        parameter="payload mass",
+        unit=PAYLOAD_MASS.unit,
+        names=tuple(curve.name for curve in data.simulated),
+        values=tuple(masses_kg),
+        colors=tuple(curve.color for curve in data.simulated),
+        span=span_of([*masses_kg, *(data.interval95 or ())], _MIN_SPAN_KG),
+        interval95=data.interval95,
+    )
+    torques, residuals = _log_torques(stream, data)
+    key = _log_key(stream, data)
+    arm = log_arm(stream, data)
+    log_iterates(stream, iterates, float(data.seconds[0]))
+    sheets = _log_sheets(stream, data)
+    terms = log_terms(stream, data)
+    overlay = rrb.Horizontal(
+        arm,
+        rrb.Vertical(key, rrb.Grid(*torques[:_PLAYED], grid_columns=2), row_shares=KEY_SHARES),
+        rrb.TextDocumentView(origin="/result", name="result"),
+        column_shares=[3.6, 6, 4.6],
+        name=f"overlay (timeline {LOG_TIME})",
+    )
+    step = rrb.TextDocumentView(origin="/step", name="iteration")
+    scrub = rrb.Horizontal(
+        rrb.Grid(*sheets, grid_columns=2 if len(sheets) > _ONE_COLUMN else 1),
+        rrb.Vertical(step, iterates_view(iterates)),
+        column_shares=[5, 4],
+        name=f"scrub (timeline {ITERATION})",
+    )
+    others = rrb.Grid(*terms, grid_columns=3, name="what else is in the torques")
+    name = f"what is left (timeline {LOG_TIME})"
+    tabs = [overlay, rrb.Grid(*residuals, grid_columns=_COLUMNS, name=name), scrub, others]
+    if len(torques) > _PLAYED:
+        name = f"other joints (timeline {LOG_TIME})"
+        tabs.insert(1, rrb.Grid(*torques[_PLAYED:], grid_columns=2, name=name))
+    return rrb.Tabs(*tabs, active_tab=0)
+
+
+def _log_torques(
+    stream: rr.RecordingStream, data: PayloadReviewData
+) -> tuple[list[rrb.View], list[rrb.View]]:
+    """Log two charts per joint: observed torques with those of all iterations, and the residuals.
+
+    A torque's axis fits the observed and the result; earlier iterates may run off. That of
+    residuals has the scale of the result's of most joints.
+    """
+    size = 1.0 if len(data.seconds) > _MANY_SAMPLES else 1.5
+    curves = {"iterations": data.simulated}
+    if data.fitted is not None:
+        curves["fit"] = (data.fitted,)
+    off = np.abs(data.result.effort_nm - data.observed_nm)
+    usual = np.quantile(off, _TYPICAL_QUANTILE, axis=0)
+    least = max(float(np.median(usual[data.used])), _MIN_REACH_NM)
+    best = data.fitted or data.result
+    torques: list[rrb.View] = []
+    residuals: list[rrb.View] = []
+    for joint in data.order:
+        torque, residual = f"torque/joint_{joint + 1}", f"residual/joint_{joint + 1}"
+        observed = data.observed_nm[:, joint]
+        for name, lines in curves.items():
+            values = np.column_stack([line.effort_nm[:, joint] for line in lines])
+            _log_lines(stream, f"{torque}/{name}", lines, data.seconds, values)
+            _log_lines(
+                stream, f"{residual}/{name}", lines, data.seconds, values - observed[:, None]
+            )
+        points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
+        stream.log(f"{torque}/observed", points, static=True)
+        send_scalars(stream, f"{torque}/observed", data.seconds, observed)
+        shown = np.concatenate([observed, best.effort_nm[:, joint]])
+        low, high = float(shown.min()), float(shown.max())
+        more = max(0.0, _MIN_SPAN_NM - (high - low)) / 2
+        reach = _HEADROOM * max(float(usual[joint]), least)
+        unused = "" if data.used[joint] else ", not used"
+        title = data.title(joint, "torque") + unused
+        torques.append(_plot(torque, title, low - more, high + more))
+        title = data.title(joint, "simulated - observed")
+        residuals.append(_plot(residual, title, -reach, reach))
+    return torques, residuals
+
+
+def _plot(entity: str, title: str, low: float, high: float) -> rrb.View:
+    """Build a plot whose axis shows these values and has ticks."""
+    return rrb.TimeSeriesView(
+        origin=f"/{entity}",
+        name=title,
+        axis_y=rrb.ScalarAxis(range=ticked(low, high)),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+
+
+def _log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
+    """Log the legend of the curves."""
+    entries: list[tuple[str, list[Color]]] = [("observed", [OBSERVED])]
+    entries.append(("rigid arm, by iteration", [curve.color for curve in data.simulated]))
+    if data.fitted is not None:
+        entries.append((data.fitted.label, [data.fitted.color]))
+    return log_key(stream, entries)
+
+
+def _log_lines(
+    stream: rr.RecordingStream,
+    entity: str,
+    curves: Sequence[TorqueCurve],
+    seconds: Array,
+    values: Array,
+) -> None:
+    """Log several curves as one entity, values of shape (T, curves)."""
+    style = rr.SeriesLines(
+        colors=[curve.color for curve in curves],
+        names=[curve.label for curve in curves],
+        widths=[curve.width for curve in curves],
+        aggregation_policy="Off",
+    )
+    stream.log(entity, style, static=True)
+    send_scalars(stream, entity, seconds, values)
+
+
+def _log_sheets(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.View]:
+    """Log per joint the observed torque and what the iteration's payload adds to the empty arm's.
+
+    The entity `step` describes the iteration.
+    """
+    indexes = by_iteration(len(data.simulated), float(data.seconds[0]))
+    for joint in data.order:
+        _log_sheet(stream, data, joint, indexes)
+    stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
+    for index, chosen in indexes:
+        words = rr.TextDocument.columns(text=[_words(data, k) for k in chosen])
+        stream.send_columns("step", indexes=[index], columns=words)
+    return [
+        chart_view(f"torque_{joint + 1}", f"{data.title(joint)} beyond the empty arm")
+        for joint in data.order
+    ]
+
+
+def _log_sheet(
+    stream: rr.RecordingStream,
+    data: PayloadReviewData,
+    joint: int,
+    indexes: Sequence[tuple[rr.TimeColumn, range]],
+) -> None:
+    """Log what payloads add to a joint's torque, over the observed torque, which stays."""
+    sheet = f"sheets/torque_{joint + 1}"
+    empty = data.empty_nm[:, joint]
+    observed = data.observed_nm[:, joint] - empty
+    simulated = [curve.effort_nm[:, joint] - empty for curve in data.simulated]
+    fitted = None if data.fitted is None else data.fitted.effort_nm[:, joint] - empty
+    shown = np.concatenate([observed, *simulated, [0.0]])
+    reach = max(float(np.ptp(shown)), _MIN_SHEET_NM) * (1 + 2 * _ROOM)
+    low = float(shown.min() + shown.max() - reach) / 2
+    start_s, width_s = data.seconds[0], data.seconds[-1] - data.seconds[0]
+    x = (data.seconds - start_s) / width_s * WIDTH
+
+    def points(values: Array) -> Array:
+        return np.column_stack([x, -(values - low) / reach])
+
+    rows = [(-(value - low) / reach, f"{value:g}") for value in ticks(low, low + reach, 3)]
+    marks = [
+        (float((second - start_s) / width_s * WIDTH), f"{second:g} s")
+        for second in ticks(start_s, data.seconds[-1])
+    ]
+    log_grid(stream, sheet, WIDTH, rows, marks)
+    dots = rr.Points2D(points(observed), colors=[OBSERVED], radii=screen_radius(1.2))
+    stream.log(f"{sheet}/observed", dots, static=True)
+    if data.fitted is not None and fitted is not None:
+        line = rr.LineStrips2D(
+            [points(fitted)], colors=[data.fitted.color], radii=screen_radius(0.9)
+        )
+        stream.log(f"{sheet}/fit", line, static=True)
+    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.4), draw_order=40.0)
+    stream.log(f"{sheet}/simulated", style, static=True)
+    for index, chosen in indexes:
+        strips = rr.LineStrips2D.columns(
+            strips=[points(simulated[k]) for k in chosen],
+            colors=[data.simulated[k].color for k in chosen],
+        )
+        stream.send_columns(f"{sheet}/simulated", indexes=[index], columns=strips)
+
+
+def _words(data: PayloadReviewData, k: int) -> str:
+    """Describe an iteration: its mass, and the RMS residual of its torques."""
+    curve = data.simulated[k]
+    rms_nm = float(np.sqrt(np.mean((curve.effort_nm - data.observed_nm) ** 2)))
+    lines = [
+        f"# {curve.name}",
+        f"payload mass **{curve.mass_kg:.4f} kg**",
+        f"{rms_nm:.3f} N·m rms from the observed torques",
+        "Dots: observed torques less the empty arm's. Thick line: what this payload adds to them.",
+    ]
+    if data.fitted is not None:
+        rms_nm = float(np.sqrt(np.mean((data.fitted.effort_nm - data.observed_nm) ** 2)))
+        lines.append(
+            f"Thin line: the fit, with friction, offsets and all else; {rms_nm:.3f} N·m rms is "
+            "left."
+        )
+    return "\n\n".join(lines)

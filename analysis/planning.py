@@ -1,0 +1,828 @@
+"""Plan a robot's bounce shot from a tuned ball: the release height that forgives the most.
+
+As in the paper, heights are sampled evenly over the robot's reach. Of those from which the ball
+passes the rim without touching it, the best is not the one that passes nearest to the centre, but
+the one with the largest margin in restitution, in height and in drag, each in standard deviations.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.analysis.drop.bounce_model import SLOPE_SD
+from tunenet_logs.analysis.record import Interval, Record, read_record
+from tunenet_logs.analysis.result_files import Logs, logs_of, mark
+from tunenet_logs.analysis.statistics import TWO_SIDED
+from tunenet_logs.episode import Array
+from tunenet_logs.errors import LogError, NotFoundError
+from tunenet_logs.recorders.simulators.ball import RESTITUTION, SpeedLaw
+from tunenet_logs.recorders.simulators.known import BALLS, contradict, engine
+from tunenet_logs.recorders.simulators.shot import (
+    COARSE_S,
+    Flights,
+    ShotBall,
+    ShotRig,
+    passes,
+    shoot,
+    shoot_in_engine,
+)
+from tunenet_logs.terminal import one_line
+
+# ---- Ball as known from a tuning: restitution over speed and drag, with their uncertainty.
+# Without a tuned slope, the law is fitted to the bounces.
+
+TOLD_SD = 0.01  # assumed of a restitution that a user gives without one, or that has no interval
+# Of the logarithm of a restitution whose speed is unknown: the shot's may be half or twice it.
+_NO_SPEED_SD = SLOPE_SD * math.log(2)
+
+_MIN_RESTITUTION_SD = 0.002  # so that no bounce with a tiny interval outweighs all others
+# Assumed of a drag without an interval, or half of the drag if that is more: a usual ball's drag.
+_DRAG_SD_1_M = 0.02
+
+# Fraction by which the drag of size and mass may be off the tuned one: no ball is a smooth sphere.
+_SAME_DRAG = 0.2
+
+SLOPE, DRAG = "restitution_slope", "drag"  # the names of a tuning's estimates
+_MAX_DRAG_1_M = 10.0  # no ball that falls has more
+# Where a slope comes from: the tuning, its bounces, the user, nowhere (it is then 0).
+SlopeSource = Literal["tuned", "bounces", "told", "assumed"]
+
+_MAX_SPEED_M_S = 1e4  # of an impact; nothing that people drop is faster
+
+
+@dataclass(frozen=True, eq=False)
+class KnownBall:
+    """Ball with its uncertainty.
+
+    Attributes:
+        law: The most likely one.
+        covariance: Of the logarithm of its restitution and of its slope, shape (2, 2).
+        bounces: Number seen.
+        remarks: For the user.
+        slope_source: Where the law's slope comes from.
+        drag_1_m: Deceleration by the air over speed squared; None for that of the rig's ball.
+        drag_sd_1_m: Its standard deviation; 0 if the user states the drag.
+        name: Of the ball, as it was recorded.
+        logs: That it was tuned from; see `logs_of`.
+    """
+
+    law: SpeedLaw
+    covariance: Array
+    bounces: int = 0
+    remarks: tuple[str, ...] = ()
+    slope_source: SlopeSource = "told"
+    drag_1_m: float | None = None
+    drag_sd_1_m: float = 0.0
+    name: str = ""
+    logs: Logs = field(default_factory=dict)
+
+    @property
+    def slope_sd(self) -> float:
+        """Standard deviation of the law's slope."""
+        return math.sqrt(self.covariance[1, 1])
+
+    def sd_at(self, speed_m_s: float) -> float:
+        """Return the standard deviation of the restitution at this impact speed."""
+        row = np.array([1.0, -math.log(speed_m_s / self.law.at_m_s)])
+        restitution = max(float(self.law.at(np.array(speed_m_s))), TOLD_SD)
+        return restitution * math.sqrt(row @ self.covariance @ row)
+
+
+def told_ball(
+    restitution: float,
+    slope: float = 0.0,
+    sd: float = TOLD_SD,
+    drag_1_m: float | None = None,
+) -> KnownBall:
+    """Build a ball whose restitution the user states.
+
+    Args:
+        restitution: At 3 m/s if there is a slope, else at the shot's own impact.
+        slope: Its exponent over speed; see `SpeedLaw`.
+        sd: Of the restitution.
+        drag_1_m: Of the air; None for that of the rig's ball.
+
+    Raises:
+        UsageError: No ball has it.
+    """
+    covariance = _covariance(restitution, sd)
+    return KnownBall(SpeedLaw(restitution, slope), covariance, drag_1_m=drag_1_m)
+
+
+def read_tuning(path: Path) -> KnownBall:
+    """Read the ball of a tuning's JSON.
+
+    Raises:
+        LogError: It cannot be read, or is no tuning of a ball.
+        NotFoundError: The tuning was rejected; the message says why.
+    """
+    record = read_record(path)
+    if record.verdict == "rejected":
+        raise NotFoundError(
+            f"{path}: this tuning was rejected ({one_line(record.reason)}); drop the ball "
+            "again and tune that log"
+        )
+    if record.task not in (None, "drop"):
+        raise LogError(
+            f"{path}: is the tuning of a {one_line(record.task)}, not of a drop; give one of a "
+            "ball that bounced"
+        )
+    try:
+        ball = replace(_ball_of(record), logs=logs_of([record]))
+    except ValueError as error:
+        raise LogError(f"{path}: {error}; tune the log again") from error
+    if record.verdict == "suspect":
+        doubt = f"the tuning is suspect ({one_line(record.reason)})"
+        ball = replace(ball, remarks=(doubt, *ball.remarks))
+    return ball
+
+
+def contradiction(ball: KnownBall, rig_ball: ShotBall, *, is_told: bool) -> str | None:
+    """Describe how the rig's ball contradicts that of the tuning; None if it does not.
+
+    Args:
+        ball: Of the tuning.
+        rig_ball: Of the rig.
+        is_told: Whether the user gave the rig; the default one can contradict in size only.
+    """
+    named = BALLS.get(ball.name)
+    if named is not None and contradict(rig_ball.body, named):
+        return (
+            f"the rig's ball is of {rig_ball.body.words}, that of the tuning a {ball.name} ball of "
+            f"{named.words}: correct the rig"
+        )
+    if ball.drag_1_m is None or not is_told:
+        return None
+    off_1_m = abs(rig_ball.air_drag_1_m - ball.drag_1_m)
+    if off_1_m <= max(_SAME_DRAG * ball.drag_1_m, TWO_SIDED * ball.drag_sd_1_m):
+        return None
+    return (
+        f"by the rig's ball the drag is {rig_ball.air_drag_1_m:.3g} /m, tuned is "
+        f"{ball.drag_1_m:.3g} ± {ball.drag_sd_1_m:.2g} /m: the tuned one counts"
+    )
+
+
+def _ball_of(record: Record) -> KnownBall:
+    """Build the ball by what was tuned; of a record without a slope, by its bounces.
+
+    Raises:
+        ValueError: It holds a value that no ball has.
+    """
+    value, sd = _value_and_sd(record)
+    seen = [
+        (speed, *_checked(bounce.restitution, bounce.interval95))
+        for bounce in record.rebounds
+        if (speed := _checked_speed(bounce.impact_speed_m_s)) is not None
+    ]
+    slope = _tuned(record, SLOPE, -1.0, 1.0) if record.physical else None
+    if not seen:
+        ball = _of_no_speed(value, sd)
+    elif slope is not None:
+        law = SpeedLaw(value, slope.value, seen[0][0])
+        covariance = _covariance(value, sd, slope_sd=SLOPE_SD if slope.sd is None else slope.sd)
+        ball = KnownBall(law, covariance, len(seen), slope_source="tuned")
+    else:
+        ball = _fitted(np.array(seen, dtype=float))
+    drag = _tuned(record, DRAG, 0.0, _MAX_DRAG_1_M) if record.physical else None
+    if drag is not None:
+        sd_1_m = max(drag.value / 2, _DRAG_SD_1_M) if drag.sd is None else drag.sd
+        ball = replace(ball, drag_1_m=drag.value, drag_sd_1_m=sd_1_m)
+    return replace(ball, name=record.ball or "")
+
+
+class _Tuned(NamedTuple):
+    """Quantity and its standard deviation, None without an interval."""
+
+    value: float
+    sd: float | None
+
+
+def _tuned(record: Record, name: str, low: float, high: float) -> _Tuned | None:
+    """Return a record's quantity, or None.
+
+    Raises:
+        ValueError: It is not from `low` to `high`.
+    """
+    known = record.estimate(name)
+    if known is None or not isinstance(known.value, float):
+        return None
+    if not low <= known.value <= high:
+        raise ValueError(f"{name} {known.value:g} is not a number from {low:g} to {high:g}")
+    if known.interval95 is None:
+        return _Tuned(known.value, None)
+    below, above = known.interval95
+    return _Tuned(known.value, abs(above - below) / 2 / TWO_SIDED)  # pyright: ignore[reportOperatorIssue] (one number has one interval)
+
+
+def _of_no_speed(value: float, sd: float) -> KnownBall:
+    """Build a ball whose impact speeds are unknown."""
+    return KnownBall(
+        SpeedLaw(value),
+        _covariance(value, sd, more=_NO_SPEED_SD),
+        remarks=(
+            "the tuning knows no impact speeds: the restitution is taken as the same at all speeds",
+        ),
+        slope_source="assumed",
+    )
+
+
+def _covariance(value: float, sd: float, slope_sd: float = 0.0, more: float = 0.0) -> Array:
+    """Return a law's covariance, shape (2, 2); `more` adds to the sd of ln(restitution)."""
+    level = (max(sd, _MIN_RESTITUTION_SD) / max(value, TOLD_SD)) ** 2
+    return np.diag([level + more**2, slope_sd**2])
+
+
+def _fitted(seen: Array) -> KnownBall:
+    """Fit ln e = a - p ln(v / v_1) by Bayesian linear regression, with the prior p ~ N(0, 0.1).
+
+    Args:
+        seen: Speed [m/s], restitution and its standard deviation of each bounce, shape (N, 3).
+    """
+    speeds, values, sds = seen.T
+    sds = np.maximum(sds, _MIN_RESTITUTION_SD)
+    usable = values > 3 * sds
+    usable[0] = True
+    speeds, values, sds = speeds[usable], np.maximum(values[usable], 1e-3), sds[usable]
+    at = float(speeds[0])
+    rows = np.column_stack([np.ones(len(speeds)), -np.log(speeds / at)])
+    weights = (values / sds) ** 2
+    precision = rows.T @ (rows * weights[:, None]) + np.diag([0.0, SLOPE_SD**-2])
+    covariance = np.linalg.inv(precision)
+    level, slope = covariance @ (rows.T @ (weights * np.log(values)))
+    law = SpeedLaw(min(math.exp(level), 1.0), float(np.clip(slope, -1.0, 1.0)), at)
+    if len(seen) > 1:
+        return KnownBall(law, covariance, len(speeds), slope_source="bounces")
+    remark = (
+        "the tuning does not show how the restitution falls with speed: it is taken as the same"
+    )
+    return KnownBall(law, covariance, 1, (remark,), "assumed")
+
+
+def _value_and_sd(record: Record) -> tuple[float, float]:
+    """Return the restitution at the first impact, and its standard deviation."""
+    known = record.estimate(RESTITUTION.name)
+    if known is None or not isinstance(known.value, float):
+        raise ValueError("holds no restitution; give the tuning of a dropped ball")
+    return _checked(known.value, known.interval95)  # pyright: ignore[reportArgumentType]
+
+
+def _checked(restitution: float, interval95: Interval | None) -> tuple[float, float]:
+    """Return a restitution and its standard deviation."""
+    if not 0 <= restitution <= 1:
+        raise ValueError(f"restitution {restitution:g} is not a number from 0 to 1")
+    if interval95 is None:
+        return restitution, TOLD_SD
+    return restitution, abs(interval95[1] - interval95[0]) / 2 / TWO_SIDED
+
+
+def _checked_speed(speed_m_s: float | None) -> float | None:
+    if speed_m_s is not None and not 0 < speed_m_s < _MAX_SPEED_M_S:
+        raise ValueError(f"impact_speed {speed_m_s} is none")
+    return speed_m_s
+
+
+# ---- Tolerances: ranges of height, restitution and drag in which the ball passes.
+# Heights and restitutions are simulated on a grid that is widened until the ball does not pass,
+# drags on a fixed one. Between grid points, an end is where the linearly interpolated gap is zero.
+
+Range = tuple[float, float]  # lower and upper end
+# Searched beyond the reach: 30 mm, or more standard deviations of a height than a shot is ever off.
+_ROOM_M, _ROOM_SDS = 0.03, 5
+
+_MAX_ROOM_M = 1.0  # likewise: a shot that passes even from there is reported so far
+
+# Heights that are tried at a time beyond either end of the reach, as dense as those within it:
+# enough to find an end, and not too many for a user who waits.
+_MIN_HEIGHTS, _MAX_HEIGHTS = 12, 100
+
+_FIRST_SHIFT = 0.15  # of the restitution, to either side: the default hoop forgives about 0.04
+_SHIFTS = 15  # that are tried at a time to either side: a hundredth apart at first
+_MIN_HEIGHT_M = 0.005  # the lowest height that is tried: from 0 m a ball has no impact
+# Drags that are tried to either side, denser near the ball's own: down to none, and up by so much.
+_DRAGS, _MAX_ADDED_DRAG_1_M = 12, 0.5
+
+# [m]; added to the negative gap of a ball that passes outside, to tell it from one that touches.
+_OUTSIDE = -1.0
+
+
+def signed_gap_m(flights: Flights) -> Array:
+    """Return the gap of ball and rim, shape (N,) [m]; negative unless it passes freely inside."""
+    return np.where(flights.is_through, flights.gap_m, -np.abs(flights.gap_m) + _OUTSIDE)
+
+
+def height_ends(
+    rig: ShotRig, ball: KnownBall, heights_m: Array, gaps_m: Array, which: NDArray[np.int64]
+) -> list[Range]:
+    """Find, around each given height, the least and greatest [m] from which the ball passes.
+
+    The search goes beyond the reach too: by five standard deviations of a height or 30 mm, and
+    on until the ball does not pass, or for 1 m.
+
+    Args:
+        rig: Plane, hoop and reach.
+        ball: With its uncertainty.
+        heights_m: Ascending, shape (N,).
+        gaps_m: Signed, at these, shape (N,).
+        which: Indices of heights from which it passes, shape (M,).
+
+    Returns:
+        M ranges.
+    """
+    wide, gaps, before = heights_m, gaps_m, 0
+    pitch_m = (heights_m[-1] - heights_m[0]) / (len(heights_m) - 1)
+    room_m = max(_ROOM_M, _ROOM_SDS * rig.release.height_sd_m)
+    most_m = max(_MAX_ROOM_M, room_m)
+    while True:
+        count = int(np.clip(np.ceil(room_m / pitch_m), _MIN_HEIGHTS, _MAX_HEIGHTS))
+        lowest, highest = max(wide[0] - room_m, _MIN_HEIGHT_M), wide[-1] + room_m
+        below = np.linspace(lowest, wide[0], count, endpoint=False)
+        above = np.linspace(wide[-1], highest, count + 1)[1:]
+        beyond = np.concatenate([below, above])
+        more = signed_gap_m(passes(rig, ball.law, beyond, np.zeros(2 * count)))
+        wide = np.concatenate([below, wide, above])
+        gaps = np.concatenate([more[:count], gaps, more[count:]])
+        before += count
+        found = [_ends(wide, gaps, before + index) for index in which.tolist()]
+        is_open = any(low == wide[0] > _MIN_HEIGHT_M or high == wide[-1] for low, high in found)
+        if not is_open or highest >= heights_m[-1] + most_m:
+            return found
+        room_m *= 2
+
+
+def restitution_ends(rig: ShotRig, ball: KnownBall, heights_m: Array, values: Array) -> list[Range]:
+    """Find how far each shot's restitution may be off, down and up, while the ball still passes.
+
+    Args:
+        rig: Plane, hoop and reach.
+        ball: With its uncertainty.
+        heights_m: From which it passes, shape (N,).
+        values: Its restitutions there, shape (N,); ends beyond 0 and 1 are not searched.
+
+    Returns:
+        N ranges of differences from `values`.
+    """
+    shifts = np.linspace(-_FIRST_SHIFT, _FIRST_SHIFT, 2 * _SHIFTS + 1)
+    gaps = _shifted_gaps_m(rig, ball, heights_m, shifts)
+    while True:
+        most = float(shifts[-1])
+        found = [_ends(shifts, one, len(shifts) // 2) for one in gaps]
+        low, high = np.array(found).T
+        is_open = (low == -most) & (values > most) | (high == most) & (values + most < 1)
+        if most >= 1 or not is_open.any():
+            return found
+        outer = np.linspace(most, min(2 * most, 1.0), _SHIFTS + 1)[1:]
+        beyond = np.concatenate([-outer[::-1], outer])
+        more = np.full((len(heights_m), len(beyond)), _OUTSIDE)
+        more[is_open] = _shifted_gaps_m(rig, ball, heights_m[is_open], beyond)
+        shifts = np.concatenate([beyond[:_SHIFTS], shifts, beyond[_SHIFTS:]])
+        gaps = np.hstack([more[:, :_SHIFTS], gaps, more[:, _SHIFTS:]])
+
+
+def drag_ends(rig: ShotRig, ball: KnownBall, heights_m: Array) -> list[Range]:
+    """Find, around the ball's drag, the least and greatest [1/m] with which it passes.
+
+    The search goes from zero to 0.5 /m more.
+
+    Args:
+        rig: Plane, hoop and reach; its ball's drag is the middle.
+        ball: With its uncertainty.
+        heights_m: From which it passes, shape (N,).
+
+    Returns:
+        N ranges.
+    """
+    middle_1_m = rig.ball.air_drag_1_m
+    away = np.linspace(0.0, 1.0, _DRAGS + 1)[1:] ** 2
+    below = middle_1_m * (1 - away[::-1]) if middle_1_m else np.zeros(0)
+    drags = np.concatenate([below, [middle_1_m], middle_1_m + _MAX_ADDED_DRAG_1_M * away])
+    heights, tried = np.repeat(heights_m, len(drags)), np.tile(drags, len(heights_m))
+    flights = passes(rig, ball.law, heights, np.zeros(len(heights)), tried)
+    gaps = signed_gap_m(flights).reshape(len(heights_m), len(drags))
+    return [_ends(drags, one, len(below)) for one in gaps]
+
+
+def _shifted_gaps_m(rig: ShotRig, ball: KnownBall, heights_m: Array, shifts: Array) -> Array:
+    """Compute signed gaps at N heights and S restitution shifts, shape (N, S) [m]."""
+    grid = np.repeat(heights_m, len(shifts)), np.tile(shifts, len(heights_m))
+    return signed_gap_m(passes(rig, ball.law, *grid)).reshape(len(heights_m), len(shifts))
+
+
+def _ends(values: Array, gaps: Array, index: int) -> Range:
+    """Interpolate the range of ascending `values` around `index` where `gaps` [m] are positive."""
+    found = []
+    for way in (-1, 1):
+        at = index
+        while 0 <= at + way < len(values) and gaps[at + way] > 0:
+            at += way
+        end = float(values[at])
+        if 0 <= at + way < len(values):
+            inside, outside = gaps[at], gaps[at + way]
+            # Only a ball inside the hoop has a gap that goes through zero where it touches.
+            fraction = inside / (inside - outside) if outside > _OUTSIDE else 0.5
+            end += float(fraction * (values[at + way] - values[at]))
+        found.append(end)
+    return found[0], found[1]
+
+
+# ---- Plan: simulate a range of release heights, and choose the most tolerant.
+
+SHOTS = 100  # heights that are tried: the paper's number
+_ENOUGH_SDS = 30.0  # of shots with a larger margin, the best passes nearest to the centre
+
+# Heights whose margins are searched, those nearest to the centre: each costs many rollouts.
+_MAX_JUDGED_HEIGHTS = 40
+
+# No robot lets go more precisely; keeps the margin finite where the rig gives 0.
+_MIN_HEIGHT_SD_M = 1e-4
+_MIN_DRAG_SD_1_M = 1e-5  # likewise of a drag
+
+
+@dataclass(frozen=True)
+class BestShot:
+    """Shot with the largest margin.
+
+    Attributes:
+        index: Of its height among those that were tried.
+        height_m: Release height of the ball above its contact with the plane.
+        miss_m: From the hoop's centre to where the ball passes its plane.
+        clearance_m: Least distance between ball and rim.
+        impact_m_s: Speed along the plane's normal.
+        restitution: At that speed.
+        restitution_sd: Its standard deviation.
+        restitutions: Least and greatest with which the ball passes without touching the rim.
+        heights_m: Least and greatest height from which it does.
+        drags_1_m: Least and greatest drag with which it does; None if the user states it.
+        margin: To the nearest of these ends, in standard deviations.
+    """
+
+    index: int
+    height_m: float
+    miss_m: float
+    clearance_m: float
+    impact_m_s: float
+    restitution: float
+    restitution_sd: float
+    restitutions: Range
+    heights_m: Range
+    drags_1_m: Range | None
+    margin: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Heights that were tried, and the best.
+
+    Attributes:
+        rig: Plane, hoop and reach; its ball has the tuned drag, if any.
+        ball: With its uncertainty.
+        heights_m: That were tried, ascending, shape (N,).
+        offset_m: Where each would pass the hoop's plane, forward and left of its centre, (N, 2);
+            NaN for one that never comes down there.
+        clearance_m: See `signed_gap_m`, shape (N,).
+        flights: With the rim in the way, and the paths.
+        best: None if no height passes.
+        seconds: Wall time of planning.
+    """
+
+    rig: ShotRig
+    ball: KnownBall
+    heights_m: Array
+    offset_m: Array
+    clearance_m: Array
+    flights: Flights
+    best: BestShot | None
+    seconds: float
+
+    @property
+    def miss_m(self) -> Array:
+        """Distance from the hoop's centre, shape (N,) [m]; NaN if it never comes down there."""
+        return np.hypot(*self.offset_m.T)
+
+    @property
+    def nearest(self) -> int:
+        """Index of the height that passes nearest to the centre."""
+        return int(np.argmin(np.nan_to_num(self.miss_m, nan=np.inf)))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings for the user before the robot shoots."""
+        found = list(self.ball.remarks)
+        reach, best = self.rig.release, self.best
+        if best is None and np.isnan(self.miss_m).all():
+            found.append(
+                f"no height from {reach.lowest_m:g} to {reach.highest_m:g} m scores: from none "
+                "does the ball bounce and come down through the hoop's height (hoop.up_m "
+                f"{self.rig.hoop.up_m:g}): lower the hoop, or reach farther"
+            )
+        elif best is None:
+            found.append(
+                f"no height from {reach.lowest_m:g} to {reach.highest_m:g} m scores; the nearest "
+                f"misses the centre by {1000 * self.miss_m[self.nearest]:.0f} mm, from "
+                f"{self.heights_m[self.nearest]:.3f} m: move the hoop, or reach farther"
+            )
+        elif best.margin < 2:
+            found.append(
+                f"restitution {best.restitution:.3f} ± {best.restitution_sd:.3f} and a height kept "
+                f"to {1000 * reach.height_sd_m:.1f} mm{self._drag_words} leave {best.margin:.1f} "
+                "standard deviations to the rim: drop the ball again for a surer restitution, or "
+                "widen the hoop"
+            )
+        return tuple(found)
+
+    @property
+    def _drag_words(self) -> str:
+        drag, sd = self.ball.drag_1_m, self.ball.drag_sd_1_m
+        return f" and a drag of {drag:.3g} ± {sd:.2g} /m" if drag is not None and sd else ""
+
+
+def plan_shot(rig: ShotRig, ball: KnownBall, shots: int = SHOTS) -> Plan:
+    """Simulate `shots` heights, 2 or more, evenly over the reach, and choose the best.
+
+    A drag that is known of the ball replaces that of the rig's ball.
+    """
+    start = time.perf_counter()
+    if ball.drag_1_m is not None:
+        rig = rig.with_drag(ball.drag_1_m)
+    heights = np.linspace(rig.release.lowest_m, rig.release.highest_m, shots)
+    tried = passes(rig, ball.law, heights, np.zeros(shots))
+    best = _best(rig, ball, heights, tried)
+    return Plan(
+        rig=rig,
+        ball=ball,
+        heights_m=heights,
+        offset_m=tried.offset_m,
+        clearance_m=signed_gap_m(tried),
+        flights=shoot(rig, ball.law, heights),
+        best=best,
+        seconds=time.perf_counter() - start,
+    )
+
+
+def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> BestShot | None:
+    """Choose the passing height with the largest margin; None if none passes."""
+    gaps = signed_gap_m(tried)
+    candidates = np.flatnonzero(gaps > 0)
+    if not len(candidates):
+        return None
+    misses = np.hypot(*tried.offset_m.T)
+    if len(candidates) > _MAX_JUDGED_HEIGHTS:
+        candidates = candidates[np.argsort(misses[candidates])[:_MAX_JUDGED_HEIGHTS]]
+    values = ball.law.at(tried.impact_m_s[candidates])
+    drags: list[Range | None] = [None] * len(candidates)
+    if ball.drag_sd_1_m:
+        drags = [*drag_ends(rig, ball, heights[candidates])]
+    judged = []
+    for index, restitution, shifts, ends, drag in zip(
+        candidates.tolist(),
+        values.tolist(),
+        restitution_ends(rig, ball, heights[candidates], values),
+        height_ends(rig, ball, heights, gaps, candidates),
+        drags,
+        strict=True,
+    ):
+        height, speed = float(heights[index]), float(tried.impact_m_s[index])
+        sd = ball.sd_at(speed)
+        room_m = min(height - ends[0], ends[1] - height)
+        margins = (
+            min(-shifts[0], shifts[1]) / sd,
+            room_m / max(rig.release.height_sd_m, _MIN_HEIGHT_SD_M),
+            _drag_margin(ball, drag),
+        )
+        judged.append(
+            BestShot(
+                index=index,
+                height_m=height,
+                miss_m=float(misses[index]),
+                clearance_m=float(gaps[index]),
+                impact_m_s=speed,
+                restitution=restitution,
+                restitution_sd=sd,
+                restitutions=(
+                    max(restitution + shifts[0], 0.0),
+                    min(restitution + shifts[1], 1.0),
+                ),
+                heights_m=ends,
+                drags_1_m=drag,
+                margin=float(min(margins)),
+            )
+        )
+    return max(judged, key=lambda shot: (min(shot.margin, _ENOUGH_SDS), -shot.miss_m))
+
+
+def _drag_margin(ball: KnownBall, drags_1_m: Range | None) -> float:
+    """Return the margin to the nearer drag [sd]; no ball has less drag than none."""
+    if drags_1_m is None or ball.drag_1_m is None:
+        return math.inf
+    low, high = drags_1_m
+    room_1_m = min(ball.drag_1_m - low if low > 0 else math.inf, high - ball.drag_1_m)
+    return room_1_m / max(ball.drag_sd_1_m, _MIN_DRAG_SD_1_M)
+
+
+# ---- Replay: the chosen shot in a physics engine that solves its impacts.
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The engine's rollout of the shot.
+
+    Attributes:
+        engine: With its version.
+        is_through: Whether the ball fell through the hoop.
+        miss_m: From the hoop's centre to where it passed; NaN if it never came down there.
+    """
+
+    engine: str
+    is_through: bool
+    miss_m: float
+
+    @property
+    def words(self) -> str:
+        """Description in one line."""
+        if np.isnan(self.miss_m):
+            return f"in {self.engine} it never comes down through the hoop's height"
+        passed = "through the hoop" if self.is_through else "beside the hoop"
+        return f"in {self.engine} it falls {passed}, {1000 * self.miss_m:.1f} mm from the centre"
+
+
+def replayed(plan: Plan) -> Replay | None:
+    """Roll out the best shot in the chosen engine; None if no height scores."""
+    if plan.best is None:
+        return None
+    flight = shoot_in_engine(plan.rig, plan.ball.law, plan.best.height_m, COARSE_S)
+    miss_m = float(np.hypot(*flight.offset_m[0]))
+    return Replay(engine().name, bool(flight.is_through[0]), miss_m)
+
+
+# ---- Report: a plan as a table, in words and as JSON.
+
+_SLOPE_SOURCES: Mapping[SlopeSource, str] = {
+    "tuned": "tuned",
+    "bounces": "fitted to the tuning's bounces",
+    "told": "as told",
+    "assumed": "not known, taken as none",
+}
+
+_EVERY = 10  # of the heights that do not score, one in ten is in the table: all fill a screen
+
+
+def plan_json(plan: Plan, replay: Replay | None) -> str:
+    """Format the plan as one JSON object; its keys are a contract, new ones may be added."""
+    best = plan.best
+    shots = [
+        {
+            "height": height,
+            "miss": _or_none(miss),
+            "clearance": clearance if clearance > -1 else None,
+            "passes": clearance > 0,
+            "scores": through,
+            "touches_rim": touched,
+        }
+        for height, miss, clearance, through, touched in zip(
+            plan.heights_m.tolist(),
+            plan.miss_m.tolist(),
+            plan.clearance_m.tolist(),
+            plan.flights.is_through.tolist(),
+            plan.flights.has_touched.tolist(),
+            strict=True,
+        )
+    ]
+    content: dict[str, Any] = {
+        "made": mark("plan", plan.ball.logs),
+        "task": "bounce-shot",
+        "unit": "m",
+        "ball": {
+            "restitution": plan.ball.law.restitution,
+            "slope": plan.ball.law.slope,
+            "at_speed": plan.ball.law.at_m_s,
+            "bounces": plan.ball.bounces,
+            "slope_sd": plan.ball.slope_sd,
+            "slope_from": plan.ball.slope_source,
+            "drag": plan.rig.ball.air_drag_1_m,
+            "drag_sd": plan.ball.drag_sd_1_m,
+            "drag_from": drag_source(plan.ball),
+        },
+        "best": None if best is None else _best_fields(best),
+        "replay": replay
+        and {
+            "engine": replay.engine,
+            "through": replay.is_through,
+            "miss": _or_none(replay.miss_m),
+        },
+        "warnings": list(plan.warnings),
+        "shots": shots,
+        "rig": asdict(plan.rig),
+        "seconds": {"plan": round(plan.seconds, 4)},
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _best_fields(best: BestShot) -> dict[str, Any]:
+    return {
+        "height": best.height_m,
+        "miss": best.miss_m,
+        "clearance": best.clearance_m,
+        "impact_speed": best.impact_m_s,
+        "restitution": best.restitution,
+        "restitution_sd": best.restitution_sd,
+        "tolerance": {
+            "restitution": list(best.restitutions),
+            "height": list(best.heights_m),
+            "drag": best.drags_1_m and list(best.drags_1_m),
+        },
+        "margin_sd": best.margin,
+    }
+
+
+def plan_table(plan: Plan, replay: Replay | None) -> str:
+    """Format the heights that pass and every tenth of the others, then the best in words."""
+    head = f"{'height':>10}  {'miss':>8}  {'to the rim':>10}  outcome"
+    lines = [head]
+    for index, height in enumerate(plan.heights_m.tolist()):
+        passes = plan.clearance_m[index] > 0
+        if passes or index % _EVERY == 0 or index == len(plan.heights_m) - 1:
+            room = f"{1000 * plan.clearance_m[index]:.1f} mm" if passes else "-"
+            mark = "  <- best" if plan.best is not None and index == plan.best.index else ""
+            lines.append(
+                f"{height:8.4f} m  {_miss(float(plan.miss_m[index])):>8}  {room:>10}  "
+                f"{outcome_words(plan, index)}{mark}"
+            )
+    again = [replay.words] if replay else []
+    return "\n".join([*lines, "", *best_lines(plan), *again, *ball_lines(plan)])
+
+
+def best_lines(plan: Plan) -> list[str]:
+    """Describe the best shot, with its tolerances in restitution, height and drag."""
+    best = plan.best
+    if best is None:
+        return ["no height scores"]
+    drags = ""
+    if best.drags_1_m is not None:
+        drags = f", or a drag from {best.drags_1_m[0]:.3f} to {best.drags_1_m[1]:.3f} /m"
+    below, above = (1000 * abs(end - best.height_m) for end in best.heights_m)
+    return [
+        f"best: let go {best.height_m:.4f} m above the touch; passes {1000 * best.miss_m:.1f} mm "
+        f"from the centre, {1000 * best.clearance_m:.1f} mm from the rim",
+        f"restitution {best.restitution:.4f} ± {best.restitution_sd:.4f} at its impact of "
+        f"{best.impact_m_s:.2f} m/s along the plane's normal",
+        f"still passes with a restitution from {best.restitutions[0]:.4f} to "
+        f"{best.restitutions[1]:.4f}, or {below:.0f} mm lower to {above:.0f} mm higher{drags}",
+    ]
+
+
+def ball_lines(plan: Plan) -> list[str]:
+    """Describe the ball's slope and drag, with their sources."""
+    ball, law = plan.ball, plan.ball.law
+    slope_sd = f" ± {ball.slope_sd:.3f}" if ball.slope_sd else ""
+    drag_sd = f" ± {ball.drag_sd_1_m:.4f}" if ball.drag_sd_1_m else ""
+    at = (
+        ""
+        if ball.slope_source in ("assumed", "told") and not law.slope
+        else (f" of {law.restitution:.4f} at {law.at_m_s:.2f} m/s")
+    )
+    return [
+        f"slope {law.slope:.3f}{slope_sd}{at} ({_SLOPE_SOURCES[ball.slope_source]})",
+        f"drag {plan.rig.ball.air_drag_1_m:.4f}{drag_sd} /m ({drag_words(plan)})",
+    ]
+
+
+def drag_words(plan: Plan) -> str:
+    """Describe where the drag of a plan comes from."""
+    ball = plan.rig.ball
+    if drag_source(plan.ball) != "rig":
+        return drag_source(plan.ball)
+    if ball.drag_1_m is not None:
+        return "the rig's"
+    return "no air" if ball.mass_kg is None else f"the rig's ball: {ball.body.words}"
+
+
+def drag_source(ball: KnownBall) -> str:
+    """Return where the drag comes from: the tuning, the user, the rig's ball."""
+    if ball.drag_1_m is None:
+        return "rig"
+    return "told" if ball.slope_source == "told" else "tuned"
+
+
+def outcome_words(plan: Plan, index: int) -> str:
+    """Describe the simulated outcome of one height."""
+    if plan.clearance_m[index] > 0:
+        return "passes"
+    if plan.flights.has_touched[index]:
+        return "off the rim, in" if plan.flights.is_through[index] else "off the rim"
+    return "misses"
+
+
+def _miss(miss_m: float) -> str:
+    return "-" if math.isnan(miss_m) else f"{1000 * miss_m:.0f} mm"
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value

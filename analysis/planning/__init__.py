@@ -1,1 +1,0 @@
-"""Planning of a robot's bounce shot with a tuned ball."""

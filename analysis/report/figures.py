@@ -1,0 +1,674 @@
+"""Draw a tuning's figures with matplotlib: curves, bounces, iterations, images and torques.
+
+Those of a drop need its record alone; images and torques are read from its review. A `..._drawing`
+is None where there is nothing to draw.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
+
+from tunenet_logs.analysis.campaign import strobe
+from tunenet_logs.analysis.compare import (
+    ComparedGroup,
+    ComparedQuantity,
+    ComparedValue,
+    Comparison,
+    moved,
+    restitution_value,
+)
+from tunenet_logs.analysis.presentation import quantity
+from tunenet_logs.analysis.record import Curves, Record
+from tunenet_logs.analysis.review.drawing import ReviewedFilm, ReviewedTorque
+from tunenet_logs.episode import Array, Picture
+from tunenet_logs.errors import LogError
+from tunenet_logs.images import decode_image
+from tunenet_logs.terminal import short_name
+
+# ---- Style: widths of a paper's column, colour-blind safe colours.
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+COLUMN_IN = 3.4  # width of a figure: a column of a paper with two [in]
+WIDE_IN = 7.0  # width of both columns with what is between them [in]
+# What was recorded, the tuned simulator, and a third thing (Okabe and Ito 2008).
+OBSERVED, SIMULATED, THIRD = "#1a1a1a", "#d55e00", "#0072b2"
+
+MUTED, BAND = "#767676", "#e6e6e6"
+# One log after the other; after the last colour, the lines' pattern changes.
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1a1a1a")
+PATTERNS = ("-", "--", "-.", ":")
+
+_FONT = "DejaVu Sans"  # comes with matplotlib, so figures look the same everywhere
+_SETTINGS = {
+    "font.family": _FONT,
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 7.0,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e3e3e3",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "lines.linewidth": 1.2,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "figure.dpi": 100,
+    "savefig.dpi": 300,
+    "pdf.fonttype": 42,  # TrueType: text that can be searched, and no fonts that journals refuse
+    "svg.fonttype": "path",  # looks alike on a machine without the font
+    "svg.hashsalt": "tunenet-logs",  # the same figure is the same bytes
+    "text.parse_math": False,  # a dollar in a log's name is a dollar
+    "text.usetex": False,
+    "axes.formatter.use_mathtext": False,
+    "axes.unicode_minus": True,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """Figure with its texts.
+
+    Attributes:
+        name: Short, for a file's name.
+        title: Above it.
+        caption: What it shows; numbers in it are the record's.
+        alt: Alternative text.
+        figure: Drawn, not saved yet.
+        is_photo: Whether it is images rather than lines.
+    """
+
+    name: str
+    title: str
+    caption: str
+    alt: str
+    figure: Figure
+    is_photo: bool = False
+
+
+def styled(draw: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Decorate a function to draw or save with these settings instead of the user's."""
+
+    @functools.wraps(draw)
+    def inside(*arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
+        with mpl.rc_context():
+            mpl.rcdefaults()
+            mpl.rcParams.update(_SETTINGS)  # pyright: ignore[reportArgumentType, reportCallIssue]
+            return draw(*arguments, **named)
+
+    return inside
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Create an empty figure without pyplot, so that the user's open figures stay."""
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def drawable(text: str, most: int = 28) -> str:
+    """Replace letters that the font lacks, and shorten."""
+    known = get_font(findfont(FontProperties(family=_FONT))).get_charmap()
+    return "".join(
+        letter if ord(letter) in known else "\u25a1" for letter in short_name(text, most)
+    )
+
+
+def log_style(index: int) -> tuple[str, str]:
+    """Return colour and dash pattern of one of several logs' lines."""
+    return SERIES[index % len(SERIES)], PATTERNS[index // len(SERIES) % len(PATTERNS)]
+
+
+def mark_impacts(axes: Axes, seconds: list[float]) -> None:
+    """Draw thin lines at these times."""
+    for at_s in seconds:
+        axes.axvline(at_s, color=MUTED, linewidth=0.5, linestyle=(0, (2, 2)), zorder=0.5)
+
+
+# ---- Drop: heights, bounces and iterations, from the record alone.
+
+# Samples drawn of one curve: more cannot be told apart in a column, and make a page large.
+_MAX_CURVE_POINTS = 700
+
+_MAX_BOUNCES = 60  # drawn
+_MM = 1000.0
+
+
+def in_metres(record: Record) -> bool:
+    """Return whether heights are in metres; else in drop heights, for want of a scale."""
+    return "drag" not in record.motion.unknown
+
+
+def thinned(count: int, most: int = _MAX_CURVE_POINTS) -> slice:
+    """Return a slice that decimates so many samples to at most `most`."""
+    return slice(None, None, max(1, -(-count // most)))
+
+
+@styled
+def curves_drawing(record: Record) -> Drawing | None:
+    """Plot observed and simulated heights, and the residual; None without curves."""
+    curves = record.motion.curves
+    if curves is None:
+        return None
+    unit = "m" if in_metres(record) else "drop heights"
+    part = thinned(len(curves.seconds))
+    figure = new_figure(COLUMN_IN, 2.9)
+    _draw_curves(figure, record, curves, part, unit)
+    fit = record.motion.fit
+    span_s = float(curves.seconds[-1] - curves.seconds[0])
+    caption = f"Height over the table at the recording's own {len(curves.seconds)} samples"
+    if part.step and part.step > 1:
+        caption += f" (every {part.step}th is drawn)"
+    caption += "; below, what the simulated ball is higher by."
+    if fit is not None:
+        caption += (
+            f" Apart by {fit.rms_percent:.2f} % of the drop height, rms, of which the noise of the "
+            f"observation makes {fit.noise_percent:.2f} %; at worst {fit.worst_percent:.2f} %."
+        )
+    alt = f"Two curves of height over {span_s:.2f} s: observed points and the simulated line"
+    if fit is not None:
+        alt += f", {fit.rms_percent:.2f} % of the drop height apart, rms"
+    return Drawing("curves", "Observed and simulated", caption, alt + ".", figure)
+
+
+def _draw_curves(figure: Figure, record: Record, curves: Curves, part: slice, unit: str) -> None:
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.2])
+    seconds = curves.seconds[part]
+    observed, simulated = curves.observed_m[part], curves.simulated_m[part]
+    upper.plot(seconds, observed, ".", color=OBSERVED, markersize=2.6, label="observed")
+    upper.plot(seconds, simulated, color=SIMULATED, linewidth=1.1, label="simulated")
+    impacts = [one.impact_s for one in record.rebounds[:_MAX_BOUNCES]]
+    inside = [at_s for at_s in impacts if curves.seconds[0] <= at_s <= curves.seconds[-1]]
+    for axes in (upper, lower):
+        mark_impacts(axes, inside)
+    upper.set_ylabel(f"height [{unit}]")
+    upper.set_ylim(bottom=min(0.0, _least(observed)) - 0.03 * _extent(observed))
+    figure.legend(loc="outside upper right", ncols=2)
+    factor, small = (_MM, "mm") if unit == "m" else (100.0, "%")
+    off = factor * (simulated - observed)
+    lower.axhline(0, color=MUTED, linewidth=0.5)
+    lower.plot(seconds, off, color=THIRD, linewidth=0.7)
+    known = np.abs(off[np.isfinite(off)])
+    reach = 1.4 * float(np.quantile(known, 0.98)) if len(known) else 1.0
+    lower.set_ylim(-max(reach, 1e-3), max(reach, 1e-3))
+    lower.set_ylabel(f"sim. − obs.\n[{small}]")
+    lower.set_xlabel("time [s]")
+
+
+def _least(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if len(known) else 0.0
+
+
+def _extent(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.ptp(known)) if len(known) else 1.0
+
+
+@styled
+def bounces_drawing(record: Record) -> Drawing | None:
+    """Plot restitution over impact speed with the tuned law; None for one impact."""
+    rebounds = record.rebounds[:_MAX_BOUNCES]
+    tuned = record.estimate("restitution")
+    if len(rebounds) < 2 or tuned is None or not isinstance(tuned.value, float):
+        return None
+    has_speed = all((one.impact_speed_m_s or 0) > 0 for one in rebounds)
+    places = [
+        float(one.impact_speed_m_s or 0) if has_speed else float(number)
+        for number, one in enumerate(rebounds, 1)
+    ]
+    figure = new_figure(COLUMN_IN, 2.2)
+    axes = figure.subplots()
+    if has_speed:
+        _draw_law(figure, record, np.array(places))
+    values = [one.restitution for one in rebounds]
+    ends = [one.interval95 or (one.restitution, one.restitution) for one in rebounds]
+    below = [max(value - low, 0.0) for value, (low, _) in zip(values, ends, strict=True)]
+    above = [max(high - value, 0.0) for value, (_, high) in zip(values, ends, strict=True)]
+    axes.errorbar(
+        places, values, (below, above), fmt="o", color=OBSERVED, markersize=3, capsize=2,
+        elinewidth=0.8, label="each impact alone",
+    )  # fmt: skip
+    axes.set_xlabel("impact speed [m/s]" if has_speed else "bounce")
+    if not has_speed:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_ylabel("restitution")
+    least = 0.02 - float(np.ptp([*axes.get_ylim()]))
+    if least > 0:  # a scale on which noise would look like a law
+        low, high = axes.get_ylim()
+        axes.set_ylim(low - least / 2, high + least / 2)
+    figure.legend(loc="outside upper right", ncols=2)
+    count = len(record.rebounds)
+    caption = f"Restitution of {len(rebounds)} impacts, each by itself, with 95 % intervals"
+    caption += f" (of {count})" if count > len(rebounds) else ""
+    caption += "; the line is the tuned law over speed with its interval." if has_speed else "."
+    alt = f"Points of restitution from {min(values):.3f} to {max(values):.3f}"
+    alt += f" at {min(places):.2f} to {max(places):.2f} m/s." if has_speed else " by bounce."
+    return Drawing("bounces", "Bounce by bounce", caption, alt, figure)
+
+
+def _draw_law(figure: Figure, record: Record, speeds_m_s: Array) -> None:
+    """Plot e (v / v_1)^-p; its band has e's own error at its speed and p's beside it."""
+    tuned = record.estimate("restitution")
+    assert tuned is not None
+    assert isinstance(tuned.value, float)
+    ends = tuned.interval95
+    value = restitution_value(
+        ComparedValue("", tuned.value, ends, record.verdict),  # pyright: ignore[reportArgumentType]
+        record,
+    )
+    if value.slope is None or value.speed_m_s is None:
+        return
+    at_m_s = np.linspace(speeds_m_s.min(), speeds_m_s.max(), 60)
+    axes = figure.axes[0]
+    along = [moved(value, float(one)) for one in at_m_s] if value.slope_half is not None else []
+    if along and value.interval95 is not None:
+        lows, highs = zip(*(one.interval95 or (0.0, 0.0) for one in along), strict=True)
+        axes.fill_between(at_m_s, lows, highs, color=SIMULATED, alpha=0.18, linewidth=0)
+    law = value.value * (at_m_s / value.speed_m_s) ** -value.slope
+    axes.plot(at_m_s, law, color=SIMULATED, label="tuned law")
+
+
+@styled
+def iterations_drawing(record: Record) -> Drawing | None:
+    """Plot the first parameter over the iterations, with the result's interval.
+
+    None for one step, and without a result: the last of them would look like one.
+    """
+    steps = record.iterations
+    if len(steps) < 2 or not steps[0] or not record.estimates:
+        return None
+    name = next(iter(steps[0]))
+    values = [step[name] for step in steps if name in step]
+    figure = new_figure(COLUMN_IN, 2.0)
+    axes = figure.subplots()
+    known = record.estimate(name)
+    if known is not None and known.interval95 is not None and isinstance(known.value, float):
+        low, high = known.interval95
+        axes.axhspan(low, high, color=BAND, zorder=0.4)  # pyright: ignore[reportArgumentType]
+    axes.plot(range(len(values)), values, "o-", color=THIRD, markersize=3.5)
+    if record.is_fitted:
+        axes.plot(len(values) - 1, values[-1], "D", color=SIMULATED, markersize=5)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    unit = "" if known is None or known.unit == "1" else f" [{known.unit}]"
+    axes.set_xlabel("iteration k")
+    axes.set_ylabel(drawable(name.replace("_", " ") + unit))
+    last = " The diamond is the fit to all samples, the result." if record.is_fitted else ""
+    caption = f"From the first guess, {values[0]:.4f}, to {values[-1]:.4f}.{last}"
+    alt = f"{name} by iteration, from {values[0]:.4f} to {values[-1]:.4f}."
+    return Drawing("iterations", "Iterations", caption, alt, figure)
+
+
+# ---- Several logs: their curves over each other, their values with intervals.
+
+_MAX_CURVES = 14  # over each other: more cannot be told apart
+_MAX_OVERLAY_POINTS = 300  # drawn of each of them
+_MAX_ROWS = 40  # of a chart of values
+_MAX_CHARTS = 6
+
+
+@styled
+def overlay_drawing(comparison: Comparison) -> Drawing | None:
+    """Plot observed and simulated heights of several drops from their first impact."""
+    numbered = [
+        (number, label, record)
+        for number, (label, record) in enumerate(
+            zip(comparison.labels, comparison.records, strict=True), 1
+        )
+        if record.motion.curves is not None and record.rebounds and record.estimates
+    ]
+    metres = [one for one in numbered if in_metres(one[2])]
+    shown = (metres or numbered)[:_MAX_CURVES]
+    if len(shown) < 2:
+        return None
+    figure = new_figure(WIDE_IN, 3.0)
+    axes = figure.subplots()
+    for place, (number, label, record) in enumerate(shown):
+        color, pattern = log_style(place)
+        curves = record.motion.curves
+        assert curves is not None
+        part = thinned(len(curves.seconds), _MAX_OVERLAY_POINTS)
+        seconds = curves.seconds[part] - first_impact_s(record)
+        axes.plot(seconds, curves.observed_m[part], ".", color=color, markersize=2, alpha=0.5)
+        axes.plot(
+            seconds,
+            curves.simulated_m[part],
+            color=color,
+            linestyle=pattern,
+            linewidth=1.0,
+            label=f"{number}  {drawable(label)}",
+        )
+    axes.axvline(0, color=MUTED, linewidth=0.5)
+    axes.set_xlabel("time from the first impact [s]")
+    axes.set_ylabel("height [m]" if metres else "height [drop heights]")
+    figure.legend(loc="outside right upper")
+    left = len(numbered) - len(shown)
+    caption = "Heights from the first impact on: points as observed, lines as tuned."
+    caption += f" {left} more drops are not drawn." if left else ""
+    labels = ", ".join(f"{number} {label}" for number, label, _ in shown)
+    alt = f"Curves of height over time of {len(shown)} drops: {labels}."
+    return Drawing("curves", "Curves over each other", caption, alt, figure)
+
+
+def first_impact_s(record: Record) -> float:
+    """Return the time of the first impact, on the log's clock."""
+    window = record.window or {}
+    return window.get("impact_s", record.rebounds[0].impact_s if record.rebounds else 0.0)
+
+
+@styled
+def values_drawing(comparison: Comparison, group: ComparedGroup) -> Drawing | None:
+    """Plot a group's values with their intervals, a chart each; None for a single log."""
+    charts = [one for one in group.quantities if len(one.values) > 1][:_MAX_CHARTS]
+    if not charts:
+        return None
+    labels = group.labels[:_MAX_ROWS]
+    columns = min(3, len(charts))
+    rows = -(-len(charts) // columns)
+    width_in = WIDE_IN if columns > 1 else COLUMN_IN
+    figure = new_figure(width_in, (0.55 + 0.19 * len(labels)) * rows + 0.1)
+    grid = np.ravel(figure.subplots(rows, columns, squeeze=False))
+    for axes in grid[len(charts) :]:
+        axes.set_axis_off()
+    numbers = {label: number for number, label in enumerate(comparison.labels, 1)}
+    for index, (axes, one) in enumerate(zip(grid, charts, strict=False)):
+        _draw_values(axes, one, labels)
+        names = [str(numbers[label]) for label in labels]
+        if index % columns == 0:
+            names = [f"{drawable(label, 22)}  {numbers[label]}" for label in labels]
+        axes.set_yticks(range(len(labels)), names)
+        axes.set_ylim(len(labels) - 0.5, -0.5)
+        axes.grid(visible=False, axis="y")
+        axes.set_title(drawable(quantity(one.name, one.unit)), pad=3)
+    caption = "Values with 95 % intervals; hollow: suspect, or without an interval."
+    if len(group.labels) > len(labels):
+        caption += f" {len(group.labels) - len(labels)} more logs are not drawn."
+    words = "; ".join(_in_words(one) for one in charts)
+    return Drawing("values", f"Values: {group.title}", caption, words, figure)
+
+
+def _draw_values(axes, one: ComparedQuantity, labels: Sequence[str]) -> None:  # noqa: ANN001
+    rows = {label: row for row, label in enumerate(labels)}
+    for value in one.values:
+        row = rows.get(value.label)
+        if row is None:
+            continue
+        color, _ = log_style(0)
+        if value.interval95 is not None:
+            axes.plot(value.interval95, [row, row], color=color, linewidth=1.2)
+        is_sure = value.verdict == "ok" and value.interval95 is not None
+        fill = color if is_sure else "white"
+        axes.plot([value.value], [row], "o", color=color, markerfacecolor=fill, markersize=4)
+
+
+def _in_words(one: ComparedQuantity) -> str:
+    values = [value.value for value in one.values if math.isfinite(value.value)]
+    return f"{one.name} from {min(values):.4f} to {max(values):.4f} in {len(values)} logs"
+
+
+def comparison_drawings(comparison: Comparison) -> list[Drawing]:
+    """Make all figures of a comparison, the curves first."""
+    drawings = [overlay_drawing(comparison)]
+    drawings += [values_drawing(comparison, group) for group in comparison.groups]
+    return [drawing for drawing in drawings if drawing is not None]
+
+
+# ---- Filmed ball: a strobe image and single frames, with the track.
+
+# Colours of the found ball and its impacts; the simulated path has the simulated curve's.
+_TRACK, _IMPACT = "#ffffff", "#56b4e9"
+
+_STROBES, _MAX_FRAMES = 20, 8  # pictures in the strobe picture; single frames
+_ROOM = 0.18  # around the ball's path, of its longer side
+# Width over height of the crop, at least: a ball that falls straight is still seen in its place.
+_NARROWEST = 0.45
+_TALLEST_IN = 4.6
+
+# Maximum height of a frame, height of the time above it, and frames side by side: on a phone they
+# are still seen.
+_FRAME_IN, _TITLE_IN, _FRAME_COLUMNS = 2.6, 0.17, 4
+
+# Height over width of a crop from which all frames stand in one row; width of a time [in].
+_SLIM, _TIME_IN = 4.0, 0.5
+
+_MIN_PX = 24  # sides of a crop
+_MAX_PX = 1280  # longer side of a picture in memory: a figure shows no more
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Image, perhaps reduced, shape (H, W, 3); its time [s] and original size."""
+
+    at_s: float
+    picture: Picture
+    size_px: tuple[int, int]
+
+
+@styled
+def strobe_drawing(film: ReviewedFilm) -> Drawing | None:
+    """Draw a strobe image of the ball with its track; None if no image can be read."""
+    frames = _frames(film, np.linspace(*_span(film), _STROBES))
+    if not frames:
+        return None
+    picture = strobe([frame.picture for frame in frames])
+    box = _box(film, frames[0].size_px)
+    height_in, width_in = _fitting(box)
+    figure = new_figure(width_in, height_in)
+    figure.set_layout_engine("none")
+    axes = figure.add_axes((0, 0, 1, 1))
+    _show(axes, picture, frames[0].size_px, box)
+    thickness = 0.9
+    for path in film.paths_px:
+        axes.plot(*path.T, color=SIMULATED, linewidth=thickness)
+    for frame in frames:
+        _circle(axes, film, frame.at_s, thickness)
+    if len(film.impacts_px):
+        axes.plot(*film.impacts_px.T, "x", color=_IMPACT, markersize=5, markeredgewidth=1.3)
+    line = "the track" if film.is_refused else "the tuned ball's way"
+    seen = f"{len(frames)} pictures from {frames[0].at_s:.2f} to {frames[-1].at_s:.2f} s in one"
+    circles = f", circles where {_found(film)}" if len(film.track_s) else ""
+    caption = f"{seen}{circles}, as a line {line}." if film.paths_px else f"{seen}{circles}."
+    if len(film.impacts_px):
+        caption += " Crosses mark impacts."
+    return Drawing("film", "What the camera saw", caption, caption, figure, is_photo=True)
+
+
+@styled
+def frames_drawing(film: ReviewedFilm, record: Record) -> Drawing | None:
+    """Draw frames at the key times; None if fewer than two can be read."""
+    frames = _frames(film, key_times(film, record))
+    if len(frames) < 2:
+        return None
+    box = _box(film, frames[0].size_px)
+    left, right, bottom, top = box
+    ratio = (bottom - top) / (right - left)
+    columns = min(len(frames), _FRAME_COLUMNS if ratio < _SLIM else _MAX_FRAMES)
+    rows = -(-len(frames) // columns)
+    wide_in = max(min(WIDE_IN / columns, _FRAME_IN / ratio), _TIME_IN)
+    figure = new_figure(wide_in * columns, (wide_in * ratio + _TITLE_IN) * rows)
+    grid: Any = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for axes, frame in zip(grid.flat, frames, strict=False):
+        _show(axes, frame.picture, frame.size_px, box)
+        _circle(axes, film, frame.at_s, 1.1)
+        axes.set_title(f"{frame.at_s:.3f} s", pad=2)
+    times = ", ".join(f"{frame.at_s:.2f}" for frame in frames)
+    which = "at the release, impacts and highest points" if record.rebounds else "evenly in time"
+    circles = f", with a circle where {_found(film)}" if len(film.track_s) else ""
+    caption = f"Single pictures, {which}{circles}."
+    alt = f"Pictures of the recording at {times} s{circles}."
+    return Drawing("frames", "Frame by frame", caption, alt, figure, is_photo=True)
+
+
+def _found(film: ReviewedFilm) -> str:
+    return "something was taken for the ball" if film.is_refused else "the ball was found"
+
+
+def key_times(film: ReviewedFilm, record: Record) -> Array:
+    """Return the first time, impacts and the apexes between; even times without impacts."""
+    first_s, last_s = _span(film)
+    impacts = [one.impact_s for one in record.rebounds if first_s < one.impact_s < last_s]
+    if not impacts:
+        return np.linspace(first_s, last_s, _MAX_FRAMES)
+    times = [first_s, (first_s + impacts[0]) / 2, impacts[0]]
+    for before_s, at_s in zip(impacts, [*impacts[1:], last_s], strict=True):
+        times += [(before_s + at_s) / 2, at_s]
+    return np.array(times[:_MAX_FRAMES])
+
+
+def _span(film: ReviewedFilm) -> tuple[float, float]:
+    """Return first and last time at which there is something to see."""
+    seconds = film.track_s if len(film.track_s) > 1 else film.seconds
+    return float(seconds[0]), float(seconds[-1])
+
+
+def _frames(film: ReviewedFilm, times: Array) -> list[_Frame]:
+    """Read the frames nearest to some times, each once, those of equal size."""
+    count = min(len(film.pictures), len(film.seconds))
+    if not count:
+        return []
+    nearest = {int(np.argmin(np.abs(film.seconds[:count] - at_s))) for at_s in times}
+    frames: list[_Frame] = []
+    for index in sorted(nearest):
+        with suppress(LogError):
+            frame = _frame(film, index)
+            if not frames or frame.size_px == frames[0].size_px:
+                frames.append(frame)
+    return frames
+
+
+def _frame(film: ReviewedFilm, index: int) -> _Frame:
+    """Read one frame, downsampled to what a figure shows.
+
+    Raises:
+        LogError: It cannot be read.
+    """
+    import cv2
+
+    picture = decode_image(film.pictures[index], "jpeg")
+    height, width = picture.shape[:2]
+    scale = min(1.0, _MAX_PX / max(width, height))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return _Frame(float(film.seconds[index]), np.asarray(small, np.uint8), (width, height))
+
+
+def _box(film: ReviewedFilm, size_px: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Return the crop around the ball's path: left, right, bottom, top [px]."""
+    width, height = size_px
+    whole = (-0.5, width - 0.5, height - 0.5, -0.5)
+    if len(film.centers_px) < 2:
+        return whole
+    reach = float(np.median(film.radii_px))
+    low = film.centers_px.min(axis=0) - reach
+    high = film.centers_px.max(axis=0) + reach
+    longer = max(float((high - low).max()), _MIN_PX)
+    half = (high - low) / 2 + _ROOM * longer
+    half[0] = max(half[0], _NARROWEST * half[1])
+    middle = (low + high) / 2
+    left, top = np.maximum(middle - half, -0.5).tolist()
+    right, bottom = np.minimum(middle + half, (width - 0.5, height - 0.5)).tolist()
+    if right - left < _MIN_PX or bottom - top < _MIN_PX:
+        return whole
+    return left, right, bottom, top
+
+
+def _fitting(box: Sequence[float]) -> tuple[float, float]:
+    """Return height and width of a figure with this box [in]."""
+    left, right, bottom, top = box
+    ratio = (bottom - top) / (right - left)
+    width_in = min(COLUMN_IN, _TALLEST_IN / ratio)
+    return width_in * ratio, width_in
+
+
+def _show(
+    axes: Axes,
+    picture: Picture,
+    size_px: tuple[int, int],
+    box: tuple[float, float, float, float],
+) -> None:
+    width, height = size_px
+    whole = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(picture, interpolation="antialiased", extent=whole)
+    left, right, bottom, top = box
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_axis_off()
+
+
+def _circle(axes: Axes, film: ReviewedFilm, at_s: float, thickness: float) -> None:
+    """Circle the ball as found at a time, with a dark edge: visible on any background."""
+    if not len(film.track_s):
+        return
+    index = int(np.argmin(np.abs(film.track_s - at_s)))
+    usual_s = float(np.median(np.diff(film.track_s))) if len(film.track_s) > 1 else 0.0
+    if abs(float(film.track_s[index]) - at_s) > usual_s:
+        return
+    center, radius = film.centers_px[index].tolist(), float(film.radii_px[index])
+    for color, wider in (("#000000", 1.0), (_TRACK, 0.0)):
+        ring = Circle(center, radius, fill=False, color=color, linewidth=thickness + wider)
+        axes.add_patch(ring)
+
+
+# ---- Arm: torques by joint, from the review.
+
+_MAX_TORQUE_POINTS = 250  # drawn of one joint
+_TORQUE_COLUMNS = 2
+
+
+@styled
+def torques_drawing(torques: Sequence[ReviewedTorque]) -> Drawing | None:
+    """Plot measured and simulated torques, a chart per joint; None without any."""
+    if not torques:
+        return None
+    rows = -(-len(torques) // _TORQUE_COLUMNS)
+    columns = min(_TORQUE_COLUMNS, len(torques))
+    figure = new_figure(WIDE_IN, 1.15 * rows + 0.5)
+    grid: Any = figure.subplots(rows, columns, squeeze=False, sharex=True)
+    for axes in grid.flat[len(torques) :]:
+        axes.set_axis_off()
+    for axes, torque in zip(grid.flat, torques, strict=False):
+        part = thinned(len(torque.seconds), _MAX_TORQUE_POINTS)
+        seconds = torque.seconds[part]
+        axes.plot(seconds, torque.observed_nm[part], ".", color=OBSERVED, markersize=1.8)
+        axes.plot(seconds, torque.simulated_nm[part], color=SIMULATED, linewidth=0.9)
+        if torque.fitted_nm is not None:
+            axes.plot(seconds, torque.fitted_nm[part], color=THIRD, linewidth=0.9)
+        axes.set_title(f"joint {torque.joint} [N·m]", pad=2)
+    for axes in grid.flat[max(0, len(torques) - columns) : len(torques)]:
+        axes.xaxis.set_tick_params(labelbottom=True)
+    figure.supxlabel("time [s]", fontsize=8)
+    lines = grid.flat[0].get_lines()
+    names = ["measured", "rigid arm with the payload", "with friction, offsets and the rest"]
+    figure.legend(lines, names[: len(lines)], loc="outside upper right", ncols=3)
+    fitted = [torque for torque in torques if torque.fitted_nm is not None]
+    caption = (
+        f"Torques of {len(torques)} joints that the payload is felt in or that were measured: "
+        "dots as measured, one line for the rigid arm with the tuned payload"
+    )
+    caption += ", one for all that was fitted." if fitted else "."
+    spans = ", ".join(
+        f"joint {torque.joint} {np.nanmin(torque.observed_nm):.1f} to "
+        f"{np.nanmax(torque.observed_nm):.1f}"
+        for torque in torques
+    )
+    alt = f"A chart for each joint of torque over time. Measured [N·m]: {spans}."
+    return Drawing("torques", "Measured and simulated torques", caption, alt, figure)

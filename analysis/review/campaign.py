@@ -1,0 +1,963 @@
+"""Review of a campaign in Rerun: an overview that leads to each attempt.
+
+Three timelines step through the attempts, play all drops as one film, and go by wall clock. A view
+has a row, maybe an empty one, where an attempt or a drop begins: so it never shows another's data.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import isnan
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from tunenet_logs.analysis.campaign import (
+    Attempt,
+    BallRestitutions,
+    Campaign,
+    Rate,
+    TunedDrop,
+    ball_rates,
+    overall_rates,
+    restitutions_by_ball,
+)
+from tunenet_logs.analysis.presentation import markdown_table
+from tunenet_logs.analysis.record import Estimate
+from tunenet_logs.analysis.result_files import subject_of
+from tunenet_logs.analysis.review.drawing import (
+    FAILURE,
+    GROUND,
+    MUTED,
+    OBSERVED,
+    SUCCESS,
+    Color,
+    application_id,
+    blank_picture,
+    chart_view,
+    filled,
+    log_grid,
+    mixed,
+    screen_radius,
+    ticks,
+)
+from tunenet_logs.episode import Array
+from tunenet_logs.terminal import one_line, short_name
+
+# ---- Timelines: by attempt, as one film of all drops, by wall clock.
+
+ATTEMPT = "attempt"  # the timeline that is stepped through: 1, 2, ..
+FILM = "film_s"  # the timeline that plays: all drops one after the other [s]
+WALL = "wall_clock"  # the timeline of recording; attempts whose clock is unknown are not on it
+_UNSEEN_S = 1.0  # on `FILM`, of a drop without curves and pictures: enough to read what it was
+# On `FILM`, of a tuning, a shot and an outcome, one after the other: each can be followed.
+_STEP_S = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One drop in the film.
+
+    Attributes:
+        start_s: Where it begins on `FILM`.
+        zero_s: First time of its own clock that is shown.
+        end_s: Where it ends on `FILM`.
+    """
+
+    attempt: Attempt
+    drop: TunedDrop
+    start_s: float
+    zero_s: float
+    end_s: float
+
+    def film_s(self, second: float) -> float:
+        """Convert a time of the drop's own clock to `FILM`."""
+        return self.start_s + second - self.zero_s
+
+    def wall_ns(self, second: float) -> int:
+        """Convert a time of the drop's own clock, if a wall clock's, to `WALL`."""
+        assert self.drop.wall_ns is not None
+        return self.drop.wall_ns + round(second * 1e9)
+
+    @property
+    def begin_ns(self) -> int | None:
+        """Where it begins on `WALL`; None if its clock is no wall clock."""
+        return None if self.drop.wall_ns is None else self.wall_ns(self.zero_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Slot:
+    """One attempt in the film.
+
+    Attributes:
+        drops: In their order.
+        start_s: Where it begins on `FILM`.
+        tuned_s: Where its drops end on `FILM`.
+        begin_ns: Where it begins on `WALL`; None if nothing of it has a wall clock.
+    """
+
+    attempt: Attempt
+    drops: tuple[Shown, ...]
+    start_s: float
+    tuned_s: float
+    begin_ns: int | None
+
+    @property
+    def shot_s(self) -> float:
+        """Where the shot is on `FILM`."""
+        return self.tuned_s + _STEP_S
+
+    @property
+    def outcome_s(self) -> float:
+        """Where the outcome is on `FILM`."""
+        return self.tuned_s + 2 * _STEP_S
+
+    @property
+    def end_s(self) -> float:
+        """Where the next attempt begins."""
+        return self.tuned_s + 4 * _STEP_S
+
+    @property
+    def used(self) -> Shown | None:
+        """The drop that the shot was tuned from, or the last that was tried."""
+        return self.drops[-1] if self.drops else None
+
+    def is_on_wall(self, shown: Shown) -> bool:
+        """Return whether one of its drops happened on `WALL` within this attempt."""
+        if shown.begin_ns is None or self.begin_ns is None:
+            return False
+        return shown.begin_ns >= self.begin_ns
+
+    def drop_ns(self, shown: Shown | None) -> int | None:
+        """Return where one of its drops is on `WALL`: where it happened, else where this begins."""
+        return shown.begin_ns if shown and self.is_on_wall(shown) else self.begin_ns
+
+    @property
+    def end_ns(self) -> int | None:
+        """Where shot and outcome are on `WALL`."""
+        outcome = self.attempt.outcome
+        if self.begin_ns is None or outcome is None:
+            return self.begin_ns
+        return max(self.begin_ns, outcome.stamp_ns)
+
+
+def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
+    """Lay out the attempts one after the other."""
+    slots: list[Slot] = []
+    begun: set[int] = set()
+    at_s = 0.0
+    for attempt in attempts:
+        start_s = at_s
+        shown: list[Shown] = []
+        for drop in attempt.drops:
+            first_s, last_s = _span(drop)
+            shown.append(Shown(attempt, drop, at_s, first_s, at_s + last_s - first_s))
+            at_s = shown[-1].end_s
+        begin_ns = _begin_ns(attempt, shown, begun)
+        begun |= set() if begin_ns is None else {begin_ns}
+        slots.append(Slot(attempt, tuple(shown), start_s, at_s, begin_ns))
+        at_s = slots[-1].end_s
+    return tuple(slots)
+
+
+def _begin_ns(attempt: Attempt, drops: Sequence[Shown], begun: set[int]) -> int | None:
+    """Return its first drop's beginning; its end if another attempt began with that drop."""
+    known = [shown.begin_ns for shown in drops if shown.begin_ns is not None]
+    ended_ns = (attempt.outcome and attempt.outcome.stamp_ns) or None
+    if known and (min(known) not in begun or ended_ns is None):
+        return min(known)
+    return ended_ns
+
+
+# What is shown from a moment on: an attempt, and which of its drops; None where it has none.
+Begun = tuple[Slot, Shown | None]
+
+
+def beginnings(slots: Sequence[Slot]) -> list[tuple[str, rr.TimeColumn, list[Begun]]]:
+    """Return each timeline's name, its index, and what begins at each row.
+
+    On `ATTEMPT` these are the attempts, each with its last drop; on the others every drop. A view
+    with a row, maybe an empty one, at each of them never shows another's data. `WALL` is left out
+    without a wall clock.
+    """
+    steps: dict[int, Begun] = {slot.attempt.number: (slot, slot.used) for slot in slots}
+    played: dict[float, Begun] = {}
+    clock: dict[int, Begun] = {}
+    for slot in slots:
+        for shown in slot.drops or (None,):
+            played[slot.start_s if shown is None else shown.start_s] = slot, shown
+            if (begin_ns := slot.drop_ns(shown)) is not None:
+                clock[begin_ns] = slot, shown
+    found = [
+        (ATTEMPT, rr.TimeColumn(ATTEMPT, sequence=list(steps)), list(steps.values())),
+        (FILM, rr.TimeColumn(FILM, duration=list(played)), list(played.values())),
+    ]
+    if clock:
+        found.append((WALL, wall_column(list(clock)), list(clock.values())))
+    return found
+
+
+def moments(slot: Slot, shown: Shown, seconds: Sequence[float]) -> list[rr.TimeColumn]:
+    """Return indexes at times of a drop's own clock, on each timeline that plays it."""
+    found = [rr.TimeColumn(FILM, duration=[shown.film_s(second) for second in seconds])]
+    if slot.is_on_wall(shown):
+        found.append(wall_column([shown.wall_ns(second) for second in seconds]))
+    return found
+
+
+def wall_column(stamps_ns: Sequence[int]) -> rr.TimeColumn:
+    """Return the index of rows at these times on `WALL`."""
+    return rr.TimeColumn(WALL, timestamp=np.array(stamps_ns, "datetime64[ns]"))
+
+
+def _span(drop: TunedDrop) -> tuple[float, float]:
+    """Return first and last time of a drop's visible data, on its own clock [s]."""
+    times: list[float] = []
+    for part in (drop.overlay, drop.film):
+        if part is not None:
+            times += (float(part.seconds[0]), float(part.seconds[-1]))
+    return (min(times), max(times)) if times else (0.0, _UNSEEN_S)
+
+
+# ---- Images of the drop under the cursor; a blank one for an attempt without.
+
+
+_PICTURES = "film/picture"
+
+
+def film_view() -> rrb.View:
+    """Return the view of the drop's images."""
+    title = "its video (timeline film_s plays it)"
+    return rrb.Spatial2DView(origin="/film", name=title, background=GROUND)
+
+
+def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Log the entities of `film_view`.
+
+    An attempt without images has a blank one: after an empty row, as after a `Clear`, Rerun 0.41
+    goes on showing the last image wherever its chunk has more timelines than the row.
+    """
+    films = [shown.drop.film for slot in slots for shown in slot.drops if shown.drop.film]
+    if not films:
+        return
+    blank = blank_picture(films[0].size_px, "no video")
+    stream.log(_PICTURES, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
+    for name, index, begun in beginnings(slots):
+        columns = rr.EncodedImage.columns(blob=[_first(name, one, blank) for one in begun])
+        stream.send_columns(_PICTURES, indexes=[index], columns=columns)
+    for slot in slots:
+        for shown in slot.drops:
+            film = shown.drop.film
+            if film is not None:
+                indexes = moments(slot, shown, film.seconds)
+                columns = rr.EncodedImage.columns(blob=list(film.pictures))
+                stream.send_columns(_PICTURES, indexes=indexes, columns=columns)
+
+
+def _first(timeline: str, begun: Begun, blank: bytes) -> bytes:
+    """Return a drop's first image on timelines that play it, else its strobe image."""
+    slot, shown = begun
+    if shown is None or shown.drop.film is None:
+        return blank
+    does_play = timeline != ATTEMPT and (timeline != WALL or slot.is_on_wall(shown))
+    return shown.drop.film.pictures[0] if does_play else shown.drop.film.strobe
+
+
+# ---- Curves of the drop under the cursor, observed and tuned, or why it has none.
+
+
+_TUNED: Color = (255, 165, 40)
+_OVERLAY_WIDTH = 1.9  # of the chart of curves, in its heights: about the shape of its view
+_EVERY = 3  # samples for one place of the moving dot: still smooth, and the file stays small
+
+
+def overlay_view() -> rrb.View:
+    """Return the view of the drop's observed and simulated height."""
+    title = "its drop: height above the table, observed (dots), tuned (line)"
+    return chart_view("overlay", title, _OVERLAY_WIDTH)
+
+
+class _CurveAxes(NamedTuple):
+    """Range of the chart: seconds from a drop's beginning, and height [m]."""
+
+    span_s: float
+    top_m: float
+
+    def points(self, drop: TunedDrop, heights_m: Array) -> Array:
+        """Map a curve's heights, shape (T,), to points in the chart, shape (T, 2)."""
+        assert drop.overlay is not None
+        seconds = drop.overlay.seconds - drop.overlay.seconds[0]
+        return np.column_stack([seconds / self.span_s * _OVERLAY_WIDTH, -heights_m / self.top_m])
+
+
+def _curve_axes(slots: Sequence[Slot]) -> _CurveAxes:
+    overlays = [
+        shown.drop.overlay
+        for slot in slots
+        for shown in slot.drops
+        if shown.drop.overlay is not None
+    ]
+    if not overlays:
+        return _CurveAxes(1.0, 1.0)
+    span_s = max(float(overlay.seconds[-1] - overlay.seconds[0]) for overlay in overlays)
+    top_m = max(float(np.nanmax(overlay.observed_m, initial=0.0)) for overlay in overlays)
+    return _CurveAxes(span_s, max(1.02 * top_m, 1e-3))
+
+
+def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Log the entities of `overlay_view`."""
+    axes = _curve_axes(slots)
+    rows = [(-height / axes.top_m, f"{height:g} m") for height in ticks(0.0, axes.top_m)]
+    marks = [
+        (second / axes.span_s * _OVERLAY_WIDTH, f"{second:g} s")
+        for second in ticks(0.0, axes.span_s)
+    ]
+    log_grid(stream, "sheets/overlay", _OVERLAY_WIDTH, rows, marks)
+    dots = rr.Points2D.from_fields(radii=screen_radius(1.6))
+    stream.log("sheets/overlay/observed", dots, static=True)
+    line = rr.LineStrips2D.from_fields(colors=[_TUNED], radii=screen_radius(0.8), draw_order=25.0)
+    stream.log("sheets/overlay/simulated", line, static=True)
+    for _, index, begun in beginnings(slots):
+        _send_overlays(stream, index, [shown.drop if shown else None for _, shown in begun], axes)
+    _log_no_curve(stream, slots)
+    _log_now(stream, slots, axes)
+
+
+def _send_overlays(
+    stream: rr.RecordingStream,
+    index: rr.TimeColumn,
+    drops: Sequence[TunedDrop | None],
+    axes: _CurveAxes,
+) -> None:
+    """Send a row per drop; an empty one clears the last drop's curve."""
+    observed = [_observed(drop, axes) for drop in drops]
+    colors = [
+        FAILURE if drop is not None and drop.verdict == "rejected" else OBSERVED
+        for drop, points in zip(drops, observed, strict=True)
+        for _ in points
+    ]
+    lengths = [len(points) for points in observed]
+    if not lengths:
+        return
+    stream.send_columns(
+        "sheets/overlay/observed",
+        indexes=[index],
+        columns=rr.Points2D.columns(
+            positions=np.concatenate(observed).reshape(-1, 2), colors=colors
+        ).partition(lengths),
+    )
+    lines = [list(_simulated(drop, axes)) for drop in drops]
+    stream.send_columns(
+        "sheets/overlay/simulated",
+        indexes=[index],
+        columns=rr.LineStrips2D.columns(
+            strips=[strip for strips in lines for strip in strips]
+        ).partition([len(strips) for strips in lines]),
+    )
+
+
+def _observed(drop: TunedDrop | None, axes: _CurveAxes) -> Array:
+    """Return points of the known samples, shape (T, 2)."""
+    if drop is None or drop.overlay is None:
+        return np.zeros((0, 2))
+    points = axes.points(drop, drop.overlay.observed_m)
+    return points[np.isfinite(points[:, 1])]
+
+
+def _simulated(drop: TunedDrop | None, axes: _CurveAxes) -> Iterator[Array]:
+    """Yield the contiguous segments of the line, each of shape (T, 2)."""
+    if drop is None or drop.overlay is None:
+        return
+    points = axes.points(drop, drop.overlay.simulated_m)
+    is_known = np.isfinite(points[:, 1])
+    for stretch in np.split(points, np.flatnonzero(np.diff(is_known)) + 1):
+        if len(stretch) > 1 and np.isfinite(stretch[0, 1]):
+            yield stretch
+
+
+def _log_no_curve(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Log why there is no curve, in the middle of the chart; nothing if there is one."""
+    entity = "sheets/overlay/words"
+    style = rr.Points2D.from_fields(colors=[MUTED], radii=screen_radius(0.1), show_labels=True)
+    stream.log(entity, style, static=True)
+    for _, index, begun in beginnings(slots):
+        words = [_no_curve_words(shown.drop if shown else None) for _, shown in begun]
+        told = [text for text in words if text]
+        columns = rr.Points2D.columns(
+            positions=[[_OVERLAY_WIDTH / 2, -0.75]] * len(told), labels=told
+        )
+        lengths = [1 if text else 0 for text in words]
+        stream.send_columns(entity, indexes=[index], columns=columns.partition(lengths))
+
+
+def _no_curve_words(drop: TunedDrop | None) -> str:
+    """Say shortly why a drop has no curve; "" if it has one."""
+    if drop is None:
+        return "no drop was recorded for this attempt"
+    if drop.overlay is not None:
+        return ""
+    said = "this drop was rejected" if drop.verdict == "rejected" else "its tuning holds none"
+    return f"no curve: {said}"
+
+
+def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _CurveAxes) -> None:
+    """Log a dot that moves along the curves while the drops play."""
+    entity = "sheets/overlay/now"
+    style = rr.Points2D.from_fields(colors=[OBSERVED], radii=screen_radius(5.0), draw_order=30.0)
+    stream.log(entity, style, static=True)
+    for name, index, begun in beginnings(slots):
+        if name != ATTEMPT:
+            empty = rr.Points2D.columns(positions=np.zeros((0, 2))).partition([0] * len(begun))
+            stream.send_columns(entity, indexes=[index], columns=empty)
+    for slot in slots:
+        for shown in slot.drops:
+            overlay = shown.drop.overlay
+            if overlay is None:
+                continue
+            seen = np.flatnonzero(np.isfinite(overlay.observed_m))[::_EVERY]
+            indexes = moments(slot, shown, overlay.seconds[seen].tolist())
+            points = axes.points(shown.drop, overlay.observed_m)[seen]
+            columns = rr.Points2D.columns(positions=points)
+            stream.send_columns(entity, indexes=indexes, columns=columns)
+
+
+# ---- Attempt under the cursor: its drop's curves, its images, and facts.
+
+
+def log_attempts(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Log the entities of `overlay_view`, `film_view` and `attempt_view`."""
+    log_overlays(stream, slots)
+    log_films(stream, slots)
+    style = rr.TextDocument.from_fields(media_type="text/markdown")
+    stream.log("attempt", style, static=True)
+    for _, index, begun in beginnings(slots):
+        words = [attempt_words(slot.attempt) for slot, _ in begun]
+        stream.send_columns("attempt", indexes=[index], columns=rr.TextDocument.columns(text=words))
+
+
+def attempt_view() -> rrb.View:
+    """Return the view of the attempt's facts."""
+    return rrb.TextDocumentView(origin="/attempt", name="the attempt")
+
+
+def attempt_words(attempt: Attempt) -> str:
+    """Describe an attempt in Markdown."""
+    outcome, used = attempt.outcome, attempt.used
+    end = "no outcome recorded" if outcome is None else outcome.word
+    if outcome is not None and not attempt.was_shot:
+        end += ", given up without a shot"
+    lines = [
+        f"# {attempt.number}: {one_line(attempt.ball)}, attempt {attempt.of_ball}",
+        f"**{end}**",
+    ]
+    if outcome is not None:
+        lines.append(_shot_words(attempt))
+    if attempt.value is not None:
+        ends = attempt.interval95
+        sure = f" (95 %: {ends[0]:.4f} to {ends[1]:.4f})" if ends is not None else ""
+        lines.append(f"restitution **{attempt.value:.4f}**{sure}")
+        lines += [_other_words(known) for known in (used.others if used is not None else ())]
+    lines += [_drop_words(drop) for drop in attempt.drops]
+    if used is not None and used.tuning is not None:
+        review = used.tuning.with_suffix(".rrd")
+        lines += [f"review of the drop: `rerun {one_line(review.name)}`"] if review.exists() else []
+    return "\n\n".join(line for line in lines if line)
+
+
+def _other_words(known: Estimate) -> str:
+    """Format another quantity that was tuned with the restitution."""
+    assert isinstance(known.value, float)
+    unit = "" if known.unit == "1" else f" {one_line(known.unit)}"
+    words = f"{one_line(known.name).replace('_', ' ')} {known.value:.3f}{unit}"
+    if known.interval95 is None:
+        return words
+    low, high = known.interval95
+    return f"{words} (95 %: {low:.3f} to {high:.3f})"
+
+
+def _shot_words(attempt: Attempt) -> str:
+    outcome = attempt.outcome
+    assert outcome is not None
+    facts: list[str] = []
+    if outcome.shot_height_m is not None:
+        facts.append(f"shot from {outcome.shot_height_m:.3f} m")
+    if outcome.miss_m is not None:
+        side = "short of" if outcome.miss_m < 0 else "beyond"
+        facts.append(f"came down {1000 * abs(outcome.miss_m):.0f} mm from the centre, {side} it")
+    facts += [one_line(text) for text in (outcome.reason, outcome.note) if text]
+    return "; ".join(facts)
+
+
+def _drop_words(drop: TunedDrop) -> str:
+    reason = f": {one_line(drop.reason)}" if drop.reason else ""
+    return f"- {drop.state} {one_line(drop.name)}{reason}"
+
+
+# ---- Charts of a whole campaign, a row per ball: success rates, and restitutions.
+
+# Widths of the chart, of the names left of it, and of the figures right of it, in its heights.
+_WIDTH, _NAMES, _FIGURES = 0.85, 0.42, 0.56
+
+_HANG = 0.03  # chart heights: half a line, by which Rerun hangs a label from its point
+_MAX_ROW_LETTERS = 15  # as many as fit left of the chart
+_MAX_ROWS = 12  # whose names do not overlap on a small screen; the tables have all
+_PAPER: Color = (190, 150, 255)
+_GRID_COLOR: Color = (60, 62, 70)
+
+_THICK = 0.16  # how high a bar is, as a fraction of its row
+_MIN_SPAN = 0.1  # of restitution: less would make noise look like a difference between balls
+_HALF_ROW = 0.3  # half of what marks take up of a row: the rest keeps rows apart
+
+
+@dataclass(frozen=True)
+class _RowAxes:
+    """Layout of a chart's rows, from top to bottom, and range of its axis."""
+
+    count: int
+    low: float
+    high: float
+
+    def y(self, row: int) -> float:
+        return -1 + (row + 0.5) / self.count
+
+    def x(self, value: float) -> float:
+        return (value - self.low) / (self.high - self.low) * _WIDTH
+
+    @property
+    def pitch(self) -> float:
+        return 1 / self.count
+
+
+def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
+    """Log each success rate with its Wilson interval, and the paper's."""
+    title = f"success rates{_cut(len(every))}, bars: 95 % (Wilson), violet: the paper's"
+    every = every[:_MAX_ROWS]
+    rows = _RowAxes(len(every), 0.0, 1.0)
+    sheet = "sheets/rates"
+    _log_frame(
+        stream,
+        sheet,
+        rows,
+        [(quarter / 4, f"{25 * quarter} %") for quarter in range(5)],
+        [rate.name for rate in every],
+        [_rate_words(rate) for rate in every],
+    )
+    counted = [(row, rate) for row, rate in enumerate(every) if rate.count]
+    intervals = [
+        (rows.y(row), rows.x(rate.interval95[0]), rows.x(rate.interval95[1]))
+        for row, rate in counted
+    ]
+    _log_bars(stream, f"{sheet}/intervals", intervals, rows.pitch * _THICK, mixed(SUCCESS, 0.45))
+    dots = [(rows.x(rate.fraction), rows.y(row)) for row, rate in counted]
+    _log_dots(stream, f"{sheet}/shares", dots, SUCCESS, 4.0)
+    published = [
+        (rows.x(rate.published), rows.y(row))
+        for row, rate in enumerate(every)
+        if rate.published is not None
+    ]
+    strips = [
+        [[x, y - _HALF_ROW * rows.pitch], [x, y + _HALF_ROW * rows.pitch]] for x, y in published
+    ]
+    marks = rr.LineStrips2D(strips, colors=[_PAPER], radii=screen_radius(1.5), draw_order=18.0)
+    stream.log(f"{sheet}/published", marks, static=True)
+    return _rows_view("rates", title)
+
+
+def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitutions]) -> rrb.View:
+    """Log each attempt's restitution, and each ball's mean and standard deviation."""
+    title = f"restitution by ball{_cut(len(balls))}: each attempt with its 95 %, band: mean ± sd"
+    balls = balls[:_MAX_ROWS]
+    ends = [value for ball in balls for value in ball.values]
+    ends += [end for ball in balls for pair in ball.intervals95 if pair for end in pair]
+    low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
+    more = max(0.0, _MIN_SPAN - (high - low)) / 2 + 0.05 * (high - low)
+    rows = _RowAxes(max(1, len(balls)), low - more, high + more)
+    sheet = "sheets/spreads"
+    marks = [(value, f"{value:.6g}") for value in ticks(rows.low, rows.high, 5)]
+    figures = [
+        f"{ball.mean:.4f} (1)"
+        if isnan(ball.sd)
+        else f"{ball.mean:.4f} ± {ball.sd:.4f} ({len(ball.values)})"
+        for ball in balls
+    ]
+    _log_frame(stream, sheet, rows, marks, [ball.name for ball in balls], figures)
+    deviations = [
+        (rows.y(row), rows.x(ball.mean - ball.sd), rows.x(ball.mean + ball.sd))
+        for row, ball in enumerate(balls)
+        if not isnan(ball.sd)
+    ]
+    thick = 2 * _HALF_ROW * rows.pitch
+    _log_bars(stream, f"{sheet}/deviation", deviations, thick, mixed(_TUNED, 0.2))
+    dots: list[tuple[float, float]] = []
+    bars: list[list[list[float]]] = []
+    for row, ball in enumerate(balls):
+        steps = max(1, len(ball.values) - 1)
+        for index, (value, pair) in enumerate(zip(ball.values, ball.intervals95, strict=True)):
+            y = rows.y(row) + (index / steps - 0.5) * 2 * 0.8 * _HALF_ROW * rows.pitch
+            dots.append((rows.x(value), y))
+            if pair is not None:
+                bars.append([[rows.x(end), y] for end in pair])
+    lines = rr.LineStrips2D(bars, colors=[_TUNED], radii=screen_radius(0.7), draw_order=15.0)
+    stream.log(f"{sheet}/intervals", lines, static=True)
+    _log_dots(stream, f"{sheet}/values", dots, _TUNED, 2.2)
+    if not balls:
+        said = rr.Points2D(
+            [[_WIDTH / 2, -0.5]],
+            labels=["no drop was tuned"],
+            colors=[MUTED],
+            radii=screen_radius(0.1),
+            show_labels=True,
+        )
+        stream.log(f"{sheet}/words", said, static=True)
+    return _rows_view("spreads", title)
+
+
+def _cut(count: int) -> str:
+    """Say how many rows the chart has if not all."""
+    return "" if count <= _MAX_ROWS else f" (the first {_MAX_ROWS} of {count})"
+
+
+def _rows_view(name: str, title: str) -> rrb.View:
+    bounds = rrb.VisualBounds2D(
+        x_range=(-_NAMES - 0.05, _WIDTH + _FIGURES + 0.05), y_range=(-1.04, 0.16)
+    )
+    return rrb.Spatial2DView(
+        origin=f"/sheets/{name}", name=title, background=GROUND, visual_bounds=bounds
+    )
+
+
+def _rate_words(rate: Rate) -> str:
+    if not rate.count:
+        return "none"
+    low, high = rate.interval95
+    return (
+        f"{rate.successes}/{rate.count} = {100 * rate.fraction:.0f} % "
+        f"({100 * low:.0f} to {100 * high:.0f})"
+    )
+
+
+def _log_frame(
+    stream: rr.RecordingStream,
+    sheet: str,
+    rows: _RowAxes,
+    marks: Sequence[tuple[float, str]],
+    names: Sequence[str],
+    figures: Sequence[str],
+) -> None:
+    """Log grid lines at the marks, names on the left, figures on the right."""
+    grid = [[[rows.x(value), -1.0], [rows.x(value), 0.0]] for value, _ in marks]
+    lines = rr.LineStrips2D(grid, colors=[_GRID_COLOR], radii=screen_radius(0.5))
+    stream.log(f"{sheet}/grid", lines, static=True)
+    labels = [([rows.x(value), 0.02], text) for value, text in marks]
+    for row, (name, figure) in enumerate(zip(names, figures, strict=True)):
+        labels.append(([-_NAMES / 2, rows.y(row) - _HANG], short_name(name, _MAX_ROW_LETTERS)))
+        labels.append(([_WIDTH + _FIGURES / 2, rows.y(row) - _HANG], figure))
+    colors = [MUTED] * len(marks) + [OBSERVED] * (2 * len(names))
+    points = rr.Points2D(
+        [position for position, _ in labels],
+        labels=[text for _, text in labels],
+        colors=colors,
+        radii=screen_radius(0.1),
+        show_labels=True,
+    )
+    stream.log(f"{sheet}/labels", points, static=True)
+
+
+def _log_bars(
+    stream: rr.RecordingStream,
+    entity: str,
+    bars: Sequence[tuple[float, float, float]],
+    thick: float,
+    color: Color,
+) -> None:
+    """Log filled bars, each as (y, left, right)."""
+    strips: list[list[list[float]]] = []
+    radii: list[float] = []
+    for y, left, right in bars:
+        lines, radius = filled(left, max(right, left + 0.004), y - thick / 2, y + thick / 2)
+        strips += lines
+        radii += [radius] * len(lines)
+    stream.log(
+        entity, rr.LineStrips2D(strips, colors=[color], radii=radii, draw_order=5.0), static=True
+    )
+
+
+def _log_dots(
+    stream: rr.RecordingStream,
+    entity: str,
+    positions: Sequence[tuple[float, float]],
+    color: Color,
+    points: float,
+) -> None:
+    dots = rr.Points2D(positions, colors=[color], radii=screen_radius(points), draw_order=20.0)
+    stream.log(entity, dots, static=True)
+
+
+# ---- Lanes: drop, tuning and outcome of each attempt as state timelines.
+
+# In turn; muted, so that the lanes of states stand out.
+_BALL_COLORS: tuple[Color, ...] = (
+    (90, 130, 190),
+    (190, 120, 90),
+    (100, 170, 120),
+    (170, 110, 170),
+    (180, 165, 90),
+    (90, 170, 175),
+)
+
+_AMBER: Color = (225, 165, 50)
+_STATE_COLORS: dict[str, Color] = {
+    "drop": (66, 140, 220),
+    "doubtful drop": _AMBER,
+    "rejected drop": FAILURE,
+    "no drop": MUTED,
+    "tuned": (40, 165, 200),
+    "not tuned": MUTED,
+    "shot": (160, 120, 220),
+    "given up": _AMBER,
+    "success": SUCCESS,
+    "failure": FAILURE,
+    "not told": MUTED,
+}
+# Names that Rerun writes over the lanes, after a slash; it sorts them by the alphabet.
+BALL, DROP, RESTITUTION, SHOT = LANES = ("ball", "drop", "restitution", "shot")
+
+_SHADE = 0.78  # of its colour in every second attempt: so that neighbours are told apart
+
+
+class _LaneChange(NamedTuple):
+    """Change of a lane's state.
+
+    Attributes:
+        lane: Its name.
+        state: In words, as drawn.
+        kind: Key of its colour.
+        attempt: Its number.
+        film_s: Where it begins on `FILM`.
+        wall_ns: Where it begins on `WALL`; None if unknown.
+    """
+
+    lane: str
+    state: str
+    kind: str
+    attempt: int
+    film_s: float
+    wall_ns: int | None
+
+    @property
+    def value(self) -> str:
+        """Label that is unique in each attempt: Rerun merges equal neighbours."""
+        return f"attempt {self.attempt}: {self.state}"
+
+
+def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Log the entities of `lane_view`."""
+    changes = [change for slot in slots for change in _changes(slot)]
+    for lane in LANES:
+        own = [change for change in changes if change.lane == lane]
+        _send_style(stream, lane, own)
+        # Of several changes in an attempt the last counts.
+        last = {change.attempt: change.value for change in own}
+        ends = {**last, slots[-1].attempt.number + 1: None}
+        _send_states(stream, lane, rr.TimeColumn(ATTEMPT, sequence=list(ends)), list(ends.values()))
+        played: dict[float, str | None] = {slot.start_s: None for slot in slots}  # not yet known
+        played |= {change.film_s: change.value for change in own}
+        played[slots[-1].end_s] = None
+        _send_states(
+            stream, lane, rr.TimeColumn(FILM, duration=list(played)), list(played.values())
+        )
+        clock: dict[int, str | None] = {
+            slot.begin_ns: None for slot in slots if slot.begin_ns is not None
+        }
+        clock |= {change.wall_ns: change.value for change in own if change.wall_ns is not None}
+        if clock:
+            _send_states(stream, lane, wall_column(list(clock)), list(clock.values()))
+
+
+def _send_style(stream: rr.RecordingStream, lane: str, changes: Sequence[_LaneChange]) -> None:
+    colors = _ball_colors(changes) if lane == BALL else _STATE_COLORS
+    known = {change.value: change for change in changes}
+    style = rr.StateConfiguration(
+        values=list(known),
+        labels=[change.state for change in known.values()],
+        colors=[
+            mixed(colors[change.kind], 1.0 if change.attempt % 2 else _SHADE)
+            for change in known.values()
+        ],
+    )
+    stream.log(lane, style, static=True)
+
+
+def lane_view(name: str) -> rrb.View:
+    """Return the view of all lanes, over the whole active timeline."""
+    return rrb.StateTimelineView(contents=[f"+ /{lane}" for lane in LANES], name=name)
+
+
+def _ball_colors(changes: Sequence[_LaneChange]) -> dict[str, Color]:
+    """Assign a colour to each ball, unlike its neighbours'."""
+    balls = list(dict.fromkeys(change.kind for change in changes))
+    return {
+        ball: mixed(_BALL_COLORS[index % len(_BALL_COLORS)], 0.75)
+        for index, ball in enumerate(balls)
+    }
+
+
+def _changes(slot: Slot) -> Iterator[_LaneChange]:
+    attempt, outcome = slot.attempt, slot.attempt.outcome
+    number, begin_ns, end_ns = attempt.number, slot.begin_ns, slot.end_ns
+    ball = one_line(attempt.ball)
+    yield _LaneChange(BALL, f"{ball}, {attempt.of_ball}", ball, number, slot.start_s, begin_ns)
+    for index, shown in enumerate(slot.drops):
+        kind = shown.drop.state
+        state = f"{kind} again" if index else kind
+        yield _LaneChange(DROP, state, kind, number, shown.start_s, slot.drop_ns(shown))
+    if not slot.drops:
+        yield _LaneChange(DROP, "no drop", "no drop", number, slot.start_s, begin_ns)
+    kind = "tuned" if attempt.value is not None else "not tuned"
+    value = kind if attempt.value is None else f"{attempt.value:.3f}"
+    yield _LaneChange(RESTITUTION, value, kind, number, slot.tuned_s, slot.drop_ns(slot.used))
+    if attempt.was_shot:
+        yield _LaneChange(SHOT, "shot", "shot", number, slot.shot_s, None)
+    word = "not told" if outcome is None else outcome.word if attempt.was_shot else "given up"
+    yield _LaneChange(SHOT, word, word, number, slot.outcome_s, end_ns)
+
+
+def _send_states(
+    stream: rr.RecordingStream, entity: str, index: rr.TimeColumn, states: Sequence[str | None]
+) -> None:
+    """Send the state from each time on; None for none."""
+    known = [state for state in states if state is not None]
+    columns = rr.StateChange.columns(state=known).partition([state is not None for state in states])
+    stream.send_columns(entity, indexes=[index], columns=columns)
+
+
+# ---- Summary in Markdown: rates beside the paper's, restitutions by ball.
+
+
+def campaign_words(campaign: Campaign) -> str:
+    """Format the campaign's tables as Markdown."""
+    attempts = campaign.attempts
+    drops = {id(drop): drop for attempt in attempts for drop in attempt.drops}
+    rejected = sum(drop.verdict == "rejected" for drop in drops.values())
+    ended = sum(attempt.outcome is not None for attempt in attempts)
+    lines = [
+        f"# {one_line(campaign.name)}",
+        f"{len(attempts)} attempts, {len(drops)} drops ({rejected} rejected), {ended} outcomes",
+        "## Success",
+        _rate_table([*overall_rates(attempts), *ball_rates(attempts)]),
+        "## Restitution",
+        _restitution_table(restitutions_by_ball(attempts)),
+        "## Misses",
+        _miss_words(attempts),
+    ]
+    return "\n\n".join(lines)
+
+
+def _rate_table(rates: Sequence[Rate]) -> str:
+    rows = []
+    for rate in rates:
+        low, high = rate.interval95
+        fraction = f"{100 * rate.fraction:.0f} %" if rate.count else "-"
+        ends = f"{100 * low:.0f} to {100 * high:.0f} %" if rate.count else "-"
+        paper = "" if rate.published is None else f"{100 * rate.published:.0f} %"
+        rows.append((one_line(rate.name), f"{rate.successes}/{rate.count}", fraction, ends, paper))
+    return markdown_table(("of", "successes", "rate", "95 % (Wilson)", "paper"), rows)
+
+
+def _restitution_table(balls: Sequence[BallRestitutions]) -> str:
+    if not balls:
+        return "none was tuned"
+    rows = []
+    for ball in balls:
+        halves = [(high - low) / 2 for pair in ball.intervals95 if pair for low, high in [pair]]
+        interval = f"± {median(halves):.4f}" if halves else "-"
+        sd = "-" if isnan(ball.sd) else f"{ball.sd:.4f}"
+        ends = f"{min(ball.values):.4f} to {max(ball.values):.4f}"
+        rows.append(
+            (one_line(ball.name), str(len(ball.values)), f"{ball.mean:.4f}", sd, ends, interval)
+        )
+    return markdown_table(("ball", "drops", "mean", "sd", "least to most", "usual 95 %"), rows)
+
+
+def _miss_words(attempts: Sequence[Attempt]) -> str:
+    misses = sorted(
+        abs(attempt.outcome.miss_m)
+        for attempt in attempts
+        if attempt.outcome is not None and attempt.outcome.miss_m is not None
+    )
+    if not misses:
+        return "none was measured"
+    middle = 1000 * median(misses)
+    return f"{len(misses)} measured: median {middle:.0f} mm, largest {1000 * misses[-1]:.0f} mm"
+
+
+# ---- Recording: all parts, and the blueprint that lays them out.
+
+_LANES_SHARE = 0.36  # of a tab's height: all lanes are in view on a small screen too
+_MAX_TITLE_LETTERS = 40  # of a campaign's name in the titles of views
+
+
+def write_campaign(campaign: Campaign, path: Path) -> None:
+    """Write the review of a campaign to `path` (.rrd).
+
+    Raises:
+        OSError: `path` cannot be written.
+    """
+    words = campaign_words(campaign)
+    identity = subject_of(campaign.places) + hashlib.sha256(words.encode()).hexdigest()[:16]
+    stream = rr.RecordingStream(application_id("campaign"), recording_id=identity)
+    memory = stream.memory_recording()
+    stream.send_recording_name(campaign.name)
+    slots = slots_of(campaign.attempts)
+    log_lanes(stream, slots)
+    rates = (*overall_rates(campaign.attempts), *ball_rates(campaign.attempts))
+    charts = [
+        log_rates(stream, rates),
+        log_restitutions(stream, restitutions_by_ball(campaign.attempts)),
+    ]
+    log_attempts(stream, slots)
+    is_filmed = any(drop.film for attempt in campaign.attempts for drop in attempt.drops)
+    stream.send_blueprint(
+        _blueprint(short_name(campaign.name, _MAX_TITLE_LETTERS), charts, is_filmed=is_filmed)
+    )
+    stream.log("summary", rr.TextDocument(words, media_type="text/markdown"), static=True)
+    stream.flush()
+    path.write_bytes(memory.drain_as_bytes())
+    stream.disconnect()
+
+
+def _blueprint(name: str, charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blueprint:
+    summary = rrb.TextDocumentView(origin="/summary", name=f"{name}: all figures")
+    overview = rrb.Vertical(
+        lane_view(f"{name}: the attempts (a click goes to one; the next tab shows it)"),
+        rrb.Horizontal(*charts),
+        row_shares=[_LANES_SHARE, 1 - _LANES_SHARE],
+        name="overview",
+    )
+    attempt = rrb.Vertical(
+        lane_view(f"{name}: the attempts (a click goes to one)"),
+        _attempt_layout(is_filmed=is_filmed),
+        row_shares=[_LANES_SHARE, 1 - _LANES_SHARE],
+        name="attempt",
+    )
+    return rrb.Blueprint(
+        rrb.Tabs(overview, attempt, rrb.Horizontal(summary, name="tables"), active_tab=0),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=ATTEMPT, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _attempt_layout(*, is_filmed: bool) -> rrb.Container:
+    """Lay out the attempt under the cursor; anew for each tab, as a view has one place."""
+    if not is_filmed:
+        return rrb.Horizontal(overlay_view(), attempt_view(), column_shares=[5, 3])
+    return rrb.Horizontal(overlay_view(), film_view(), attempt_view(), column_shares=[5, 3, 3])

@@ -1,0 +1,669 @@
+"""Reviews in Rerun: of one tuning, of a ledger of many, and of a plan's shots.
+
+In a tuning's, all that moves is on the log's time, so that one play button moves the balls and the
+cursors together. A view shows only what is on the active timeline, so what is drawn for each
+iteration is beside a static observed curve, for scrubbing `iteration`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.blueprint.components import AbsoluteTimeRange
+
+from tunenet_logs.analysis.checks import Verdict
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.planning import Plan, ball_lines, best_lines
+from tunenet_logs.analysis.presentation import result_words, said_names
+from tunenet_logs.analysis.record import Record
+from tunenet_logs.analysis.result_files import review_name, subject_of
+from tunenet_logs.analysis.review.drawing import (
+    FAILURE,
+    GROUND,
+    LOG_TIME,
+    MUTED,
+    SUCCESS,
+    WIDTH,
+    Color,
+    application_id,
+    chart_view,
+    entity_of,
+    log_grid,
+    log_recorded_film,
+    screen_radius,
+    send_scalars,
+    ticks,
+)
+from tunenet_logs.episode import Array
+from tunenet_logs.files import real_path
+from tunenet_logs.recorders.simulators.shot import STEP_S
+from tunenet_logs.terminal import one_line, short_name
+
+# ---- Overview of a ledger: estimates with their intervals, outliers, reasons.
+# Each timeline is an order of the logs: as tuned, by an estimate, by its uncertainty. Choosing one
+# sorts the curves; the table has its own choice, in the selection panel.
+
+Columns = Mapping[str, Sequence[Any]]
+
+_AS_TUNED = "as_tuned"  # the timeline of the logs as they were tuned
+_POINT_COLORS = {"ok": (80, 200, 120), "suspect": (240, 170, 50), "rejected": (230, 80, 80)}
+_KEY = "green ok, amber suspect, red rejected, grey 95 %, pink unlike the others"
+_OUTLIER, _END = (255, 60, 200), (130, 130, 150)
+
+_TABLES = ("table/log", "table/numbers")  # entities of the table's columns, from left to right
+_LOG_HEAD = "name_of_the_log_file"
+# Rerun makes a column as wide as its head.
+_TOLD_HEADS = {
+    "verdict": "verdict_of_it",
+    "reason": "reason_of_the_verdict",
+    "error": "error_in_short",
+}
+
+_DECIMALS = 5  # of figures in the table: more do not fit
+_FAR = 5.0  # robust standard deviations from the median: farther estimates are outliers
+_MIN_ESTIMATES = 8  # with fewer, none is called an outlier
+_MAX_ESTIMATE_VIEWS = 6  # each of one estimate
+_MAX_NAMED = 10  # outliers, and widest intervals, in the text
+
+
+def write_overview(columns: Columns, path: Path) -> None:
+    """Write the overview of a ledger as a Rerun recording.
+
+    Args:
+        columns: The ledger's, all of one length: "log", "verdict", "reason", and for each estimate
+            its value and the ends of its interval, `NAME_low` and `NAME_high`.
+        path: Of the recording.
+    """
+    verdicts = np.array([str(one) for one in columns["verdict"]])
+    logs = [one_line(Path(str(one)).name) for one in columns["log"]]
+    values = {name: _numbers(columns[name]) for name in _estimates(columns)}
+    names = [name for name, its in values.items() if np.isfinite(its).any()][:_MAX_ESTIMATE_VIEWS]
+    values = {name: values[name] for name in names}
+    orders = _orders(columns, values, len(logs))
+    outliers = {name: _unlike(values[name]) for name in names}
+    recording = rr.RecordingStream(application_id("overview"), recording_id="overview")
+    memory = recording.memory_recording()  # its own file sink waits for ever on a full disk
+    for name in names:
+        _log_estimate(recording, name, columns, verdicts, outliers[name], orders)
+    excess = _numbers(columns.get("fit_excess_percent", ()))
+    is_known = np.isfinite(excess)
+    _log_points(recording, "fit/excess_percent", excess, is_known, _END, orders)
+    recording.send_blueprint(_overview_blueprint(names, has_fit=bool(is_known.any())))
+    _send_table(recording, columns, names, logs, orders)
+    text = _overview_words(logs, columns, verdicts, values, outliers)
+    document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+    recording.log("summary", document, static=True)
+    recording.flush()
+    path.write_bytes(memory.drain_as_bytes())
+    recording.disconnect()
+
+
+def _estimates(columns: Columns) -> list[str]:
+    """List the estimates that have intervals, those of most logs first."""
+    names = [name for name in columns if f"{name}_low" in columns]
+    counts = {name: sum(one is not None for one in columns[name]) for name in names}
+    return sorted(names, key=lambda name: -counts[name])
+
+
+def _orders(columns: Columns, values: Mapping[str, Array], count: int) -> dict[str, NDArray[Any]]:
+    """Return the rank of each log by the name of the order."""
+    keys: dict[str, Array] = {}
+    for name, its in values.items():
+        keys[f"by_{name}"] = its
+        ends = _numbers(columns[f"{name}_high"]) - _numbers(columns[f"{name}_low"])
+        keys[f"by_{name}_interval"] = ends
+    if "fit_excess_percent" in columns:
+        keys["by_fit_excess"] = _numbers(columns["fit_excess_percent"])
+    orders: dict[str, NDArray[Any]] = {_AS_TUNED: np.arange(count)}
+    for name, key in keys.items():
+        places = np.empty(count, np.int64)
+        places[np.argsort(key, kind="stable")] = np.arange(count)  # those without a value are last
+        orders[name] = places
+    return orders
+
+
+def _unlike(values: Array) -> NDArray[np.bool_]:
+    """Return which values are outliers by the median absolute deviation."""
+    known = values[np.isfinite(values)]
+    if len(known) < _MIN_ESTIMATES:
+        return np.zeros(len(values), bool)
+    middle = np.median(known)
+    spread = 1.4826 * np.median(np.abs(known - middle))
+    with np.errstate(invalid="ignore"):
+        return np.abs(values - middle) > _FAR * max(float(spread), 1e-12)
+
+
+def _log_estimate(
+    recording: rr.RecordingStream,
+    name: str,
+    columns: Columns,
+    verdicts: NDArray[Any],
+    outliers: NDArray[np.bool_],
+    orders: Mapping[str, NDArray[Any]],
+) -> None:
+    """Log one estimate of all logs: points by verdict, ends of intervals, outliers."""
+    values = _numbers(columns[name])
+    for end in ("low", "high"):
+        ends = _numbers(columns[f"{name}_{end}"])
+        _log_points(recording, f"{name}/{end}", ends, np.isfinite(ends), _END, orders, size=1.0)
+    for verdict, colour in _POINT_COLORS.items():
+        there = np.isfinite(values) & (verdicts == verdict)
+        _log_points(recording, f"{name}/{verdict}", values, there, colour, orders)
+    _log_points(recording, f"{name}/unlike_others", values, outliers, _OUTLIER, orders, size=5.0)
+
+
+def _log_points(
+    recording: rr.RecordingStream,
+    entity: str,
+    values: Array,
+    there: NDArray[np.bool_],
+    colour: tuple[int, int, int],
+    orders: Mapping[str, NDArray[Any]],
+    size: float = 2.0,
+) -> None:
+    if not np.any(there):
+        return
+    style = rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=size, names=entity)
+    recording.log(entity, style, static=True)
+    recording.send_columns(entity, _times(orders, there), rr.Scalars.columns(scalars=values[there]))
+
+
+def _times(orders: Mapping[str, NDArray[Any]], there: NDArray[np.bool_]) -> list[rr.TimeColumn]:
+    return [rr.TimeColumn(name, sequence=places[there]) for name, places in orders.items()]
+
+
+def _send_table(
+    recording: rr.RecordingStream,
+    columns: Columns,
+    names: Sequence[str],
+    logs: Sequence[str],
+    orders: Mapping[str, NDArray[Any]],
+) -> None:
+    """Send a table row per log: its identity, then its figures."""
+    times = _times(orders, np.ones(len(logs), bool))
+    told: dict[str, Any] = {_LOG_HEAD: list(logs)}
+    for name, head in _TOLD_HEADS.items():
+        if name in columns:
+            told[head] = ["" if one is None else one_line(one) for one in columns[name]]
+    recording.send_columns(_TABLES[0], times, rr.AnyValues.columns(**told))
+    ends = [f"{name}_{end}" for name in names for end in ("low", "high")]
+    wanted = (*names, *ends, "fit_excess_percent", "seconds")
+    figures: dict[str, Any] = {
+        f"{name}_value" if name in names else name: np.round(_numbers(columns[name]), _DECIMALS)
+        for name in wanted
+        if name in columns
+    }
+    if figures:
+        recording.send_columns(_TABLES[1], times, rr.AnyValues.columns(**figures))
+
+
+def _overview_words(
+    logs: Sequence[str],
+    columns: Columns,
+    verdicts: NDArray[Any],
+    values: Mapping[str, Array],
+    outliers: Mapping[str, NDArray[np.bool_]],
+) -> str:
+    """Describe the ledger: counts, outliers, largest uncertainties."""
+    counts = ", ".join(f"{_count(verdicts, one)} {one}" for one in _POINT_COLORS)
+    lines = [f"# {len(logs)} logs", "", f"{counts}.", "", f"Curves: {_KEY}."]
+    for name, its in values.items():
+        known = its[np.isfinite(its)]
+        if not len(known):
+            continue
+        low, middle, high = np.percentile(known, (5, 50, 95))
+        lines += ["", f"## {name}", "", f"median {middle:.4g}; 90 % from {low:.4g} to {high:.4g}"]
+        which = np.flatnonzero(outliers[name])
+        if len(which):
+            shown = ", ".join(f"`{logs[at]}` {its[at]:.4g}" for at in which[:_MAX_NAMED])
+            more = f" and {len(which) - _MAX_NAMED} more" if len(which) > _MAX_NAMED else ""
+            lines += ["", f"unlike the others: {shown}{more}"]
+        widths = _numbers(columns[f"{name}_high"]) - _numbers(columns[f"{name}_low"])
+        widest = [at for at in np.argsort(-widths)[:_MAX_NAMED] if np.isfinite(widths[at])]
+        shown = ", ".join(f"`{logs[at]}` ± {widths[at] / 2:.2g}" for at in widest)
+        lines += ["", f"widest intervals: {shown}"] if shown else []
+    lines += [
+        "",
+        "Choose a timeline below to sort the curves by it; the table's is in the selection panel.",
+    ]
+    return "\n".join(lines)
+
+
+def _overview_blueprint(names: Sequence[str], *, has_fit: bool) -> rrb.Blueprint:
+    legend = rrb.PlotLegend(visible=False)  # it would hide what is unlike the others
+    plots: list[Any] = [
+        rrb.TimeSeriesView(origin=name, name=name, plot_legend=legend) for name in names
+    ]
+    if has_fit:
+        plots.append(
+            rrb.TimeSeriesView(origin="fit", name="misfit beyond the noise [%]", plot_legend=legend)
+        )
+    table = rrb.DataframeView(
+        origin="table",
+        name="table: the logs in the order they were tuned",
+        query=rrb.archetypes.DataframeQuery(
+            timeline=_AS_TUNED, entity_order=[f"/{entity}" for entity in _TABLES]
+        ),
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(*([rrb.Tabs(*plots)] if plots else []), table),
+            rrb.TextDocumentView(origin="summary", name="summary"),
+            column_shares=[3, 1],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=_AS_TUNED),
+        collapse_panels=False,
+    )
+
+
+def _numbers(cells: Sequence[Any]) -> Array:
+    """Convert cells to numbers, NaN where there is none."""
+    return np.array([np.nan if one is None else float(one) for one in cells])
+
+
+def _count(verdicts: NDArray[Any], verdict: str) -> int:
+    return int(np.sum(verdicts == verdict))
+
+
+# ---- Plan: the paths of all shots, the best one marked, the plane, the hoop.
+# The best shot's ball flies on the shot's own time; everything else is static.
+
+SHOT_TIME = "shot_time_s"  # the timeline that plays: seconds since the ball was let go
+_BEST: Color = (255, 196, 60)
+_PASSES: Color = (70, 200, 150)
+_OFF_RIM: Color = (225, 110, 90)
+_MISSES: Color = (95, 100, 115)
+_BOARD: Color = (120, 104, 84)
+_HOOP: Color = (235, 90, 60)
+
+# Of a miss, either way: with larger ones in the chart, those at the hoop would be a line.
+_MAX_CHART_M = 0.3
+
+
+def write_shots(plan: Plan, path: Path) -> None:
+    """Write the recording of a plan to `path` (.rrd).
+
+    Raises:
+        OSError: `path` cannot be written.
+    """
+    shown = f"{plan.rig} {plan.ball.law}".encode() + plan.heights_m.tobytes()
+    identity = subject_of(plan.ball.logs) + hashlib.sha256(shown).hexdigest()[:16]
+    stream = rr.RecordingStream(application_id("shot"), recording_id=identity)
+    memory = stream.memory_recording()
+    stream.send_recording_name("bounce shot")
+    stream.log("shots", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    _log_rig(stream, plan)
+    _log_paths(stream, plan)
+    _log_best(stream, plan)
+    _log_misses(stream, plan)
+    words = rr.TextDocument(_shot_words(plan), media_type="text/markdown")
+    stream.log("result", words, static=True)
+    stream.send_blueprint(_shot_blueprint(plan))
+    stream.flush()
+    path.write_bytes(memory.drain_as_bytes())
+    stream.disconnect()
+
+
+def _log_rig(stream: rr.RecordingStream, plan: Plan) -> None:
+    plane, hoop = plan.rig.plane, plan.rig.hoop
+    half_m = 3 * plan.rig.ball.radius_m
+    along = np.outer([-half_m, plane.downhill_m], plane.downhill)
+    across = np.array([[0.0, -half_m, 0.0], [0.0, half_m, 0.0]])
+    corners = [along[0] + across[0], along[1] + across[0], along[1] + across[1]]
+    corners.append(along[0] + across[1])
+    board = rr.Mesh3D(
+        vertex_positions=corners,
+        triangle_indices=[[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]],
+        albedo_factor=_BOARD,
+    )
+    stream.log("shots/plane", board, static=True)
+    turns = np.linspace(0, 2 * np.pi, 73)
+    ring = hoop.center_m + hoop.ring_radius_m * np.column_stack(
+        [np.cos(turns), np.sin(turns), np.zeros_like(turns)]
+    )
+    rim = rr.LineStrips3D([ring], colors=[_HOOP], radii=[hoop.rim_m / 2])
+    stream.log("shots/hoop", rim, static=True)
+
+
+def _log_paths(stream: rr.RecordingStream, plan: Plan) -> None:
+    """Log one entity per outcome, so that each can be hidden."""
+    passing = plan.clearance_m > 0
+    kinds = {
+        "misses": (~passing & ~plan.flights.has_touched, (*_MISSES, 110)),
+        "off_the_rim": (~passing & plan.flights.has_touched, (*_OFF_RIM, 130)),
+        "passing": (passing, (*_PASSES, 220)),
+    }
+    for name, (chosen, color) in kinds.items():
+        strips = [_shot_path(plan, index) for index in np.flatnonzero(chosen).tolist()]
+        if strips:
+            lines = rr.LineStrips3D(strips, colors=[color], radii=screen_radius(0.8))
+            stream.log(f"shots/{name}", lines, static=True)
+
+
+def _log_best(stream: rr.RecordingStream, plan: Plan) -> None:
+    index = plan.nearest if plan.best is None else plan.best.index
+    path = _shot_path(plan, index)
+    line = rr.LineStrips3D([path], colors=[_BEST], radii=screen_radius(2.2))
+    stream.log("shots/best/path", line, static=True)
+    name = "nearest" if plan.best is None else "best"
+    start = rr.Points3D(
+        [path[0] + [0.0, 0.0, 2 * plan.rig.ball.radius_m]],
+        labels=[f"{name}: {plan.heights_m[index]:.3f} m"],
+        colors=[_BEST],
+        radii=screen_radius(0.1),
+        show_labels=True,
+    )
+    stream.log("shots/best/label", start, static=True)
+    ball = rr.Ellipsoids3D.from_fields(
+        half_sizes=[[plan.rig.ball.radius_m] * 3], colors=[_BEST], fill_mode="solid"
+    )
+    stream.log("shots/best/ball", ball, static=True)
+    seconds = rr.TimeColumn(SHOT_TIME, duration=np.arange(len(path)) * STEP_S)
+    centers = rr.Ellipsoids3D.columns(centers=path)
+    stream.send_columns("shots/best/ball", indexes=[seconds], columns=centers)
+
+
+def _shot_path(plan: Plan, index: int) -> Array:
+    """Return the ball's centres until its shot is over, shape (T, 3) [m]."""
+    path = plan.flights.positions_m[:, index]
+    moves = np.flatnonzero((path[1:] != path[:-1]).any(axis=1))
+    return path[: moves[-1] + 2]
+
+
+def _log_misses(stream: rr.RecordingStream, plan: Plan) -> None:
+    """Log the miss by height: short of the centre below the line, beyond it above."""
+    heights, miss = plan.heights_m, plan.offset_m[:, 0]
+    low, high = float(heights[0]), float(heights[-1])
+    reach = float(np.nanmax(np.append(np.abs(miss[np.isfinite(miss)]), 1e-3)))
+    reach = min(reach, _MAX_CHART_M)
+    across = (heights - low) / (high - low) * WIDTH
+    up = -(miss / reach + 1) / 2
+    rows = [(-(at / reach + 1) / 2, f"{1000 * at:.0f}") for at in ticks(-reach, reach, 4)]
+    marks = [((at - low) / (high - low) * WIDTH, f"{at:g}") for at in ticks(low, high)]
+    log_grid(stream, "sheets/miss", WIDTH, rows, marks)
+    colors = [_shot_color(plan, index) for index in range(len(heights))]
+    known = np.flatnonzero(np.abs(miss) <= reach)  # NaN is not
+    dots = rr.Points2D(
+        np.column_stack([across, up])[known],
+        colors=[colors[index] for index in known],
+        radii=screen_radius(2.5),
+        draw_order=20.0,
+    )
+    stream.log("sheets/miss/shots", dots, static=True)
+    if not len(known):
+        said = rr.Points2D(
+            [[WIDTH / 2, -0.75]],
+            labels=["no ball comes down at the height of the hoop"],
+            colors=[MUTED],
+            radii=screen_radius(0.1),
+            show_labels=True,
+        )
+        stream.log("sheets/miss/words", said, static=True)
+
+
+def _shot_color(plan: Plan, index: int) -> Color:
+    if plan.best is not None and index == plan.best.index:
+        return _BEST
+    if plan.clearance_m[index] > 0:
+        return _PASSES
+    return _OFF_RIM if plan.flights.has_touched[index] else _MISSES
+
+
+def _shot_words(plan: Plan) -> str:
+    best = plan.best
+    head = "# no height scores" if best is None else f"# let go {best.height_m:.3f} m above"
+    passing = int(np.count_nonzero(plan.clearance_m > 0))
+    lines = [head, *(best_lines(plan) if best else ()), *ball_lines(plan)]
+    lines.append(f"{passing} of {len(plan.heights_m)} heights pass without touching the rim")
+    lines += [f"- {one_line(warning)}" for warning in plan.warnings]
+    lines.append("yellow: the best; green: passes; red: touches the rim; grey: misses")
+    return "\n\n".join(lines)
+
+
+def _shot_blueprint(plan: Plan) -> rrb.Blueprint:
+    rig = plan.rig
+    middle = np.array([rig.hoop.forward_m / 2, 0.0, (rig.release.highest_m + rig.hoop.up_m) / 2])
+    size = max(rig.release.highest_m - rig.hoop.up_m, rig.hoop.forward_m) + 0.2
+    eye = middle + size * np.array([0.25, -1.05, 0.2])
+    scene = rrb.Spatial3DView(
+        origin="/shots",
+        name="shots",
+        background=GROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
+        ),
+    )
+    title = "miss [mm] by release height [m]: + beyond the hoop's centre, - short of it"
+    right = rrb.Vertical(
+        rrb.TextDocumentView(origin="/result", name="result"),
+        chart_view("miss", title),
+        row_shares=[3, 2],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(scene, right, column_shares=[3, 2]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=SHOT_TIME),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+# ---- Verdict: a banner over a review, one coloured strip with large words.
+
+VERDICT_COLORS: dict[Verdict, Color] = {  # green, amber, red
+    "ok": SUCCESS,
+    "suspect": (245, 185, 60),
+    "rejected": FAILURE,
+}
+
+VERDICT_SHARE = 0.075  # of a review's height
+_INK: Color = (16, 18, 24)
+
+_STRIP_PX = (3600, 90)  # width and height of its picture
+_FONT = 2  # OpenCV's number of a plain sans serif with two strokes
+_MAX_STRIP_LETTERS = 90  # that there is room for
+_MAX_NAME_LETTERS = 60
+
+_FIRST_WALL_NS = 10**17  # stamps from 1973 on are a wall clock's; smaller ones count from a start
+
+
+def log_verdict(stream: rr.RecordingStream, tuning: Tuning, record: Record) -> rrb.View:
+    """Log the strip as static, so that it stays on any timeline, and return its view."""
+    import cv2
+
+    color = VERDICT_COLORS[record.verdict]
+    width, height = _STRIP_PX
+    strip = np.full((height, width, 3), color, np.uint8)
+    left = height // 3
+    base = round(0.76 * height)
+    word = record.verdict.upper()
+    cv2.putText(strip, word, (left, base), _FONT, 2.6, _INK, 5, cv2.LINE_AA)
+    (wide, _), _ = cv2.getTextSize(word, _FONT, 2.6, 5)
+    place = (left + wide + height // 2, base)
+    cv2.putText(strip, _strip_words(record), place, _FONT, 1.8, _INK, 3, cv2.LINE_AA)
+    image = rr.Image(strip).compress(jpeg_quality=95)
+    stream.log("verdict", image, static=True)
+    return rrb.Spatial2DView(
+        origin="/verdict",
+        name=_strip_title(tuning, record),
+        background=color,
+        visual_bounds=rrb.VisualBounds2D(x_range=(0, width), y_range=(0, height)),
+    )
+
+
+def _strip_title(tuning: Tuning, record: Record) -> str:
+    """Format the log's name, its ball, and when it was recorded."""
+    name = short_name(os.fsencode(tuning.log.name).decode(errors="replace"), _MAX_NAME_LETTERS)
+    parts = [name or "log"]
+    if record.ball:
+        parts.append(short_name(record.ball, _MAX_NAME_LETTERS))
+    signals = tuning.episode.signals.values() if tuning.episode else ()
+    starts_ns = [int(one.stamps_ns[0]) for one in signals if len(one.stamps_ns)]
+    found = tuning.detection or tuning.refused
+    film_ns = getattr(found, "start_ns", None)  # of what was filmed alone
+    starts_ns += [] if film_ns is None else [film_ns]
+    if starts_ns and min(starts_ns) > _FIRST_WALL_NS:
+        began = datetime.fromtimestamp(min(starts_ns) // 10**9, UTC)
+        parts.append(f"recorded {began:%Y-%m-%d %H:%M} UTC")
+    return f"{', '.join(parts)}: {record.verdict}"
+
+
+def _strip_words(record: Record) -> str:
+    """List estimates and failed checks, as many as fit, in letters that OpenCV draws."""
+    failed = [check for check in record.checks if not check.passed]
+    failed.sort(key=lambda check: not check.fatal)
+    said = said_names(known.name for known in record.estimates)
+    parts = [
+        ", ".join(
+            f"{said[known.name]} {round(known.value, 3) + 0.0:.3f}"
+            + ("" if known.unit == "1" else f" {known.unit}")
+            for known in record.estimates
+            if not isinstance(known.value, tuple)
+        )
+    ]
+    if failed:
+        parts.append("failed: " + ", ".join(check.name for check in failed))
+    elif record.reason:
+        parts.append(record.reason.partition("; at the next")[0])
+    words = "   ".join(filter(None, parts)).replace("·", " ").replace("²", "2")
+    plain = words.encode("ascii", "replace").decode()
+    return plain if len(plain) <= _MAX_STRIP_LETTERS else plain[: _MAX_STRIP_LETTERS - 3] + "..."
+
+
+# ---- Tuning: its recording and blueprint.
+
+_MAX_CURVES = 150  # where nothing was found: more can neither be told apart nor be loaded soon
+_MAX_VIEWS = 4  # one for each unit: more would be too low to read
+_MAX_LEGEND_NAMES = 24  # of all legends together: what fits beside the views on a laptop's screen
+_BESIDE = 1.6  # length of an axis over that of its curves, with a legend beside them
+_SLOW_MOTION = 0.5  # of the true speed, at which a short bounce is over before it is looked at
+# What a unit measures.
+_QUANTITIES = {
+    "m": "positions",
+    "rad": "joint positions",
+    "rad/s": "joint velocities",
+    "N·m": "joint torques",
+}
+
+
+def write_review(tuning: Tuning, record: Record, path: Path) -> None:
+    """Write the review of a tuning to `path` (.rrd).
+
+    Raises:
+        OSError: `path` cannot be written.
+    """
+    identity = os.fsencode(real_path(tuning.log)) + f" {tuning.preset} {tuning.digest}".encode()
+    name = hashlib.sha256(identity).hexdigest()[:16]
+    if record.provenance is not None and record.provenance.log_sha256:
+        name = review_name(record.provenance.log_sha256)
+    text = result_words(
+        record, tuning.preset, tuning.experiment.occasion if tuning.experiment else None
+    )
+    stream = rr.RecordingStream(application_id(tuning.task or "log"), recording_id=name)
+    memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
+    stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
+    layout = tuning.experiment.review(stream, tuning) if tuning.experiment else None
+    if tuning.detection is None or layout is None:
+        views, left_out = _log_recorded(stream, tuning, only_what_changes=layout is not None)
+        text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
+        if layout is None and log_recorded_film(stream, tuning):
+            views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
+        layout = _recorded_layout(layout, views)
+    strip = log_verdict(stream, tuning, record)
+    blueprint = rrb.Blueprint(
+        rrb.Vertical(strip, layout, row_shares=[VERDICT_SHARE, 1 - VERDICT_SHARE]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        _time_panel(record, has_film=tuning.refused is not None and tuning.detection is None),
+        auto_views=False,
+        auto_layout=False,
+    )
+    stream.send_blueprint(blueprint)
+    stream.log("result", rr.TextDocument(text, media_type="text/markdown"), static=True)
+    stream.flush()
+    path.write_bytes(memory.drain_as_bytes())
+    stream.disconnect()
+
+
+def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
+    """Loop a motion from the release to the last bounce, or a video without a drop as a whole.
+
+    A blueprint cannot set the cursor's start. One that plays shows the ball in its flight soon
+    after opening; a paused one would show it at rest, where the recording ends.
+    """
+    curves = record.motion.curves
+    if curves is None:
+        play, loop = ("playing", "all") if has_film else (None, None)
+        return rrb.TimePanel(state="collapsed", timeline=LOG_TIME, play_state=play, loop_mode=loop)
+    first_ns, last_ns = (round(1e9 * float(at_s)) for at_s in curves.seconds[[0, -1]])
+    return rrb.TimePanel(
+        state="collapsed",
+        timeline=LOG_TIME,
+        playback_speed=_SLOW_MOTION,
+        play_state="playing",
+        loop_mode="selection",
+        time_selection=AbsoluteTimeRange(first_ns, last_ns),
+    )
+
+
+def _log_recorded(
+    stream: rr.RecordingStream, tuning: Tuning, *, only_what_changes: bool
+) -> tuple[list[rrb.View], int]:
+    """Log recorded signals by unit where the task found nothing; count curves left out."""
+    signals = tuning.episode.signals if tuning.episode else {}
+    if only_what_changes:  # marks of events are the same at each of them
+        signals = {name: one for name, one in signals.items() if np.ptp(one.values)}
+    curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
+    by_unit: dict[str, list[str]] = {}
+    for signal, index in curves[:_MAX_CURVES]:
+        column = signal.columns[index]
+        entity = entity_of("recorded", signal.name, column)
+        name = one_line(f"{signal.name} {column}")
+        stream.log(entity, rr.SeriesLines(names=[name]), static=True)
+        send_scalars(stream, entity, signal.seconds, signal.values[:, index])
+        by_unit.setdefault(signal.unit, []).append(entity)
+    last_s = max((float(one.seconds[-1]) for one in signals.values()), default=0.0)
+    shown = list(by_unit.items())[:_MAX_VIEWS]
+    names = _MAX_LEGEND_NAMES // max(len(shown), 1)
+    views = [_recorded_view(unit, some, last_s, names) for unit, some in shown]
+    return views, max(0, len(curves) - _MAX_CURVES)
+
+
+def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: int) -> rrb.View:
+    """Return the view of one unit's curves, with a legend beside them if it fits."""
+    has_legend = len(entities) <= most_names
+    begin, end = 0.0, max(last_s, 1e-3) * (_BESIDE if has_legend else 1.0)
+    seconds = rr.TimeRange(
+        start=rrb.TimeRangeBoundary.absolute(seconds=begin),
+        end=rrb.TimeRangeBoundary.absolute(seconds=end),
+    )
+    return rrb.TimeSeriesView(
+        origin="/recorded",
+        contents=[f"+ {one}" for one in entities],
+        name=one_line(f"recorded {_QUANTITIES.get(unit, 'values')} [{unit}]"),
+        axis_x=rrb.TimeAxis(view_range=seconds),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=has_legend),
+    )
+
+
+def _recorded_layout(evidence: rrb.Container | None, views: Sequence[rrb.View]) -> rrb.Container:
+    """Lay out the evidence over all that was recorded, beside the result."""
+    result = rrb.TextDocumentView(origin="/result", name="result")
+    parts: list[rrb.View | rrb.Container] = [] if evidence is None else [evidence]
+    parts += [rrb.Vertical(*views)] if views else []
+    if not parts:
+        return rrb.Horizontal(result)
+    return rrb.Horizontal(rrb.Vertical(*parts), result, column_shares=[3, 2])

@@ -1,0 +1,759 @@
+"""Match a log's signals with a model's joints, actuators and bodies by name.
+
+Names come first, then orientations, poses and wrenches, each by itself, and the user's `--map`; the
+last part matches a whole episode by them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Array, Episode, Signal
+from tunenet_logs.errors import NotFoundError, UsageError
+from tunenet_logs.recorders.simulators.model.parameters import element_names
+from tunenet_logs.recorders.simulators.model.rollout import (
+    Drive,
+    Kind,
+    SensedSignal,
+    Sensor,
+    free_joint,
+    rotation_in,
+)
+from tunenet_logs.recorders.simulators.mujoco import mujoco
+from tunenet_logs.terminal import listed, short_name
+
+# ---- Names of signals, and how they match a model's
+
+# In a topic's name: what somebody wants, not what is.
+_COMMANDS = re.compile(r"command|cmd|target|desired|reference|setpoint|goal|trajectory", re.I)
+
+# In the last part of a topic's name: what is, whatever the parts before it say.
+_STATES = re.compile(r"state|measured|actual|feedback", re.I)
+
+_QUANTITIES = ("position", "velocity", "effort")
+_PARTS = (*_QUANTITIES, "orientation", "force", "torque")  # how the signals of one topic end
+
+
+def topic_of(signal: str) -> str:
+    """Return the topic of a signal, or what a pose is of: without the signal's quantity."""
+    topic, _, last = signal.rpartition(".")
+    return topic if last in _PARTS else signal
+
+
+def quantity_of(signal: str) -> str:
+    """Return which joint quantity a signal is; "" if it is none."""
+    last = signal.rpartition(".")[2]
+    return last if last in _QUANTITIES else ""
+
+
+def is_wanted(topic: str) -> bool:
+    """Return whether a topic is a command rather than a state: by its last part, then by all."""
+    last = topic.rpartition("/")[2]
+    if _COMMANDS.search(last):
+        return True
+    return not _STATES.search(last) and _COMMANDS.search(topic) is not None
+
+
+def named_as(name: str, names: Sequence[str]) -> str | None:
+    """Match a name but for prefix, case and marks; None if ambiguous."""
+    if name and name in names:
+        return name
+    for plain in (_plain, _plain_last):
+        wanted = plain(name)
+        found = [one for one in names if one and plain(one) == wanted]
+        if wanted and found:
+            return found[0] if len(found) == 1 else None
+    return None
+
+
+def words_of(name: str) -> list[str]:
+    """List candidates of a body's name in a signal's: frame, topic parts, words; last first."""
+    frames = name.split(".")
+    tails = [".".join(frames[place:]) for place in range(1, min(len(frames), 9))]
+    return [*tails, *reversed(name.split("/")), *reversed(re.split(r"[/.@]", name))]
+
+
+def _plain(name: str) -> str:
+    """Remove case and marks: `Elbow-Joint` and `elbow_joint` are one."""
+    return re.sub(r"[\W_]", "", name).lower()
+
+
+def _plain_last(name: str) -> str:
+    """Remove the prefix too: `robot/elbow` and `elbow` are one."""
+    return _plain(name.rpartition("/")[2])
+
+
+# ---- Orientations to compare: those that the model begins with, too
+
+# Between a body's orientation in the log and in the model, at the start: a tracker has axes of its
+# own, which nobody may have turned as the model's.
+_NEAR_DEG = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """Orientation in a log.
+
+    Attributes:
+        sensed: The body's x and z axes.
+        words: Description of its use.
+        is_sure: Whether the user states that its axes are the body's.
+    """
+
+    sensed: SensedSignal
+    words: str
+    is_sure: bool
+
+    @property
+    def body(self) -> str:
+        """Body that it is of."""
+        return self.sensed.sensors[0].name
+
+    @property
+    def reference(self) -> str:
+        """Body that it is relative to; "" for the world."""
+        return self.sensed.sensors[0].reference
+
+
+def orients_start(model: Any, turned: Sequence[Turned]) -> list[SensedSignal]:
+    """List orientations of freely moving bodies, from which a rollout starts."""
+    return [one.sensed for one in turned if free_joint(model, one.body) is not None]
+
+
+def why_not(model: Any, qpos: Array, turned: Turned) -> str:
+    """Say why an orientation is not compared; "" if it is.
+
+    Args:
+        model: Compiled.
+        qpos: Its coordinates at the start, shape (nq,).
+        turned: The log's.
+    """
+    values = turned.sensed.signal.values
+    first = rotations(values[np.isfinite(values).all(axis=1)][:1])[0]
+    own = rotation_in(model, qpos, turned.body, turned.reference)
+    cosine = (np.trace(first.T @ own) - 1) / 2
+    degrees = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    if turned.is_sure or degrees <= _NEAR_DEG:
+        return ""
+    name, body = turned.sensed.signal.name, short_name(turned.body)
+    return (
+        f"turned by {degrees:.0f} degrees from body/{body} at the start; where its axes are that "
+        f"body's, say --map {short_name(name)}=body/{body}"
+    )
+
+
+def rotations(axes: Array) -> Array:
+    """Build rotation matrices, shape (T, 3, 3), from their x and z axes, shape (T, 6)."""
+    x, z = axes[:, :3], axes[:, 3:]
+    return np.stack([x, np.cross(z, x), z], axis=2)
+
+
+# ---- Positions and orientations, matched with bodies and frames
+
+# Frames that are taken for the model's world without a word.
+_WORLDS = ("world", "map", "odom", "mocap")
+
+_AXES: tuple[Kind, Kind] = ("framexaxis", "framezaxis")
+
+
+def is_orientation(signal: Signal) -> bool:
+    """Return whether a signal is one of quaternions."""
+    return signal.columns == ("x", "y", "z", "w") and signal.unit == "1"
+
+
+def sensed_pose(
+    signal: Signal, told: str, bodies: Sequence[str]
+) -> tuple[SensedSignal | None, str]:
+    """Match a position or an orientation with a model.
+
+    Args:
+        signal: Of the log.
+        told: Body that the user names; "" if none.
+        bodies: The model's, the world first.
+
+    Returns:
+        The matched signal (of an orientation the body's x and z axes), and its use in words; or
+        None, and why.
+
+    Raises:
+        UsageError: The user names a body for a signal that is neither.
+    """
+    is_turn = is_orientation(signal)
+    if not is_turn and (signal.columns != ("x", "y", "z") or signal.unit != "m"):
+        raise UsageError(
+            f"--map {short_name(signal.name)}=body/{short_name(told)}: is no position in m",
+            "map the topic of a pose, a point or a transform",
+        )
+    found = (named_as(word, bodies[1:]) for word in words_of(topic_of(signal.name)))
+    body = told or next((one for one in found if one is not None), None)
+    if body is None:
+        return None, "no body of the model is called so"
+    if np.isfinite(signal.values).all(axis=1).sum() < 2:
+        return None, "fewer than two samples"
+    reference = named_as(signal.frame, bodies[1:]) or ""
+    if reference == body:
+        return None, f"is in {short_name(body)}'s own frame"
+    words = f" from {short_name(reference)}" if reference else _taken_for_world(signal.frame)
+    if is_turn:
+        return _axes(signal, body, reference), f"orientation of {short_name(body)}{words}"
+    sensors = tuple(Sensor("framepos", body, axis, reference) for axis in range(3))
+    return SensedSignal(signal, signal.columns, sensors), f"position of {short_name(body)}{words}"
+
+
+def _taken_for_world(frame: str) -> str:
+    """Describe a frame that the model does not know; "" if there is none."""
+    plain = frame.rpartition("/")[2].lower()
+    return "" if plain in ("", *_WORLDS) else f", frame {short_name(frame)} taken for the world"
+
+
+def _axes(signal: Signal, body: str, reference: str) -> SensedSignal:
+    """Convert quaternions to a body's x and z axes, which have no sign ambiguity."""
+    columns = tuple(f"{one} axis {each}" for one in "xz" for each in "xyz")
+    sensors = tuple(Sensor(kind, body, axis, reference) for kind in _AXES for axis in range(3))
+    axes = _axes_of(signal.values)
+    return SensedSignal(replace(signal, values=axes, columns=columns), columns, sensors)
+
+
+def _axes_of(quaternions: Array) -> Array:
+    """Return the x and z axes, shape (T, 6), of quaternions x, y, z, w, shape (T, 4)."""
+    x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
+    return np.column_stack(
+        [
+            1 - 2 * (y * y + z * z),
+            2 * (x * y + z * w),
+            2 * (x * z - y * w),
+            2 * (x * z + y * w),
+            2 * (y * z - x * w),
+            1 - 2 * (x * x + y * y),
+        ]
+    )
+
+
+# ---- The user's `--map`, checked against the log and the model
+
+IGNORE = "-"  # as a target of `--map`: the signal is left out
+TURNED = "-"  # before a site or a body: the log has the force of the child on its parent
+_FEW = 6
+
+
+def check_told(
+    told: Mapping[str, str], signals: Mapping[str, Signal], names: Mapping[str, Sequence[str]]
+) -> None:
+    """Check that each key of `--map` is in the log and each target in the model.
+
+    Raises:
+        UsageError: One is not.
+    """
+    topics = set(map(topic_of, signals))
+    known = {*signals, *topics}
+    for name, signal in signals.items():
+        for column in signal.columns:
+            known |= {f"{name}.{column}", f"{topic_of(name)}.{column}", column}
+    for key, target in told.items():
+        if key not in known:
+            near = get_close_matches(key, known, _FEW, 0.5) or sorted(known)
+            raise UsageError(
+                f"--map {short_name(key)}: the log has no such signal",
+                f"there is: {listed(near, _FEW)}",
+            )
+        kind, _, name = target.partition("/")
+        if kind in (f"{TURNED}body", f"{TURNED}site"):
+            kind = kind.removeprefix(TURNED)
+        is_whole = key in signals or key in topics
+        if not is_whole and (target in ("commands", "states") or kind in ("body", "site")):
+            raise UsageError(
+                f"--map {short_name(key)}={short_name(target)}: is one column alone",
+                f"map its signal or topic, or {short_name(key)}=joint/NAME",
+            )
+        if target in ("commands", "states", IGNORE):
+            continue
+        if not name or name not in names.get(kind, ()):
+            known_names = [f"{one}/{each}" for one, some in names.items() for each in some if each]
+            near = get_close_matches(target, known_names, _FEW, 0.5) or known_names
+            raise UsageError(
+                f"--map {short_name(key)}={short_name(target)}: is no part of the model",
+                f"there is: commands, states, -, {listed(near, _FEW)}",
+            )
+
+
+# ---- Forces and torques, matched with sites and bodies, and their sign
+
+_KINDS: dict[str, Kind] = {"N": "force", "N·m": "torque"}
+# In a sensor's name: a model has one for each of the two.
+_QUANTITY = re.compile(r"(?:(?<![_\W])[_\W]++)?(force|torque)[_\W]*")
+
+_FIRST_NS = 100_000_000  # of a log, by which a sign is judged
+_OPPOSED = -0.9  # cosine between what is seen and what is simulated
+# Of the simulated force: a smaller one in the log, as of a tared sensor, shows no sign.
+_MIN_SHARE = 0.2
+
+
+def is_wrench(signal: Signal) -> bool:
+    """Return whether a signal is a 3D force or torque."""
+    return signal.columns == ("x", "y", "z") and signal.unit in _KINDS
+
+
+def sensed_wrench(signal: Signal, told: str, model: Any) -> tuple[SensedSignal | None, str]:
+    """Match a force or torque with a compiled model.
+
+    Args:
+        signal: Of the log.
+        told: The user's `site/NAME` or `body/NAME`, with a `-` for the other sign; "" if none.
+        model: Compiled.
+
+    Returns:
+        The matched signal, and its use in words; or None, and why not.
+
+    Raises:
+        UsageError: The user names a site for a signal that is no force.
+    """
+    if not is_wrench(signal):
+        raise UsageError(
+            f"--map {short_name(signal.name)}={short_name(told)}: is no force in N or torque in "
+            "N·m",
+            "map the topic of a wrench to a site",
+        )
+    if told:
+        kind, _, name = told.removeprefix(TURNED).partition("/")
+        is_body = kind == "body"
+    else:
+        is_body, name = _place(signal, model)
+    if not name:
+        return None, "no force sensor, site or body of the model is called so"
+    if np.isfinite(signal.values).all(axis=1).sum() < 2:
+        return None, "fewer than two samples"
+    body = name if is_body else model.body(int(model.site(name).bodyid[0])).name
+    if not model.body(body).id or free_joint(model, body) is not None:
+        return None, f"{short_name(name)} hangs on nothing, and no force holds it"
+    kind, sign = _KINDS[signal.unit], -1.0 if told.startswith(TURNED) else 1.0
+    sensors = tuple(Sensor(kind, name, axis, is_at_body=is_body, sign=sign) for axis in range(3))
+    where = f"{'body' if is_body else 'site'} {short_name(name)}"
+    words = f"{kind} at {where}, {'of its parent on it' if sign > 0 else 'of it on its parent'}"
+    if signal.frame and named_as(signal.frame, [name, body]) is None:
+        words += f", frame {short_name(signal.frame)} taken for its axes"
+    return SensedSignal(signal, signal.columns, sensors), words
+
+
+def _place(signal: Signal, model: Any) -> tuple[bool, str]:
+    """Return whether it is a body's, and the site or body; "" if none has that name."""
+    words = [*filter(None, [signal.frame]), *words_of(topic_of(signal.name))]
+    sites = [name for name in element_names(model, "site") if name]
+    bodies = [name for name in element_names(model, "body")[1:] if name]
+    sensors = _sites_by_sensor(model)
+    for is_body, names in ((False, list(sensors)), (False, sites), (True, bodies)):
+        for word in words:
+            if found := named_as(word, names):
+                return is_body, sensors.get(found, found)
+    return False, ""
+
+
+def _sites_by_sensor(model: Any) -> dict[str, str]:
+    """Map the name of each force sensor, with and without `force` in it, to its site."""
+    kinds = mujoco().mjtSensor
+    wanted = (int(kinds.mjSENS_FORCE), int(kinds.mjSENS_TORQUE))
+    found: dict[str, str] = {}
+    for number in range(model.nsensor):
+        if int(model.sensor_type[number]) not in wanted:
+            continue
+        name = model.sensor(number).name
+        site = model.site(int(model.sensor_objid[number])).name
+        if name and site:
+            found |= {name: site}
+            if plain := _QUANTITY.sub("", name):
+                found.setdefault(plain, site)
+    return found
+
+
+def doubts(sensed: Sequence[SensedSignal], rollout: Episode) -> tuple[str, ...]:
+    """Describe forces that oppose those of a rollout at their beginning."""
+    found: list[str] = []
+    for one in sensed:
+        first = one.sensors[0]
+        if first.kind != "force" or not _is_opposed(one.signal, rollout.signals[one.signal.name]):
+            continue
+        place = f"{'body' if first.is_at_body else 'site'}/{short_name(first.name)}"
+        target = f"{TURNED}{place}" if first.sign > 0 else place
+        found.append(
+            f"{one.signal.name}: at the start it points against what is simulated; of the other "
+            f"sign it is with --map {short_name(topic_of(one.signal.name))}={target}"
+        )
+    return tuple(found)
+
+
+def _is_opposed(observed: Signal, rolled: Signal) -> bool:
+    seen, simulated = _beginning(observed), _beginning(rolled)
+    sizes = float(np.linalg.norm(seen)), float(np.linalg.norm(simulated))
+    is_seen = sizes[0] > _MIN_SHARE * sizes[1] > 0
+    return is_seen and float(seen @ simulated) < _OPPOSED * sizes[0] * sizes[1]
+
+
+def _beginning(signal: Signal) -> Array:
+    """Return the mean of a signal's first samples, shape (C,); 0 if it has none."""
+    first = signal.values[signal.stamps_ns <= signal.stamps_ns[0] + _FIRST_NS]
+    good = first[np.isfinite(first).all(axis=1)]
+    return good.mean(axis=0) if len(good) else np.zeros(signal.values.shape[1])
+
+
+# ---- A whole episode: states, commands, poses and wrenches
+
+_JointKind = Literal["jointpos", "jointvel", "jointactuatorfrc"]
+
+_BY_QUANTITY: Mapping[str, _JointKind] = {
+    "position": "jointpos",
+    "velocity": "jointvel",
+    "effort": "jointactuatorfrc",
+}
+_UNITS: Mapping[str, str] = {"rad/s": "velocity", "m/s": "velocity", "N·m": "effort", "N": "effort"}
+# Units of what a user says is a joint, where its name does not tell the quantity.
+_PLACES = ("rad", "m", "1")
+
+_TARGETS = ("joint", "actuator", "body", "site")
+_MANY_SIDED = (0, 1)  # kinds of joints, free and ball, whose position is no number
+_TURN_RAD, _TURN_SLACK_RAD = 2 * np.pi, 0.05
+_FASTER = 2.0  # than it is elsewhere, that a joint may be where its angle is cut to one turn
+
+
+@dataclass(eq=False)
+class Match:
+    """Match of a log with a model.
+
+    Attributes:
+        sensed: Signals to compare.
+        drives: Signals that drive the model.
+        used: Each signal that is used, and its use, in words.
+        unused: Each that is not, and why.
+        turned: Orientations, which are compared if the model begins with them.
+        joined: Joint angles that were unwrapped, in words.
+    """
+
+    sensed: list[SensedSignal] = field(default_factory=list)
+    drives: list[Drive] = field(default_factory=list)
+    used: list[str] = field(default_factory=list)
+    unused: list[str] = field(default_factory=list)
+    turned: list[Turned] = field(default_factory=list)
+    joined: list[str] = field(default_factory=list)
+
+    def choose_turned(self, model: Any, qpos: Array) -> None:
+        """Compare those of `turned` that the model begins with, too, at `qpos`, shape (nq,)."""
+        for one in self.turned:
+            name = one.sensed.signal.name
+            if why := why_not(model, qpos, one):
+                self.unused.append(f"{name}: {why}")
+            else:
+                self.sensed.append(one.sensed)
+                self.used.append(f"{name}: compared with {one.words}")
+
+
+def matched(episode: Episode, model: Any, told: Mapping[str, str]) -> Match:
+    """Match an episode's signals with a compiled model.
+
+    Args:
+        episode: The log.
+        model: Compiled.
+        told: The user's mapping where names differ: signal, topic or SIGNAL.COLUMN ->
+            `joint/NAME`, `actuator/NAME`, `body/NAME`, `site/NAME`, `commands`, `states` or `-`;
+            `-site/` and `-body/` for a wrench of the other sign.
+
+    Raises:
+        NotFoundError: Nothing of the log is in the model; the message names both sides.
+        UsageError: An entry of `told` is not in the log or not in the model.
+    """
+    return _Matching(episode, model, told).match()
+
+
+class _Matching:
+    def __init__(self, episode: Episode, model: Any, told: Mapping[str, str]) -> None:
+        self._episode, self._model, self._told = episode, model, told
+        self._names = {kind: element_names(model, kind) for kind in _TARGETS}
+        self._found = Match()
+        self._by_column: dict[tuple[str, str], list[str | None]] = {}
+        check_told(told, episode.signals, self._names)
+
+    def match(self) -> Match:
+        states: list[Signal] = []
+        for name, signal in self._episode.signals.items():
+            role = self._role(name, signal)
+            if role == IGNORE:
+                self._found.unused.append(f"{name}: left out by --map")
+            elif role == "commands":
+                self._command(signal)
+            elif role == "states":
+                states.append(signal)
+            elif role == "pose":
+                self._pose(signal)
+            elif role == "wrench":
+                self._wrench(signal)
+            else:
+                self._found.unused.append(f"{name}: neither joints, commands, pose nor wrench")
+        for signal in states:
+            self._state(signal)
+        if not self._found.sensed:
+            self._refuse()
+        return self._found
+
+    def _role(self, name: str, signal: Signal) -> str:
+        """Return a signal's role: "states", "commands", "pose", "wrench", "-" or ""."""
+        told = self._told_signal(signal)
+        if told in ("commands", "states", IGNORE):
+            return told
+        kind = told.partition("/")[0].removeprefix(TURNED)
+        if kind == "site" or (kind == "body" and (is_wrench(signal) or told.startswith(TURNED))):
+            return "wrench"
+        if told:
+            return {"body": "pose", "actuator": "commands"}.get(kind, "states")
+        quantity = quantity_of(name)
+        if quantity or (signal.drives and signal.unit == "1"):
+            return "commands" if signal.drives or is_wanted(topic_of(name)) else "states"
+        if is_orientation(signal) or (signal.columns == ("x", "y", "z") and signal.unit == "m"):
+            return "pose"
+        return "wrench" if is_wrench(signal) else ""
+
+    def _state(self, signal: Signal) -> None:
+        kind = _BY_QUANTITY.get(_quantity(signal))
+        if kind is None:
+            self._found.unused.append(f"{signal.name}: [{signal.unit}] is nothing of joints")
+            return
+        columns: list[tuple[int, str, str]] = []
+        reasons: dict[str, list[str]] = {}
+        for place, (column, joint) in enumerate(
+            zip(signal.columns, self._elements("joint", signal), strict=True)
+        ):
+            if why := self._why_not(signal, place, joint):
+                reasons.setdefault(why, []).append(column)
+            else:
+                assert joint is not None
+                columns.append((place, column, joint))
+        for why, names in reasons.items():
+            self._found.unused.append(f"{signal.name}: {listed(names, _FEW)}: {why}")
+        if not columns:
+            return
+        if kind == "jointactuatorfrc":
+            self._efforts(signal, columns)
+            return
+        sensors = tuple(Sensor(kind, joint) for _, _, joint in columns)
+        names = tuple(column for _, column, _ in columns)
+        if kind == "jointpos":
+            signal = self._joined(signal, columns)
+        self._sense(SensedSignal(signal, names, sensors))
+
+    def _joined(self, signal: Signal, columns: list[tuple[int, str, str]]) -> Signal:
+        """Unwrap angles of hinges without limits."""
+        values, cut = signal.values.copy(), []
+        for place, column, joint in columns:
+            number = self._names["joint"].index(joint)
+            is_hinge = self._model.jnt_type[number] == int(mujoco().mjtJoint.mjJNT_HINGE)
+            if is_hinge and not self._model.jnt_limited[number]:
+                good = np.isfinite(values[:, place])
+                whole = joined_turns(signal.stamps_ns[good], values[good, place])
+                if whole is not None:
+                    values[good, place] = whole
+                    cut.append(column)
+        if not cut:
+            return signal
+        self._found.joined.append(f"{signal.name}: {listed(cut, _FEW)}: cut to one turn: joined")
+        return replace(signal, values=values)
+
+    def _why_not(self, signal: Signal, place: int, joint: str | None) -> str:
+        """Say why a column of states is no joint's; "" if it is one's."""
+        if self._told_of(signal, signal.columns[place]) == IGNORE:
+            return "left out by --map"
+        if joint is None:
+            return "no joint of the model is called so, or several are"
+        number = self._names["joint"].index(joint)
+        if self._model.jnt_type[number] in _MANY_SIDED:
+            return "that joint has no single position"
+        few = np.isfinite(signal.values[:, place]).sum() < 2
+        return "fewer than two samples" if few else ""
+
+    def _efforts(self, signal: Signal, columns: list[tuple[int, str, str]]) -> None:
+        """Compare measured efforts with those of driven actuators; the others drive."""
+        targets = {int(one) for drive in self._found.drives for one in drive.targets}
+        driven = {self._joint_of(target) for target in targets}
+        joints = [self._names["joint"].index(joint) for _, _, joint in columns]
+        seen = [one for one, joint in zip(columns, joints, strict=True) if joint in driven]
+        if seen:
+            sensors = tuple(Sensor("jointactuatorfrc", joint) for _, _, joint in seen)
+            self._sense(SensedSignal(signal, tuple(column for _, column, _ in seen), sensors))
+        rest = [
+            (place, int(self._model.jnt_dofadr[joint]))
+            for (place, _, _), joint in zip(columns, joints, strict=True)
+            if joint not in driven and np.nanmax(np.abs(signal.values[:, place])) > 0
+        ]
+        if rest:
+            places, dofs = np.array(rest).T
+            self._found.drives.append(Drive(signal, places, dofs, is_effort=True))
+            names = [signal.columns[place] for place in places]
+            self._found.used.append(f"{signal.name}: drives joints {listed(names, _FEW)}")
+
+    def _command(self, signal: Signal) -> None:
+        quantity = quantity_of(signal.name)
+        taken = {int(one) for drive in self._found.drives for one in drive.targets}
+        pairs: list[tuple[int, int]] = []
+        again: list[str] = []
+        for place, column in enumerate(signal.columns):
+            actuator = self._actuator(signal, column, quantity)
+            if actuator is None or not np.isfinite(signal.values[:, place]).any():
+                continue
+            if actuator in taken:
+                again.append(column)
+                continue
+            taken.add(actuator)
+            pairs.append((place, actuator))
+        if again:
+            why = "another signal commands its actuator; leave one out with --map SIGNAL=-"
+            self._found.unused.append(f"{signal.name}: {listed(again, _FEW)}: {why}")
+        if not pairs and again:
+            return
+        if not pairs:
+            wanted = listed(
+                {
+                    f"{name} ({self._wants(number)})" if name else f"{number}"
+                    for number, name in enumerate(self._names["actuator"])
+                },
+                _FEW,
+            )
+            why = f"no actuator of the model takes it (there is: {wanted or 'none'})"
+            self._found.unused.append(f"{signal.name}: {why}")
+            return
+        columns, targets = np.array(pairs).T
+        self._found.drives.append(Drive(signal, columns, targets, is_effort=False))
+        names = [self._names["actuator"][target] or str(target) for target in targets]
+        self._found.used.append(f"{signal.name}: commands actuators {listed(names, _FEW)}")
+
+    def _actuator(self, signal: Signal, column: str, quantity: str) -> int | None:
+        """Find the actuator of a column: by its name, its joint's, or its number."""
+        if self._told_of(signal, column) == IGNORE:
+            return None
+        place = signal.columns.index(column)
+        fits = ("", quantity) if quantity else ("", "position", "velocity", "effort")
+        actuator = self._elements("actuator", signal)[place]
+        if actuator is not None:
+            number = self._names["actuator"].index(actuator)
+            if self._wants(number) in fits:
+                return number
+        joint = self._elements("joint", signal)[place]
+        if joint is not None:
+            joint_number = self._names["joint"].index(joint)
+            for one in range(self._model.nu):
+                if self._joint_of(one) == joint_number and self._wants(one) in fits:
+                    return one
+        by_order = not quantity and len(signal.columns) == self._model.nu
+        return place if by_order and column.isdecimal() else None
+
+    def _joint_of(self, actuator: int) -> int | None:
+        """Return the index of the joint that an actuator moves, or None."""
+        kinds = mujoco().mjtTrn
+        moves = self._model.actuator_trntype[actuator]
+        is_joint = moves in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))
+        return int(self._model.actuator_trnid[actuator, 0]) if is_joint else None
+
+    def _wants(self, actuator: int) -> str:
+        """Return an actuator's input: "position", "velocity" or "effort"."""
+        _, on_position, on_speed = self._model.actuator_biasprm[actuator, :3]
+        if self._model.actuator_dyntype[actuator] == int(mujoco().mjtDyn.mjDYN_INTEGRATOR):
+            return "velocity"
+        if on_position:
+            return "position"
+        return "velocity" if on_speed else "effort"
+
+    def _pose(self, signal: Signal) -> None:
+        told = self._told_signal(signal).removeprefix("body/")
+        sensed, words = sensed_pose(signal, told, self._names["body"])
+        if sensed is None:
+            self._found.unused.append(f"{signal.name}: {words}")
+        elif is_orientation(signal):
+            turned = Turned(sensed, words, is_sure=signal.name in self._told)
+            self._found.turned.append(turned)
+        else:
+            self._sense(sensed, words)
+
+    def _wrench(self, signal: Signal) -> None:
+        sensed, words = sensed_wrench(signal, self._told_signal(signal), self._model)
+        if sensed is None:
+            self._found.unused.append(f"{signal.name}: {words}")
+        else:
+            self._sense(sensed, words)
+
+    def _told_signal(self, signal: Signal) -> str:
+        """Return the user's mapping of a signal, or of its topic; "" if none."""
+        return self._told.get(signal.name) or self._told.get(topic_of(signal.name), "")
+
+    def _sense(self, sensed: SensedSignal, what: str = "") -> None:
+        self._found.sensed.append(sensed)
+        what = what or f"{listed([one.name for one in sensed.sensors], _FEW)}"
+        self._found.used.append(f"{sensed.signal.name}: compared with {what}")
+
+    def _told_of(self, signal: Signal, column: str) -> str:
+        """Return the user's mapping of a column, or of its one-column signal; "" if none."""
+        name = signal.name
+        keys = [f"{name}.{column}", f"{topic_of(name)}.{column}", column]
+        if len(signal.columns) == 1:
+            keys += [name, topic_of(name)]
+        return next((self._told[key] for key in keys if key in self._told), "")
+
+    def _elements(self, kind: str, signal: Signal) -> list[str | None]:
+        """Match each column with an element, by the mapping or by name; each once."""
+        if (kind, signal.name) not in self._by_column:
+            names = self._names[kind]
+            told = [self._told_of(signal, column) for column in signal.columns]
+            found: list[str | None] = []
+            for column, target in zip(signal.columns, told, strict=True):
+                if target.startswith(f"{kind}/"):
+                    found.append(target.removeprefix(f"{kind}/"))
+                else:
+                    found.append(column if column and column in names else None)
+            sure = {one for one in found if one is not None}
+            guesses = [named_as(column, names) for column in signal.columns]
+            for place, guess in enumerate(guesses):
+                is_free = found[place] is None and guess not in sure and guesses.count(guess) == 1
+                if is_free:
+                    found[place] = guess
+            self._by_column[kind, signal.name] = found
+        return self._by_column[kind, signal.name]
+
+    def _refuse(self) -> None:
+        of_log: Iterable[str] = dict.fromkeys(
+            column
+            for name, signal in self._episode.signals.items()
+            if quantity_of(name)
+            for column in signal.columns
+        )
+        joints = listed(filter(None, self._names["joint"]), _FEW)
+        bodies = listed(filter(None, self._names["body"][1:]), _FEW)
+        seen = listed(of_log, _FEW) or listed(self._episode.signals, _FEW) or "nothing"
+        raise NotFoundError(
+            f"nothing of the log is in the model (log: {seen}; model: joints {joints or 'none'}, "
+            f"bodies {bodies or 'none'})",
+            "say what is what with --map SIGNAL.COLUMN=joint/NAME or --map TOPIC=body/NAME",
+        )
+
+
+def joined_turns(stamps_ns: NDArray[np.int64], angles: Array) -> Array | None:
+    """Unwrap angles that were wrapped to one turn, such as at ±π; None if they were not.
+
+    They were if all lie within one turn, some jump by most of one, and the joint, unwrapped there,
+    is mostly as fast as elsewhere: glitches and steps are faster.
+
+    Args:
+        stamps_ns: Shape (T,), increasing.
+        angles: Finite, shape (T,) [rad].
+    """
+    is_cut = np.abs(np.diff(angles)) > _TURN_RAD / 2
+    if not is_cut.any() or is_cut.all() or np.ptp(angles) > _TURN_RAD + _TURN_SLACK_RAD:
+        return None
+    whole = np.unwrap(angles)
+    speeds = np.abs(np.diff(whole)) / np.diff(stamps_ns)
+    return whole if np.median(speeds[is_cut]) <= _FASTER * speeds[~is_cut].max() else None
+
+
+def _quantity(signal: Signal) -> str:
+    """Return which joint quantity a signal is, by its name or its unit; "" if it is none."""
+    by_unit = "position" if signal.unit in _PLACES else _UNITS.get(signal.unit, "")
+    return quantity_of(signal.name) or by_unit

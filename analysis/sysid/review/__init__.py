@@ -1,1 +1,0 @@
-"""Review of a tuned simulator in Rerun."""

@@ -1,1 +1,0 @@
-"""Record a microphone beside a live camera, on the clock of the pictures."""

@@ -1,0 +1,284 @@
+"""Command-line options of `tunenet-record --outcome`, and the recording they ask for."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tunenet_logs.console import number, whole
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.files import parse_json, read_small_file, real_path
+from tunenet_logs.terminal import one_line, short_name
+
+if TYPE_CHECKING:
+    from tunenet_logs.outcomes import Outcome
+
+_TASK = "bounce-shot"  # of an outcome whose task is not given: the one task that is simulated here
+_MAX_LETTERS = 1000  # of a text or path: it is one line of a table later
+_MAX_TUNING_BYTES = 4_000_000  # far more than a tuning's JSON has; what is larger is another file
+_MAX_LOCK_S = 10.0  # for other recorders to write their outcomes: each takes a moment
+_LOOK_S = 0.02  # between two tries to be the one that writes
+
+
+def outcome_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
+    """Add the options of outcomes; None where they are not given."""
+    add = group.add_argument
+    return [
+        add("--task", type=_text, metavar="NAME", help=f"what was tried (default: {_TASK})"),
+        add(
+            "--attempt",
+            type=whole(1, 1_000_000),
+            metavar="N",
+            help="of this ball (default: the next one in the campaign)",
+        ),
+        add(
+            "--shot-height",
+            type=number(0, 100, "m"),
+            metavar="M",
+            help="what the ball was let go from, above the impact point [m]",
+        ),
+        add(
+            "--miss",
+            type=number(-100, 100, "m"),
+            metavar="M",
+            help="how far from the goal's centre it came down; short of it is negative, beyond it "
+            "positive [m]",
+        ),
+        add("--reason", type=_text, metavar="WORDS", help="why it failed, such as short or rim"),
+        add("--note", type=_text, metavar="TEXT", help="anything else"),
+        add("--drop-log", type=Path, metavar="LOG", help="the drop that it was tuned from"),
+        add(
+            "--tuning",
+            type=Path,
+            metavar="JSON",
+            help="what tunenet-tune wrote of that drop; says the restitution and the log, too",
+        ),
+        add(
+            "--at",
+            type=_time,
+            metavar="TIME",
+            help="when it was, such as '2026-11-22 14:30' (default: now)",
+        ),
+    ]
+
+
+def record_outcome_as_asked(arguments: argparse.Namespace) -> str:
+    """Record the outcome of a shot; return the summary line.
+
+    Raises:
+        TuneNetError: something is missing or wrong, or it cannot be written.
+    """
+    from tunenet_logs.outcomes import write_outcome
+    from tunenet_logs.timing.stamps import now_ns
+
+    _check(arguments)
+    folder = arguments.output or Path()
+    outcome = _outcome(arguments, folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(
+            f"{folder}: cannot be made ({error.strerror}); name another folder"
+        ) from error
+    with _alone_in(folder):
+        if arguments.at is None:  # only now: later attempts have later times
+            outcome = replace(outcome, stamp_ns=now_ns())
+        earlier = _earlier(folder, outcome)
+        if arguments.attempt is None:
+            outcome = replace(outcome, attempt=_next(outcome.ball, earlier))
+        path = write_outcome(folder, outcome)
+    return f"{path}: {outcome.word} of {outcome.name}{_which_counts(outcome, earlier)}"
+
+
+def _outcome(arguments: argparse.Namespace, folder: Path) -> Outcome:
+    """Make the outcome from the arguments; the first attempt where none is given."""
+    from tunenet_logs.outcomes import Outcome
+    from tunenet_logs.timing.stamps import now_ns
+
+    told, log = _told_by(arguments.tuning)
+    try:
+        return Outcome(
+            task=arguments.task or _TASK,
+            ball=arguments.ball,
+            attempt=arguments.attempt or 1,
+            success=arguments.outcome == "success",
+            stamp_ns=now_ns() if arguments.at is None else arguments.at,
+            shot_height_m=arguments.shot_height,
+            miss_m=arguments.miss,
+            tuned_parameter=told,
+            drop_log=_place(arguments.drop_log or log, folder),
+            tuning=_place(arguments.tuning, folder),
+            reason=arguments.reason or "",
+            note=arguments.note or "",
+        )
+    except ValueError as error:
+        raise UsageError(f"{error}; an outcome cannot hold that") from error
+
+
+def _next(ball: str, earlier: list[Outcome]) -> int:
+    from tunenet_logs.outcomes import MAX_ATTEMPTS
+
+    number = 1 + max((other.attempt for other in earlier), default=0)
+    if number > MAX_ATTEMPTS:
+        raise UsageError(f"{ball}: has an attempt {MAX_ATTEMPTS}, the last; say --attempt N")
+    return number
+
+
+def _which_counts(outcome: Outcome, earlier: list[Outcome]) -> str:
+    """Say which of an attempt's outcomes counts in reviews: that of the latest time."""
+    times = [
+        other.stamp_ns
+        for other in earlier
+        if other.attempt == outcome.attempt and not other.is_counted
+    ]
+    if not times:
+        return ""
+    if outcome.stamp_ns >= max(times):
+        return "; it had an outcome, and the later one counts"
+    return "; it has an outcome of a later time, and that counts: say a later --at to correct it"
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Lock the folder against other recorders, where the file system has locks."""
+    import fcntl
+
+    opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        end = time.monotonic() + _MAX_LOCK_S
+        is_waiting = True
+        while is_waiting:
+            is_waiting = False
+            try:
+                fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                if time.monotonic() > end:
+                    raise LogError(
+                        f"{folder}: another program has locked it for over {_MAX_LOCK_S:g} s; "
+                        "end that, or choose another folder with -o"
+                    ) from error
+                time.sleep(_LOOK_S)
+                is_waiting = True
+            except OSError:  # a file system without locks
+                pass
+        yield
+    finally:
+        os.close(opened)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Check that no needed option is missing and none conflicts."""
+    if arguments.ball is None:
+        raise UsageError("--outcome needs --ball NAME: which ball it was")
+    for option in ("rate", "seconds", "size"):
+        if getattr(arguments, option) is not None:
+            raise UsageError(f"--{option} does not go with --outcome; leave it out")
+    if arguments.overwrite:
+        raise UsageError("--overwrite does not go with --outcome: no outcome replaces another")
+    output = arguments.output
+    if output is not None and (output.is_file() or output.suffix == ".mcap"):
+        raise UsageError(f"{output}: give -o the folder of the campaign; it names its files")
+    log = arguments.drop_log
+    if log is not None and not _is_there(log):
+        raise UsageError(
+            f"{short_name(log)}: no such file; name the drop's log, or leave --drop-log out"
+        )
+
+
+def _is_there(path: Path) -> bool:
+    """Return whether a path exists; False for one that no file system takes."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def _earlier(folder: Path, outcome: Outcome) -> list[Outcome]:
+    """Read the campaign's outcomes of this task and ball; damaged ones only warn."""
+    from tunenet_logs.outcomes import numbered, outcome_files, read_outcomes
+
+    def warn(text: str) -> None:
+        print(one_line(f"tunenet-record: {text}"), file=sys.stderr)
+
+    found: list[Outcome] = []
+    for file in outcome_files(folder, warn):
+        try:
+            found += read_outcomes(file, warn)
+        except LogError as error:
+            warn(str(error))
+    kind = (outcome.task, outcome.ball)
+    return [other for other in numbered(found) if (other.task, other.ball) == kind]
+
+
+def _told_by(tuning: Path | None) -> tuple[float | None, Path | None]:
+    """Read the restitution from a tuning's JSON, and the path of its log beside it."""
+    if tuning is None:
+        return None, None
+    remedy = "name a JSON that tunenet-tune wrote, or leave --tuning out"
+    try:
+        told = parse_json(read_small_file(tuning, _MAX_TUNING_BYTES))
+        log = tuning.parent / Path(told["log"]).name
+        return _restitution(told["parameters"]), (log if _is_there(log) else None)
+    except OSError as error:
+        raise UsageError(f"{tuning}: cannot be read ({error.strerror}); {remedy}") from error
+    except (ValueError, TypeError, LookupError) as error:
+        raise UsageError(f"{tuning}: is no tuning; {remedy}") from error
+
+
+def _restitution(parameters: Any) -> float | None:
+    """Read a tuning's restitution; None if it was rejected or is of something else.
+
+    Raises:
+        ValueError: it is no tuning.
+    """
+    if parameters is None:
+        return None
+    if not isinstance(parameters, dict):
+        raise ValueError("no parameters")
+    if "restitution" not in parameters:
+        return None
+    value = parameters["restitution"]["value"]
+    if not isinstance(value, float | int) or isinstance(value, bool) or not 0 <= value <= 1:
+        raise ValueError("no restitution")
+    return float(value)
+
+
+def _place(path: Path | None, folder: Path) -> str:
+    """Return a path relative to the campaign's folder where it lies inside."""
+    if path is None:
+        return ""
+    full, root = real_path(path), real_path(folder)
+    text = os.fspath(full.relative_to(root) if full.is_relative_to(root) else full)
+    if len(text) > _MAX_LETTERS:
+        raise UsageError(
+            f"{short_name(text)}: is a path of over {_MAX_LETTERS} letters; lay it into the "
+            "campaign's folder"
+        )
+    return text
+
+
+def _text(text: str) -> str:
+    if not text.strip() or not text.isprintable() or len(text) > _MAX_LETTERS:
+        raise argparse.ArgumentTypeError(
+            f"{text[:40]!r} is not a line of 1 to {_MAX_LETTERS} printable characters"
+        )
+    return text
+
+
+def _time(text: str) -> int:
+    from tunenet_logs.outcomes import LAST_NS, stamp_ns
+
+    try:
+        if (stamp := stamp_ns(text)) <= LAST_NS:
+            return stamp
+    except ValueError as error:
+        now = time.strftime("%Y-%m-%d %H:%M")
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is no time, such as '{now}'") from error
+    raise argparse.ArgumentTypeError(f"{text[:40]!r} is beyond 2038, the last year of a ROS time")

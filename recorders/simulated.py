@@ -1,0 +1,457 @@
+"""Simulate a drop, filmed or not, a payload or a bounce shot as ordered; the seed draws the rest.
+
+Each order holds what `tunenet-record --simulate` may be asked for. The same order gives the same
+bits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Array, Channel, Episode, Frame, Signal
+from tunenet_logs.errors import UsageError
+from tunenet_logs.messages import CAMERA_TOPIC, COMPRESSED_IMAGE
+from tunenet_logs.recorders.simulators.arm.description import Arm, Payload, jaco, read_arm
+from tunenet_logs.recorders.simulators.arm.known import DEFAULT, known_arm, name_alone
+from tunenet_logs.recorders.simulators.arm.path import (
+    CIRCLE_RAD_S,
+    JointPath,
+    circle,
+    eased,
+    path_from_file,
+    random_path,
+)
+from tunenet_logs.recorders.simulators.arm.payload import (
+    NO_ERRORS,
+    PAPER,
+    PAYLOAD_MASS,
+    REAL_ARM,
+    Disturbances,
+    PayloadRollout,
+    drawn,
+    driver_episode,
+    through_kinovas_driver,
+)
+from tunenet_logs.recorders.simulators.ball import (
+    DRAG,
+    RESTITUTION,
+    SLOPE,
+    TOPIC,
+    DropRig,
+    DropSimulator,
+)
+from tunenet_logs.recorders.simulators.base import PRESETS
+from tunenet_logs.recorders.simulators.camera import BallScene, PinholeCamera, random_camera
+from tunenet_logs.recorders.simulators.shot import BounceShot, ShotRig
+
+# ---- Drop
+
+_PAPER_RATE_HZ, _PAPER_SAMPLES = 60.0, 400  # the paper's recordings of a drop
+_RADIUS_M = {"default": 0.05, "paper": 0.5}  # of the ball, by preset; the paper's is its authors'
+# Ranges of what is not ordered: several impacts are then in the usual 6.7 s.
+_DROP_RESTITUTION, _DROP_HEIGHT_M = (0.1, 0.95), (0.3, 5.0)
+
+
+@dataclass(frozen=True)
+class DropOrder:
+    """A drop to simulate; None is drawn from the seed or left to the preset.
+
+    Attributes:
+        restitution: coefficient of restitution at the first impact's speed.
+        slope: its exponent over speed; see `SpeedLaw`.
+        drag_1_m: air drag on the ball.
+        height_m: the ball's underside over the table.
+        seconds: recorded after the release.
+        hold_s: recorded before it.
+        noise_m: standard deviation added to each coordinate.
+    """
+
+    restitution: float | None = None
+    slope: float = 0.0
+    drag_1_m: float = 0.0
+    height_m: float | None = None
+    radius_m: float | None = None
+    rate_hz: float | None = None
+    seconds: float | None = None
+    hold_s: float = 0.0
+    noise_m: float = 0.0
+    preset: str = "default"
+    seed: int = 0
+
+
+def simulate_drop(order: DropOrder) -> Episode:
+    """Simulate one drop; the same order gives the same bits.
+
+    Raises:
+        UsageError: a value is out of range.
+    """
+    rng = np.random.default_rng(order.seed)
+    restitution, height_m = rng.uniform(*_DROP_RESTITUTION), rng.uniform(*_DROP_HEIGHT_M)
+    rate_hz = order.rate_hz or _PAPER_RATE_HZ
+    if order.preset == "paper" and rate_hz != _PAPER_RATE_HZ:
+        raise UsageError(f"preset paper is simulated at 60 Hz by definition, not at {rate_hz:g} Hz")
+    if order.preset == "paper" and (order.slope or order.drag_1_m):
+        raise UsageError("preset paper has neither slope nor drag: leave them out")
+    seconds = order.seconds or _PAPER_SAMPLES / _PAPER_RATE_HZ
+    rig = DropRig(
+        gap_m=height_m if order.height_m is None else order.height_m,
+        radius_m=order.radius_m or _RADIUS_M[order.preset],
+        rate_hz=rate_hz,
+        samples=round((seconds + order.hold_s) * rate_hz),
+        hold_s=order.hold_s,
+    )
+    wanted = restitution if order.restitution is None else order.restitution
+    simulator = DropSimulator(rig, PRESETS[order.preset])
+    values = {RESTITUTION.name: wanted, SLOPE.name: order.slope, DRAG.name: order.drag_1_m}
+    known = {one.name for one in simulator.parameters}
+    episode = simulator.rollout({name: one for name, one in values.items() if name in known})
+    notes = {"seed": str(order.seed), "noise_m": repr(order.noise_m)}
+    info = replace(episode.info, notes=notes)
+    ball = episode.signals[TOPIC]
+    noise = rng.normal(0.0, 1.0, ball.values.shape) * order.noise_m
+    noisy = Signal(TOPIC, ball.stamps_ns, ball.values + noise, ball.columns, ball.unit)
+    return Episode(info, {TOPIC: noisy})
+
+
+# ---- Filmed drop
+
+# The camera is drawn from a stream of its own: a seed gives one drop, filmed or not.
+_CAMERA_SEED = 0xCA3E
+_FILMED_HEIGHT_M = (0.4, 2.0)  # range of drop heights before a camera: those of a table or a person
+_JPEG_QUALITY = 92  # of 100; webcams are near it: artefacts as in a real recording
+_SUBFRAMES = 8  # positions of the ball while the shutter is open, whose mean is its blur
+
+
+@dataclass(frozen=True)
+class FilmOrder:
+    """How to film a drop; None is drawn from the seed.
+
+    Attributes:
+        camera: the paper's random camera if None.
+        size_px: (width, height) of a random camera's picture.
+        fov_deg: vertical field of view of a random camera.
+        exposure_s: how long the shutter is open, centred on a frame's stamp; 0 for no blur.
+        noise: standard deviation of a pixel, of 255.
+        lost_share: share of the frames that are missing.
+    """
+
+    camera: PinholeCamera | None = None
+    size_px: tuple[int, int] = (320, 240)
+    fov_deg: float = 60.0
+    exposure_s: float = 0.0
+    noise: float = 2.0
+    lost_share: float = 0.0
+
+
+def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
+    """Simulate and film one drop; the same orders give the same bits.
+
+    Raises:
+        UsageError: a value is out of range, or no random camera sees the whole drop.
+    """
+    rng = np.random.default_rng([order.seed, _CAMERA_SEED])
+    if order.height_m is None:
+        order = replace(order, height_m=float(rng.uniform(*_FILMED_HEIGHT_M)))
+    drop = simulate_drop(order)
+    rig = drop.info.rig
+    radius_m = rig["ball_diameter_m"] / 2
+    camera = film.camera or random_camera(
+        rng, rig["drop_height_m"], radius_m, film.size_px, film.fov_deg
+    )
+    centers_m = _shutter_centers(drop, order, film)
+    stamps_ns = drop.signals[TOPIC].stamps_ns
+    kept = rng.random(len(stamps_ns)) >= film.lost_share
+    kept[0] = True
+    scene_seed = int(rng.integers(2**63))
+    x, y, z = camera.position_m
+    notes = {
+        **drop.info.notes,
+        "camera_position_m": f"{x:.4f}, {y:.4f}, {z:.4f}",
+        "camera_target_m": ", ".join(f"{value:.4f}" for value in camera.target_m),
+        "camera_fov_deg": f"{camera.fov_deg:g}",
+        "camera_focal_px": f"{camera.focal_px:.3f}",
+        "exposure_s": f"{film.exposure_s:g}",
+        "pixel_noise": f"{film.noise:g}",
+        "lost_frames": str(int(np.count_nonzero(~kept))),
+    }
+    frames = partial(
+        _frames, camera, radius_m, stamps_ns[kept], centers_m[kept], film.noise, scene_seed
+    )
+    info = replace(drop.info, source=f"{drop.info.source}, rendered", notes=notes)
+    channel = Channel(
+        topic=CAMERA_TOPIC,
+        type_name=COMPRESSED_IMAGE,
+        encoding="cdr",
+        log_ns=stamps_ns[kept],
+        pictures=True,
+    )
+    return Episode(info, {}, (channel,), open_frames=frames)
+
+
+def _shutter_centers(drop: Episode, order: DropOrder, film: FilmOrder) -> Array:
+    """Return the ball's centres while the shutter is open, shape (T, S, 3) [m]."""
+    signal = drop.signals[TOPIC]
+    if not film.exposure_s:
+        return signal.values[:, None]
+    if order.preset == "paper":
+        raise UsageError("preset paper knows the ball only 60 times a second: no --blur with it")
+    seconds = signal.seconds
+    offsets = (np.arange(_SUBFRAMES) + 0.5) / _SUBFRAMES - 0.5
+    fine_rate = min(_SUBFRAMES / film.exposure_s, 20_000.0)
+    last_s = float(seconds[-1]) + film.exposure_s - order.hold_s
+    finer = replace(order, rate_hz=fine_rate, noise_m=0.0, seconds=last_s)
+    fine = simulate_drop(finer).signals[TOPIC]
+    wanted = seconds[:, None] + offsets * film.exposure_s
+    heights = np.interp(wanted, fine.seconds, fine.values[:, 2])
+    return np.stack([np.zeros_like(heights), np.zeros_like(heights), heights], axis=-1)
+
+
+def _frames(
+    camera: PinholeCamera,
+    radius_m: float,
+    stamps_ns: NDArray[np.int64],
+    centers_m: Array,
+    noise: float,
+    seed: int,
+    _topic: str,
+) -> Iterator[Frame]:
+    import cv2
+
+    rng = np.random.default_rng(seed)
+    scene = BallScene(camera, radius_m, rng)
+    for stamp_ns, centers in zip(stamps_ns.tolist(), centers_m, strict=True):
+        picture = scene.picture(centers)
+        noisy = picture + rng.normal(0.0, 1.0, picture.shape) * noise
+        pixels = np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+        _, data = cv2.imencode(".jpg", pixels[:, :, ::-1], quality)
+        yield Frame(stamp_ns, "jpeg", data.tobytes())
+
+
+# ---- Payload: an arm that holds it moves along a path
+
+_CIRCLE, _RANDOM = "circle", "random"
+
+_PAYLOAD_MASS_KG = (0.1, 1.5)  # range of a payload that is not ordered: what a Jaco can lift
+_IDEAL_RATE_HZ = 60.0  # of an ideal log: the paper's
+_DRIVER_RATE_HZ = 65.0  # messages of a Kinova driver, as measured in a log of one
+_COMMAND_RATE_HZ = 100.0  # rows of a path for a real arm: what its position interface takes
+_FINE_RATE_HZ = 240.0  # of the motion that a driver's messages sample by interpolation
+_MOTION_S = 5.0  # of a motion: about one turn of the circle, 5.2 s
+_EASED_S = 1.0  # in which a real arm gets to its speed, and to rest
+
+
+@dataclass(frozen=True)
+class PayloadOrder:
+    """An arm's run to simulate; None is drawn from the seed or left to other fields.
+
+    Attributes:
+        com_m: the payload's centre of mass in the tool frame.
+        is_empty: nothing is held (a tare); all else is as the seed draws it for a payload.
+        path: "circle" (the paper's), "random", or a CSV's name; the Jaco's circle if None.
+        arm: a known arm's name; None for the Jaco, or the URDF's.
+        urdf: the user's arm, whose payload is in the frame of `tool_link`.
+        is_driver: all disturbances, in the messages of a real driver. Each of the following
+            overrides its part.
+        torque_noise_nm: standard deviation, as `friction_nm`, `offset_nm` and `gain_error` are.
+        lag_s: of the torques.
+        preset: "default", or "paper": the paper's rollout, at 240 Hz.
+    """
+
+    mass_kg: float | None = None
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    is_empty: bool = False
+    path: str | None = None
+    arm: str | None = None
+    urdf: Path | None = None
+    tool_link: str | None = None
+    rate_hz: float | None = None
+    seconds: float | None = None
+    is_driver: bool = False
+    torque_noise_nm: float | None = None
+    friction_nm: float | None = None
+    offset_nm: float | None = None
+    gain_error: float | None = None
+    lag_s: float | None = None
+    preset: str = "default"
+    seed: int = 0
+
+
+def simulate_payload(order: PayloadOrder) -> Episode:
+    """Simulate one run; the same order gives the same bits.
+
+    Raises:
+        UsageError: a value, file or combination is invalid.
+    """
+    arm = ordered_arm(order)
+    drawn_kg = float(np.random.default_rng(order.seed).uniform(*_PAYLOAD_MASS_KG))
+    mass_kg = drawn_kg if order.mass_kg is None else order.mass_kg
+    payload = Payload(0.0 if order.is_empty else PAYLOAD_MASS.checked(mass_kg), order.com_m)
+    notes = {"seed": str(order.seed), "arm": arm.name, "path": order.path or _usual_path(order)}
+    if order.is_empty:
+        notes["payload"] = "none (tare)"
+    if order.preset == "paper":
+        episode = _papers_rollout(arm, payload, order)
+    else:
+        disturbances = _disturbances(arm, order)
+        seconds = order.seconds
+        if order.path in (None, _CIRCLE, _RANDOM):
+            seconds = (order.seconds or _MOTION_S) + disturbances.lead_s
+        is_timed = disturbances.rate_hz is not None
+        path = _path(arm, order, _FINE_RATE_HZ if is_timed else _rate_hz(order), seconds)
+        episode = driver_episode(arm, path, payload, disturbances)
+    info = replace(episode.info, notes={**notes, **episode.info.notes})
+    return Episode(info, episode.signals)
+
+
+def command_path(order: PayloadOrder) -> tuple[Arm, JointPath]:
+    """Plan the path for a real arm, from rest to rest; one turn where it is the circle.
+
+    Raises:
+        UsageError: as `simulate_payload`.
+    """
+    arm = ordered_arm(order)
+    is_circle = (order.path or _usual_path(order)) == _CIRCLE
+    seconds = order.seconds
+    if is_circle:
+        seconds = (seconds or 2 * math.pi / CIRCLE_RAD_S) + 1 / _FINE_RATE_HZ
+    rate_hz = order.rate_hz or _COMMAND_RATE_HZ
+    return arm, eased(_path(arm, order, _FINE_RATE_HZ, seconds), _EASED_S, rate_hz)
+
+
+def ordered_arm(order: PayloadOrder) -> Arm:
+    """Load the ordered arm: the Jaco, a known arm, or a file's.
+
+    Raises:
+        UsageError: no such arm.
+    """
+    if order.arm is not None:
+        return known_arm(name_alone(order.arm, order.urdf, order.tool_link)).arm()
+    if order.urdf is None:
+        if order.tool_link is not None:
+            raise UsageError("--tool-link is for an arm of your own; name its file with --urdf")
+        return jaco()
+    if order.tool_link is None:
+        raise UsageError(f"{order.urdf}: which link holds the payload? name it with --tool-link")
+    return read_arm(order.urdf, order.tool_link)
+
+
+def _usual_path(order: PayloadOrder) -> str:
+    return _CIRCLE if _is_on_circle(order) else _RANDOM
+
+
+def _is_on_circle(order: PayloadOrder) -> bool:
+    """Return whether the arm is a Jaco with 7 joints, which the paper's circle is for."""
+    return order.urdf is None and (order.arm or DEFAULT).lower().startswith("jaco7")
+
+
+def _rate_hz(order: PayloadOrder) -> float:
+    return order.rate_hz or (_DRIVER_RATE_HZ if order.is_driver else _IDEAL_RATE_HZ)
+
+
+def _path(arm: Arm, order: PayloadOrder, rate_hz: float, seconds: float | None) -> JointPath:
+    """Make the ordered path; a file's whole length if `seconds` is None."""
+    wanted = order.path or _usual_path(order)
+    if wanted == _CIRCLE:
+        if not _is_on_circle(order):
+            raise UsageError(
+                "--path circle is of a Jaco with 7 joints; take --path random or a CSV for this arm"
+            )
+        return circle(rate_hz, seconds or _MOTION_S)
+    if wanted == _RANDOM:
+        return random_path(arm, order.seed, rate_hz, seconds or _MOTION_S)
+    path = path_from_file(arm, Path(wanted), rate_hz)
+    if seconds is None:
+        return path
+    samples = round(seconds * rate_hz)
+    if samples > len(path.seconds):
+        raise UsageError(
+            f"{wanted}: lasts {path.seconds[-1]:.3f} s, --seconds asks for {seconds:g}"
+        )
+    return path.part(slice(None, samples))
+
+
+def _disturbances(arm: Arm, order: PayloadOrder) -> Disturbances:
+    base = REAL_ARM if order.is_driver else NO_ERRORS
+    sizes = {
+        "torque_noise_nm": order.torque_noise_nm,
+        "friction_nm": order.friction_nm,
+        "offset_nm": order.offset_nm,
+        "gain_error": order.gain_error,
+    }
+    base = replace(base, **{name: size for name, size in sizes.items() if size is not None})
+    disturbances = drawn(order.seed, arm, base)
+    if order.lag_s is not None:
+        disturbances = replace(disturbances, lag_s=order.lag_s)
+    if order.is_driver:
+        disturbances = through_kinovas_driver(disturbances, _rate_hz(order))
+    return disturbances.another_run() if order.is_empty else disturbances
+
+
+def _papers_rollout(arm: Arm, payload: Payload, order: PayloadOrder) -> Episode:
+    asked = (order.torque_noise_nm, order.friction_nm, order.offset_nm, order.gain_error)
+    if order.is_driver or any(value is not None for value in (*asked, order.lag_s)):
+        raise UsageError("preset paper is a rollout without errors; leave those options out")
+    if order.rate_hz not in (None, PAPER.step_hz):
+        raise UsageError(f"preset paper is simulated at 240 Hz, not at {order.rate_hz:g} Hz")
+    samples = round((order.seconds or _MOTION_S) * PAPER.step_hz)
+    settings = replace(PAPER, samples=samples)
+    path = _path(arm, order, PAPER.step_hz, len(settings.times()) / PAPER.step_hz)
+    simulator = PayloadRollout(arm, path, payload.com_m, settings, keep_every=1)
+    return simulator.rollout({PAYLOAD_MASS.name: payload.mass_kg})
+
+
+# ---- Bounce shot
+
+# Range of what is not ordered, of balls that bounce well: table tennis, squash, tennis, golf.
+_SHOT_RESTITUTION = (0.5, 0.85)
+
+
+@dataclass(frozen=True)
+class ShotOrder:
+    """A shot to simulate; None is drawn from the seed.
+
+    Attributes:
+        restitution: coefficient of restitution at 3 m/s along the plane's normal.
+        slope: its exponent over speed; see `SpeedLaw`.
+        drag_1_m: air drag on the ball; by the rig's ball if None.
+        height_m: how far the ball falls; drawn from what the rig reaches.
+    """
+
+    rig: ShotRig = field(default_factory=ShotRig)
+    restitution: float | None = None
+    slope: float = 0.0
+    drag_1_m: float | None = None
+    height_m: float | None = None
+    rate_hz: float = 240.0
+    seed: int = 0
+
+
+def simulate_shot(order: ShotOrder) -> Episode:
+    """Simulate one shot; the same order gives the same bits.
+
+    Raises:
+        UsageError: a value is out of range.
+    """
+    rng = np.random.default_rng(order.seed)
+    rig = order.rig if order.drag_1_m is None else order.rig.with_drag(order.drag_1_m)
+    reach = rig.release
+    restitution = float(rng.uniform(*_SHOT_RESTITUTION))
+    height_m = float(rng.uniform(reach.lowest_m, reach.highest_m))
+    simulator = BounceShot(
+        rig=rig,
+        height_m=height_m if order.height_m is None else order.height_m,
+        slope=order.slope,
+        rate_hz=order.rate_hz,
+    )
+    wanted = restitution if order.restitution is None else order.restitution
+    episode = simulator.rollout({RESTITUTION.name: wanted})
+    notes = {"seed": str(order.seed), "slope": repr(order.slope)}
+    return Episode(replace(episode.info, notes=notes), episode.signals)

@@ -1,1 +1,0 @@
-"""Motion in closed form, without an engine."""

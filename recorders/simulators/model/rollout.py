@@ -1,0 +1,630 @@
+"""Simulate a user's MuJoCo model, driven by a log's commands and sensed as the log was.
+
+Before that, how a log's signals map to MuJoCo's sensors, and how its body poses are seen from the
+model's world; and the model's shapes and poses for drawing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from operator import attrgetter
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.recorders.simulators.base import Parameter
+from tunenet_logs.recorders.simulators.known import named_version
+from tunenet_logs.recorders.simulators.model.child import put_array
+from tunenet_logs.recorders.simulators.model.parameters import DELAY, TUNED_ARRAYS, ModelParameter
+from tunenet_logs.recorders.simulators.model.reading import ModelProcess
+from tunenet_logs.recorders.simulators.mujoco import mujoco
+
+# ---- Sensors: a log's signals in MuJoCo
+
+# Of joints; of bodies; of sites.
+Kind = Literal[
+    "jointpos",
+    "jointvel",
+    "jointactuatorfrc",
+    "framepos",
+    "framexaxis",
+    "framezaxis",
+    "force",
+    "torque",
+]
+
+_TYPES = {"jointactuatorfrc": "mjSENS_JOINTACTFRC"}  # sensors that MuJoCo names otherwise
+
+
+class Sensor(NamedTuple):
+    """One column of a signal as a sensor in the model.
+
+    Attributes:
+        kind: MuJoCo's sensor type. Forces and torques are those of a parent on its child.
+        name: of the joint, body or site.
+        axis: component of a vector sensor.
+        reference: the body whose frame a pose is in; "" for the world.
+        is_at_body: whether a force or torque is that at the origin of the body of that name.
+        sign: 1.0, or -1.0 of a log with forces of the child on its parent.
+    """
+
+    kind: Kind
+    name: str
+    axis: int = 0
+    reference: str = ""
+    is_at_body: bool = False
+    sign: float = 1.0
+
+    @property
+    def whole(self) -> Sensor:
+        """The model's vector sensor that this is a component of."""
+        return self._replace(axis=0, sign=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SensedSignal:
+    """A signal of the log that the model reproduces.
+
+    Attributes:
+        columns: those of its columns that the model has.
+        sensors: their sensors.
+    """
+
+    signal: Signal
+    columns: tuple[str, ...]
+    sensors: tuple[Sensor, ...]
+
+
+def put_sensors(spec: Any, sensors: Sequence[Sensor]) -> None:
+    """Replace a model's sensors by these, in their order."""
+    kinds = mujoco().mjtObj
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    for number, one in enumerate(sensors):
+        name, is_frame = one.name, one.kind.startswith("frame")
+        if one.is_at_body:
+            name = f"seen at {number}"
+            spec.body(one.name).add_site(name=name)
+        sensor = spec.add_sensor(
+            name=f"seen {number}",
+            type=getattr(mujoco().mjtSensor, _TYPES.get(one.kind, f"mjSENS_{one.kind.upper()}")),
+            objname=name,
+        )
+        if is_frame:
+            sensor.objtype = kinds.mjOBJ_XBODY
+        elif one.kind in ("force", "torque"):
+            sensor.objtype = kinds.mjOBJ_SITE
+        else:
+            sensor.objtype = kinds.mjOBJ_JOINT
+        if one.reference:
+            sensor.reftype, sensor.refname = kinds.mjOBJ_XBODY, one.reference
+
+
+# ---- Frames: a log's body poses in the model's world
+
+
+def free_joint(model: Any, body: str) -> int | None:
+    """Find a body's free joint; None where it has none."""
+    number = model.body(body).id
+    first = int(model.body_jntadr[number])
+    free = mujoco().mjtJoint.mjJNT_FREE
+    return first if first >= 0 and model.jnt_type[first] == free else None
+
+
+def rotation_in(model: Any, qpos: Array, body: str, reference: str) -> Array:
+    """Compute a body's rotation in another's frame ("": the world) at `qpos`, shape (3, 3).
+
+    Args:
+        model: compiled.
+        qpos: its coordinates, shape (nq,).
+        body: its name.
+        reference: name of the other; "" for the world.
+    """
+    data = mujoco().MjData(model)
+    data.qpos[:] = qpos
+    mujoco().mj_kinematics(model, data)
+    own = data.body(body).xmat.reshape(3, 3)
+    return data.body(reference).xmat.reshape(3, 3).T @ own if reference else own.copy()
+
+
+def seen_in_world(model: Any, sensed: Sequence[SensedSignal]) -> list[SensedSignal]:
+    """Transform signals in frames of static bodies to the world; omit those in moving frames."""
+    found: list[SensedSignal] = []
+    for one in sensed:
+        reference = one.sensors[0].reference
+        if not reference:
+            found.append(one)
+        elif model.body_weldid[model.body(reference).id] == 0:
+            found.append(_in_world(model, one, reference))
+    return found
+
+
+def _in_world(model: Any, sensed: SensedSignal, reference: str) -> SensedSignal:
+    """Transform a signal of 3-vectors to the world frame."""
+    data = mujoco().MjData(model)
+    mujoco().mj_kinematics(model, data)
+    frame = data.body(reference)
+    values = sensed.signal.values.reshape(len(sensed.signal.values), -1, 3)
+    values = values @ frame.xmat.reshape(3, 3).T
+    if sensed.sensors[0].kind == "framepos":
+        values = values + frame.xpos
+    flat = np.asarray(values).reshape(sensed.signal.values.shape)
+    sensors = tuple(sensor._replace(reference="") for sensor in sensed.sensors)
+    return replace(sensed, signal=replace(sensed.signal, values=flat), sensors=sensors)
+
+
+# ---- Scene: shapes and poses of the bodies, for drawing
+
+_SHOWN_GROUPS = 3  # the first groups of geoms are those that MuJoCo's own viewer shows, too
+_MAX_TRIANGLES = 100_000  # of all meshes that are drawn as they are; of larger ones the box is
+_MIN_ALPHA = 0.02
+_BONE = 0.12  # least radius of a stand-in for a body without a shape, over its joint's distance
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One shape of a body, in the body's frame.
+
+    Attributes:
+        kind: of a capsule and a cylinder the axis is z, of a plane the normal.
+        body: its index.
+        position_m: of its centre, shape (3,).
+        rotation: from its own frame, shape (3, 3).
+        size_m: half sizes along its axes, shape (3,); of a capsule and a cylinder the radius twice
+            and half the length, without caps. 0 of an infinite plane.
+        vertices_m: of a mesh, shape (V, 3).
+        triangles: of a mesh, shape (F, 3).
+    """
+
+    kind: Literal["box", "ellipsoid", "capsule", "cylinder", "mesh", "plane"]
+    body: int
+    position_m: Array
+    rotation: Array
+    size_m: Array
+    vertices_m: Array | None = None
+    triangles: NDArray[np.int32] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ModelScene:
+    """The shapes and poses of a compiled model.
+
+    Attributes:
+        model: compiled.
+    """
+
+    model: Any
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Indices of bodies that are not fixed to the world."""
+        return tuple(int(body) for body in np.flatnonzero(self.model.body_weldid != 0))
+
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """All visible shapes; stand-ins for the masses if no moving body has one."""
+        model = self.model
+        seen = [int(geom) for geom in np.flatnonzero(self._has_alpha)]
+        shown = [geom for geom in seen if model.geom_group[geom] < _SHOWN_GROUPS]
+        if not any(model.body_weldid[model.geom_bodyid[geom]] for geom in shown):
+            shown = seen
+        left = _MAX_TRIANGLES
+        found: list[Shape] = []
+        for geom in sorted(shown, key=self._triangles):
+            triangles = self._triangles(geom)
+            left -= triangles
+            found.append(self._mesh(geom) if triangles and left >= 0 else self._plain(geom))
+        if not any(model.body_weldid[shape.body] for shape in found):
+            found += [shape for body in self.moving for shape in self._masses(body)]
+        return tuple(found)
+
+    def poses(self, qpos: Array) -> tuple[Array, Array]:
+        """Compute the poses of all B bodies.
+
+        Args:
+            qpos: shape (T, nq).
+
+        Returns:
+            Positions [m], shape (T, B, 3), and rotations from their frames, (T, B, 3, 3).
+        """
+        library = mujoco()
+        data = library.MjData(self.model)
+        positions = np.empty((len(qpos), self.model.nbody, 3))
+        rotations = np.empty((len(qpos), self.model.nbody, 9))
+        for moment, row in enumerate(qpos):
+            data.qpos[:] = row
+            library.mj_kinematics(self.model, data)
+            positions[moment], rotations[moment] = data.xpos, data.xmat
+        return positions, rotations.reshape(*rotations.shape[:2], 3, 3)
+
+    @property
+    def _has_alpha(self) -> NDArray[np.bool_]:
+        """Whether each geom is visible."""
+        return self.model.geom_rgba[:, 3] > _MIN_ALPHA
+
+    def _triangles(self, geom: int) -> int:
+        """Count the triangles of a geom's mesh."""
+        mesh = self.model.geom_dataid[geom]
+        kinds = mujoco().mjtGeom
+        is_mesh = int(self.model.geom_type[geom]) in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF)
+        return int(self.model.mesh_facenum[mesh]) if is_mesh and mesh >= 0 else 0
+
+    def _mesh(self, geom: int) -> Shape:
+        model = self.model
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        begin, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+        return Shape(
+            "mesh",
+            int(model.geom_bodyid[geom]),
+            model.geom_pos[geom].copy(),
+            _rotation(model.geom_quat[geom]),
+            model.geom_aabb[geom, 3:].copy(),
+            model.mesh_vert[first : first + count].astype(np.float64),
+            model.mesh_face[begin : begin + faces].astype(np.int32),
+        )
+
+    def _plain(self, geom: int) -> Shape:
+        """Make a primitive shape, or the bounding box of another."""
+        kinds, model = mujoco().mjtGeom, self.model
+        body, size = int(model.geom_bodyid[geom]), model.geom_size[geom]
+        rotation, position = _rotation(model.geom_quat[geom]), model.geom_pos[geom].copy()
+        kind = int(model.geom_type[geom])  # NumPy's numbers are in no tuple of MuJoCo's
+        if kind == kinds.mjGEOM_PLANE:
+            return Shape("plane", body, position, rotation, np.array([size[0], size[1], 0.0]))
+        if kind == kinds.mjGEOM_SPHERE:
+            return Shape("ellipsoid", body, position, rotation, np.full(3, size[0]))
+        if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
+            name = "capsule" if kind == kinds.mjGEOM_CAPSULE else "cylinder"
+            half = np.array([size[0], size[0], size[1]])
+            return Shape(name, body, position, rotation, half)
+        if kind == kinds.mjGEOM_ELLIPSOID:
+            return Shape("ellipsoid", body, position, rotation, size.copy())
+        middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        return Shape("box", body, position + rotation @ middle, rotation, half.copy())
+
+    def _masses(self, body: int) -> list[Shape]:
+        """Make stand-ins of a body without a shape: a rod from its joint, its mass as a ball."""
+        model = self.model
+        middle = model.body_ipos[body].copy()
+        joint = model.body_jntadr[body]
+        begin = model.jnt_pos[joint].copy() if joint >= 0 else np.zeros(3)
+        away = middle - begin
+        length = float(np.linalg.norm(away))
+        mass, inertia = max(float(model.body_mass[body]), 1e-9), model.body_inertia[body]
+        radius = max(float(np.sqrt(2.5 * inertia.mean() / mass)), 1e-4)
+        if length > 0:
+            radius = float(np.clip(radius, _BONE * length, length / 2))
+        ball = Shape("ellipsoid", body, middle, np.eye(3), np.full(3, radius))
+        if length < radius:
+            return [ball]
+        thin = _BONE * length / 4
+        turn = _towards(away / length)
+        rod = Shape("capsule", body, begin + away / 2, turn, np.array([thin, thin, length / 2]))
+        return [ball, rod]
+
+
+def _rotation(quaternion: Array) -> Array:
+    """Convert w, x, y, z to a rotation, shape (3, 3)."""
+    found = np.empty(9)
+    mujoco().mju_quat2Mat(found, quaternion)
+    return found.reshape(3, 3)
+
+
+def _towards(direction: Array) -> Array:
+    """Return a rotation that turns z into a unit direction, shape (3, 3)."""
+    quaternion = np.empty(4)
+    mujoco().mju_quatZ2Vec(quaternion, direction)
+    return _rotation(quaternion)
+
+
+# ---- Simulator: rollouts driven by a log
+
+MAX_STEPS = 300_000  # of one rollout: five minutes at 1 ms
+STOPPED = "stopped"  # in a rollout's notes: what stopped it before its end; "" where nothing did
+_MEMORY_IS_FULL = "its working memory is full"
+# By the begin of MuJoCo's names of what stops a rollout; any other is of memory.
+_STOPS = {
+    "mjWARN_INERTIA": "a mass or inertia is next to nothing",
+    "mjWARN_BAD": "it moves beyond all bounds",
+    "time": "it stops",
+}
+
+_MAX_BATCH, _MAX_BATCH_BYTES = 64, 50_000_000  # rollouts at once, and their sensor values
+
+# Integrators that step speeds first, then positions with them: their speeds are those of half a
+# step before, to second order.
+_LATE_BY_HALF_A_STEP = ("mjINT_EULER", "mjINT_IMPLICIT", "mjINT_IMPLICITFAST")
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A signal that drives the model.
+
+    Attributes:
+        columns: indices of its columns that drive something, shape (C,).
+        targets: the actuator or degree of freedom that each drives, shape (C,).
+        is_effort: whether its values are measured efforts, interpolated and applied at joints; else
+            commands to actuators, each of which holds until the next one (zero-order hold).
+    """
+
+    signal: Signal
+    columns: NDArray[np.intp]
+    targets: NDArray[np.intp]
+    is_effort: bool
+
+
+@dataclass(frozen=True, eq=False)
+class InitialState:
+    """The initial state of a rollout, and its uncertainty.
+
+    Attributes:
+        qpos: shape (nq,).
+        qvel: shape (nv,).
+        unsure: parameters of what the log leaves uncertain, each with its prior.
+        places: where each goes: whether it is a speed, and its index in `qpos` or `qvel`.
+    """
+
+    stamp_ns: int
+    qpos: Array
+    qvel: Array
+    unsure: tuple[Parameter, ...] = ()
+    places: tuple[tuple[bool, int], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ModelSimulator:
+    """A compiled model, driven and sensed as in a log.
+
+    Attributes:
+        spec: the model; not compiled with `sensed` yet.
+        tuned: its tuned parameters.
+        sensed: signals to compare.
+        drives: signals that drive it.
+        process: where it is run.
+        step_s: of its integrator; None for the model's own.
+    """
+
+    spec: Any
+    tuned: tuple[ModelParameter, ...]
+    sensed: tuple[SensedSignal, ...]
+    drives: tuple[Drive, ...]
+    initial: InitialState
+    end_ns: int
+    process: ModelProcess
+    step_s: float | None = None
+
+    @property
+    def engine(self) -> str:
+        """See `Simulator`."""
+        return named_version("mujoco")
+
+    @property
+    def step_hz(self) -> float:
+        """See `Simulator`."""
+        return 1.0 / self._step_s
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Tuned parameters, and uncertain ones of the initial state."""
+        return (*(one.parameter for one in self.tuned), *self.initial.unsure)
+
+    def finer(self) -> ModelSimulator:
+        """Copy with half the step, to measure the discretisation error."""
+        half = replace(self, step_s=self._step_s / 2)
+        half.__dict__["_model"] = self._model  # compiled once
+        return half
+
+    def rollout(self, values: Mapping[str, float]) -> Episode:
+        """Roll out one episode: signals of `sensed` at their stamps; see `Simulator`."""
+        row = [one.checked(values.get(one.name, one.initial)) for one in self.parameters]
+        found = self.rollouts(np.array([row]))[0]
+        if found.info.notes[STOPPED].startswith(_MEMORY_IS_FULL):
+            raise LogError(
+                f"{self.process.path}: {found.info.notes[STOPPED]}",
+                f'give it more, such as <size memory="{_more_memory(self._model.narena)}"/>',
+            )
+        return found
+
+    def rollouts(self, values: Array) -> list[Episode]:
+        """Roll out several episodes at once, on all cores.
+
+        Args:
+            values: of all parameters, shape (N, P).
+
+        Returns:
+            N of them; from where MuJoCo stops a rollout its values are NaN, and `STOPPED` in its
+            notes says why.
+        """
+        each_bytes = 8 * self._steps * (self._model.nsensordata + len(self._driven))
+        count = int(np.clip(_MAX_BATCH_BYTES // each_bytes, 1, _MAX_BATCH))
+        found: list[Episode] = []
+        for first in range(0, len(values), count):
+            found += self._batch(values[first : first + count])
+        return found
+
+    def coordinates(self, values: Array) -> tuple[Array, Array]:
+        """Roll out at `values` of shape (P,); return the coordinates after each step.
+
+        Returns:
+            Seconds since the initial stamp, shape (T,); qpos then, shape (T, nq), which stays as it
+            is where the rollout diverges.
+        """
+        (kept,), _, found = self._rolled(values[None], wants_qpos=True)
+        places = np.arange(self._steps + 1)
+        seconds = np.asarray(self._step_s * places, np.float64)
+        return seconds, found["qpos"][0][np.minimum(places, kept)]
+
+    @cached_property
+    def _model(self) -> Any:
+        """Compiled model, with sensors of the compared signals alone."""
+        spec = self.spec.copy()
+        put_sensors(spec, self._distinct)
+        return spec.compile()
+
+    @property
+    def _step_s(self) -> float:
+        return float(self._model.opt.timestep if self.step_s is None else self.step_s)
+
+    @cached_property
+    def _distinct(self) -> list[Sensor]:
+        """Each vector sensor once."""
+        return list(
+            dict.fromkeys(sensor.whole for sensed in self.sensed for sensor in sensed.sensors)
+        )
+
+    @cached_property
+    def _steps(self) -> int:
+        seconds, step_s = (self.end_ns - self.initial.stamp_ns) * 1e-9, self._step_s
+        if seconds / step_s > MAX_STEPS:
+            raise UsageError(
+                f"the log is longer than {MAX_STEPS} steps of {step_s:g} s",
+                f"choose a part of at most {MAX_STEPS * step_s:.0f} s with --start and --end",
+            )
+        return int(np.ceil(seconds / step_s)) + 2
+
+    @cached_property
+    def _driven(self) -> NDArray[np.intp]:
+        """Indices of what is driven, among controls and then the efforts of joints."""
+        targets = [one.targets + self._model.nu * one.is_effort for one in self.drives]
+        return np.unique(np.concatenate([np.zeros(0, np.intp), *targets]))
+
+    def _batch(self, values: Array) -> list[Episode]:
+        kept, why, found = self._rolled(values)
+        rolled = zip(found["sensed"], values, kept, why, strict=True)
+        return [
+            self._episode(seen, row, _stop_in_words(stop, steps * self._step_s))
+            for seen, row, steps, stop in rolled
+        ]
+
+    def _rolled(
+        self, values: Array, *, wants_qpos: bool = False
+    ) -> tuple[list[int], list[str], dict[str, Array]]:
+        """Roll out rows; return the steps of each, what stopped it, and sensor values."""
+        delays = [self._delay_s(row) for row in values]
+        known = sorted(set(delays))
+        rows = [
+            (self._changed(row), *self._state(row), known.index(delay_s))
+            for row, delay_s in zip(values, delays, strict=True)
+        ]
+        return self.process.run(
+            self._model,
+            rows=rows,
+            controls=[self._control(delay_s) for delay_s in known],
+            columns=self._driven,
+            steps=self._steps,
+            step_s=self._step_s,
+            is_late=self._is_late,
+            wants_qpos=wants_qpos,
+        )
+
+    def _changed(self, row: Array) -> list[tuple[str, Array]]:
+        """Return the model's arrays that these values change, by name."""
+        model = self._model
+        before = {name: np.array(attrgetter(name)(model)) for name in TUNED_ARRAYS}
+        for one, value in zip(self.tuned, row, strict=False):
+            one.put(model, float(value))
+        after = {name: np.array(attrgetter(name)(model)) for name in TUNED_ARRAYS}
+        for name, values in before.items():
+            put_array(model, name, values)
+        return [(name, after[name]) for name in before if (after[name] != before[name]).any()]
+
+    def _state(self, row: Array) -> tuple[Array, Array]:
+        """Return the initial qpos and qvel."""
+        qpos, qvel = self.initial.qpos.copy(), self.initial.qvel.copy()
+        unsure = row[len(self.tuned) :]
+        for value, (is_speed, place) in zip(unsure, self.initial.places, strict=True):
+            (qvel if is_speed else qpos)[place] = value
+        return qpos, qvel
+
+    def _delay_s(self, row: Array) -> float:
+        named = zip(self.tuned, row, strict=False)
+        return next((float(value) for one, value in named if one.parameter.name == DELAY), 0.0)
+
+    def _control(self, delay_s: float) -> Array:
+        """Compute the controls of each step, shape (steps, `_driven`)."""
+        step_s = self._step_s
+        # a step kicks speeds of half a step before to those of half a step after its begin
+        edges_s = np.arange(self._steps + 1, dtype=np.float64)
+        edges_s = step_s * (edges_s - 0.5 * self._is_late)
+        control = np.zeros((self._steps, len(self._driven)))
+        for drive in self.drives:
+            since_ns = drive.signal.stamps_ns - self.initial.stamp_ns
+            at_s = np.asarray(since_ns, np.float64) * 1e-9
+            places = np.searchsorted(self._driven, drive.targets + self._model.nu * drive.is_effort)
+            for column, place in zip(drive.columns, places, strict=True):
+                values = drive.signal.values[:, column]
+                good = np.isfinite(values)
+                seconds, values = at_s[good], values[good]
+                if drive.is_effort:
+                    middle_s = edges_s[:-1] + step_s / 2
+                    control[:, place] = np.interp(middle_s, seconds, values)
+                else:
+                    control[:, place] = held_means(seconds, values, edges_s - delay_s)
+        return control
+
+    @property
+    def _is_late(self) -> bool:
+        kinds = mujoco().mjtIntegrator
+        return self._model.opt.integrator in [getattr(kinds, one) for one in _LATE_BY_HALF_A_STEP]
+
+    def _episode(self, seen: Array, row: Array, stopped: str) -> Episode:
+        """Resample sensor values, shape (steps, S), as the log's signals."""
+        step_s = self._step_s
+        at_s = step_s * np.arange(self._steps)  # sensors see the state that a step begins with
+        signals: dict[str, Signal] = {}
+        for sensed in self.sensed:
+            wanted_s = (sensed.signal.stamps_ns - self.initial.stamp_ns) * 1e-9
+            values = np.empty((len(wanted_s), len(sensed.columns)))
+            for place, sensor in enumerate(sensed.sensors):
+                number = self._distinct.index(sensor.whole)
+                track = sensor.sign * seen[:, self._model.sensor_adr[number] + sensor.axis]
+                late_s = step_s / 2 if sensor.kind == "jointvel" and self._is_late else 0.0
+                values[:, place] = np.interp(wanted_s, at_s - late_s, track, right=np.nan)
+            signal = sensed.signal
+            signals[signal.name] = Signal(
+                signal.name, signal.stamps_ns, values, sensed.columns, signal.unit
+            )
+        names = [one.name for one in self.parameters]
+        truth = dict(zip(names, map(float, row), strict=True))
+        info = EpisodeInfo(source=self.engine, truth=truth, notes={STOPPED: stopped})
+        return Episode(info, signals)
+
+
+def held_means(at_s: Array, values: Array, edges_s: Array) -> Array:
+    """Average a zero-order-hold signal between edges.
+
+    Args:
+        at_s: when each value begins, shape (T,), increasing; the first holds before it, too.
+        values: shape (T,).
+        edges_s: shape (N + 1,), increasing.
+
+    Returns:
+        Shape (N,), continuous in a shift of the edges.
+    """
+    if not len(at_s):
+        return np.zeros(len(edges_s) - 1)
+    area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(at_s))])
+    place = np.clip(np.searchsorted(at_s, edges_s, "right") - 1, 0, len(at_s) - 1)
+    until = area[place] + values[place] * (edges_s - at_s[place])
+    return np.diff(until) / np.diff(edges_s)
+
+
+def _stop_in_words(stop: str, at_s: float) -> str:
+    """Describe why a rollout stopped; "" where it did not."""
+    if not stop:
+        return ""
+    words = (said for begin, said in _STOPS.items() if stop.startswith(begin))
+    what = next(words, _MEMORY_IS_FULL)
+    rest = ", and MuJoCo leaves contacts out" if what == _MEMORY_IS_FULL else ""
+    return f"{what} after {at_s:.3g} s of the rollout{rest}"
+
+
+def _more_memory(now_bytes: int) -> str:
+    """Suggest a <size memory>."""
+    return f"{max(now_bytes * 4 // 1_000_000, 10)}M"

@@ -1,1 +1,0 @@
-"""PyBullet as a physics engine: all that imports it, or names its keywords, is here."""

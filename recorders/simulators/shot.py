@@ -1,0 +1,914 @@
+"""Simulate the bounce shot of the paper's third experiment: off an incline, through a hoop.
+
+Many shots are simulated at once, event-driven: each step ends at the first impact in it. Between
+impacts a ball flies on a parabola, exactly, or with the air's drag by the classical Runge-Kutta
+method (RK4), whose error at these steps is below 1e-10 m. The time of a contact is found by regula
+falsi, every third iteration a bisection. An impact is solved in closed form or by an engine.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
+from tunenet_logs.errors import UsageError
+from tunenet_logs.files import read_small_file
+from tunenet_logs.recorders.simulators.ball import RESTITUTION, TOPIC, SpeedLaw
+from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2, BallWorld, Parameter
+from tunenet_logs.recorders.simulators.known import Ball, engine
+from tunenet_logs.terminal import one_line, short_name
+
+# ---- Rig: ball, inclined plane, hoop, and the robot's reach
+#
+# The origin is where the ball touches the plane. x points horizontally towards the hoop, down the
+# plane, y to the left, z up.
+
+_Range = tuple[float, float]
+
+_NULLABLE = ("ball.mass_kg", "ball.drag_1_m")  # what need not be known
+_LIMITS: dict[str, dict[str, _Range]] = {
+    "ball": {
+        "radius_m": (0.002, 0.5),
+        "mass_kg": (1e-4, 50.0),
+        "drag_coefficient": (0.01, 3.0),
+        "inertia_share": (0.2, 0.7),
+        "drag_1_m": (0.0, 10.0),
+    },
+    "plane": {
+        "incline_deg": (0.0, 80.0),
+        "downhill_m": (0.001, 10.0),
+        "friction": (0.0, 5.0),
+    },
+    "hoop": {
+        "forward_m": (0.01, 10.0),
+        "up_m": (-10.0, 10.0),
+        "free_radius_m": (0.002, 5.0),
+        "rim_m": (0.0005, 0.5),
+        "restitution": (0.0, 1.0),
+        "friction": (0.0, 5.0),
+    },
+    "release": {
+        "lowest_m": (0.005, 50.0),
+        "highest_m": (0.005, 50.0),
+        "height_sd_m": (0.0, 0.5),
+    },
+}
+
+
+@dataclass(frozen=True)
+class ShotBall:
+    """The ball.
+
+    Attributes:
+        mass_kg: for the air's drag; None to leave the air out, unless `drag_1_m` is known.
+        drag_coefficient: Cd; .47 is a smooth sphere's at these speeds.
+        inertia_share: moment of inertia over m r^2: 2/5 if it is solid, 2/3 if it is a thin shell.
+        drag_1_m: deceleration by the air over speed squared, where it was measured; None to have it
+            from size, mass and coefficient.
+    """
+
+    radius_m: float = 0.03
+    mass_kg: float | None = 0.040
+    drag_coefficient: float = 0.47
+    inertia_share: float = 0.4
+    drag_1_m: float | None = None
+
+    @property
+    def air_drag_1_m(self) -> float:
+        """Quadratic drag [1/m], measured or computed; 0 without a mass."""
+        return self.body.drag_1_m or 0.0 if self.drag_1_m is None else self.drag_1_m
+
+    @property
+    def body(self) -> Ball:
+        """The ball's size, mass and drag coefficient."""
+        return Ball(2 * self.radius_m, self.mass_kg, self.drag_coefficient)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The inclined plane.
+
+    Attributes:
+        incline_deg: from the horizontal, down towards the hoop.
+        downhill_m: how far it goes on from the impact point, along its slope.
+        friction: Coulomb's coefficient between ball and plane.
+    """
+
+    incline_deg: float = 25.0
+    downhill_m: float = 0.15
+    friction: float = 0.25
+
+    @property
+    def normal(self) -> Array:
+        """Unit vector out of the plane, shape (3,)."""
+        tilt = math.radians(self.incline_deg)
+        return np.array([math.sin(tilt), 0.0, math.cos(tilt)])
+
+    @property
+    def downhill(self) -> Array:
+        """Unit vector down the plane, shape (3,)."""
+        tilt = math.radians(self.incline_deg)
+        return np.array([math.cos(tilt), 0.0, -math.sin(tilt)])
+
+
+@dataclass(frozen=True)
+class Hoop:
+    """A horizontal hoop, its rim a torus.
+
+    Attributes:
+        forward_m: its centre from the impact point, horizontally.
+        up_m: likewise, vertically; negative where it is below.
+        free_radius_m: of the opening.
+        rim_m: thickness of the rim.
+        restitution: of the ball on the rim.
+        friction: likewise.
+    """
+
+    forward_m: float = 0.45
+    up_m: float = -0.10
+    free_radius_m: float = 0.066
+    rim_m: float = 0.005
+    restitution: float = 0.6
+    friction: float = 0.25
+
+    @property
+    def center_m(self) -> Array:
+        """Centre of the hoop, shape (3,)."""
+        return np.array([self.forward_m, 0.0, self.up_m])
+
+    @property
+    def ring_radius_m(self) -> float:
+        """Radius to the rim's centre line."""
+        return self.free_radius_m + self.rim_m / 2
+
+
+@dataclass(frozen=True)
+class Release:
+    """Heights from which the ball can be released.
+
+    A height is how far the ball falls until it touches the plane: 0 where the gripper holds it
+    against the impact point.
+
+    Attributes:
+        lowest_m: smallest height.
+        highest_m: largest height.
+        height_sd_m: standard deviation of the robot's heights.
+    """
+
+    lowest_m: float = 0.25
+    highest_m: float = 0.85
+    height_sd_m: float = 0.002
+
+
+@dataclass(frozen=True)
+class ShotRig:
+    """The complete rig.
+
+    Raises:
+        UsageError: a value is not finite, out of range, or contradicts another; names it as the
+            rig's file does ("hoop.forward_m").
+    """
+
+    ball: ShotBall = field(default_factory=ShotBall)
+    plane: Plane = field(default_factory=Plane)
+    hoop: Hoop = field(default_factory=Hoop)
+    release: Release = field(default_factory=Release)
+    gravity_m_s2: float = GRAVITY_M_S2
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.gravity_m_s2 <= 100:
+            raise UsageError(f"gravity_m_s2 {self.gravity_m_s2:g} is not from 0.1 to 100")
+        for part, limits in _LIMITS.items():
+            one = getattr(self, part)
+            for item in fields(one):
+                _check(f"{part}.{item.name}", getattr(one, item.name), limits[item.name])
+        if self.release.lowest_m >= self.release.highest_m:
+            raise UsageError(
+                f"release.lowest_m {self.release.lowest_m:g} is not below release.highest_m "
+                f"{self.release.highest_m:g}"
+            )
+        if self.hoop.free_radius_m <= self.ball.radius_m:
+            raise UsageError(
+                f"hoop.free_radius_m {self.hoop.free_radius_m:g} lets no ball of ball.radius_m "
+                f"{self.ball.radius_m:g} through; make the hoop wider"
+            )
+        _check_apart(self)
+        try:
+            _ = self.ball.body
+        except UsageError as error:
+            raise UsageError(f"ball.mass_kg: {error}") from error
+
+    def with_drag(self, drag_1_m: float) -> ShotRig:
+        """Copy the rig with another air drag on its ball [1/m]."""
+        return replace(self, ball=replace(self.ball, drag_1_m=drag_1_m))
+
+    @property
+    def touch_m(self) -> Array:
+        """The ball's centre where it first touches the plane, shape (3,)."""
+        return self.ball.radius_m * self.plane.normal
+
+
+def _check(name: str, value: float | None, limits: _Range) -> None:
+    if value is None and name in _NULLABLE:
+        return
+    low, high = limits
+    if value is None or not (math.isfinite(value) and low <= value <= high):
+        told = "missing" if value is None else f"{value:g}"
+        raise UsageError(f"{name} {told} is not a number from {low:g} to {high:.6g}")
+
+
+def _check_apart(rig: ShotRig) -> None:
+    """Check that the hoop is clear of the ball's fall, from the highest release."""
+    hoop, ball = rig.hoop, rig.ball
+    across = abs(hoop.forward_m - float(rig.touch_m[0]))
+    highest_m = float(rig.touch_m[2]) + rig.release.highest_m
+    near_m = math.hypot(max(across - hoop.ring_radius_m, 0.0), max(hoop.up_m - highest_m, 0.0))
+    if near_m <= ball.radius_m + hoop.rim_m:
+        raise UsageError(
+            f"hoop.forward_m {hoop.forward_m:g}: the hoop hangs in the ball's way to the plane; "
+            "move it away"
+        )
+
+
+# ---- Contact with plane and rim: Newton restitution and Coulomb friction
+
+_MIN_REBOUND_M_S = 0.01  # of a ball that would stay (5 um high): it rolls on in small hops
+_MIN_M = 1e-9  # below any length here: it only keeps a direction from being divided by 0
+
+
+@dataclass
+class BallStates:
+    """The states of N balls at a moment; they do not touch each other.
+
+    Attributes:
+        position_m: of the centres, shape (N, 3).
+        velocity_m_s: shape (N, 3).
+        spin_rad_s: shape (N, 3).
+    """
+
+    position_m: Array
+    velocity_m_s: Array
+    spin_rad_s: Array
+
+
+def collide(
+    balls: BallStates,
+    which: NDArray[np.int64],
+    normals: Array,
+    restitution: Array,
+    friction: float,
+    radius_m: float,
+    inertia_share: float,
+) -> None:
+    """Apply the impulse of an impact to balls, in place.
+
+    Along the normal the speed is reversed times the restitution (Newton's law of impact); across it
+    friction takes the slip of the touching point, at most all of it, and at most the friction
+    coefficient times the normal impulse (Coulomb's law): sticking takes slip / (1 + 1 / k), with
+    k = I / (m r^2); 2/7 of it for a solid sphere.
+
+    Args:
+        balls: all of them.
+        which: those that touch, shape (M,).
+        normals: unit vectors from what is touched to their centres, shape (M, 3).
+        restitution: shape (M,).
+        friction: Coulomb's coefficient.
+        radius_m: of the balls.
+        inertia_share: k.
+    """
+    velocity, spin = balls.velocity_m_s[which], balls.spin_rad_s[which]
+    slip = velocity + np.cross(spin, -radius_m * normals)
+    inward = -np.sum(slip * normals, axis=1)
+    slip += inward[:, None] * normals
+    outward = np.maximum(restitution * inward, _MIN_REBOUND_M_S)
+    pushed = inward + outward
+    slipping = np.linalg.norm(slip, axis=1)
+    held = np.minimum(slipping / (1 + 1 / inertia_share), friction * pushed)
+    along = slip * (held / np.maximum(slipping, 1e-12))[:, None]
+    balls.velocity_m_s[which] = velocity + pushed[:, None] * normals - along
+    torque = np.cross(-normals, -along)
+    balls.spin_rad_s[which] = spin + torque / (inertia_share * radius_m)
+
+
+# Functions that do what `collide` does.
+Collide = Callable[[BallStates, NDArray[np.int64], Array, Array, float, float, float], None]
+
+
+class Surface(Protocol):
+    """A fixed surface."""
+
+    def gaps_m(self, positions_m: Array) -> Array:
+        """Compute signed gaps from the ball to the surface, (N, 3) -> (N,) [m]."""
+        ...
+
+    def normals(self, positions_m: Array) -> Array:
+        """Compute unit normals from the surface to the ball's centre, (N, 3) -> (N, 3)."""
+        ...
+
+
+class Board:
+    """The inclined plane, taken as infinite; `holds` says where it ends."""
+
+    def __init__(self, rig: ShotRig) -> None:
+        self._normal, self._downhill = rig.plane.normal, rig.plane.downhill
+        self._radius_m, self._end_m = rig.ball.radius_m, rig.plane.downhill_m
+
+    def gaps_m(self, positions_m: Array) -> Array:
+        """See `Surface`."""
+        return positions_m @ self._normal - self._radius_m
+
+    def normals(self, positions_m: Array) -> Array:
+        """See `Surface`."""
+        return np.broadcast_to(self._normal, positions_m.shape)
+
+    def holds(self, positions_m: Array) -> NDArray[np.bool_]:
+        """Return whether the board reaches as far down as the balls are, shape (N,)."""
+        return positions_m @ self._downhill <= self._end_m
+
+
+class Rim:
+    """The hoop's rim: a torus about the vertical through its centre."""
+
+    def __init__(self, rig: ShotRig) -> None:
+        self._center_m, self._ring_m = rig.hoop.center_m, rig.hoop.ring_radius_m
+        self._reach_m = rig.ball.radius_m + rig.hoop.rim_m / 2
+
+    def gaps_m(self, positions_m: Array) -> Array:
+        """See `Surface`."""
+        out, up = self._from_ring(positions_m)
+        return np.hypot(out, up) - self._reach_m
+
+    def normals(self, positions_m: Array) -> Array:
+        """See `Surface`."""
+        offset = positions_m - self._center_m
+        out, up = self._from_ring(positions_m)
+        across = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), _MIN_M)
+        away = np.maximum(np.hypot(out, up), _MIN_M)
+        flat = offset[:, :2] * (out / across / away)[:, None]
+        return np.column_stack([flat, up / away])
+
+    def is_within(self, positions_m: Array) -> NDArray[np.bool_]:
+        """Return whether centres are nearer to the hoop's axis than the rim, shape (N,)."""
+        return self._from_ring(positions_m)[0] < 0
+
+    def _from_ring(self, positions_m: Array) -> tuple[Array, Array]:
+        """Return offsets from the rim's centre line, outwards and up, each of shape (N,)."""
+        offset = positions_m - self._center_m
+        return np.hypot(offset[:, 0], offset[:, 1]) - self._ring_m, offset[:, 2]
+
+
+# ---- Impacts solved by a physics engine
+
+
+def solved_by(world: BallWorld) -> Collide:
+    """Make a `collide` that solves impacts in the engine of `world`, one after another."""
+
+    def collide(
+        balls: BallStates,
+        which: NDArray[np.int64],
+        normals: Array,
+        restitution: Array,
+        friction: float,
+        radius_m: float,  # noqa: ARG001 (the world's)
+        inertia_share: float,
+    ) -> None:
+        for ball, normal, wanted in zip(which.tolist(), normals, restitution, strict=True):
+            axes = _upright(normal)
+            velocity, spin = axes @ balls.velocity_m_s[ball], axes @ balls.spin_rad_s[ball]
+            least = _MIN_REBOUND_M_S / max(-float(velocity[2]), 1e-9)
+            rebound = max(float(wanted), least)
+            velocity, spin = world.impact(velocity, spin, rebound, friction, inertia_share)
+            balls.velocity_m_s[ball], balls.spin_rad_s[ball] = axes.T @ velocity, axes.T @ spin
+
+    return collide
+
+
+def _upright(normal: Array) -> Array:
+    """Return the axes of a frame whose z is the normal, as rows, shape (3, 3)."""
+    aside = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    x = np.cross(aside, normal)
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(normal, x), normal])
+
+
+# ---- Flights: many shots at once, from release to below the hoop
+
+Mask = NDArray[np.bool_]
+
+STEP_S = 0.002  # between positions that are kept
+COARSE_S = 0.004  # step where none is kept: it moves where a ball passes by less than 0.02 mm
+
+# A flight ends after 8 times its fall, but not before 4 s: a ball may roll for ever.
+_MAX_FALLS, _MIN_LONGEST_S = 8, 4.0
+
+_ROUNDS = 14  # iterations for the time of a contact
+_OFF_M = 1e-9  # gap that a ball is left with after an impact: rounding must not leave it inside
+_BELOW_RADII = 3.0  # ball radii below the hoop from where none comes back
+
+
+@dataclass(frozen=True, eq=False)
+class Flights:
+    """Results of N shots.
+
+    Attributes:
+        offset_m: of the centre from the hoop's, forward and left, where it last came down through
+            the hoop's plane after an impact; NaN where it never did; shape (N, 2).
+        gap_m: smallest gap from ball to rim on the way, inside or outside of the hoop; negative
+            where ball and rim overlap; shape (N,).
+        is_through: whether that was inside of the rim, shape (N,).
+        has_touched: whether it hit the rim, shape (N,).
+        impact_m_s: speed along the plane's normal at the first impact, shape (N,).
+        positions_m: of the centres every step, shape (T, N, 3); T is 0 where they are not kept.
+    """
+
+    offset_m: Array
+    gap_m: Array
+    is_through: Mask
+    has_touched: Mask
+    impact_m_s: Array
+    positions_m: Array
+
+
+def fly(
+    rig: ShotRig,
+    law: SpeedLaw,
+    released: BallStates,
+    shifts: Array,
+    *,
+    has_rim: bool,
+    drags_1_m: Array | None = None,
+    step_s: float = STEP_S,
+    keep: bool = False,
+    impacts: Collide = collide,
+) -> Flights:
+    """Release balls and simulate each until it is below the hoop.
+
+    Args:
+        rig: plane, hoop and ball.
+        law: restitution of the balls on the plane, by speed.
+        released: N balls at time 0; changed in place.
+        shifts: added to each ball's restitution, shape (N,).
+        has_rim: whether the rim is an obstacle.
+        drags_1_m: of each ball, shape (N,); the rig's ball's if None.
+        step_s: between positions.
+        keep: whether to return the positions.
+        impacts: how they are solved.
+    """
+    if drags_1_m is None:
+        drags_1_m = np.full(len(shifts), rig.ball.air_drag_1_m)
+    run = _Run(rig, law, released, shifts, drags_1_m, has_rim, impacts)
+    kept = [released.position_m.copy()] if keep else []
+    for _ in range(int(np.ceil(_longest_s(rig, released, drags_1_m) / step_s))):
+        run.step(step_s)
+        if keep:
+            kept.append(released.position_m.copy())
+        if run.is_over.all():
+            break
+    return Flights(
+        offset_m=run.offset_m,
+        gap_m=run.gap_m,
+        is_through=run.is_through,
+        has_touched=run.has_touched,
+        impact_m_s=run.impact_m_s,
+        positions_m=np.array(kept).reshape(-1, len(shifts), 3),
+    )
+
+
+def _longest_s(rig: ShotRig, released: BallStates, drags_1_m: Array) -> float:
+    """Bound a flight's duration by the fall, with drag, from the highest start."""
+    low_m = min(_floor_m(rig), float(rig.touch_m[2]))
+    fall_m = float(released.position_m[:, 2].max(initial=low_m)) - low_m
+    drag = float(drags_1_m.max(initial=0.0))
+    fall_s = np.sqrt(2 * fall_m / rig.gravity_m_s2)
+    if drag:
+        lost = drag * fall_m
+        still_s = 1 / np.sqrt(drag * rig.gravity_m_s2)
+        fall_s = still_s * (lost + np.log1p(np.sqrt(-np.expm1(-2 * lost))))
+    return max(_MIN_LONGEST_S, _MAX_FALLS * float(fall_s))
+
+
+def _floor_m(rig: ShotRig) -> float:
+    return rig.hoop.up_m - _BELOW_RADII * rig.ball.radius_m
+
+
+class _Run:
+    """State of the shots under way."""
+
+    def __init__(
+        self,
+        rig: ShotRig,
+        law: SpeedLaw,
+        balls: BallStates,
+        shifts: Array,
+        drags_1_m: Array,
+        has_rim: bool,
+        impacts: Collide,
+    ) -> None:
+        self._collide = impacts
+        self._rig, self._law, self._balls, self._shifts = rig, law, balls, shifts
+        self._drags_1_m, self._has_air = drags_1_m, bool(drags_1_m.any())
+        self._board, self._rim, self._has_rim = Board(rig), Rim(rig), has_rim
+        count = len(shifts)
+        self._is_past_board = np.zeros(count, dtype=bool)
+        self.is_over = np.zeros(count, dtype=bool)
+        self.has_touched = np.zeros(count, dtype=bool)
+        self.is_through = np.zeros(count, dtype=bool)
+        self.offset_m = np.full((count, 2), np.nan)
+        self.gap_m = np.full(count, np.inf)
+        self.impact_m_s = np.full(count, np.nan)
+
+    def step(self, step_s: float) -> None:
+        """Advance all unfinished balls by one step, through all impacts in it."""
+        going = np.flatnonzero(~self.is_over)
+        left = np.full(len(going), step_s)
+        while len(going):
+            left = self._advance(going, left)
+            going, left = going[left > 0], left[left > 0]
+        self._end()
+
+    def _advance(self, going: NDArray[np.int64], left: Array) -> Array:
+        """Advance to the end of the step or its first impact; return the time left."""
+        balls, rig = self._balls, self._rig
+        start, speed = balls.position_m[going], balls.velocity_m_s[going]
+        end, faster = self.flown(going, start, speed, left)
+        used, hit = left.copy(), np.zeros(len(going), dtype=int)
+        surfaces: list[Surface] = [self._board, self._rim] if self._has_rim else [self._board]
+        for number, surface in enumerate(surfaces, start=1):
+            inside = surface.gaps_m(end) < 0
+            if number == 1:
+                inside &= ~self._is_past_board[going]
+            rows = np.flatnonzero(inside)
+            if not len(rows):
+                continue
+            touched = self._touch_s(surface, going[rows], start[rows], speed[rows], left[rows])
+            first = touched < used[rows]
+            used[rows[first]], hit[rows[first]] = touched[first], number
+        changed = np.flatnonzero(hit)
+        if len(changed):
+            end[changed], faster[changed] = self.flown(
+                going[changed], start[changed], speed[changed], used[changed]
+            )
+        self._note(going, start, end, speed, faster, used)
+        balls.position_m[going], balls.velocity_m_s[going] = end, faster
+        if len(changed):
+            self._bounce(going[hit == 1], self._board, rig.plane.friction)
+            self._bounce(going[hit == 2], self._rim, rig.hoop.friction)
+        return left - used
+
+    def flown(
+        self, which: NDArray[np.int64], position: Array, velocity: Array, seconds: Array
+    ) -> tuple[Array, Array]:
+        """Integrate free flight exactly, or with drag by RK4; positions and velocities, (N, 3)."""
+        drag, after = self._drags_1_m[which, None], seconds[:, None]
+        gravity = np.array([0.0, 0.0, -self._rig.gravity_m_s2])
+        if not self._has_air:
+            return position + after * (velocity + after / 2 * gravity), velocity + after * gravity
+
+        def accelerated(speed: Array) -> Array:
+            return gravity - drag * np.sqrt((speed**2).sum(axis=1, keepdims=True)) * speed
+
+        half = after / 2
+        one = accelerated(velocity)
+        two = accelerated(velocity + half * one)
+        three = accelerated(velocity + half * two)
+        four = accelerated(velocity + after * three)
+        moved = after * velocity + after**2 / 6 * (one + two + three)
+        return position + moved, velocity + after / 6 * (one + 2 * two + 2 * three + four)
+
+    def _touch_s(
+        self,
+        surface: Surface,
+        which: NDArray[np.int64],
+        start: Array,
+        speed: Array,
+        most: Array,
+    ) -> Array:
+        """Find contact times in (0, `most`] by regula falsi, every third iteration a bisection."""
+        low, high = np.zeros(len(most)), most.copy()
+        above = np.maximum(surface.gaps_m(start), _OFF_M / 2)
+        below = surface.gaps_m(self.flown(which, start, speed, most)[0])
+        for turn in range(_ROUNDS):
+            middle = (low + high) / 2
+            if turn % 3:
+                middle = low + (high - low) * above / (above - below)
+            gap = surface.gaps_m(self.flown(which, start, speed, middle)[0])
+            is_out = gap > 0
+            low, above = np.where(is_out, middle, low), np.where(is_out, gap, above)
+            high, below = np.where(is_out, high, middle), np.where(is_out, below, gap)
+        return high
+
+    def _bounce(self, which: NDArray[np.int64], surface: Board | Rim, friction: float) -> None:
+        balls, ball = self._balls, self._rig.ball
+        if isinstance(surface, Board) and len(which):
+            holds = surface.holds(balls.position_m[which])
+            self._is_past_board[which[~holds]] = True
+            which = which[holds]
+        if not len(which):
+            return
+        normals = surface.normals(balls.position_m[which])
+        inward = -np.sum(balls.velocity_m_s[which] * normals, axis=1)
+        if isinstance(surface, Board):
+            first = np.isnan(self.impact_m_s[which])
+            self.impact_m_s[which[first]] = inward[first]
+            restitution = np.clip(self._law.at(inward) + self._shifts[which], 0.0, 1.0)
+        else:
+            self.has_touched[which] = True
+            restitution = np.full(len(which), self._rig.hoop.restitution)
+        self._collide(
+            balls, which, normals, restitution, friction, ball.radius_m, ball.inertia_share
+        )
+        off = _OFF_M - surface.gaps_m(balls.position_m[which])
+        balls.position_m[which] += np.maximum(off, 0.0)[:, None] * normals
+
+    def _note(
+        self,
+        going: NDArray[np.int64],
+        start: Array,
+        end: Array,
+        speed: Array,
+        faster: Array,
+        used: Array,
+    ) -> None:
+        """Record the gap to the rim, and the crossing of the hoop's plane."""
+        gaps = self._rim.gaps_m(start), self._rim.gaps_m(end)
+        nearest = np.minimum(*gaps)
+        closing = [
+            np.sum(self._rim.normals(place) * rate, axis=1)
+            for place, rate in ((start, speed), (end, faster))
+        ]
+        rows = np.flatnonzero((closing[0] < 0) & (closing[1] > 0))
+        if len(rows):
+            share = closing[0][rows] / (closing[0][rows] - closing[1][rows])
+            between = self.flown(going[rows], start[rows], speed[rows], used[rows] * share)[0]
+            nearest[rows] = np.minimum(nearest[rows], self._rim.gaps_m(between))
+        self.gap_m[going] = np.minimum(self.gap_m[going], nearest)
+        level = self._rig.hoop.up_m
+        has_bounced = ~np.isnan(self.impact_m_s[going])
+        rows = np.flatnonzero(has_bounced & (start[:, 2] >= level) & (end[:, 2] < level))
+        if len(rows):
+            share = (start[rows, 2] - level) / (start[rows, 2] - end[rows, 2])
+            at = start[rows] + share[:, None] * (end[rows] - start[rows])
+            self.offset_m[going[rows]] = (at - self._rig.hoop.center_m)[:, :2]
+            self.is_through[going[rows]] = self._rim.is_within(at)
+
+    def _end(self) -> None:
+        """Finish the balls that fall below the hoop after their impact."""
+        falls = self._balls.velocity_m_s[:, 2] < 0
+        is_low = self._balls.position_m[:, 2] < _floor_m(self._rig)
+        has_bounced = self._is_past_board | ~np.isnan(self.impact_m_s)
+        self.is_over |= falls & is_low & has_bounced
+
+
+# ---- Shots: release, simulate, and record one as an episode
+
+KIND = "bounce-shot"
+
+
+def shoot(rig: ShotRig, law: SpeedLaw, heights_m: Array) -> Flights:
+    """Simulate shots from these heights, shape (N,), with their paths and the rim in their way."""
+    return fly(
+        rig, law, released(rig, heights_m), np.zeros(len(heights_m)), has_rim=True, keep=True
+    )
+
+
+def passes(
+    rig: ShotRig,
+    law: SpeedLaw,
+    heights_m: Array,
+    shifts: Array,
+    drags_1_m: Array | None = None,
+) -> Flights:
+    """Simulate shots as if the rim were not there: where they pass it, and how near.
+
+    Args:
+        rig: plane, hoop and ball.
+        law: of the ball.
+        heights_m: shape (N,).
+        shifts: added to the restitution of each shot, shape (N,).
+        drags_1_m: of each shot's ball, shape (N,); the rig's ball's if None.
+    """
+    start = released(rig, heights_m)
+    return fly(rig, law, start, shifts, has_rim=False, drags_1_m=drags_1_m, step_s=COARSE_S)
+
+
+def shoot_in_engine(rig: ShotRig, law: SpeedLaw, height_m: float, step_s: float) -> Flights:
+    """Simulate one shot with the rim, each impact solved by the chosen engine.
+
+    Args:
+        rig: plane, hoop and ball.
+        law: of the ball.
+        height_m: how far the ball falls.
+        step_s: between the positions of its path.
+    """
+    return fly(
+        rig,
+        law,
+        released(rig, np.array([height_m])),
+        np.zeros(1),
+        has_rim=True,
+        step_s=step_s,
+        keep=True,
+        impacts=solved_by(engine().ball_world(rig.ball.radius_m, CALIBRATED)),
+    )
+
+
+def released(rig: ShotRig, heights_m: Array) -> BallStates:
+    """Place balls at rest straight above the touch point."""
+    up = np.column_stack([np.zeros((len(heights_m), 2)), heights_m])
+    return BallStates(rig.touch_m + up, np.zeros_like(up), np.zeros_like(up))
+
+
+@dataclass(frozen=True)
+class BounceShot:
+    """One shot; see `Simulator`.
+
+    Attributes:
+        height_m: how far the ball falls.
+        slope: exponent of the restitution over speed; see `SpeedLaw`.
+        at_m_s: the impact's speed at which it has the restitution that is set.
+
+    Raises:
+        UsageError: a value is not finite or out of range.
+    """
+
+    rig: ShotRig
+    height_m: float
+    slope: float = 0.0
+    at_m_s: float = 3.0
+    rate_hz: float = 240.0
+
+    parameters: tuple[Parameter, ...] = (RESTITUTION,)
+
+    def __post_init__(self) -> None:
+        if not 0.005 <= self.height_m <= 50:
+            raise UsageError(f"height_m {self.height_m:g} is not from 0.005 to 50 m")
+        if not 1 <= self.rate_hz <= 20_000:
+            raise UsageError(f"rate_hz {self.rate_hz:g} is not from 1 to 20000 Hz")
+
+    @property
+    def engine(self) -> str:
+        """Engine that solves the impacts; the flights between are not the engine's."""
+        return engine().name
+
+    @property
+    def step_hz(self) -> float:
+        """Smallest multiple of `rate_hz` whose steps are `STEP_S` or shorter [Hz]."""
+        return self.rate_hz * int(np.ceil(1 / (self.rate_hz * STEP_S)))
+
+    def rollout(self, values: Mapping[str, float]) -> Episode:
+        """Simulate until the ball is below the hoop, with `values["restitution"]`."""
+        if set(values) != {RESTITUTION.name}:
+            raise UsageError(f"a shot takes the value restitution, not {sorted(values)}")
+        law = SpeedLaw(RESTITUTION.checked(values[RESTITUTION.name]), self.slope, self.at_m_s)
+        flights = shoot_in_engine(self.rig, law, self.height_m, 1 / self.step_hz)
+        positions_m = flights.positions_m[:: round(self.step_hz / self.rate_hz), 0]
+        stamps_ns = np.round(np.arange(len(positions_m)) * (1e9 / self.rate_hz)).astype(np.int64)
+        info = EpisodeInfo(
+            kind=KIND,
+            source=f"{self.engine}, bounce shot",
+            rig={
+                "ball_diameter_m": 2 * self.rig.ball.radius_m,
+                "shot_height_m": self.height_m,
+                "hoop_forward_m": self.rig.hoop.forward_m,
+                "hoop_up_m": self.rig.hoop.up_m,
+                "hoop_free_radius_m": self.rig.hoop.free_radius_m,
+                "plane_incline_deg": self.rig.plane.incline_deg,
+            },
+            truth={
+                RESTITUTION.name: law.restitution,
+                "restitution_slope": law.slope,
+                "drag": self.rig.ball.air_drag_1_m,
+                "success": float(flights.is_through[0]),
+                "miss_distance_m": float(np.nan_to_num(np.hypot(*flights.offset_m[0]), nan=-1.0)),
+            },
+        )
+        return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, positions_m, ("x", "y", "z"), "m")})
+
+
+# ---- Rig file: a small YAML that a person edits
+
+# More than a rig's file has: of brackets, because YAML reads nested ones in quadratic time.
+_MAX_FILE_BYTES, _MAX_BRACKETS = 20_000, 64
+
+_PARTS: Mapping[str, type] = {"ball": ShotBall, "plane": Plane, "hoop": Hoop, "release": Release}
+_GRAVITY = "gravity_m_s2"
+
+_RIG_TEXT = """\
+# The rig of a bounce shot. Lengths in m, from the impact point: where the ball touches the plane.
+# What is left out is as here.
+ball:
+  radius_m: {ball[radius_m]}
+  mass_kg: {ball[mass_kg]}            # for the air's drag; null leaves the air out
+  drag_coefficient: {ball[drag_coefficient]}
+  inertia_share: {ball[inertia_share]}       # over m r^2: 0.4 solid, 0.667 a thin shell
+  drag_1_m: {ball[drag_1_m]}           # measured [1/m]; null: by size, mass and drag_coefficient
+plane:
+  incline_deg: {plane[incline_deg]}        # from the horizontal, down towards the hoop
+  downhill_m: {plane[downhill_m]}         # from the impact point to its lower edge, along its slope
+  friction: {plane[friction]}
+hoop:                      # horizontal
+  forward_m: {hoop[forward_m]}          # its centre, horizontally
+  up_m: {hoop[up_m]}               # negative: below the impact point
+  free_radius_m: {hoop[free_radius_m]}     # of the opening
+  rim_m: {hoop[rim_m]}             # how thick the rim is
+  restitution: {hoop[restitution]}         # of the ball on the rim
+  friction: {hoop[friction]}
+release:                   # how far the ball falls until it touches the plane
+  lowest_m: {release[lowest_m]}
+  highest_m: {release[highest_m]}
+  height_sd_m: {release[height_sd_m]}       # how well the robot keeps a height
+gravity_m_s2: {gravity_m_s2}
+"""
+
+
+def rig_text(rig: ShotRig) -> str:
+    """Format the rig as a commented file."""
+    told = asdict(rig)
+    told["ball"] = {key: "null" if one is None else one for key, one in told["ball"].items()}
+    return _RIG_TEXT.format(**told)
+
+
+def read_rig(path: Path) -> ShotRig:
+    """Read a rig from a file; the default rig's values replace missing ones.
+
+    Raises:
+        UsageError: cannot be read, is no YAML, or holds an invalid value; names file and value.
+    """
+    try:
+        data = read_small_file(path, _MAX_FILE_BYTES)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); give --rig a file") from error
+    except ValueError as error:
+        raise UsageError(
+            f"{path}: {error}, and no rig's file is; give --rig such a file"
+        ) from error
+    try:
+        return _rig_of(_loaded(data))
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
+def _loaded(data: bytes) -> Any:
+    """Load the YAML; the safe loader makes plain values only."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    told = b"".join(line.partition(b"#")[0] for line in data.split(b"\n"))
+    if sum(map(told.count, (b"[", b"{"))) > _MAX_BRACKETS:
+        raise UsageError(f"over {_MAX_BRACKETS} brackets; see tunenet-plan --save-rig for a rig")
+    if any(mark in told for mark in (b"&", b"*", b"!")):
+        raise UsageError("holds &, * or !, which a rig's YAML does without; remove them")
+    try:
+        return YAML(typ="safe", pure=True).load(io.StringIO(data.decode("utf-8")))
+    except (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f" in line {mark.line + 1}"
+        what = getattr(error, "problem", None) or type(error).__name__
+        raise UsageError(
+            f"no YAML{where} ({one_line(what)}); see tunenet-plan --save-rig"
+        ) from error
+
+
+def _rig_of(told: Any) -> ShotRig:
+    values = _mapping(told, "the file", [*_PARTS, _GRAVITY])
+    given: dict[str, Any] = {}
+    for name, kind in _PARTS.items():
+        if name in values:
+            known = [item.name for item in fields(kind)]
+            part = _mapping(values[name], name, known)
+            given[name] = kind(**{key: _number(f"{name}.{key}", one) for key, one in part.items()})
+    if _GRAVITY in values:
+        given[_GRAVITY] = _number(_GRAVITY, values[_GRAVITY])
+    return ShotRig(**given)
+
+
+def _mapping(told: Any, what: str, known: list[str]) -> dict[str, Any]:
+    if told is None:
+        return {}
+    if not isinstance(told, dict):
+        raise UsageError(f"{what} is not a list of names with values; there is: {', '.join(known)}")
+    for key in told:
+        if key not in known:
+            raise UsageError(
+                f"{short_name(key)} is nothing of {what}; there is: {', '.join(known)}"
+            )
+    return told
+
+
+def _number(name: str, value: Any) -> float | None:
+    if value is None and name in _NULLABLE:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UsageError(f"{name} {short_name(value)} is not a number")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise UsageError(f"{name} is not a number of this size") from error

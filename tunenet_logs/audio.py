@@ -1,0 +1,606 @@
+"""Read the sound of files and videos as mono samples on a log's clock.
+
+`SoundGatherer` joins packets, their gaps filled with silence, to samples of bounded length and
+rate. A `SoundTrack` has the times of a file's packets and decodes them on demand; `film_sound`
+aligns one with its video's frames, `read_sound` reads a file of sound alone, and `sound_blocks`
+cuts a sound into a log's messages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Sound
+from tunenet_logs.errors import COPY_AGAIN, LogError
+from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.media import SOUNDS, VideoClock, creation_ns, opened_media
+from tunenet_logs.messages import AUDIO_TOPIC
+
+if TYPE_CHECKING:
+    from av import AudioFrame
+    from av.container import InputContainer
+
+
+MAX_S = 600.0  # [s] of sound that is used
+_MAX_VALUES = 240_000_000  # read of all channels: ten minutes of eight at 48 kHz
+_KEPT_HZ = 48_000  # a higher sample rate is divided by a whole number, to this at most
+# Slowest and fastest sample rate; speech by telephone has 8,000, a bat detector 500,000.
+RATES_HZ = (1_000.0, 2_000_000.0)
+
+# Between where a packet should begin and where it says: files round it to ms, or to a packet.
+_SAME_S = 0.03
+
+_MAX_SIZE = 8.0  # of a sample; decoders give a little more than 1 where a sound was clipped
+_SILENT = 2e-5  # a sound that is nowhere louder is silent: less than the last of 16 bits
+_MAX_PIECES = 1_000_000  # packets that are joined
+# Full scale of integer samples, by NumPy's name of their type.
+_FULL_SCALE = {"u1": 2.0**7, "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
+
+
+@dataclass(frozen=True, eq=False)
+class GatheredSound:
+    """Assembled audio.
+
+    Attributes:
+        samples: mean of all channels, full scale 1, shape (N,).
+        start_s: time of the first sample, on the clock of the packets [s].
+        rate_hz: samples in a second of that clock.
+        warnings: what was repaired, left out or is doubtful, in words.
+    """
+
+    samples: NDArray[np.float32]
+    start_s: float
+    rate_hz: float
+    warnings: tuple[str, ...]
+
+
+class SoundGatherer:
+    """Assembler of audio packets.
+
+    A gap between two is filled with silence of its length, so that what follows keeps its time.
+
+    Args:
+        rate_hz: of the packets' samples.
+        heard_hz: the same as a microphone heard it, where the clock is that of a slow-motion video.
+
+    Raises:
+        ValueError: no sound has such a rate.
+    """
+
+    def __init__(self, rate_hz: float, heard_hz: float = 0.0) -> None:
+        low, high = RATES_HZ
+        if not low <= rate_hz <= high:
+            raise ValueError(f"claims {rate_hz:.6g} samples a second")
+        self._file_hz = float(rate_hz)
+        heard_hz = heard_hz if low <= heard_hz <= high else self._file_hz
+        self._every = max(1, math.ceil(heard_hz / _KEPT_HZ))
+        self._most = int(MAX_S * heard_hz)  # samples, before they are reduced
+        self._pieces: list[NDArray[np.float32]] = []
+        self._rest = np.empty(0, np.float32)  # what is not yet a sample that is kept
+        self._offsets_s: list[float] = []  # of the pieces before the first hole
+        self._base_s, self._base_count = 0.0, 0  # from where pieces are counted
+        self._count = self._values = self._calls = 0
+        self._bad = self._holes = self._backwards = 0
+        self._hole_s = 0.0
+        self._why_full = ""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether further packets are ignored."""
+        return bool(self._why_full)
+
+    def add(self, piece: NDArray[Any], at_s: float | None) -> None:
+        """Append a packet.
+
+        Args:
+            piece: whole numbers or floats as a file has them, shape (N, channels).
+            at_s: time of its first sample [s]; None where it follows upon the last.
+        """
+        self._calls += 1
+        self._values += piece.size
+        if self._values > _MAX_VALUES or self._calls > _MAX_PIECES:
+            self._why_full = self._why_full or "the rest is too much"
+        if self.is_full or not piece.size:
+            return
+        if at_s is not None:
+            self._place(at_s)
+        mono = _mono(piece)
+        is_bad = ~np.isfinite(mono) | (np.abs(mono) > _MAX_SIZE)
+        if is_bad.any():
+            self._bad += int(is_bad.sum())
+            mono[is_bad] = 0.0
+        self._append(mono)
+
+    def result(self) -> GatheredSound:
+        """Return the audio assembled so far."""
+        samples = np.concatenate(self._pieces) if self._pieces else np.empty(0, np.float32)
+        samples.flags.writeable = False
+        start_s = float(np.median(self._offsets_s)) if self._offsets_s else 0.0
+        middle_s = (self._every - 1) / 2 / self._file_hz  # of the samples that became one
+        rate_hz = self._file_hz / self._every
+        return GatheredSound(samples, start_s + middle_s, rate_hz, tuple(self._said(samples)))
+
+    def _said(self, samples: NDArray[np.float32]) -> list[str]:
+        said: list[str] = []
+        if not len(samples):
+            said.append("the sound track holds no sound")
+        elif float(np.abs(samples).max()) < _SILENT:
+            said.append("the sound track is silent")
+        if self._why_full:
+            used_s = len(samples) * self._every / self._file_hz
+            said.append(f"only the first {used_s:.1f} s of the sound are used: {self._why_full}")
+        if self._every > 1:
+            kept_hz = self._file_hz / self._every
+            said.append(f"the sound was reduced from {self._file_hz:g} to {kept_hz:g} Hz")
+        if self._bad:
+            said.append(f"{self._bad} samples that are no numbers, or far too loud, became silence")
+        if self._holes:
+            holes = "1 hole" if self._holes == 1 else f"{self._holes} holes"
+            said.append(f"{holes} in the sound, {self._hole_s:.2f} s in all")
+        if self._backwards:
+            said.append(f"the times of the sound run backwards {self._backwards} times")
+        return said
+
+    def _place(self, at_s: float) -> None:
+        """Fill a gap before a packet with silence, or count a step backwards."""
+        if not np.isfinite(at_s):
+            return
+        if not self._offsets_s:
+            self._base_s, self._base_count = at_s, self._count
+        late_s = at_s - self._base_s - (self._count - self._base_count) / self._file_hz
+        if abs(late_s) <= _SAME_S:
+            if not self._holes and not self._backwards:
+                self._offsets_s.append(at_s - self._count / self._file_hz)
+            return
+        if late_s < 0:
+            self._backwards += 1
+            self._base_s, self._base_count = at_s, self._count
+            return
+        self._holes += 1
+        self._hole_s += late_s
+        count = round(min(late_s * self._file_hz, self._most - self._count))
+        begun = min(count, -len(self._rest) % self._every)  # to end a sample that was begun
+        self._append(np.zeros(begun, np.float32))
+        kept, rest = divmod(count - begun, self._every)
+        self._count += kept * self._every
+        self._pieces.append(np.zeros(kept, np.float32))
+        self._append(np.zeros(rest, np.float32))
+
+    def _append(self, mono: NDArray[np.float32]) -> None:
+        most = self._most - self._count
+        if len(mono) > most:
+            mono = mono[:most]
+            self._why_full = f"{MAX_S / 60:g} minutes are enough"
+        self._count += len(mono)
+        if self._every == 1:
+            self._pieces.append(mono)
+            return
+        mono = np.concatenate((self._rest, mono))
+        whole = len(mono) // self._every * self._every
+        self._rest = mono[whole:]
+        self._pieces.append(mono[:whole].reshape(-1, self._every).mean(axis=1, dtype=np.float32))
+
+
+def reduced_hz(rate_hz: float) -> float:
+    """Return the sample rate kept of a sound, after decimation by an integer."""
+    return rate_hz / max(1, math.ceil(rate_hz / _KEPT_HZ))
+
+
+def _mono(piece: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the mean of the channels, full scale 1, shape (N,)."""
+    kind = piece.dtype.str[1:]
+    if kind not in _FULL_SCALE:
+        with np.errstate(all="ignore"):  # what is no number is dealt with by the caller
+            return np.asarray(piece.mean(axis=1, dtype=np.float64), np.float32)
+    middle = 128.0 if kind == "u1" else 0.0
+    return np.asarray(
+        (piece.mean(axis=1, dtype=np.float64) - middle) / _FULL_SCALE[kind], np.float32
+    )
+
+
+# ---- Sound track of a file: packet times at once, samples on demand
+
+_MAX_PACKETS = 250_000  # whose times are listed: an hour and a half of AAC
+_MAX_FRAME = 262_144  # samples of a decoded packet: the largest of any lossless codec
+_MAX_DAMAGED = 1000  # packets that cannot be decoded, after which a track is given up
+
+
+@dataclass(frozen=True, eq=False)
+class SoundTrack:
+    """Sound track of a file, as the file describes it.
+
+    Attributes:
+        path: of the file.
+        formats: allowed ones; see `opened_media`.
+        index: of the stream among those of sound.
+        codec: as FFmpeg calls it.
+        channels: stated by the file.
+        rate_hz: stated by the file, which need not be what its decoder gives.
+        packets_s: begin of each packet, on the file's clock, shape (P,) [s].
+        lasts_s: to the end of the last packet [s].
+    """
+
+    path: Path
+    formats: str
+    index: int
+    codec: str
+    channels: int
+    rate_hz: float
+    packets_s: NDArray[np.float64]
+    lasts_s: float
+
+    def sound(
+        self,
+        start_ns: int,
+        origin_s: float | None = None,
+        slow: float = 1.0,
+        warnings: tuple[str, ...] = (),
+    ) -> Sound:
+        """Decode the samples; a damaged track ends at the damage.
+
+        Args:
+            start_ns: the log's stamp of the file's time `origin_s`.
+            origin_s: see there [s]; the first sample's if None.
+            slow: seconds of the log's clock in one of the file's.
+            warnings: known before.
+        """
+        said: list[str] = []
+        gathered, file_hz, channels = self._decoded(said)
+        begins_s = gathered.start_s if len(gathered.samples) else origin_s
+        after_s = 0.0 if origin_s is None or begins_s is None else (begins_s - origin_s) * slow
+        return Sound(
+            name=AUDIO_TOPIC,
+            start_ns=start_ns + round(after_s * 1e9),
+            rate_hz=gathered.rate_hz / slow,
+            samples=gathered.samples,
+            file_rate_hz=file_hz,
+            channels=channels,
+            codec=self.codec,
+            warnings=(*warnings, *gathered.warnings, *said),
+        )
+
+    def _decoded(self, said: list[str]) -> tuple[GatheredSound, float, int]:
+        """Return the samples, their rate in the file [Hz], and the number of channels."""
+        gatherer: SoundGatherer | None = None
+        rate_hz, channels = self.rate_hz, self.channels
+        try:
+            for frame in self._frames(said):
+                if gatherer is None:
+                    rate_hz, channels = float(frame.sample_rate), len(frame.layout.channels)
+                    gatherer = SoundGatherer(rate_hz)
+                elif frame.sample_rate != rate_hz:
+                    said.append(f"the sound ends where its rate changes to {frame.sample_rate} Hz")
+                    break
+                time_base = frame.time_base
+                at_s = None if frame.pts is None or not time_base else float(frame.pts * time_base)
+                gatherer.add(_piece(frame), at_s)
+                if gatherer.is_full:
+                    break
+        except LogError as error:
+            said.append(f"the sound is damaged: {error.what.removeprefix(f'{self.path}: ')}")
+        except ValueError as error:
+            said.append(f"the sound cannot be used: it {error}")
+        found = gatherer.result() if gatherer else _nothing()
+        return found, rate_hz, channels
+
+    def _frames(self, said: list[str]) -> Iterator[AudioFrame]:
+        """Yield the decoded packets but for damaged ones; raise LogError if unreadable."""
+        from av.error import FFmpegError
+
+        damaged = 0
+        with opened_media(self.path, self.formats, "sound") as container:
+            stream = container.streams.audio[self.index]
+            stream.codec_context.options = {"max_samples": str(_MAX_FRAME)}
+            for packet in container.demux(stream):
+                try:
+                    yield from packet.decode()
+                except (FFmpegError, ValueError, OverflowError, MemoryError):
+                    damaged += 1
+                    if damaged > _MAX_DAMAGED:
+                        break
+        if damaged:
+            said.append(f"{damaged} damaged packets of sound were left out")
+
+
+class PacketTimes:
+    """Collector of the times of a sound track's packets."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream = stream
+        self._base_s = float(stream.time_base or 0)
+        self._begins_s: list[float] = []
+        self._ends_s = 0.0
+
+    def add(self, packet: Any) -> None:
+        """Record the time of a packet."""
+        is_heard = packet.size and not packet.is_discard
+        if not is_heard or len(self._begins_s) >= _MAX_PACKETS:
+            return
+        begin_s = self._ends_s if packet.pts is None else packet.pts * self._base_s
+        self._begins_s.append(begin_s)
+        self._ends_s = max(self._ends_s, begin_s + (packet.duration or 0) * self._base_s)
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether more was collected than is used."""
+        return len(self._begins_s) >= _MAX_PACKETS or (
+            bool(self._begins_s) and self._ends_s - self._begins_s[0] > MAX_S
+        )
+
+    def track(self, path: Path, formats: str) -> SoundTrack:
+        """Return the track with the packet times collected."""
+        context = self.stream.codec_context
+        begins_s = np.array(self._begins_s, np.float64)
+        lasts_s = self._ends_s - float(begins_s[0]) if len(begins_s) else 0.0
+        return SoundTrack(
+            path=path,
+            formats=formats,
+            index=self.stream.container.streams.audio.index(self.stream),
+            codec=context.codec.canonical_name,
+            channels=context.layout.nb_channels,
+            rate_hz=float(context.sample_rate or 0),
+            packets_s=begins_s,
+            lasts_s=lasts_s,
+        )
+
+
+def sound_stream(container: InputContainer) -> Any | None:
+    """Return the first sound stream that can be decoded; None where there is none."""
+    for stream in container.streams.audio:
+        if stream.codec_context is not None:
+            return stream
+    return None
+
+
+def _nothing() -> GatheredSound:
+    return SoundGatherer(48_000).result()
+
+
+def _piece(frame: AudioFrame) -> NDArray[Any]:
+    """Return a frame's samples, shape (N, channels)."""
+    values = frame.to_ndarray()
+    if frame.format.is_planar:
+        return values.T
+    return values.reshape(frame.samples, -1)
+
+
+# ---- Sound of a video: on the clock of its frames, whether or not it was slowed down with them
+
+_SAME_RATE = 1.05  # a film that is slowed down less is not called slow motion
+_SHORT_S = 0.2  # of a film or a sound that is too short to compare the two
+_ROUNDING = 1e-6  # of stamps in whole ns, over a film
+_UNEVEN_S = 0.005  # a larger offset between a picture's stamp and its sound is reported
+
+
+@dataclass(frozen=True, eq=False)
+class FilmSound:
+    """Sound of a video on the clock of its frames.
+
+    Attributes:
+        track: in its file.
+        start_ns: stamp of the first frame shown.
+        origin_s: time of that frame in the file [s].
+        slow: seconds of the log's clock in one of the file's: below 1 for sound that was slowed
+            down with its video, 1 for sound that was not.
+        warnings: what is doubtful, in words.
+    """
+
+    track: SoundTrack
+    start_ns: int
+    origin_s: float
+    slow: float
+    warnings: tuple[str, ...]
+
+    def channel(self) -> Channel:
+        """Return the sound as a channel of the video, each packet a message."""
+        after_s = (self.track.packets_s - self.origin_s) * self.slow
+        return Channel(
+            topic=AUDIO_TOPIC,
+            type_name=self.track.codec,
+            encoding="audio",
+            log_ns=self.start_ns + np.round(after_s * 1e9).astype(np.int64),
+            sounds=True,
+        )
+
+    def sound(self, _topic: str = AUDIO_TOPIC) -> Sound:
+        """Decode the samples."""
+        return self.track.sound(self.start_ns, self.origin_s, self.slow, self.warnings)
+
+
+def film_sound(
+    track: SoundTrack, ticks: Sequence[int] | None, base_s: Fraction, clock: VideoClock
+) -> FilmSound:
+    """Align a sound with its video's frames.
+
+    Sound as long as the video was slowed down with it; sound as long as the filming was not.
+
+    Args:
+        track: the sound.
+        ticks: of the frames shown, increasing; None where they have no times.
+        base_s: one tick [s].
+        clock: of the frames.
+    """
+    log_s = (clock.stamps_ns - clock.stamps_ns[0]) * 1e-9
+    if ticks is None:
+        file_s = np.arange(len(log_s)) / (clock.stored_hz or 1.0)
+        origin_s = 0.0
+    else:
+        file_s = (np.array(ticks, np.int64) - ticks[0]) * float(base_s)
+        origin_s = float(ticks[0] * base_s)
+    slow = float(log_s[-1] / file_s[-1]) if file_s[-1] > 0 and log_s[-1] > 0 else 1.0
+    slow = 1.0 if abs(slow - 1) < _ROUNDING else slow
+    warnings: list[str] = []
+    if max(slow, 1 / slow) >= _SAME_RATE and _is_true(track.lasts_s, float(file_s[-1]), slow):
+        warnings.append(
+            f"the film was slowed down {1 / slow:.3g} times, its sound was not: it lasts "
+            f"{track.lasts_s:.2f} s, the film {file_s[-1]:.2f} s"
+        )
+        slow = 1.0
+    elif max(slow, 1 / slow) >= _SAME_RATE:
+        warnings.append(f"the sound was slowed down {1 / slow:.3g} times with its film")
+    off_s = float(np.abs(log_s - file_s * slow).max()) if not warnings or slow != 1.0 else 0.0
+    if off_s > _UNEVEN_S:
+        warnings.append(
+            f"the pictures' stamps are up to {off_s * 1e3:.0f} ms off the times of the sound"
+        )
+    return FilmSound(track, int(clock.stamps_ns[0]), origin_s, slow, tuple(warnings))
+
+
+def _is_true(sound_s: float, film_s: float, slow: float) -> bool:
+    """Return whether a sound lasts as long as the filming, rather than as the video."""
+    if min(sound_s, film_s, film_s * slow) < _SHORT_S:
+        return False
+    return abs(math.log(sound_s / (film_s * slow))) < abs(math.log(sound_s / film_s))
+
+
+# ---- Sound files, as voice recorders write them: .wav, .m4a, .mp3, .flac, .ogg
+
+# How such files are mostly called; their contents tell what they are.
+SUFFIXES = (".wav", ".m4a", ".mp3", ".flac", ".ogg", ".opus", ".aac", ".aiff", ".aif", ".caf")
+
+_SAVE_AS_WAV = "save it as WAV of 16 bits a sample"  # the remedy for sound of a rare kind
+
+
+def named_as_sound(path: Path) -> bool:
+    """Return whether a file is named as sound, regardless of its content."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def is_sound_alone(path: Path) -> bool:
+    """Return whether a file holds sound and no video."""
+    try:
+        with opened_media(path, SOUNDS, "sound") as container:
+            return sound_stream(container) is not None and not _has_film(container)
+    except LogError:
+        return False
+
+
+def read_sound(path: Path, _options: ReadOptions = AS_IT_SAYS) -> Episode:
+    """Read a sound file as an episode without signals, beginning at its creation time, or 0.
+
+    Raises:
+        LogError: no sound is in it, or it is damaged from its beginning on.
+    """
+    try:
+        return _read(path)
+    except LogError as error:
+        if not named_as_sound(path) or error.remedy != COPY_AGAIN:
+            raise
+        what = f"{error.what}: it has {path.stat().st_size} bytes"
+        raise LogError(what, f"copy it again, or {_SAVE_AS_WAV}") from error
+
+
+def _read(path: Path) -> Episode:
+    with opened_media(path, SOUNDS, "sound") as container:
+        stream = sound_stream(container)
+        if stream is None:
+            raise LogError(f"{path}: holds no sound that can be decoded", _SAVE_AS_WAV)
+        start_ns = creation_ns({**stream.metadata, **container.metadata}.get("creation_time", ""))
+        times = PacketTimes(stream)
+        for packet in container.demux(stream):
+            times.add(packet)
+            if times.is_enough:
+                break
+        track = times.track(path, SOUNDS)
+    if not len(track.packets_s):
+        raise LogError(f"{path}: holds no sound", COPY_AGAIN)
+    channel = Channel(
+        topic=AUDIO_TOPIC,
+        type_name=track.codec,
+        encoding="audio",
+        log_ns=start_ns + np.round((track.packets_s - track.packets_s[0]) * 1e9).astype(np.int64),
+        sounds=True,
+    )
+    info = EpisodeInfo(source=f"sound file {path.name}", notes=sound_notes(track))
+
+    def opened(_topic: str) -> Sound:
+        return track.sound(start_ns)
+
+    return Episode(info, {}, (channel,), open_sound=opened)
+
+
+def sound_notes(track: SoundTrack) -> dict[str, str]:
+    """Describe a sound track for the notes of a log."""
+    return {"sound": f"{track.codec}, {track.rate_hz:g} Hz, {_channels(track.channels)}"}
+
+
+def _channels(count: int) -> str:
+    return {1: "mono", 2: "stereo"}.get(count, f"{count} channels")
+
+
+def _has_film(container: object) -> bool:
+    """Return whether a container holds video other than cover art."""
+    from av.container import InputContainer
+    from av.stream import Disposition
+
+    assert isinstance(container, InputContainer)
+    return any(
+        not stream.disposition & Disposition.attached_pic for stream in container.streams.video
+    )
+
+
+# ---- Sound in a log: short blocks of PCM, and notes on what their messages cannot say
+
+# Names of the notes.
+_RATE, _FILE_RATE, _ABOUT = "sound_rate_hz", "sound_file_rate_hz", "sound"
+WARNINGS_NOTE = "sound_warnings"
+
+BLOCK_S = 0.1  # of the log's clock, in each message
+
+
+def sound_notes_of(sound: Sound) -> dict[str, str]:
+    """Return the notes on a sound that is written to a log."""
+    about = f"{sound.codec}, {sound.file_rate_hz:g} Hz, {_channels(sound.channels)}"
+    notes = rate_notes(about, sound.rate_hz, sound.file_rate_hz)
+    return notes | ({WARNINGS_NOTE: "; ".join(sound.warnings)} if sound.warnings else {})
+
+
+def rate_notes(about: str, rate_hz: float, told_hz: float) -> dict[str, str]:
+    """Return the notes on what a sound is, and its rate on the log's clock and as it says."""
+    return {_ABOUT: about, _RATE: repr(float(rate_hz)), _FILE_RATE: repr(float(told_hz))}
+
+
+def why_not_kept(sound: Sound) -> str:
+    """Return why a sound cannot be written to a log; "" where it can."""
+    low_hz, high_hz = RATES_HZ
+    if not len(sound.samples):
+        return "; ".join(sound.warnings) or "it holds no sound"
+    if not low_hz <= sound.rate_hz <= high_hz:
+        return f"{sound.rate_hz:.6g} samples a second on the log's clock are no sound's"
+    return ""
+
+
+def noted_rates(notes: Mapping[str, str]) -> tuple[float, float]:
+    """Return the noted rates of a log's sound, on its clock and in its file; 0 if unknown."""
+    return _positive(notes.get(_RATE, "")), _positive(notes.get(_FILE_RATE, ""))
+
+
+def _positive(text: str) -> float:
+    try:
+        rate_hz = float(text)
+    except ValueError:
+        return 0.0
+    return rate_hz if math.isfinite(rate_hz) and rate_hz > 0 else 0.0
+
+
+def sound_blocks(sound: Sound) -> Iterator[tuple[int, NDArray[np.int16]]]:
+    """Yield the blocks of a sound, shape (N, 1), with stamps [ns]; none before the epoch."""
+    step = max(1, round(BLOCK_S * sound.rate_hz))
+    begin = max(0, int(np.ceil(-sound.start_ns * 1e-9 * sound.rate_hz)))
+    for first in range(begin, len(sound.samples), step):
+        stamp_ns = sound.start_ns + round(first / sound.rate_hz * 1e9)
+        yield max(stamp_ns, 0), as_pcm(sound.samples[first : first + step])[:, None]
+
+
+def as_pcm(samples: NDArray[np.float32]) -> NDArray[np.int16]:
+    """Convert samples of full scale 1 to 16-bit PCM of the same shape."""
+    full = _FULL_SCALE["i2"]
+    return np.clip(np.round(samples * full), -full, full - 1).astype(np.int16)

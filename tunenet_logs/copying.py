@@ -1,0 +1,583 @@
+"""Check, import and recover logs: what `tunenet-logs check`, `import` and `recover` do.
+
+`check` reads all of a log and decodes every picture and sound. `import_log` writes what a task uses
+of any log, table or video to a log of our format. `recover` copies the whole messages of a damaged
+log, as they are, to a file that opens in every reader of MCAP.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import Writer
+
+from tunenet_logs import __version__, messages
+from tunenet_logs.audio import sound_blocks, sound_notes_of, why_not_kept
+from tunenet_logs.episode import (
+    SHARE_NOTE,
+    Channel,
+    Episode,
+    EpisodeInfo,
+    Frame,
+    LeftOut,
+    Signal,
+    Sound,
+    left_out_of,
+)
+from tunenet_logs.errors import LogError, UsageError
+from tunenet_logs.formats.base import (
+    Container,
+    Loss,
+    RawAttachment,
+    RawChannel,
+    RawMessage,
+    RawMetadata,
+    Record,
+    lost_share,
+    one_by_one,
+)
+from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
+from tunenet_logs.formats.registry import file_bytes, open_log
+from tunenet_logs.formats.ros import ros_name
+from tunenet_logs.messages import INFO_RECORD, RECOVERY_RECORD, compressed
+from tunenet_logs.reader import (
+    is_impacts,
+    notes_of,
+    notes_of_channels,
+    notes_of_frames,
+    read_episode,
+    without_commands,
+)
+from tunenet_logs.signals import ORIENTATION
+from tunenet_logs.terminal import Progress, one_line, told
+from tunenet_logs.timing.stamps import trim_clock_jumps
+from tunenet_logs.writing.owned_path import (
+    OutputPlace,
+    check_log_name,
+    not_writable,
+    nothing,
+    own_log,
+)
+from tunenet_logs.writing.writer import EpisodeWriter
+
+
+@dataclass(frozen=True, eq=False)
+class Health:
+    """Result of an integrity check.
+
+    Attributes:
+        damage: what is wrong and where, one a line; empty for a whole log.
+        doubts: what is no damage but should be known.
+        left_out: of which so much is left out that the log is not whole, though not damaged.
+    """
+
+    episode: Episode
+    damage: tuple[str, ...]
+    doubts: tuple[str, ...]
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is damaged and everything is used."""
+        return not self.damage and not self.left_out
+
+
+def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> Health:
+    """Check a log by reading all of it and decoding all of its pictures and sound.
+
+    Raises:
+        LogError: nothing of it can be read.
+    """
+    with progress.stages(one_line(path)):
+        episode = read_episode(path, options)
+    damage = list(episode.losses)
+    for topic in episode.picture_topics:
+        damage += _picture_damage(episode, topic, progress)
+    heard: list[str] = []
+    for topic in episode.sound_topics:
+        heard += [f"{topic}: {said}" for said in _heard(episode, topic)]
+    lost = set(episode.losses)
+    doubts = tuple(warning for warning in episode.warnings if warning not in lost)
+    left_out = tuple(one for one in left_out_of(trim_clock_jumps(episode)) if one.is_much)
+    return Health(episode, tuple(damage), (*doubts, *heard), left_out)
+
+
+def _heard(episode: Episode, topic: str) -> tuple[str, ...]:
+    """Return the warnings on the sound of a topic."""
+    sound = episode.sounds(topic)
+    return () if sound is None else sound.warnings
+
+
+def _picture_damage(episode: Episode, topic: str, progress: Progress) -> list[str]:
+    """List the pictures of a topic that cannot be decoded, beside damaged messages."""
+    stated = sum(channel.messages for channel in episode.channels if channel.topic == topic)
+    bad: list[int] = []
+    count = 0
+    found: list[str] = []
+    with progress.bar(stated, topic, "picture") as bar:
+        try:
+            for frame in episode.frames(topic):
+                count += 1
+                bar.update(1)
+                try:
+                    frame.decode()
+                except LogError:
+                    bad.append(frame.stamp_ns)
+        except LogError as error:
+            found.append(f"{topic}: reading ends after {count} of {stated} pictures: {error}")
+    if bad:
+        found.append(f"{topic}: {len(bad)} of {count} pictures are damaged, first {bad[0]} ns")
+    return found
+
+
+# ---- Import: any log, table or video in our format, what a task uses and nothing else
+
+JOINT_PARTS = ("position", "velocity", "effort")  # how the signals of a topic of joints end
+_POSITION_COLUMNS = ("x", "y", "z")  # the columns of a signal of positions
+_MAX_REASONS = 3  # losses that are named where nothing was left to import: what one line holds
+# Samples of sound after which no further topic is imported: two of ten minutes at 48 kHz.
+_MAX_SAMPLES = 57_600_000
+
+Write = Callable[[EpisodeWriter], None]  # writes one message
+_DRIVES = "a command or a force, which stays in the log that is imported: tune a model from that"
+
+_AT_ONCE = 10_000  # samples of joints that are prepared at a time
+_NAME_ANOTHER = "name a log that does, or say which column is which with --columns"
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Result of an import.
+
+    Attributes:
+        messages: how many were written.
+        left_out: channels that hold nothing that is used, with the reason; and samples of others.
+        renamed: what the log called otherwise than its topic is called now, and that topic.
+        warnings: what was lost or is doubtful in the log that was read.
+    """
+
+    messages: int
+    left_out: tuple[str, ...]
+    renamed: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def import_log(
+    path: Path,
+    output: Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    options: ReadOptions = AS_IT_SAYS,
+) -> Imported:
+    """Write positions, joints, pictures and sound of a log to `output`, ordered by stamp.
+
+    Pictures that are compressed stay as they are; bare pixels of a video become JPEG. A failed
+    import leaves nothing.
+
+    Raises:
+        UsageError: the output is the log itself.
+        LogError: the log cannot be read, holds nothing that is used, or `output` not written.
+    """
+    if output.suffix != ".mcap":
+        raise UsageError(f"{output}: name a .mcap file with -o")
+    if output.exists() and path.exists() and output.samefile(path):
+        raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
+    with (progress or Progress(quiet=True)).stages(one_line(path)):
+        return _imported(path, output, overwrite=overwrite, options=options)
+
+
+def _imported(path: Path, output: Path, *, overwrite: bool, options: ReadOptions) -> Imported:
+    everything = read_episode(path, options, most_numbers=np.inf)
+    episode = without_commands(everything)  # a command would become a state
+    named = {*episode.signals, *episode.picture_topics, *episode.sound_topics}
+    topics = _Topics({*named, *joint_topics(episode)})
+    said = notes_of_frames(episode) | notes_of_channels(episode, ros_topic)
+    heard, unheard = _sounds(episode)
+    for sound in heard:
+        said |= sound_notes_of(sound)
+    streams = [
+        *_signal_streams(episode, topics, said),
+        *_picture_streams(episode, topics),
+        *(_blocks(sound, topics.claim(sound.name)) for sound in heard),
+    ]
+    if not streams:
+        raise LogError(_why_nothing(path, episode, unheard), _NAME_ANOTHER)
+    notes = {**episode.info.notes, **said, "imported_from": path.name}
+    source = episode.info.source or path.name
+    info = replace(episode.info, source=source, notes=notes)
+    total = sum(channel.messages for channel in episode.channels if channel.skipped is None)
+    with EpisodeWriter(output, info, overwrite=overwrite, live=False, is_import=True) as writer:
+        merged = heapq.merge(*streams, key=lambda message: message[:2])
+        for _, _, write in told(merged, "importing", total):
+            write(writer)
+        if not writer.accepted:
+            raise LogError(_why_nothing(path, episode, unheard), _NAME_ANOTHER)
+    left_out = [
+        f"{channel.topic}: {_DRIVES if channel.drives else channel.skipped}"
+        for channel in episode.channels
+        if channel.skipped
+    ]
+    left_out += [*unheard, *map(str, left_out_of(episode))]
+    return Imported(writer.written, tuple(left_out), tuple(topics.renamed), episode.warnings)
+
+
+def ros_topic(name: str) -> str:
+    """Convert a signal's name to a valid ROS topic: "/tf.ball" is "/tf/ball"."""
+    letters = "".join(letter if letter.isalnum() or letter in "_/" else "/" for letter in name)
+    words = [word for word in letters.split("/") if word]
+    return "/" + "/".join(words or ["unnamed"])
+
+
+class _Topics:
+    """Unique topics for the names of a log.
+
+    A name that is a topic already keeps it; others that come to the same get a number.
+
+    Attributes:
+        renamed: names that became another topic, with that topic.
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.renamed: list[str] = []
+        self._kept = {name for name in names if ros_topic(name) == name}
+        self._taken: set[str] = set()
+        self._numbers: dict[str, int] = {}
+
+    def claim(self, name: str) -> str:
+        """Return a topic for one more thing of that name."""
+        topic = wanted = ros_topic(name)
+        while topic in self._taken or (topic in self._kept and topic != name):
+            self._numbers[wanted] = number = self._numbers.get(wanted, 1) + 1
+            topic = f"{wanted}_{number}"
+        self._taken.add(topic)
+        if topic != name:
+            self.renamed.append(f"{name!r} is {topic}")
+        return topic
+
+
+def _why_nothing(path: Path, episode: Episode, unheard: list[str]) -> str:
+    """Say that nothing can be imported, with what each channel is and what the reader said."""
+    seen = ", ".join(map(_described, episode.channels)) or "none"
+    has_reason = any(channel.skipped for channel in episode.channels)
+    known = (*episode.losses, *unheard) or (() if has_reason else episode.warnings)
+    said = "; ".join(known[:_MAX_REASONS])
+    why = f" that can be used ({said})" if said else ""
+    return f"{path}: holds no positions, joints, pictures or sound{why}; channels: {seen}"
+
+
+def _described(channel: Channel) -> str:
+    reason = f": {channel.skipped}" if channel.skipped else ""
+    return f"{channel.topic} ({channel.type_name}{reason})"
+
+
+def _signal_streams(
+    episode: Episode, topics: _Topics, said: dict[str, str]
+) -> Iterator[Iterator[tuple[int, str, Write]]]:
+    """Yield the messages of each signal; `said` gets the notes on what they cannot say."""
+    for name, signal in episode.signals.items():
+        if signal.is_position or is_impacts(signal):
+            topic = topics.claim(name)
+            said |= notes_of(signal, topic)
+            turns = episode.signals.get(f"{name}.{ORIENTATION}")
+            yield _poses(topic, signal, turns) if signal.is_position else _impacts(topic, signal)
+    for name, parts in joint_topics(episode).items():
+        topic = topics.claim(name)
+        for part, signal in parts.items():
+            said |= notes_of(signal, f"{topic}.{part}")
+        yield _joint_states(topic, parts)
+
+
+def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
+    """Group joint signals (position, velocity, effort) by topic."""
+    joints: dict[str, dict[str, Signal]] = {}
+    for name, signal in episode.signals.items():
+        topic, _, part = name.rpartition(".")
+        if part in JOINT_PARTS and signal.columns != _POSITION_COLUMNS:
+            joints.setdefault(topic, {})[part] = signal
+    return joints
+
+
+def _poses(topic: str, signal: Signal, turns: Signal | None) -> Iterator[tuple[int, str, Write]]:
+    frame = signal.frame or "world"
+    quaternions = np.tile(messages.NOT_TURNED, (len(signal.values), 1))
+    if turns is not None:
+        quaternions = turns.values
+    rows = zip(signal.stamps_ns.tolist(), signal.values, quaternions, strict=True)
+    for stamp_ns, position_m, quaternion in rows:
+
+        def write(
+            writer: EpisodeWriter,
+            stamp: int = stamp_ns,
+            at: np.ndarray = position_m,
+            turn: np.ndarray = quaternion,
+        ) -> None:
+            writer.write_pose(topic, stamp, at, turn, frame)
+
+        yield stamp_ns, topic, write
+
+
+def _impacts(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
+    """Yield a header for each: nothing is known of an impact but its time."""
+    for stamp_ns in signal.stamps_ns.tolist():
+
+        def write(writer: EpisodeWriter, stamp: int = stamp_ns) -> None:
+            data = messages.encode(messages.header(stamp, ""), messages.HEADER)
+            writer.write_message(topic, messages.HEADER, stamp, data)
+
+        yield stamp_ns, topic, write
+
+
+def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, str, Write]]:
+    """Yield messages of every joint that a part has, at every stamp of a part.
+
+    Parts that came in the same messages have the same stamps and joints; those of a table need not.
+    """
+    names = list(dict.fromkeys(name for part in parts.values() for name in part.columns))
+    places = {part: [names.index(name) for name in parts[part].columns] for part in parts}
+    every = [signal.stamps_ns for signal in parts.values()]
+    stamps_ns = every[0]
+    if any(one is not stamps_ns for one in every):
+        stamps_ns = np.unique(np.concatenate(every))
+    for begin in range(0, len(stamps_ns), _AT_ONCE):
+        some_ns = stamps_ns[begin : begin + _AT_ONCE]
+        columns = [
+            _values_at(parts[part], some_ns, places[part], len(names)) if part in parts else None
+            for part in JOINT_PARTS
+        ]
+        for row, stamp_ns in enumerate(some_ns.tolist()):
+
+            def write(
+                writer: EpisodeWriter, stamp: int = stamp_ns, row: int = row, of: Any = columns
+            ) -> None:
+                quantities = [() if one is None or not one[1][row] else one[0][row] for one in of]
+                writer.write_joints(topic, stamp, names, *quantities)
+
+            yield stamp_ns, topic, write
+
+
+def _values_at(
+    signal: Signal, stamps_ns: np.ndarray, places: list[int], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a signal's values, shape (T, count), NaN without one, and whether stamped, (T,)."""
+    rows = np.minimum(np.searchsorted(signal.stamps_ns, stamps_ns), len(signal.stamps_ns) - 1)
+    values = np.full((len(stamps_ns), count), np.nan)
+    values[:, places] = signal.values[rows]
+    return values, signal.stamps_ns[rows] == stamps_ns
+
+
+def _sounds(episode: Episode) -> tuple[list[Sound], list[str]]:
+    """Return the sounds of a log that are imported, and why others are not."""
+    heard: list[Sound] = []
+    unheard: list[str] = []
+    for topic in dict.fromkeys(episode.sound_topics):
+        if sum(len(sound.samples) for sound in heard) >= _MAX_SAMPLES:
+            unheard.append(f"{topic}: the log has more sound than an import takes")
+        elif (sound := episode.sounds(topic)) is None:
+            unheard.append(f"{topic}: holds no sound")
+        elif why := why_not_kept(sound):
+            unheard.append(f"{topic}: {why}")
+        else:
+            heard.append(sound)
+    return heard, unheard
+
+
+def _blocks(sound: Sound, topic: str) -> Iterator[tuple[int, str, Write]]:
+    for stamp_ns, pcm in sound_blocks(sound):
+
+        def write(writer: EpisodeWriter, stamp: int = stamp_ns, block: Any = pcm) -> None:
+            writer.write_sound(topic, stamp, block, round(sound.rate_hz))
+
+        yield stamp_ns, topic, write
+
+
+def _picture_streams(
+    episode: Episode, topics: _Topics
+) -> Iterator[Iterator[tuple[int, str, Write]]]:
+    for topic in dict.fromkeys(episode.picture_topics):
+        yield _pictures(episode, topic, topics)
+
+
+def _pictures(episode: Episode, topic: str, topics: _Topics) -> Iterator[tuple[int, str, Write]]:
+    """Yield the pictures of one topic; bare and compressed ones are messages of two types."""
+    encodings = {channel.topic: channel.encoding for channel in episode.channels}
+    targets: dict[bool, str] = {}
+    for frame in episode.frames(topic):
+        kept = compressed(frame) if encodings[topic] == "video" else frame
+        is_bare = kept.size is not None
+        if is_bare not in targets:
+            targets[is_bare] = topics.claim(topic)
+
+        def write(
+            writer: EpisodeWriter, target: str = targets[is_bare], picture: Frame = kept
+        ) -> None:
+            writer.write_frame(target, picture)
+
+        yield frame.stamp_ns, targets[is_bare], write
+
+
+# ---- Recovery: copy what is whole of a damaged log
+
+_LAST_STAMP = 2**64  # the first stamp [ns] that MCAP cannot hold
+_PROFILES = {"cdr": "ros2", "ros1": "ros1"}  # of an MCAP file, by the encoding of its messages
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """Result of a recovery.
+
+    Attributes:
+        messages: how many were saved.
+        losses: what was not, in words.
+        holds_ros1: whether there are messages of ROS 1 among them, which stay what they are.
+    """
+
+    messages: int
+    losses: tuple[str, ...]
+    holds_ros1: bool = False
+
+
+def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
+    """Copy all whole messages of a log, as they are, into a new MCAP file with all checksums.
+
+    Raises:
+        UsageError: the output is the log itself, exists, or is no .mcap.
+        LogError: nothing of the log can be read, or the output cannot be written.
+    """
+    _check_output(path, output, overwrite=overwrite)
+    container = open_log(path)
+    if isinstance(container, Episode):
+        raise LogError(
+            f"{path}: holds no messages to recover; bring it in with tunenet-logs import"
+        )
+    try:
+        place = OutputPlace(output, "log", own_log if overwrite else nothing)
+        with place.replacing() as partial, partial.open("wb") as file:
+            recovered = _Copy(Writer(file, enable_data_crcs=True), path.name).of(path, container)
+            file.flush()
+            os.fsync(file.fileno())
+            if not recovered.messages:
+                why = f" ({recovered.losses[0]})" if recovered.losses else ""
+                raise LogError(f"{path}: holds no message that can be saved{why}")
+    except OSError as error:
+        raise not_writable(output, error) from error
+    return recovered
+
+
+def _check_output(path: Path, output: Path, *, overwrite: bool) -> None:
+    if output.suffix != ".mcap":
+        raise UsageError(f"{output}: name a .mcap file with -o")
+    if output.exists() and path.exists() and output.samefile(path):
+        raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
+    try:
+        check_log_name(output, overwrite=overwrite)
+    except LogError as error:
+        raise UsageError(str(error)) from error
+
+
+def _records(path: Path, container: Container, losses: list[Loss]) -> Iterator[Record]:
+    """Yield what is read; a disk that fails to read is not to be taken for the one written to."""
+    try:
+        yield from one_by_one(container(path, losses))
+    except OSError as error:
+        why = f"cannot be read ({error.strerror})"
+        raise LogError(f"{path}: {why}; copy it to another disk and recover the copy") from error
+
+
+class _Copy:
+    """Copy of a container's records by a writer."""
+
+    def __init__(self, writer: Writer, source: str) -> None:
+        self._writer = writer
+        self._source = source
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._channels: dict[RawChannel, int] = {}
+        self._info: Mapping[str, str] = {}
+        self._messages = 0
+        self._beyond = 0
+        self._holds_ros1 = False
+        self._started = False
+
+    def of(self, path: Path, container: Container) -> Recovered:
+        losses: list[Loss] = []
+        for record in _records(path, container, losses):
+            if isinstance(record, RawChannel):
+                self._start(_PROFILES.get(record.encoding, ""))
+                self._register(record)
+            elif isinstance(record, RawMessage):
+                self._add(record)
+            elif isinstance(record, RawMetadata):
+                self._start("ros2" if record.name == INFO_RECORD else "")
+                self._writer.add_metadata(record.name, dict(record.values))
+                if record.name == INFO_RECORD:
+                    self._info = record.values
+            elif isinstance(record, RawAttachment):
+                self._start("")
+                self._writer.add_attachment(
+                    record.create_ns, record.log_ns, record.name, record.media_type, record.data
+                )
+        self._start("")
+        lost = [str(loss) for loss in losses if not loss.harmless]
+        if self._beyond:
+            lost.append(f"{self._beyond} messages with impossible stamps were left out")
+        self._say(lost, lost_share(losses, self._messages, file_bytes(path)))
+        self._writer.finish()
+        return Recovered(self._messages, tuple(lost), self._holds_ros1)
+
+    def _start(self, profile: str) -> None:
+        if not self._started:
+            self._writer.start(profile, f"tunenet-logs {__version__}")
+            self._started = True
+
+    def _register(self, channel: RawChannel) -> None:
+        text, encoding = channel.schema, channel.schema_encoding
+        if not encoding and channel.encoding == "cdr":  # a .db3 need not hold definitions
+            text, encoding = _known_definition(channel.type_name)
+        schema = 0
+        if channel.type_name:
+            key = (channel.type_name, encoding, text)
+            if key not in self._schemas:
+                self._schemas[key] = self._writer.register_schema(*key)
+            schema = self._schemas[key]
+        self._channels[channel] = self._writer.register_channel(
+            channel.topic, channel.encoding, schema, dict(channel.metadata)
+        )
+
+    def _add(self, message: RawMessage) -> None:
+        if not (0 <= message.log_ns < _LAST_STAMP and 0 <= message.publish_ns < _LAST_STAMP):
+            self._beyond += 1
+            return
+        self._writer.add_message(
+            self._channels[message.channel],
+            message.log_ns,
+            bytes(message.data),
+            message.publish_ns,
+            message.sequence,
+        )
+        self._messages += 1
+        self._holds_ros1 |= message.channel.encoding == "ros1"
+
+    def _say(self, lost: list[str], share: float) -> None:
+        """Record what was lost, and the counts that its recorder did not come to write."""
+        if self._info:
+            info = EpisodeInfo.from_strings(self._info)
+            if "written" not in info.counts:
+                info = info.ended("the recording did not end by itself", written=self._messages)
+                self._writer.add_metadata(INFO_RECORD, info.to_strings())
+        words = {"from": self._source, "messages": str(self._messages)}
+        words[SHARE_NOTE] = f"{share:.6f}"
+        words |= {f"lost.{number}": text for number, text in enumerate(lost[:100])}
+        self._writer.add_metadata(RECOVERY_RECORD, words)
+
+
+def _known_definition(type_name: str) -> tuple[bytes, str]:
+    name = ros_name(type_name)
+    if name not in messages.typestore().types:
+        return b"", ""
+    return messages.definition(name).encode(), "ros2msg"

@@ -1,0 +1,1007 @@
+"""Read text tables of any encoding and locale: lines, cells, numbers and times.
+
+From the file up: its encoding, lines and cells; rows of numbers in blocks; rows that cannot be
+read; what rows without a header are; numbers with any decimal mark; and times, exact to the
+nanosecond, as their text never goes through a float.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from decimal import Decimal
+from itertools import islice, pairwise, takewhile
+from math import isfinite
+from pathlib import Path
+from statistics import median
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.errors import EXPORT_AGAIN, LogError
+from tunenet_logs.files import open_regular, open_regular_text
+from tunenet_logs.formats.columns.names import POWERS
+from tunenet_logs.terminal import short_name
+
+SUFFIXES = (".csv", ".tsv", ".txt")  # of files that may be tables
+SEPARATORS = ("\t", ";", ",", None)  # in the order in which they are tried; None is white space
+MAX_LINE = 1024**2  # characters; a row of 5000 columns of 20 digits is a tenth of that
+_MAX_TABLE_BYTES = 512 * 1024**2  # its cells are read one by one, in Python
+_LOOK_BYTES = 65_536  # of a file, which tell whether it is text, and its encoding
+_MAX_FOREIGN = 0.3  # share of bytes beyond ASCII in CP1252 text; images and sound have more
+
+_NUMBER = re.compile(r"[-+]?(?:[0-9]++(?:[.,][0-9]++)?|[.,][0-9]++)(?:[eE][-+]?[0-9]+)?")
+
+# How encodings begin that mark themselves; spreadsheets write UTF-16 as "Unicode text".
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+    (codecs.BOM_UTF8, "utf-8-sig"),
+)
+
+# Bytes that no text has; a terminal's log has ESC (1b), an old one of DOS ends with 1a.
+_CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x19\x1c-\x1f\x7f]")
+
+_MAX_LINES = 4_000_000  # of a table, empty ones too: as many again as it may have rows
+
+
+def encoding_of(start: bytes) -> str | None:
+    """Detect the encoding of a text file by its first bytes; None where it is no text.
+
+    UTF-8, UTF-16 and UTF-32 are known by their marks, UTF-16 without a mark by its zeros, and what
+    is no UTF-8 is taken as Windows' own (CP1252). A damaged byte of UTF-8 stands beside intact
+    multi-byte characters; in CP1252 there are none of these.
+    """
+    start = start[:_LOOK_BYTES]
+    for mark, encoding in _MARKS:
+        if start.startswith(mark):
+            return encoding
+    even, odd = start[::2], start[1::2]
+    if b"\0" in start:
+        if even.count(0) * odd.count(0) or start.count(0) * 2 < len(odd):
+            return None
+        encoding = "utf-16-le" if odd.count(0) else "utf-16-be"
+        text = start.decode(encoding, "replace").encode(errors="replace")
+        return None if _CONTROLS.search(text) else encoding
+    if _CONTROLS.search(start):
+        return None
+    try:
+        start.decode()
+    except UnicodeDecodeError as error:
+        is_cut = error.start >= len(start) - 3 and error.reason.startswith("unexpected end")
+        others = sum(byte > 127 for byte in start)
+        if not is_cut:
+            is_utf8 = not start.decode("utf-8", "ignore").isascii()
+            text = "utf-8-sig" if is_utf8 else "cp1252"
+            return text if others < _MAX_FOREIGN * len(start) else None
+    return "utf-8-sig"
+
+
+def text_encoding(path: Path) -> str:
+    """Detect the encoding of a file to be read as text in any case.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with open_regular(path) as file:
+        return encoding_of(file.read(_LOOK_BYTES)) or "utf-8-sig"
+
+
+def is_text(start: bytes, suffix: str) -> bool:
+    """Return whether a file is text, by its first bytes; a table's suffix allows damaged text."""
+    if encoding_of(start) is not None:
+        return True
+    return suffix.lower() in SUFFIXES and b"\0" not in start[:_LOOK_BYTES]
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file has a table's suffix, and is text.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        return False
+    with open_regular(path) as file:
+        return is_text(file.read(_LOOK_BYTES), path.suffix)
+
+
+def has_rows(lines: Iterable[str]) -> bool:
+    """Return whether any line begins with a number, and is mostly numbers, two or more."""
+    return any(map(_is_row, lines))
+
+
+def _is_row(line: str) -> bool:
+    cells = re.split(r"[,;\s]+", line[:_LOOK_BYTES].strip(" ,;\t"))
+    numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in cells)
+    return numbers > 1 and numbers * 2 >= len(cells) and _NUMBER.fullmatch(cells[0]) is not None
+
+
+def lines_of(path: Path) -> Iterator[str | None]:
+    """Yield the lines without their ends; None for one that is too long for any table.
+
+    Raises:
+        LogError: the file is too large, or has too many lines.
+        OSError: it cannot be read.
+    """
+    size = path.stat().st_size
+    if size > _MAX_TABLE_BYTES:
+        raise LogError(f"{path}: is a table of {size} bytes, over the limit of 512 MiB; split it")
+    with open_regular_text(path, text_encoding(path), errors="replace") as file:
+        count = 0
+        while line := file.readline(MAX_LINE):
+            count += 1
+            if count > _MAX_LINES:
+                raise LogError(
+                    f"{path}: is a table of over {_MAX_LINES} lines, the limit; split it"
+                )
+            whole = line.endswith("\n") or len(line) < MAX_LINE
+            while not line.endswith("\n") and len(line) == MAX_LINE:
+                line = file.readline(MAX_LINE)
+            yield line.rstrip("\n") if whole else None
+
+
+def cells_of(line: str, separator: str | None) -> list[str]:
+    """Split a line into cells; none where it is malformed.
+
+    A cell never spans lines: an unclosed quote must not swallow the rest of a file.
+    """
+    if separator is None:
+        return line.split()
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+
+
+# ---- Parse rows of numbers in blocks: a gigabyte is read in bounded memory.
+
+MAX_COLUMNS = 5000  # of a file of tracks: more than a thousand markers
+_MAX_EXPORT_BYTES = 1024**3
+_BLOCK_CHARACTERS = 4 * 1024**2  # parsed at once
+# Where rows of numbers end and the next section begins.
+_WORDS = re.compile(r'^[ \t,;"]*[A-Za-z]', re.MULTILINE)
+
+# How cells are written where nothing was seen, in small letters too.
+_UNSEEN = ("", "-", "nan", "Nan", "NAN", "-nan", "null", "none")
+
+_FORMAT_LOOK_ROWS = 20  # that show how numbers are written
+
+
+@dataclass(frozen=True)
+class NumberFormat:
+    """Number format of a file's rows.
+
+    Attributes:
+        separator: between cells.
+        decimal: "." or ",".
+    """
+
+    separator: str
+    decimal: str = "."
+
+
+class LineReader:
+    """Buffered reader of lines or of blocks of lines, in bounded memory."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._ahead = ""
+        self._at = 0
+
+    def line(self) -> str | None:
+        """Read a line without its end, cut where it is too long for a table; None at the end."""
+        self._fill()
+        if not self._ahead:
+            return None
+        end = self._ahead.find("\n", self._at)
+        if end < 0:
+            end = len(self._ahead)
+        taken = self._ahead[self._at : min(end, self._at + MAX_LINE)]
+        self._at = end + 1
+        return taken
+
+    def block(self, *, until_words: bool = False) -> str:
+        """Read a block of whole lines; "" at the end.
+
+        Args:
+            until_words: whether to stop before a line that begins with a letter.
+        """
+        self._fill()
+        words = _WORDS.search(self._ahead, self._at) if until_words else None
+        end = words.start() if words else len(self._ahead)
+        taken = self._ahead[self._at : end]
+        self._at = end
+        return taken
+
+    def _fill(self) -> None:
+        if self._at >= len(self._ahead):
+            self._ahead, self._at = self._file.read(_BLOCK_CHARACTERS), 0
+            if self._ahead and not self._ahead.endswith("\n"):
+                self._ahead += self._file.readline(MAX_LINE)
+
+
+@contextmanager
+def open_lines(path: Path) -> Iterator[LineReader]:
+    """Open a text file as lines.
+
+    Raises:
+        LogError: it is too large.
+        OSError: it cannot be read.
+    """
+    size = path.stat().st_size
+    if size > _MAX_EXPORT_BYTES:
+        raise LogError(
+            f"{path}: is an export of {size} bytes, over the limit of 1 GiB; export fewer markers "
+            "or a part of the take"
+        )
+    with open_regular_text(path, text_encoding(path), errors="replace") as file:
+        yield LineReader(file)
+
+
+def separator_of(line: str) -> str:
+    """Return the separator of a header line: the most frequent of tab, comma and semicolon."""
+    return max("\t,;", key=line.count)
+
+
+def header_cells(line: str, separator: str) -> list[str]:
+    """Split a header line into stripped cells.
+
+    Raises:
+        ValueError: there are too many.
+    """
+    if line.count(separator) > 2 * MAX_COLUMNS:
+        raise ValueError(f"over {2 * MAX_COLUMNS} columns")
+    cells = [cell.strip() for cell in cells_of(line, separator)]
+    while cells and not cells[-1]:
+        cells.pop()
+    if len(cells) > MAX_COLUMNS:
+        raise ValueError(f"{len(cells)} columns, over the limit of {MAX_COLUMNS}")
+    return cells
+
+
+def format_of(block: str, separator: str) -> NumberFormat:
+    """Detect the number format of a block of rows."""
+    some = "".join(block[: 64 * 1024].splitlines(keepends=True)[:_FORMAT_LOOK_ROWS])
+    is_comma = separator != "," and "." not in some and re.search(r"\d,\d", some)
+    return NumberFormat(separator, "," if is_comma else ".")
+
+
+def unended(block: str) -> tuple[str, str]:
+    """Split a file's last block into whole lines and an unterminated one; "" if none."""
+    if block.endswith("\n"):
+        return block, ""
+    before, end, last = block.rpartition("\n")
+    return before + end, last if last.strip() else ""
+
+
+def numbers_of(
+    block: str, form: NumberFormat, columns: Sequence[int]
+) -> tuple[NDArray[np.float64], int]:
+    """Parse cells of a block of lines; also count the lines that are malformed.
+
+    Args:
+        block: whole lines.
+        form: number format.
+        columns: to read, increasing.
+
+    Returns:
+        Numbers, NaN where a cell is empty or none, shape (T, len(columns)); and the count.
+    """
+    lines = [line for line in block[: 64 * 1024].splitlines()[:_FORMAT_LOOK_ROWS] if line]
+    width = max((line.count(form.separator) + 1 for line in lines), default=0)
+    there = [column for column in columns if column < width]
+    if not there or width > 2 * MAX_COLUMNS:
+        return np.empty((0, len(columns))), block.count("\n")
+    values, wrong = _parsed(block, form, width, there)
+    missing = np.full((len(values), len(columns) - len(there)), np.nan)
+    return np.hstack([values, missing]), wrong
+
+
+def _parsed(
+    block: str, form: NumberFormat, width: int, columns: Sequence[int]
+) -> tuple[NDArray[np.float64], int]:
+    """Parse existing columns; see `numbers_of`."""
+    import pandas as pd
+
+    keywords: dict[str, Any] = {
+        "sep": form.separator,
+        "decimal": form.decimal,
+        "header": None,
+        "names": list(range(width)),
+        "usecols": list(columns),
+        "index_col": False,
+        "on_bad_lines": "skip",
+        "skipinitialspace": True,
+        "na_values": _UNSEEN,
+        "engine": "c",
+    }
+    with suppress(ValueError, OverflowError):  # pandas' own errors of parsing are ValueErrors
+        table = pd.read_csv(io.StringIO(block), dtype=np.float64, **keywords)
+        return table.to_numpy(np.float64), 0
+    try:
+        texts = pd.read_csv(io.StringIO(block), dtype=str, quoting=3, **keywords)
+    except (ValueError, OverflowError):
+        return np.empty((0, len(columns))), block.count("\n")
+    if form.decimal == ",":
+        texts = texts.apply(lambda column: column.str.replace(",", "."))
+    table = texts.apply(pd.to_numeric, errors="coerce").astype(np.float64)
+    unseen = texts.apply(lambda column: column.str.strip().str.lower().isin(_UNSEEN))
+    wrong = (table.isna() & texts.notna() & ~unseen).any(axis=1)
+    return table.to_numpy(np.float64), int(wrong.sum())
+
+
+# ---- Unreadable rows of a table: where, why, and the remedy.
+
+# Above this the file is not damaged, but misread by us: it is refused.
+_MAX_UNREADABLE_FRACTION = 0.05
+
+# What to do about a cell or a row.
+NUMBER_REMEDY = "write numbers as 1050.25"
+TIME_REMEDY = "write times in seconds (0.008), or as 2026-11-21T10:00:00.008Z"
+CELLS_REMEDY = (
+    "give each row as many cells as the header has, with ';' between them where numbers have ','"
+)
+DAMAGED_REMEDY = EXPORT_AGAIN
+
+
+class UnreadableError(ValueError):
+    """A row that cannot be read.
+
+    Attributes:
+        remedy: for the user.
+        is_damage: whether it is truncated or overlong, rather than in another notation.
+    """
+
+    def __init__(self, why: str, remedy: str) -> None:
+        super().__init__(why)
+        self.remedy = remedy
+        self.is_damage = remedy == DAMAGED_REMEDY
+
+
+def unreadable(column: str, cell: str, why: object, remedy: str) -> UnreadableError:
+    """Build the error of an unreadable cell."""
+    return UnreadableError(f"column {column[:60]!r}: {cell.strip()[:60]!r} {why}", remedy)
+
+
+class Failures:
+    """Unreadable rows of a table."""
+
+    def __init__(self) -> None:
+        self._first: dict[bool, tuple[int, UnreadableError]] = {}
+        self._counts = {True: 0, False: 0}
+
+    def __len__(self) -> int:
+        return sum(self._counts.values())
+
+    def add(self, line: int, error: UnreadableError) -> None:
+        """Count an unreadable line."""
+        self._counts[error.is_damage] += 1
+        self._first.setdefault(error.is_damage, (line, error))
+
+    def lost(self, rows: int) -> str:
+        """Describe the unreadable rows as a loss, where the others are used."""
+        line, error = min(self._first.values(), key=lambda failure: failure[0])
+        return (
+            f"{len(self)} of {rows} rows could not be read and were left out "
+            f"(the first is line {line}, {error})"
+        )
+
+    def refusal(self, rows: int) -> str:
+        """Return why the table should be refused; "" where too few rows fail."""
+        count = self._counts[False]
+        if count < 2 or count <= _MAX_UNREADABLE_FRACTION * rows:
+            return ""
+        return f"{count} of {rows} rows cannot be read; {self._first_failure(is_damage=False)}"
+
+    def nothing(self, rows: int) -> str:
+        """Return why no row of a table was of use."""
+        if not rows:
+            return f"it has no row; {DAMAGED_REMEDY}"
+        if not self._first:
+            return f"none of its {rows} rows holds a value; name the columns of those that do"
+        return (
+            f"none of its {rows} rows can be read; {self._first_failure(False not in self._first)}"
+        )
+
+    def _first_failure(self, is_damage: bool) -> str:
+        line, error = self._first[is_damage]
+        return f"the first is line {line}, {error}; {error.remedy}"
+
+
+# ---- Recognize headerless tables by their rows: TUM, KITTI, echoed ROS messages.
+
+LOOK_ROWS = 50  # looked at: what all of them share is no accident
+_MIN_ROWS = 3
+
+_OFF = 0.02  # by which a quaternion's norm or a rotation may differ from 1: files are rounded
+
+_TURN = tuple(f"orientation.{axis}" for axis in "xyzw")
+_POSE = ("x", "y", "z", *_TURN)
+_ROS_POSE = ("x (m)", "y (m)", "z (m)", *_TURN)
+_COVARIANCE = tuple(f"covariance{at}" for at in range(36))
+_STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+_TWIST = tuple(f"twist{at}" for at in range(6 + 36))
+_MATRIX = ("r11", "r12", "r13", "x", "r21", "r22", "r23", "y", "r31", "r32", "r33", "z")
+
+_ROW_SEPARATORS = (",", "\t", ";", None)  # in the order in which they are tried
+_MAX_COUNTED = 1000  # in a second column that counts, and holds no nanoseconds
+
+
+@dataclass(frozen=True)
+class KnownRows:
+    """Recognized format of headerless rows.
+
+    Attributes:
+        what: in words.
+        separator: of cells; None is white space.
+        names: of the columns.
+        has_clock: whether rows have times; else a row is a frame.
+        remedy: what the user has to state, where the rows are ambiguous; "" where they are not.
+        texts: text columns, which are equal in every row.
+    """
+
+    what: str
+    separator: str | None
+    names: tuple[str, ...]
+    has_clock: bool = True
+    remedy: str = ""
+    texts: tuple[int, ...] = ()
+
+    @property
+    def refusal(self) -> str:
+        """Why the rows are not read without the user's options, and which these are."""
+        return f"is {self.what}; {self.remedy}"
+
+    def of_one(
+        self, path: Path, rows: Iterable[tuple[int, str | None]]
+    ) -> Iterator[tuple[int, str | None]]:
+        """Yield the rows, which all have to name the same object.
+
+        Raises:
+            LogError: one names another: rows of several objects in one column are no track.
+        """
+        first: list[str] = []
+        for number, line in rows:
+            cells = cells_of(line, self.separator) if line is not None else []
+            texts = [cells[at].strip() for at in self.texts if len(cells) == len(self.names)]
+            first = first or texts
+            if texts and texts != first:
+                one, other = next(
+                    both for both in zip(first, texts, strict=True) if len(set(both)) > 1
+                )
+                raise LogError(
+                    f"{path}: line {number} is of {short_name(other)!r}, those before it of "
+                    f"{short_name(one)!r}",
+                    f"keep one of them, for example: grep ,{one or ','}, {path.name} > one.csv",
+                )
+            yield number, line
+
+
+def known_rows(lines: Sequence[str]) -> KnownRows | None:
+    """Recognize headerless rows by their numbers; None where these are inconclusive."""
+    for separator in _ROW_SEPARATORS:
+        rows = [cells_of(line, separator) for line in lines]
+        widths = {len(row) for row in rows}
+        if len(rows) >= _MIN_ROWS and len(widths) == 1 and min(widths) > 1:
+            stripped = [[cell.strip() for cell in row] for row in rows]
+            numbers = np.array([[_number(cell) for cell in row] for row in stripped])
+            return _echoed(separator, stripped, numbers) or _trajectory(separator, numbers)
+    return None
+
+
+def _trajectory(separator: str | None, numbers: NDArray[np.float64]) -> KnownRows | None:
+    """Recognize TUM (time, position, quaternion) and KITTI (3 x 4 matrix) trajectories."""
+    if not np.isfinite(numbers).all():
+        return None
+    width = numbers.shape[1]
+    increases = bool((np.diff(numbers[:, 0]) > 0).all())
+    if width == 8 and increases and _is_turn(numbers[:, 4:]):
+        return KnownRows("a TUM trajectory", separator, ("t", *_POSE))
+    if width == 7 and _is_turn(numbers[:, 3:]):
+        remedy = "--columns x=1,y=2,z=3 --fps RATE, or write them with their times"
+        return KnownRows("a list of poses without times", separator, _POSE, False, remedy)
+    if width in (12, 13) and _is_rotation(numbers[:, -12:]):
+        if width == 13 and not increases:
+            return None
+        names = _MATRIX if width == 12 else ("t", *_MATRIX)
+        return KnownRows("a KITTI trajectory", separator, names, width == 13)
+    return None
+
+
+def _echoed(
+    separator: str | None, rows: Sequence[Sequence[str]], numbers: NDArray[np.float64]
+) -> KnownRows | None:
+    """Recognize stamped messages of `ros2 topic echo --csv`: field by field, no names."""
+    if separator != "," or numbers.shape[1] < 4 or not _are_stamps(numbers[:, :2]):
+        return None
+    columns = list(zip(*rows, strict=True))[2:]
+    count = sum(1 for _ in takewhile(lambda cells: all(map(_is_text, cells)), columns))
+    values = numbers[:, 2 + count :]
+    if not count or any(_is_text(cell) for cells in columns[count:] for cell in cells):
+        return None
+    what = "`ros2 topic echo --csv` of "
+    width = values.shape[1]
+    is_pose = width >= 7 and _is_turn(values[:, 3:7])
+    if is_pose and count == 1 and width in (7, 7 + 36):
+        kind = "PoseStamped" if width == 7 else "PoseWithCovarianceStamped"
+        names = (*_STAMP, "frame_id", *_ROS_POSE, *_COVARIANCE[: width - 7])
+        return KnownRows(what + kind, separator, names, texts=(2,))
+    if is_pose and count == 2 and width in (7, 7 + 36 + 42):
+        kind = "TransformStamped" if width == 7 else "Odometry"
+        more = (*_COVARIANCE, *_TWIST) if width > 7 else ()
+        names = (*_STAMP, "frame_id", "child_frame_id", *_ROS_POSE, *more)
+        return KnownRows(what + kind, separator, names, texts=(2, 3))
+    texts = tuple(range(2, 2 + count))
+    joints = rows[0][3 : 2 + count]
+    if joints and width == 3 * len(joints) and len(set(joints)) == len(joints) and all(joints):
+        names = (
+            *(*_STAMP, "frame_id", *(f"name of joint {at}" for at in range(1, count))),
+            *(f"/joint_states/{joint}/position" for joint in joints),
+            *(f"/joint_states/{joint}/velocity" for joint in joints),
+            *(f"/joint_states/{joint}/effort" for joint in joints),
+        )
+        return KnownRows(what + "JointState", separator, names, texts=texts)
+    places = zip("xyz"[: width if width < 4 else 3], range(3 + count, 6 + count), strict=False)
+    said = ",".join(f"{axis}={at}" for axis, at in places) if width != 1 else f"z={3 + count}"
+    remedy = f"where the numbers in columns {said} are a place, say so with --columns {said}"
+    names = (*_STAMP, *(f"text {at + 1}" for at in texts), *_numbered(2 + count, width))
+    return KnownRows(what + "a type that its rows do not tell", separator, names, True, remedy)
+
+
+def _numbered(first: int, count: int) -> tuple[str, ...]:
+    return tuple(f"column {at + 1}" for at in range(first, first + count))
+
+
+def _are_stamps(values: NDArray[np.float64]) -> bool:
+    """Return whether columns are integer seconds, and nanoseconds that are no mere counts."""
+    if not np.isfinite(values).all() or (values != np.floor(values)).any():
+        return False
+    rest = values[:, 1]
+    in_range = (values >= 0).all() and (rest < _S_NS).all()
+    return bool(in_range and (rest > _MAX_COUNTED).any())
+
+
+def _is_turn(values: NDArray[np.float64]) -> bool:
+    return bool((np.abs(np.linalg.norm(values, axis=1) - 1) < _OFF).all())
+
+
+def _is_rotation(values: NDArray[np.float64]) -> bool:
+    turns = values.reshape(-1, 3, 4)[:, :, :3]
+    products = turns @ turns.transpose(0, 2, 1)
+    return bool((np.abs(products - np.eye(3)) < _OFF).all() and (np.linalg.det(turns) > 0).all())
+
+
+def _is_text(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return True
+    return False
+
+
+def _number(cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        return float("nan")
+    return value if isfinite(value) else float("nan")
+
+
+# ---- Parse numbers in any locale, as long as they are unambiguous.
+
+# What stands in a cell for no value, in small letters.
+_NUMBERLESS = frozenset(("", "-", "--", "null", "none", "na", "n/a", "<na>", "#n/a"))
+
+# A number with any marks between its digits.
+_MARKED_NUMBER = re.compile(r"[+-]?[\d.,]+(?:e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+
+# Thousands in groups, beyond doubt: with a mark of decimals as well, or two groups and more.
+_IN_GROUPS = re.compile(
+    r"[+-]?[1-9]\d{0,2}(?:(?:,\d{3})+\.\d*|(?:\.\d{3})+,\d*|(?:,\d{3}){2,}|(?:\.\d{3}){2,})",
+    re.ASCII,
+)
+
+# What may be a thousand or more, or have three decimals.
+_ONE_GROUP = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Number format of a table.
+
+    Attributes:
+        separator: of cells; None is white space.
+        decimal: decimal mark; "" where the first rows do not show it.
+    """
+
+    separator: str | None
+    decimal: str = ""
+
+    def plain(self, cell: str) -> str:
+        """Normalize a number's text to a decimal point, without thousands separators.
+
+        Raises:
+            ValueError: it is ambiguous.
+        """
+        text = cell.strip()
+        if "," not in text and text.count(".") < (1 if self.decimal == "," else 2):
+            return text
+        if _IN_GROUPS.fullmatch(text):
+            mark = max(text.rfind(","), text.rfind("."))
+            if text.count(text[mark]) > 1:
+                return text.replace(text[mark], "")
+            return re.sub("[.,]", "", text[:mark]) + "." + text[mark + 1 :]
+        if _ONE_GROUP.fullmatch(text) and self._is_doubtful("," if "," in text else "."):
+            digits = re.split("[.,]", text)
+            raise ValueError(f"may be {'.'.join(digits)} or {''.join(digits)}")
+        return text.replace(",", ".") if self.separator != "," and "." not in text else text
+
+    def _is_doubtful(self, mark: str) -> bool:
+        return mark == self.separator or self.decimal not in ("", mark)
+
+    def read(self, cell: str) -> float:
+        """Parse a number; NaN where a cell is empty or marks a missing value.
+
+        Raises:
+            ValueError: it is no number.
+        """
+        try:
+            value = float(cell if self.decimal != "," else _pointed(cell))
+        except ValueError:
+            value = _from_words(self.plain(cell))
+        return value if isfinite(value) else float("nan")
+
+
+class Thousands:
+    """Detector of columns with ambiguous thousands separators: `1.050` beside `985`.
+
+    A table that writes decimals writes more or fewer of them somewhere, or none below 1000 only.
+
+    Args:
+        columns: indices of those that are read.
+    """
+
+    def __init__(self, columns: Iterable[int]) -> None:
+        self._undecided = set(columns)
+        self._groups: dict[int, str] = {}
+        self._wholes: set[int] = set()
+
+    def look(self, cells: Sequence[str]) -> None:
+        """Examine one more row."""
+        for at in tuple(self._undecided):
+            text = cells[at].strip()
+            if _ONE_GROUP.fullmatch(text):
+                self._groups.setdefault(at, text)
+            elif (digits := text.lstrip("+-")).isdecimal() and len(digits) < 4:
+                if digits.strip("0"):
+                    self._wholes.add(at)
+            elif any(map(str.isdecimal, text)):
+                self._undecided.discard(at)
+
+    def doubt(self, names: Sequence[str]) -> str:
+        """Describe an ambiguous column; "" where there is none."""
+        at = min(self._undecided & self._groups.keys() & self._wholes, default=None)
+        if at is None:
+            return ""
+        one, two = re.split("[.,]", self._groups[at])
+        return (
+            f"column {names[at][:60]!r}: {self._groups[at]!r} beside whole numbers may be "
+            f"{one}.{two} or {one}{two}"
+        )
+
+
+def _pointed(cell: str) -> str:
+    """Return a number with a decimal comma as one with a point; "" where it has a point too."""
+    return cell.replace(",", ".") if "." not in cell else ""
+
+
+def _from_words(text: str) -> float:
+    if text.lower() in _NUMBERLESS:
+        return float("nan")
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError("is no number") from None
+
+
+def decimal_of(cells: Iterable[str]) -> str:
+    """Detect the decimal mark of numbers; "" where they show none, or disagree."""
+    marks = {mark for cell in cells if (mark := _mark(cell.strip()))}
+    return marks.pop() if len(marks) == 1 else ""
+
+
+def _mark(text: str) -> str:
+    at = max(text.rfind(","), text.rfind("."))
+    if at < 0 or not _MARKED_NUMBER.fullmatch(text) or _ONE_GROUP.fullmatch(text):
+        return ""
+    mark = text[at]
+    return mark if text.count(mark) == 1 else ".,".replace(mark, "")
+
+
+# ---- Parse times: numbers of any unit, dates, and times of day.
+
+# A number and its unit: "0.008 sec".
+_WITH_UNIT = re.compile(rf"(\S+)\s+({'|'.join(POWERS)})", re.ASCII | re.IGNORECASE)
+
+# A date: the year first, or last as people write it.
+_DAY = r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4})"
+
+# A time of the day, to the nanosecond.
+_HOURS = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d{1,9}))?)?(?:\s?([AaPp])[Mm])?"
+
+# A date and perhaps the time of that day, with or without a zone: ISO 8601 and its kin.
+_DATE = re.compile(rf"{_DAY}(?:[T ]\s?{_HOURS})?\s?(Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII)
+
+# A time of day alone, or minutes and seconds as spreadsheets show them without hours: 30:25.1.
+_OF_DAY = re.compile(rf"{_HOURS}|(\d{{1,4}}):(\d\d)[.,](\d{{1,9}})", re.ASCII)
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)  # what stamps count from
+_MAX_DIGITS = 60  # of a time's text; a longer one costs too much to read
+_MAX_NS = 2**62  # half of what int64 holds, so that differences fit as well: to the year 2116
+_S_NS = 10**9
+_HOUR_NS, _DAY_NS = 3600 * _S_NS, 86_400 * _S_NS
+
+_NAMES = {_S_NS: "s", 10**6: "ms", 10**3: "us", 1: "ns"}  # units of times [ns]
+_SINCE_1970_S = (1e9, 4e9)  # 2001 to 2096
+_SHEET_DAYS = (20_000, 80_000)  # days of a spreadsheet, which count from 1900: 1954 to 2119
+_MAX_STEP_S = 2.0  # from row to row, for times since 1970 or days of a spreadsheet
+# Counts of frames or seconds begin below it; larger whole numbers that rise by 1 are ms.
+_COUNTS_TO = 1000.0
+
+# Least step of times in each unit [ns]: what moves is sampled at 2.5 Hz to 2 kHz.
+_STEPS = ((5e8, _S_NS), (4e5, 1), (400.0, 10**3), (2.0, 10**6))
+
+# Steps of times in s lie between these: larger ones may be another unit's, smaller ones no log has.
+_SLOW_STEP, _FAST_STEP = 0.5, 2e-5
+_KHZ_STEP = 0.8  # fractions with a larger step are ms of a fast sensor, not s of a slow one
+_FEW_RISES = 8  # from row to row: too few to tell a unit
+_UNIT_LOOK_ROWS = 100  # whose steps and size tell the unit of times that name none
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Time columns of a table's rows.
+
+    Attributes:
+        name: of its column, or of the first of two.
+        indices: of the columns: one, one of seconds and one of nanoseconds, or a date and a time.
+        power: the unit as a power of ten of a second; None to go by the numbers.
+        scope: the words before it in its name: what it is the time of.
+        counts_frames: whether it numbers frames, read as so many seconds.
+        has_date: whether the first of two columns is a date, which a time of day lacks.
+    """
+
+    name: str
+    indices: tuple[int, ...]
+    power: int | None
+    scope: tuple[str, ...] = ()
+    counts_frames: bool = False
+    has_date: bool = False
+
+    def read(self, texts: Sequence[str], unit_ns: int) -> int:
+        """Parse the time of a row [ns].
+
+        Args:
+            texts: cells of its columns.
+            unit_ns: the unit of a plain number, where there is one column.
+
+        Raises:
+            ValueError: it is no time.
+        """
+        if len(texts) == 2 and not self.has_date:
+            return exact_ns(texts[0], 0) + exact_ns(texts[1], -9)
+        text = texts[-1]
+        if ":" not in text:
+            try:
+                return _units_ns(text, unit_ns)
+            except ValueError:
+                return _own_ns(text)
+        if self.has_date and is_of_day(text):
+            return _own_ns(texts[0]) + _own_ns(text)
+        return _own_ns(text)
+
+
+@dataclass(frozen=True)
+class TimeUnit:
+    """Unit of a time column.
+
+    Attributes:
+        ns: its length [ns].
+        doubt: how it was inferred where no name and no date states it, in words; "" where these do.
+    """
+
+    ns: int
+    doubt: str = ""
+
+
+class DayTurns:
+    """Unwrapping of times of day, in row order, across midnight.
+
+    Args:
+        text: the first of them; one without hours wraps every hour.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._turn_ns = _HOUR_NS if text.count(":") == 1 else _DAY_NS
+        self._last_ns = 0
+        self._turns_ns = 0
+
+    def __call__(self, time_ns: int) -> int:
+        """Return the time since the first midnight [ns], from that since its own."""
+        if self._turn_ns // 2 < self._last_ns - time_ns < self._turn_ns:
+            self._turns_ns += self._turn_ns
+        self._last_ns = time_ns
+        return time_ns + self._turns_ns
+
+
+def exact_ns(text: str, power: int) -> int:
+    """Convert a decimal number of 10**power seconds to the nearest nanosecond.
+
+    Raises:
+        ValueError: it is no number, or out of range.
+    """
+    return _units_ns(text, 10 ** (9 + power))
+
+
+def _units_ns(text: str, unit_ns: int) -> int:
+    if len(text) > _MAX_DIGITS:
+        raise ValueError("a time of too many digits")
+    try:
+        number = Decimal(text)
+        if not number.is_finite() or number.adjusted() > 20:
+            raise ValueError(f"{text} is no time")
+        nanoseconds = int((number * unit_ns).to_integral_value())
+    except ArithmeticError as error:
+        raise ValueError(f"{text} is no number") from error
+    if abs(nanoseconds) > _MAX_NS:
+        raise ValueError(f"{text} is no time")
+    return nanoseconds
+
+
+def unit_of_times(
+    name: str, texts: Iterable[object], power: int | None, *, is_sampled: bool = True
+) -> TimeUnit:
+    """Determine the unit of a time column by its name, else by the size and steps of its numbers.
+
+    Stamps since 1970 show it by their size, others by their step: moving objects are sampled some 2
+    to 2000 times a second, and a unit is a thousand times the next. A gap is a step among many.
+
+    Args:
+        name: of the column.
+        texts: its first rows, in their order.
+        power: the unit in its name, as a power of ten of a second; None where there is none.
+        is_sampled: whether rows follow at a rate; impacts do not, and their steps show nothing.
+
+    Raises:
+        ValueError: no unit of a log has such steps.
+    """
+    if power is not None:
+        return TimeUnit(10 ** (9 + power))
+    numbers: list[float] = []
+    for text in islice(texts, _UNIT_LOOK_ROWS):
+        with suppress(TypeError, ValueError):
+            numbers.append(float(text))  # type: ignore[arg-type]
+    numbers = [number for number in numbers if isfinite(number)]
+    rises = [b - a for a, b in pairwise(numbers) if b > a]
+    size, step = median(map(abs, numbers)) if numbers else 0.0, _usual(rises)
+    for unit_ns in _NAMES:
+        second = 1e9 / unit_ns
+        is_recent = _SINCE_1970_S[0] <= size / second < _SINCE_1970_S[1]
+        if is_recent and (step <= _SLOW_STEP * second or not is_sampled):
+            return TimeUnit(unit_ns)
+        if is_recent and step <= _MAX_STEP_S * second:  # or since the start of a computer
+            return _guessed(name, unit_ns, step)
+    if _SHEET_DAYS[0] <= size < _SHEET_DAYS[1] and 0 < step * 86_400 <= _MAX_STEP_S:
+        doubt = f"{name!r} names no unit and was taken as the days of a spreadsheet since 1900"
+        return TimeUnit(_DAY_NS, doubt)
+    if is_sampled and 0 < step < _FAST_STEP:
+        raise ValueError(
+            f"column {name[:60]!r} rises by {step:.2g} from row to row, which is too fast to be s; "
+            "write it in s, or name its unit: t_s, t_ms, t_us or t_ns"
+        )
+    if not is_sampled or step < _SLOW_STEP:
+        return TimeUnit(_S_NS)
+    is_count = step < _STEPS[-1][0] and (
+        numbers[0] < _COUNTS_TO if _are_whole(numbers) else step < _KHZ_STEP
+    )
+    is_count |= len(rises) < _FEW_RISES
+    found = next((unit for least, unit in _STEPS if step >= least), 10**6)
+    unit_ns = _S_NS if is_count else found
+    return _guessed(name, unit_ns, step)
+
+
+def _guessed(name: str, unit_ns: int, step: float) -> TimeUnit:
+    others = " or ".join(f"t_{other}" for ns, other in _NAMES.items() if ns != unit_ns)
+    return TimeUnit(
+        unit_ns,
+        f"{name!r} names no unit and was taken as {_NAMES[unit_ns]}: it rises by {step:g} from row "
+        f"to row; if it is not, name it {others}",
+    )
+
+
+def _are_whole(numbers: Sequence[float]) -> bool:
+    return all(number.is_integer() for number in numbers)
+
+
+def _usual(rises: Sequence[float]) -> float:
+    """Return the mean increment without the largest tenth, which are gaps; 0 without any."""
+    usual = sorted(rises)[: max(1, len(rises) - len(rises) // 10)]
+    return sum(usual) / len(usual) if usual else 0.0
+
+
+def is_of_day(text: str) -> bool:
+    """Return whether a text is a time of day without a date."""
+    return bool(_OF_DAY.fullmatch(text.strip()))
+
+
+def says_its_unit(text: str) -> bool:
+    """Return whether a text is a date or a time of day, or a number with a unit."""
+    return bool(_DATE.fullmatch(text) or _WITH_UNIT.fullmatch(text) or is_of_day(text))
+
+
+def lacks_zone(text: str) -> bool:
+    """Return whether a text is a date and time without a time zone."""
+    found = _DATE.fullmatch(text)
+    return found is not None and found[2] is not None and not found[7]
+
+
+def _own_ns(text: str) -> int:
+    """Parse a time with its unit: "0.008 sec", a date without a zone in UTC, "9:30:00".
+
+    Raises:
+        ValueError: it has none, or there is no such time.
+    """
+    text = text.strip()
+    if own := _WITH_UNIT.fullmatch(text):
+        return exact_ns(own[1], POWERS[own[2].lower()])
+    if of_day := _OF_DAY.fullmatch(text):
+        *whole, minutes, seconds, part = of_day.groups()
+        if minutes is None:
+            return _of_day_ns(*whole)
+        return int(minutes) * 60 * _S_NS + _of_day_ns("0", "0", seconds, part, None)
+    found = _DATE.fullmatch(text)
+    if found is None:
+        raise ValueError(f"{text} is no time")
+    day, *of_day, zone = found.groups()
+    since = datetime.fromisoformat(f"{_iso_day(day)}T00:00:00{zone or 'Z'}") - _EPOCH
+    nanoseconds = (since.days * 86400 + since.seconds) * _S_NS
+    nanoseconds += _of_day_ns(*of_day) if of_day[0] else 0
+    if abs(nanoseconds) > _MAX_NS:
+        raise ValueError(f"{text} is no time")
+    return nanoseconds
+
+
+def _of_day_ns(
+    hours: str, minutes: str, seconds: str | None, part: str | None, half: str | None
+) -> int:
+    """Return a time since midnight [ns]; raise ValueError where there is no such time."""
+    hour, minute, second = int(hours), int(minutes), int(seconds or 0)
+    if half:
+        if not 1 <= hour <= 12:
+            raise ValueError(f"there is no {hour} o'clock")
+        hour = hour % 12 + (12 if half in "pP" else 0)
+    if hour > 23 or minute > 59 or second > 59:
+        raise ValueError("there is no such time of the day")
+    return (hour * 3600 + minute * 60 + second) * _S_NS + int((part or "").ljust(9, "0"))
+
+
+def _iso_day(day: str) -> str:
+    """Return a date with the year first; in 1/2/2026 the month is first, unless impossible."""
+    one, two, three = (int(part) for part in re.split("[-/.]", day))
+    if len(day) > 4 and day[:4].isdecimal():
+        return f"{one:04}-{two:02}-{three:02}"
+    if "/" in day and two <= 31 and one <= 12:
+        one, two = two, one
+    return f"{three:04}-{two:02}-{one:02}"

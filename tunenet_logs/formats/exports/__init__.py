@@ -1,1 +1,0 @@
-"""Exports of programs and laboratory instruments: one file per layout."""

@@ -1,1 +1,0 @@
-"""Motion capture exports: rigid bodies and markers in three dimensions."""

@@ -1,1 +1,0 @@
-"""Image sequences in folders and archives, and animated images."""

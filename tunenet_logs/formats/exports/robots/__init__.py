@@ -1,1 +1,0 @@
-"""Tables recorded by robot controllers."""

@@ -1,1 +1,0 @@
-"""Spreadsheets, and exports of sensors and phones."""

@@ -1,1 +1,0 @@
-"""Exports of programs that track objects in videos."""

@@ -1,0 +1,1 @@
+"""Exports of programs and laboratory instruments: one file per kind."""

@@ -1,0 +1,372 @@
+"""Read Parquet tables: named columns, and episodes of LeRobot data sets.
+
+A resource-limited process reads the file; see `parquet_child`. Here its columns are chosen by their
+names and arrive as arrays.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from itertools import islice
+from pathlib import Path
+from threading import Timer
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import UNSTATED, Episode
+from tunenet_logs.errors import LogError
+from tunenet_logs.files import open_regular, real_path
+from tunenet_logs.formats.columns.arrays import (
+    ColumnPlan,
+    PlannedSignal,
+    columns_episode,
+    plan_columns,
+    spread_names,
+)
+from tunenet_logs.formats.columns.cells import Clock
+from tunenet_logs.formats.columns.names import TimeColumn, meaning_of
+from tunenet_logs.formats.kinds import Start
+from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.process import end_child
+
+_CHILD = Path(__file__).with_name("parquet_child.py")
+
+_MAX_LINE = 4 * 1024**2  # bytes that describe a file, or some rows
+_MAX_BYTES = 512 * 1024**2  # of one column; texts have 240 bytes each
+_MAX_S = 60.0  # the process may wait for its disk, beside its CPU time
+
+
+@dataclass(frozen=True)
+class ParquetColumn:
+    """One column, which may be nested in a struct.
+
+    Attributes:
+        name: nested names joined by dots.
+        kind: "n" of numbers, "t" of times, "s" of texts, "" of what is not read.
+        width: values in each row's list; 0 of a column of single values.
+    """
+
+    name: str
+    kind: str
+    width: int
+
+
+Choose = Callable[[Sequence[ParquetColumn]], Sequence[str]]  # which columns to read
+
+
+def parquet_columns(path: Path, choose: Choose) -> dict[str, NDArray[Any]]:
+    """Read the columns that `choose` selects, by name: shape (T,), or (T, width) for lists.
+
+    Raises:
+        LogError: `pyarrow` is not installed, or the file is damaged or too large; or `choose`
+            says so.
+    """
+    with _child(path) as (wishes, answers):
+        return _served(path, wishes, answers, choose)
+
+
+def parquet_rows(path: Path, most_cells: int) -> Iterator[list[dict[str, Any]]]:
+    """Yield rows, in batches, of a table whose columns are texts and numbers.
+
+    Raises:
+        LogError: `pyarrow` is not installed, or the file is damaged, too large or another table.
+    """
+    with _child(path, str(most_cells)) as (_, answers):
+        while said := _answer(path, answers).get("rows"):
+            yield [
+                dict(zip(said, cells, strict=True)) for cells in zip(*said.values(), strict=True)
+            ]
+
+
+@contextmanager
+def _child(path: Path, *words: str) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
+    """Open the pipes to the process that reads a file; raise LogError without `pyarrow`."""
+    if find_spec("pyarrow") is None:
+        raise LogError(f"{path}: Parquet needs pyarrow: pip install 'tunenet-logs[tables]'")
+    child = subprocess.Popen(  # noqa: S603 (our own script, without a shell)
+        [sys.executable, "-P", str(_CHILD), str(path.absolute()), *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    timer = Timer(_MAX_S, child.kill)
+    timer.start()
+    try:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        yield child.stdin, child.stdout
+    finally:
+        timer.cancel()
+        end_child(child)
+
+
+def _served(
+    path: Path, wishes: IO[bytes], answers: IO[bytes], choose: Choose
+) -> dict[str, NDArray[Any]]:
+    said = _answer(path, answers)
+    columns = [
+        ParquetColumn(name, one["kind"], one["width"]) for name, one in said["columns"].items()
+    ]
+    wanted = list(dict.fromkeys(choose(columns)))
+    with suppress(BrokenPipeError):  # its answer says why
+        wishes.write(json.dumps(wanted).encode() + b"\n")
+        wishes.flush()
+    found: dict[str, NDArray[Any]] = {}
+    for name in wanted:
+        head = _answer(path, answers)
+        dtype, shape = np.dtype(head["dtype"]), tuple(head["shape"])
+        size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+        if size > _MAX_BYTES:
+            raise LogError(f"{path}: Parquet column {name[:60]!r} has {size} bytes; split the file")
+        data = answers.read(size)
+        if len(data) < size:
+            raise _ended(path)
+        found[name] = np.frombuffer(data, dtype).reshape(shape)
+    return found
+
+
+def _answer(path: Path, answers: IO[bytes]) -> dict[str, Any]:
+    line = answers.readline(_MAX_LINE)
+    if not line.endswith(b"\n"):
+        raise _ended(path)
+    said = json.loads(line)
+    if "error" in said:
+        raise LogError(f"{path}: Parquet file that is not read: {said['error']}", "write it again")
+    return said
+
+
+def _ended(path: Path) -> LogError:
+    """Return the error of a child process that the system ended."""
+    return LogError(
+        f"{path}: Parquet file that is not read: it is damaged, or takes more memory or time than "
+        "any log; write it again, in smaller files"
+    )
+
+
+# ---- LeRobot data sets (versions 2, 3): joint states, usually without torques.
+
+_MAX_INFO_BYTES = 1024**2  # of meta/info.json
+_MAX_SPEED_HZ = 10_000.0  # frame rate of any data set
+_MAX_LISTED = 1000  # chunks of a data set, and files of a chunk, that are looked at
+_SLACK_S = 0.002  # of a time from its frame's: times have single precision
+_COLUMNS = ("timestamp", "frame_index", "episode_index")  # of every data set, beside its features
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Metadata of a LeRobot data set.
+
+    Attributes:
+        robot: its type, or "".
+        rate_hz: frame rate; None where it is unstated.
+        labels: names of each feature's values.
+        warning: why the metadata is missing; "" where it is not.
+    """
+
+    robot: str = ""
+    rate_hz: float | None = None
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    warning: str = ""
+
+
+def is_lerobot(columns: Sequence[ParquetColumn]) -> bool:
+    """Return whether columns of a Parquet file are those of a LeRobot episode."""
+    names = {column.name for column in columns}
+    return names.issuperset(_COLUMNS) and bool(_features(columns))
+
+
+def lerobot_columns(columns: Sequence[ParquetColumn]) -> list[str]:
+    """Return the columns of an episode to read."""
+    states = [one.name for one in _features(columns) if one.name.startswith("observation.")]
+    return [*_COLUMNS, *states]
+
+
+def _features(columns: Sequence[ParquetColumn]) -> list[ParquetColumn]:
+    return [
+        one
+        for one in columns
+        if one.kind == "n"
+        and one.width
+        and (one.name.startswith("observation.") or one.name == "action")
+    ]
+
+
+def is_data_set(folder: Path) -> bool:
+    """Return whether a folder is a data set with its own description."""
+    return (folder / "meta" / "info.json").is_file() and (folder / "data").is_dir()
+
+
+def a_file_of(folder: Path) -> str:
+    """Name one of a data set's episode files, for messages."""
+    chunks = islice((folder / "data").glob("chunk-*"), _MAX_LISTED)
+    files = (file for chunk in chunks for file in islice(chunk.glob("*.parquet"), _MAX_LISTED))
+    first = min(files, default=None)
+    return "one of its files data/chunk-*/*.parquet" if first is None else str(first)
+
+
+def data_set_of(path: Path) -> DataSet:
+    """Read meta/info.json of the data set that a file lies in.
+
+    Nothing outside of the data set's folder is opened.
+    """
+    parents = path.absolute().parents
+    if len(parents) < 3:
+        return DataSet(warning="no meta/info.json beside it: joints go by their numbers")
+    root = real_path(parents[2])
+    info = root / "meta" / "info.json"
+    try:
+        if not real_path(info).is_relative_to(root) or not info.is_file():
+            return DataSet(warning="no meta/info.json beside it: joints go by their numbers")
+        with open_regular(info) as file:
+            said = json.loads(file.read(_MAX_INFO_BYTES))
+        features = dict(said["features"])
+        labels = {str(name): _labels(one) for name, one in features.items()}
+        rate = float(said["fps"])
+    except (OSError, ValueError, TypeError, KeyError, RecursionError, OverflowError):
+        return DataSet(warning="meta/info.json is damaged: joints go by their numbers")
+    known = 0 < rate < _MAX_SPEED_HZ
+    return DataSet(str(said.get("robot_type", ""))[:60], rate if known else None, labels)
+
+
+def _labels(feature: Any) -> tuple[str, ...]:
+    """Return the names of a feature's values, in a list or under a key."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    while isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
+        names = names[0]
+    return tuple(str(name)[:80] for name in names) if isinstance(names, list) else ()
+
+
+def lerobot_episode(
+    path: Path,
+    columns: Sequence[ParquetColumn],
+    arrays: Mapping[str, NDArray[Any]],
+    options: ReadOptions,
+) -> Episode:
+    """Read the states of each episode in the file, in the data set's own units.
+
+    Raises:
+        LogError: no row has a time and a state.
+    """
+    known = data_set_of(path)
+    flat: list[NDArray[Any]] = [_seconds(arrays, known.rate_hz), arrays["episode_index"]]
+    names = ["timestamp", "episode_index"]
+    signals: list[PlannedSignal] = []
+    unused: dict[str, str] = {}
+    for feature in _features(columns):
+        if feature.name == "action":
+            unused["action"] = (
+                "commanded, not measured; a LeRobot data set holds no torques as a rule"
+            )
+            continue
+        labels = known.labels.get(feature.name, ())
+        if len(labels) != feature.width or len(set(labels)) < len(labels):
+            labels = tuple(f"joint{number + 1}" for number in range(feature.width))
+        used = tuple((len(flat) + at, at, 1.0) for at in range(feature.width))
+        signals.append(PlannedSignal(feature.name, labels, UNSTATED, used))
+        names += [f"{feature.name}[{at}]" for at in range(feature.width)]
+        flat += list(arrays[feature.name].T)
+    unused |= {
+        one.name: "no state of the robot"
+        for one in columns
+        if one.name not in _COLUMNS and one not in _features(columns)
+    }
+    plan = ColumnPlan(
+        tuple(names),
+        tuple(signals),
+        Clock("timestamp", (0,), 0),
+        runs=((1, "episode"),),
+        unused=unused,
+    )
+    notes = [known.warning] if known.warning else []
+    notes.append("the data set names no units of its states, which may be degrees or per cent")
+    what = f"LeRobot data set{f' of {known.robot}' if known.robot else ''}"
+    return columns_episode(path, what, plan, dict(enumerate(flat)), options, warnings=notes)
+
+
+def _seconds(arrays: Mapping[str, NDArray[Any]], rate_hz: float | None) -> NDArray[np.float64]:
+    """Return times [s]: exact, from frame numbers, where the stated rate fits the timestamps."""
+    times = arrays["timestamp"].astype(np.float64)
+    if rate_hz is None:
+        return times
+    even = arrays["frame_index"].astype(np.float64) / rate_hz
+    return even if np.all(np.abs(even - times) <= _SLACK_S) else times
+
+
+# ---- Tables of any columns, and the choice between these two.
+
+_MAGIC = b"PAR1"
+
+
+def is_parquet(start: Start) -> bool:
+    """Return whether a file is Parquet."""
+    return start.data.startswith(_MAGIC)
+
+
+def read_parquet(path: Path, options: ReadOptions) -> Episode:
+    """Read a table by its column names, or the episodes of a LeRobot data set.
+
+    Raises:
+        LogError: it is damaged, too large, or its names do not say what it holds; or `pyarrow` is
+            not installed.
+    """
+    reading = _ParquetChoice(path, options)
+    arrays = parquet_columns(path, reading.choose)
+    if reading.plan is None:
+        return lerobot_episode(path, reading.columns, arrays, options)
+    needed = {
+        at: arrays[name] if place is None else arrays[name][:, place]
+        for at in reading.plan.needed
+        for name, place in [reading.sources[at]]
+    }
+    return columns_episode(path, "Parquet table", reading.plan, needed, options)
+
+
+class _ParquetChoice:
+    """Selection of a file's columns.
+
+    Attributes:
+        columns: all of the file's.
+        sources: file column and list index behind each of the plan's columns.
+        plan: their meaning; None for a LeRobot data set.
+    """
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        self._path = path
+        self._options = options
+        self.columns: Sequence[ParquetColumn] = ()
+        self.sources: list[tuple[str, int | None]] = []
+        self.plan: ColumnPlan | None = None
+
+    def choose(self, columns: Sequence[ParquetColumn]) -> list[str]:
+        """Select the columns to read; raise LogError if none is of use."""
+        self.columns = columns
+        if is_lerobot(columns) and not self._options.columns:
+            return lerobot_columns(columns)
+        names: list[str] = []
+        meant: list[str] = []
+        clocks = [one.name for one in columns if one.kind == "t"]
+        is_named = any(isinstance(meaning_of(one.name), TimeColumn) for one in columns)
+        for one in columns:
+            if not one.kind:
+                continue
+            if one.width:
+                own, said = spread_names(one.name, one.width)
+                names += own
+                meant += said
+                self.sources += [(one.name, place) for place in range(one.width)]
+                continue
+            names.append(one.name)
+            meant.append("time" if clocks == [one.name] and not is_named else one.name)
+            self.sources.append((one.name, None))
+        self.plan = plan_columns(self._path, names, self._options, meant)
+        return [self.sources[at][0] for at in self.plan.needed]

@@ -1,0 +1,509 @@
+"""Read ROS 1 bags (v2.0) as a record stream, bounded and checked, past damage.
+
+By the stream and not by the index at the end: a killed `rosbag record` leaves none (`.bag.active`).
+Heads and fields of records come first, with the search for heads behind damage; then the one pass
+over a file. After http://wiki.ros.org/Bags/Format/2.0.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from tunenet_logs.errors import LogError
+from tunenet_logs.files import open_regular
+from tunenet_logs.formats.base import (
+    CHUNK_RECORDS,
+    DAMAGE_RECORDS,
+    DAMAGED,
+    PART_RECORDS,
+    Budget,
+    Loss,
+    OverBudgetError,
+    RawChannel,
+    RawMessage,
+    Record,
+    described,
+)
+from tunenet_logs.formats.compressed import MAX_PART_BYTES, unpack, unpack_start
+from tunenet_logs.terminal import silent, teller
+
+# The kinds of records, by the byte that a head's field `op` holds.
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
+
+IN_CHUNKS = frozenset((MESSAGE, CONNECTION))  # the kinds of records that a chunk may hold
+# A head names a topic at most; what a message is like lies in a record's data.
+MAX_HEAD_BYTES = 64 * 1024
+
+# A length [bytes], little-endian, as it stands before every head, field and data.
+U32 = struct.Struct("<I")
+
+_FORMATS = {1: "<B", 4: "<I", 8: "<Q"}  # of an unsigned field, by its size [bytes]
+# The fields that a head of each kind must have, to be taken for one behind damage.
+_NEEDED = {
+    MESSAGE: (b"conn", b"time"),
+    INDEX: (b"conn", b"count"),
+    CHUNK: (b"compression", b"size"),
+    CHUNK_INFO: (b"chunk_pos", b"count"),
+    CONNECTION: (b"conn", b"topic"),
+}
+
+_TYPICAL_HEAD_BYTES = 256  # read at first; only a head with a long topic needs a second reading
+_FIRST_BLOCK_BYTES = 16 * 1024  # searched at first behind damage; a head is near, mostly
+_BLOCK_BYTES = 1024 * 1024  # searched at a time later, after blocks that double
+# A head's field `op` as it is stored: its length (three letters and the value), and its name.
+_MARK = b"\x04\x00\x00\x00op="
+
+# How far before its field `op` a head may begin; others write little before it.
+_LEADS = range(4, 64)
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """A record's head.
+
+    Attributes:
+        data_at: first byte of its data, in the buffer that it was read from.
+        data_bytes: claimed length of its data, unchecked.
+    """
+
+    op: int
+    fields: Mapping[bytes, bytes]
+    data_at: int
+    data_bytes: int
+
+    @property
+    def end(self) -> int:
+        """First byte of the next record."""
+        return self.data_at + self.data_bytes
+
+    def number(self, name: bytes, size: int = 4) -> int:
+        """Return an unsigned field of `size` bytes.
+
+        Raises:
+            ValueError, KeyError, struct.error: it is missing, or of another size.
+        """
+        return struct.unpack(_FORMATS[size], self.fields[name])[0]
+
+    def time_ns(self) -> int:
+        """Return a message's time of receipt [ns].
+
+        Raises:
+            KeyError, struct.error: the field is missing or of another size.
+        """
+        seconds, nanoseconds = struct.unpack("<II", self.fields[b"time"])
+        return seconds * 1_000_000_000 + nanoseconds
+
+
+def head_at(buffer: bytes | memoryview, at: int = 0) -> Head:
+    """Parse the head of the record at a place in a buffer.
+
+    Raises:
+        ValueError, LookupError, struct.error: there is no valid head.
+    """
+    (length,) = U32.unpack_from(buffer, at)
+    if length > MAX_HEAD_BYTES:
+        raise ValueError(f"a head claims {length} bytes")
+    start = at + U32.size
+    (data_bytes,) = U32.unpack_from(buffer, start + length)
+    fields = fields_of(bytes(buffer[start : start + length]))
+    (op,) = fields[b"op"]
+    return Head(op, fields, start + length + U32.size, data_bytes)
+
+
+def fields_of(data: bytes) -> dict[bytes, bytes]:
+    """Parse the name=value fields of a head, or of a connection's data.
+
+    Raises:
+        ValueError, struct.error: a field is malformed.
+    """
+    fields: dict[bytes, bytes] = {}
+    at = 0
+    while at < len(data):
+        (length,) = U32.unpack_from(data, at)
+        at += U32.size
+        name, sign, value = data[at : at + length].partition(b"=")
+        if not sign or length > len(data) - at:
+            raise ValueError(f"a field claims {length} bytes")
+        fields[name] = value
+        at += length
+    return fields
+
+
+class RecordFile:
+    """A file of records, any part of which may be damaged."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._search = RecordSearch()
+        self.size = os.fstat(file.fileno()).st_size
+
+    def block(self, at: int, length: int) -> bytes:
+        """Read bytes at a place, fewer at the file's end."""
+        self._file.seek(at)
+        return self._file.read(length)
+
+    def head(self, at: int) -> Head:
+        """Parse the head of the record at a place in the file.
+
+        Raises:
+            ValueError, LookupError, struct.error: there is no valid head.
+        """
+        block = self.block(at, _TYPICAL_HEAD_BYTES)
+        (length,) = U32.unpack_from(block)
+        if length + 2 * U32.size > len(block):
+            block = self.block(at, min(length, MAX_HEAD_BYTES) + 2 * U32.size)
+        head = head_at(block)
+        return Head(head.op, head.fields, at + head.data_at, head.data_bytes)
+
+    def data(self, head: Head) -> bytes:
+        """Read a record's data.
+
+        Raises:
+            ValueError: it is too large, or behind the file's end.
+        """
+        if head.data_bytes > MAX_PART_BYTES or head.end > self.size:
+            raise ValueError(f"a record claims {head.data_bytes} bytes")
+        return self.block(head.data_at, head.data_bytes)
+
+    def is_border(self, at: int) -> bool:
+        """Return whether a record begins there, or the file ends."""
+        try:
+            self.head(at)
+        except (ValueError, LookupError, struct.error):
+            return at == self.size
+        return True
+
+    def find(self, start: int) -> int:
+        """Find the next record from `start` on; the file's end if there is none."""
+        length = _FIRST_BLOCK_BYTES
+        while start < self.size:
+            block = self.block(start, length + RecordSearch.overlap)
+            found = self._search.find(block, 0)
+            while found is not None:
+                if self._is_whole(start + found):
+                    return start + found
+                found = self._search.find(block, found + 1)
+            start += length
+            length = min(2 * length, _BLOCK_BYTES)
+        return self.size
+
+    def _is_whole(self, at: int) -> bool:
+        """Return whether a head is a record's, not a fragment of one in an LZ4 chunk."""
+        head = self.head(at)
+        return head.op not in IN_CHUNKS or self.is_border(head.end)
+
+    def find_in(self, plain: bytes, start: int) -> int:
+        """Find the next record in a decompressed part of the file."""
+        found = self._search.find(plain, start)
+        return len(plain) if found is None else found
+
+
+class RecordSearch:
+    """Search for the next record behind a damaged one.
+
+    Args:
+        tries: places to examine in all; a file of nothing but marks must not take hours.
+    """
+
+    overlap = 4 * 1024
+    """How long a head may be to be found; what two blocks that are searched have in common."""
+
+    def __init__(self, tries: int = 20_000) -> None:
+        self._tries = tries
+
+    def find(self, buffer: bytes, start: int) -> int | None:
+        """Find the first record from `start` on, as far as its head is intact."""
+        mark = buffer.find(_MARK, start)
+        while mark >= 0 and self._tries > 0:
+            self._tries -= 1
+            for lead in _LEADS:
+                if mark - lead >= start and _is_head(buffer, mark - lead, mark):
+                    return mark - lead
+            mark = buffer.find(_MARK, mark + 1)
+        return None
+
+
+def _is_head(buffer: bytes, at: int, mark: int) -> bool:
+    (length,) = U32.unpack_from(buffer, at)
+    if not mark + len(_MARK) < at + U32.size + length <= at + RecordSearch.overlap:
+        return False
+    try:
+        head = head_at(buffer, at)
+    except (ValueError, LookupError, struct.error):
+        return False
+    return all(name in head.fields for name in _NEEDED.get(head.op, (b"",)))
+
+
+# ---- Read a bag in one pass.
+
+MAGIC = b"#ROSBAG V"  # begins a bag, before its version
+_VERSION = b"2.0\n"  # the only version that is read; `rosbag filter` rewrites older ones
+# What a record inside a chunk counts as: its head is a list of names, and each has 46 bytes.
+_RECORD = 2
+
+_COUNTED = {INDEX: 12, CHUNK_INFO: 8}  # bytes of each entry that such a record counts
+
+
+def read_bag(
+    path: Path,
+    losses: list[Loss],
+    topics: Sequence[str] | None = None,
+    budget: Budget | None = None,
+) -> Iterator[Record]:
+    """Yield the records of a ROS 1 bag, closed or not; see `MessageFile`."""
+    with open_regular(path) as file:
+        version = file.read(len(MAGIC) + len(_VERSION))[len(MAGIC) :]
+        if version != _VERSION:
+            shown = version.split(b"\n")[0].decode("ascii", "replace")
+            raise LogError(
+                f"{path}: is a ROS bag of version {shown!r}, only 2.0 is read; "
+                "rewrite it with `rosbag filter OLD.bag NEW.bag True`"
+            )
+        yield from _BagReading(path, file, losses, topics, budget).records()
+
+
+class _BagReading:
+    """One pass over a file."""
+
+    def __init__(
+        self,
+        path: Path,
+        file: BinaryIO,
+        losses: list[Loss],
+        topics: Sequence[str] | None,
+        budget: Budget | None,
+    ) -> None:
+        self.path = path
+        self.file = RecordFile(file)
+        self.losses = losses
+        self.topics = topics
+        self.budget = budget or Budget(self.file.size)
+        self.channels: dict[int, RawChannel] = {}
+        self.index: dict[int, RawChannel] | None = None
+        self.index_at = 0
+        self.at = 0  # where the record begins that is read
+        self.has_index = False
+        self.chunks_stated = 0
+        self.infos = 0
+        self.stated = {INDEX: 0, CHUNK_INFO: 0}  # messages, as either counts them
+        self.messages = 0  # of all topics, as far as they were read
+        self.unknown = 0  # of them, those whose connection nothing describes
+
+    def records(self) -> Iterator[Record]:
+        try:
+            at = yield from self._until_the_end()
+        except OverBudgetError as error:
+            what = f"reading stopped, as {error}; what follows was left out"
+            self._lose(what, self.at, self.file.size - self.at)
+            return
+        self.has_index |= at == self.index_at
+        if not self.has_index or self.infos < self.chunks_stated:
+            self._lose("the index at the end is missing (a recording that did not end?)")
+        what = "a ROS 1 bag carries no checksum, so its integrity cannot be vouched for"
+        self.losses.append(Loss(what, harmless=True))
+        if self.unknown:
+            self._lose(f"{self.unknown} messages belong to connections that nothing describes")
+        stated = self.stated[CHUNK_INFO] or self.stated[INDEX]
+        missing = stated - self.messages - self.unknown
+        if missing > 0:
+            self._lose(f"{missing} of {stated} messages are missing")
+
+    def _until_the_end(self) -> Generator[Record, None, int]:
+        """Yield the records in file order and return their end; raise OverBudgetError."""
+        at = len(MAGIC) + len(_VERSION)
+        tell = teller("reading") if self.topics is None else silent
+        while at < self.file.size:
+            self.at = at
+            tell(self.budget.share(at))
+            self.has_index |= at == self.index_at
+            self.budget.spend_records()
+            try:
+                head = self.file.head(at)
+                if head.op == CHUNK:
+                    at = yield from self._chunk(head, at)
+                    continue
+                if head.end > self.file.size:
+                    raise ValueError(f"a record claims {head.data_bytes} bytes")
+            except DAMAGED as error:
+                at = self._past(at, described(error))
+                continue
+            yield from self._record(head, at)
+            at = head.end
+        return at
+
+    def _record(self, head: Head, at: int) -> Sequence[Record]:
+        try:
+            if head.op in IN_CHUNKS:
+                return self._parse(head, self.file.data(head))
+            self._note(head)
+        except DAMAGED as error:
+            what = f"a damaged record was left out: {described(error)}"
+            self._lose(what, at, head.end - at)
+        return ()
+
+    def _chunk(self, head: Head, at: int) -> Generator[Record, None, int]:
+        """Yield a chunk's records and return where to go on.
+
+        Raises:
+            DAMAGED: its head is malformed, or it is one chunk too many.
+        """
+        self.budget.spend_records(CHUNK_RECORDS)
+        stated = head.number(b"size")
+        compression = head.fields[b"compression"].decode("ascii", "replace")
+        if compression in ("", "none"):
+            # Its records follow as any others do, so that a wrong size of it loses none of them.
+            if stated != head.data_bytes:
+                what = f"a chunk claims {stated} bytes and {head.data_bytes}"
+                self.budget.spend_records(DAMAGE_RECORDS)
+                self.losses.append(Loss(what, at_byte=at, harmless=True))
+            return head.data_at
+        if head.end > self.file.size or not head.data_bytes:  # cut, or never closed
+            end = self.file.find(head.data_at)
+            data = self.file.block(head.data_at, min(end - head.data_at, MAX_PART_BYTES))
+            plain = unpack_start(data, compression, MAX_PART_BYTES)
+            self.budget.spend(len(plain))
+            self._lose("a chunk is cut; it was read as far as it goes", at, end - at)
+            yield from self._inside(plain)
+            return end
+        try:
+            if stated <= MAX_PART_BYTES:
+                self.budget.spend(stated)
+            plain = bytes(unpack(self.file.data(head), compression, stated))
+        except DAMAGED as error:
+            end = head.end if self.file.is_border(head.end) else self.file.find(head.data_at)
+            self._lose(f"a damaged chunk was left out: {described(error)}", at, end - at)
+            return end
+        lost = yield from self._inside(plain)
+        if lost:
+            self._lose(f"{lost} bytes of an unpacked chunk are damaged", at, head.end - at)
+        return head.end
+
+    def _inside(self, plain: bytes) -> Generator[Record, None, int]:
+        """Yield the records of a decompressed chunk and return its number of damaged bytes."""
+        at = lost = 0
+        while at < len(plain):
+            self.budget.spend_records(_RECORD)
+            try:
+                head = head_at(plain, at)
+                if head.end > len(plain) or head.op not in IN_CHUNKS:
+                    raise ValueError("no such record can be in a chunk")
+                found = self._parse(head, memoryview(plain)[head.data_at : head.end])
+            except DAMAGED:
+                behind = self.file.find_in(plain, at + 1)
+                lost += behind - at
+                at = behind
+                continue
+            yield from found
+            at = head.end
+        return lost
+
+    def _parse(self, head: Head, data: bytes | memoryview) -> Sequence[Record]:
+        number = head.number(b"conn")
+        if head.op == CONNECTION:
+            return self._connection(number, _described(head, bytes(data)))
+        log_ns = head.time_ns()
+        found: list[Record] = []
+        channel = self.channels.get(number)
+        if channel is None:
+            channel = self._index().get(number)
+            if channel is None:
+                self.unknown += 1
+                return ()
+            self.channels[number] = channel
+            found.append(channel)
+        self.messages += 1
+        if self.topics is None or channel.topic in self.topics:
+            found.append(RawMessage(channel, log_ns, data, log_ns))
+        return found
+
+    def _connection(self, number: int, channel: RawChannel) -> Sequence[Record]:
+        known = self.channels.setdefault(number, channel)
+        if known is channel:
+            self.budget.spend_channel()
+            self.budget.spend_definition(len(channel.schema))
+            return (channel,)
+        self.budget.spend_records(PART_RECORDS)
+        if (known.topic, known.type_name, known.schema) != (
+            channel.topic,
+            channel.type_name,
+            channel.schema,
+        ):
+            self._lose(f"connection {number} ({known.topic}) is described in two ways")
+        return ()
+
+    def _index(self) -> dict[int, RawChannel]:
+        """Return the connections of the index at the file's end; empty where it is missing."""
+        if self.index is None:
+            self.index = {}
+            at = self.index_at
+            try:
+                while 0 < at < self.file.size and (head := self.file.head(at)).op == CONNECTION:
+                    self.budget.spend_records(PART_RECORDS)
+                    channel = _described(head, self.file.data(head))
+                    self.index.setdefault(head.number(b"conn"), channel)
+                    at = head.end
+            except DAMAGED:
+                pass  # it is met again at its place, and reported there
+        return self.index
+
+    def _note(self, head: Head) -> None:
+        """Register a bag header or index record.
+
+        Raises:
+            LogError: the bag is encrypted.
+            DAMAGED: the record is malformed.
+        """
+        if head.op in _COUNTED:
+            count = head.number(b"count")
+            if count * _COUNTED[head.op] != head.data_bytes:
+                raise ValueError(f"it counts {count} entries")
+            if head.op == CHUNK_INFO:
+                pairs = memoryview(self.file.data(head)).cast("I")
+                count = sum(pairs[1::2])
+                self.infos += 1
+            self.stated[head.op] += count
+        elif head.op == BAG:
+            if head.fields.get(b"encryptor"):
+                raise LogError(f"{self.path}: is encrypted; decrypt it first with `rosbag decrypt`")
+            self.index_at = head.number(b"index_pos", 8)
+            self.chunks_stated = head.number(b"chunk_count")
+        else:
+            raise ValueError(f"there is no record of kind {head.op}")
+
+    def _past(self, at: int, why: str) -> int:
+        """Return where the next record begins behind damage, else the file's end."""
+        behind = self.file.find(at + 1)
+        if behind < self.file.size:
+            what = f"{why}; what follows was found again"
+        else:
+            what = "its last record is cut (a recording that did not end?)"
+        self._lose(what, at, behind - at)
+        return behind
+
+    def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
+        with suppress(OverBudgetError):  # what is lost is said in any case
+            self.budget.spend_records(DAMAGE_RECORDS)
+        self.losses.append(Loss(what, at_byte=at, size=size))
+
+
+def _described(head: Head, data: bytes) -> RawChannel:
+    fields = fields_of(data)
+    extra = {
+        name.decode("ascii", "replace"): value.decode("utf-8", "replace")
+        for name, value in fields.items()
+        if name not in (b"topic", b"type", b"message_definition")
+    }
+    return RawChannel(
+        topic=head.fields[b"topic"].decode(),
+        type_name=fields[b"type"].decode(),
+        encoding="ros1",
+        schema_encoding="ros1msg",
+        schema=fields[b"message_definition"],
+        metadata=extra,
+    )

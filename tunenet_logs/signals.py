@@ -1,0 +1,1124 @@
+"""Build the signals of an episode from decoded messages, one at a time.
+
+A class for each kind gathers the messages of one topic in flat arrays, as an hour of them must fit:
+joints, pictures and sound (their stamps), numbers, wrenches, planned trajectories, positions. Its
+`signals` then sorts them, and separates two publishers or objects on one topic (`two_sources`).
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tunenet_logs.episode import Array, OneFrame, Signal, added
+from tunenet_logs.formats.base import BeyondLimitError, UnusableError
+from tunenet_logs.formats.message_types import (
+    JointSample,
+    NumbersSample,
+    PictureSample,
+    PlanSample,
+    PositionSample,
+    SoundSample,
+    WrenchSample,
+)
+from tunenet_logs.terminal import listed, short_name
+from tunenet_logs.timing.stamps import (
+    distinct,
+    filmed_part,
+    order_samples,
+    places_ahead,
+    sorted_stamps,
+    trusts_header,
+)
+
+# ---- Two sources on one topic: separate series that take turns, by nearest neighbour
+# Nothing in a message says who sent it. But two series that take turns jump to and fro, and each of
+# them alone does not: each sample goes to the series whose last one is nearest.
+
+# Fewer samples show no two series; of more, so many are looked at first, since it takes long.
+_MIN_SAMPLES, _FIRST_SAMPLES = 40, 20_000
+
+_SEEDS = 16  # first samples; the two of them that are farthest apart begin the series
+_CALMER = 0.3  # of the way that the samples make in their order: two series make less
+# Of the distance to the other series: nearly every sample is so near to its own.
+_NEAR, _MOSTLY = 0.25, 0.98
+
+# Of the samples, in the smaller series at least; and of these, how often the other follows.
+_SHARE, _TURNS = 0.1, 0.1
+
+# Mean steps of a series: one of the two goes over more, and both are farther from each other.
+_MOVES = 10.0
+
+_LEVELS = 20.0  # smallest changes; nearer series are two values that one was rounded to
+
+
+def two_sources(values: Array) -> NDArray[np.bool_] | None:
+    """Separate two interleaved series by nearest neighbour.
+
+    Args:
+        values: in the order of their arrival, shape (T, C); NaN where one is missing.
+
+    Returns:
+        Which samples are of the second series, shape (T,): the one that never moves, else the one
+        that comes later; None where there is but one, or two that are not clearly apart.
+    """
+    first = values[:_FIRST_SAMPLES]
+    is_known = np.isfinite(first).all(axis=0)
+    first = first[:, is_known]
+    if len(first) < _MIN_SAMPLES or not first.shape[1] or not _jumps(first):
+        return None
+    found = _told_apart(first)
+    if found is None or len(values) <= _FIRST_SAMPLES:
+        return found
+    values = values[:, is_known]
+    return _told_apart(values) if np.isfinite(values).all() else None
+
+
+def two_sources_words(name: str, second: NDArray[np.bool_], other: str) -> str:
+    """Describe two interleaved series.
+
+    Args:
+        name: what both came by.
+        second: which samples are of the second, shape (T,).
+        other: what that goes by.
+    """
+    more = np.count_nonzero(second)
+    return (
+        f"two publishers on {name}, or two objects: its samples are of two series by turns "
+        f"({len(second) - more} and {more}); the second goes by {other} (--topic)"
+    )
+
+
+def take_turns(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> bool:
+    """Check whether two sorted series of times are interleaved, not one after the other."""
+    if not len(first_ns) or not len(second_ns):
+        return False
+    places = np.searchsorted(np.sort(first_ns), second_ns)
+    turns = len(np.unique(places[(places > 0) & (places < len(first_ns))]))
+    return bool(turns > _TURNS * min(len(first_ns), len(second_ns)))
+
+
+def disagree(
+    first: tuple[NDArray[np.int64], Array], second: tuple[NDArray[np.int64], Array]
+) -> bool:
+    """Check whether two series of one quantity are not of the same motion.
+
+    Args:
+        first: times, in order, shape (T,) [ns], and values, shape (T, C).
+        second: the same.
+    """
+    (first_ns, ours), (second_ns, theirs) = first, second
+    for column in range(ours.shape[1]):
+        one, other = ours[:, column], theirs[:, column]
+        known, told = np.isfinite(one), np.isfinite(other)
+        if np.count_nonzero(known) < 2 or np.count_nonzero(told) < 2:
+            continue
+        at = np.interp(second_ns[told], first_ns[known], one[known])
+        steps = np.mean(np.abs(np.diff(one[known]))) + np.mean(np.abs(np.diff(other[told])))
+        if np.median(np.abs(other[told] - at)) > _MOVES * steps:
+            return True
+    return False
+
+
+def _jumps(values: Array) -> bool:
+    """Check whether most samples are near one of the few before, but not near the last."""
+    steps = np.linalg.norm(values[1:] - values[:-1], axis=1)
+    nearest = steps.copy()
+    for back in range(2, 6):
+        nearest[back - 1 :] = np.minimum(
+            nearest[back - 1 :], np.linalg.norm(values[back:] - values[:-back], axis=1)
+        )
+    return float(nearest.sum()) < _CALMER * float(steps.sum())
+
+
+def _told_apart(values: Array) -> NDArray[np.bool_] | None:
+    seeds = values[:_SEEDS]
+    ways = np.linalg.norm(seeds[:, None] - seeds[None], axis=2)
+    first, second = np.unravel_index(int(ways.argmax()), ways.shape)
+    lasts = [values[min(first, second)].tolist(), values[max(first, second)].tolist()]
+    of_second: list[bool] = []
+    nears: list[float] = []
+    fars: list[float] = []
+    for row in values.tolist():
+        ways_2 = [sum((a - b) ** 2 for a, b in zip(row, last, strict=True)) for last in lasts]
+        is_second = ways_2[1] < ways_2[0]
+        lasts[is_second] = row
+        of_second.append(is_second)
+        nears.append(ways_2[is_second])
+        fars.append(ways_2[not is_second])
+    rows = np.array(of_second)
+    near, far = np.sqrt(nears), np.sqrt(fars)
+    fewest = min(np.count_nonzero(rows), np.count_nonzero(~rows))
+    turns = np.count_nonzero(rows[1:] != rows[:-1])
+    if fewest < _SHARE * len(rows) or turns < _TURNS * fewest:
+        return None
+    if np.mean(near <= _NEAR * far) < _MOSTLY:
+        return None
+    if near.sum() > _CALMER * np.linalg.norm(np.diff(values, axis=0), axis=1).sum():
+        return None
+    steps, spans = zip(*(_step_and_span(values[one]) for one in (rows, ~rows)), strict=True)
+    moves = any(span > _MOVES * step for step, span in zip(steps, spans, strict=True))
+    changes = np.abs(np.diff(np.sort(values, axis=0), axis=0))
+    smallest = float(changes[changes > 0].min(initial=np.inf))
+    apart = float(np.median(far))
+    if not moves or apart < _MOVES * max(steps) or apart < _LEVELS * smallest:
+        return None
+    if spans[0] == 0 or spans[1] == 0:  # what never moves is the second
+        return rows if spans[0] == 0 else ~rows
+    return rows if not rows[0] else ~rows
+
+
+def _step_and_span(values: Array) -> tuple[float, float]:
+    """Return the mean distance between consecutive samples, and the largest range along an axis."""
+    steps = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    return float(steps.mean()), float(np.ptp(values, axis=0).max())
+
+
+# ---- Joints: states of one topic, by publisher
+
+# Bodies or joints of one topic; more are no robot's, but a damaged or hostile log's.
+_MAX_NAMES = 1000
+
+# What joints without names are called; one more than there may be, so that too many are seen.
+_NAMES = tuple(f"joint{number}" for number in range(1, _MAX_NAMES + 2))
+
+# Of the joints of a topic, as many as seven have in 25 minutes at 1 kHz: 268 MB.
+MAX_NUMBERS = 2**25
+
+_SOMETIMES = 1024  # messages after which it is looked whether there are too many
+# Name of an interface in ros2_control: a joint and what of it.
+_INTERFACE = re.compile(
+    r"(.*[^/.])[/.](position|velocity|effort|acceleration|current|voltage|temperature|torque)"
+)
+
+_MAX_BLOCKS = 50  # sets of joints that are compared in pairs
+_SEVERAL = {2: "two", 3: "three"}
+
+# A quantity that a message does not give, as the bytes of its values.
+_NOTHING = array("d", [float("nan")] * _MAX_NAMES).tobytes()
+
+
+@dataclass(eq=False)
+class _JointBlock:
+    """Samples of the same joints; of very many every second, fourth, eighth ... alone.
+
+    A header stamp goes in first: it may not fit, where it lies beyond the year 2262.
+
+    Attributes:
+        width: joints.
+        step: of so many messages the first is kept.
+        count: messages so far.
+        is_mixed: whether two publishers took turns before some were left out.
+    """
+
+    width: int
+    header_ns: array[int] = field(default_factory=lambda: array("q"))
+    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    quantities: tuple[array[float], ...] = field(
+        default_factory=lambda: (array("d"), array("d"), array("d"))
+    )
+    step: int = 1
+    count: int = 0
+    is_mixed: bool = False
+
+    @property
+    def numbers(self) -> int:
+        """How many are kept."""
+        return len(self.quantities) * len(self.quantities[0])
+
+    def add(self, header_ns: int, log_ns: int, quantities: Sequence[bytes]) -> None:
+        """Append one message."""
+        if self.count % self.step == 0:
+            self.header_ns.append(header_ns)
+            self.log_ns.append(log_ns)
+            for store, values in zip(self.quantities, quantities, strict=True):
+                store.frombytes(values or _NOTHING[: 8 * self.width])
+        self.count += 1
+
+    def add_all(self, samples: Sequence[NDArray[Any]]) -> None:
+        """Append messages: header and log stamps, shape (N,), and quantities, shape (N, width)."""
+        stores = (self.header_ns, self.log_ns, *self.quantities)
+        rows = slice(-self.count % self.step, None, self.step)
+        for store, values in zip(stores, samples, strict=True):
+            store.frombytes(np.ascontiguousarray(values[rows]).data.cast("B"))
+        self.count += len(samples[0])
+
+    def values(self, quantity: int) -> NDArray[np.float64]:
+        """Return one quantity, shape (T, width)."""
+        return np.frombuffer(self.quantities[quantity], np.float64).reshape(-1, self.width)
+
+    @property
+    def places(self) -> NDArray[np.float64]:
+        """Positions or, without any, velocities or efforts, shape (T, width)."""
+        for quantity in range(len(self.quantities)):
+            if np.isfinite(values := self.values(quantity)).any():
+                return values
+        return self.values(0)
+
+    @property
+    def is_still(self) -> bool:
+        """Whether it never changes."""
+        return not np.any(np.nan_to_num(self.places - self.places[:1]))
+
+    def part(self, rows: NDArray[np.bool_]) -> _JointBlock:
+        """Return the samples in a mask `rows`, shape (T,)."""
+        stamps = [np.frombuffer(own, np.int64)[rows] for own in (self.header_ns, self.log_ns)]
+        part = _JointBlock(self.width)
+        part.add_all([*stamps, *(self.values(k)[rows] for k in range(len(self.quantities)))])
+        part.step, part.count, part.is_mixed = self.step, self.count, self.is_mixed
+        return part
+
+    def thin(self) -> None:
+        """Decimate the samples by two."""
+        if self.step == 1:
+            self.is_mixed = two_sources(self.places[:_FIRST_SAMPLES]) is not None
+        self.step *= 2
+        self.header_ns, self.log_ns = self.header_ns[::2], self.log_ns[::2]
+        thinned = []
+        for store in self.quantities:
+            half = np.frombuffer(store).reshape(-1, self.width)[::2]
+            thinned.append(array("d", half.tobytes()))
+        self.quantities = tuple(thinned)
+
+
+# Names of joints, and what messages with these say.
+_Blocks = list[tuple[tuple[str, ...], _JointBlock]]
+
+
+@dataclass(eq=False)
+class JointRows:
+    """Joint states of one topic: positions [rad], velocities [rad/s] and efforts [N·m].
+
+    Attributes:
+        topic: its name.
+        most_numbers: that are kept; of more messages some are left out, evenly.
+    """
+
+    topic: str
+    most_numbers: float = MAX_NUMBERS
+    _blocks: dict[tuple[str, ...], _JointBlock] = field(default_factory=dict, init=False)
+
+    QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("effort", "N·m"))
+    """Name and unit of each signal, in the order of a `JointSample` and a `PlanPoint`."""
+
+    def add(self, log_ns: int, sample: JointSample) -> None:
+        """Append one message.
+
+        Raises:
+            ValueError, OverflowError: it makes no sense.
+        """
+        stamp_ns, names, *given = sample
+        values = [np.asarray(quantity, np.float64).tobytes() for quantity in given]
+        names = names or _NAMES[: max(map(len, values)) // 8]
+        block = self._block(names, {len(quantity) // 8 for quantity in values})
+        block.add(stamp_ns, log_ns, values)
+        if not block.count % _SOMETIMES:
+            self._bound()
+
+    def add_all(self, parts: Sequence[tuple[NDArray[np.intp], NDArray[np.int64], Any]]) -> None:
+        """Append messages of one layout or several, all or none.
+
+        Args:
+            parts: of each layout the places of its messages among all, shape (N,), the log's stamps
+                [ns], shape (N,), and a sample whose numbers are arrays of shape (N, joints).
+
+        Raises:
+            ValueError: one makes no sense.
+        """
+        found: dict[tuple[str, ...], list[list[NDArray[Any]]]] = {}
+        for places, log_ns, (stamp_ns, names, *given) in parts:
+            widths = [quantity.shape[1] for quantity in given]
+            own = names or _NAMES[: max(widths)]
+            self._block(own, set(widths))
+            nothing = np.full((len(places), len(own)), np.nan)
+            values = [one if one.shape[1] else nothing for one in given]
+            found.setdefault(own, []).append([places, stamp_ns, log_ns, *values])
+        for names, samples in found.items():
+            places, *columns = (np.concatenate(column) for column in zip(*samples, strict=True))
+            if len(samples) > 1:
+                order = np.argsort(places)
+                columns = [column[order] for column in columns]
+            self._blocks[names].add_all(columns)
+        self._bound()
+
+    def _block(self, names: tuple[str, ...], widths: set[int]) -> _JointBlock:
+        """Return the block of these joints, whose quantities must have `widths` values or none.
+
+        Raises:
+            ValueError: names repeat, are too many, or do not match the values.
+        """
+        block = self._blocks.get(names)
+        if block is None:
+            if sum(map(len, self._blocks)) + len(names) > _MAX_NAMES:
+                raise BeyondLimitError(f"over {_MAX_NAMES} joints")
+            if len(set(names)) < len(names):
+                raise ValueError("two joints have one name")
+        if not widths <= {0, len(names)}:
+            raise ValueError(f"a message has {len(names)} names but another number of values")
+        if block is None:
+            block = self._blocks[names] = _JointBlock(len(names))
+        return block
+
+    def signals(self, joint_names: tuple[str, ...] = ()) -> tuple[list[Signal], list[str]]:
+        """Return the quantities that have any value as signals, and notes on what was repaired.
+
+        Messages with one stamp and different joints make one sample: several may publish them. Of
+        publishers that say different things of the same joints, each is by itself.
+
+        Args:
+            joint_names: what the joints are called where messages carry no names; ignored unless
+                there are as many as joints, each another.
+        """
+        found: list[Signal] = []
+        notes: list[str] = []
+        publishers = self._publishers([_by_interface(*one, notes) for one in self._blocks.items()])
+        notes = [f"{self.topic}: {note}" for note in dict.fromkeys(notes)]
+        if len(publishers) > 1:
+            counts = [sum(len(samples.log_ns) for _, samples in blocks) for blocks in publishers]
+            notes.append(
+                f"{self.topic}: {_SEVERAL.get(len(counts), 'several')} publishers on {self.topic}: "
+                f"by turns they say different things of {short_name(publishers[0][0][0][0])} "
+                f"({listed(map(str, counts))} messages); what comes later, or never changes, "
+                f"goes by {self.topic}@2 (--topic)"
+            )
+        for number, blocks in enumerate(publishers, 1):
+            topic = self.topic if number == 1 else f"{self.topic}@{number}"
+            signals, repairs = self._signals_of(topic, blocks, joint_names)
+            found += signals
+            notes += repairs
+        return found, notes
+
+    def _publishers(self, every: _Blocks) -> list[_Blocks]:
+        """Group blocks by publisher: blocks that contradict each other are of different ones."""
+        if len(every) > _MAX_BLOCKS:
+            return [every]
+        found: list[_Blocks] = []
+        for names, samples in every:
+            second = two_sources(samples.places)
+            parts = [samples] if second is None else [samples.part(~second), samples.part(second)]
+            for part in parts:
+                block = (names, part)
+                kept = [one for one in found if not any(_contradict(block, two) for two in one)]
+                if kept:
+                    kept[0].append(block)
+                else:
+                    found.append([block])
+        if len(found) > 1:
+            found.sort(key=lambda blocks: all(one.is_still for _, one in blocks))
+        return found
+
+    def _signals_of(
+        self, topic: str, blocks: _Blocks, joint_names: tuple[str, ...]
+    ) -> tuple[list[Signal], list[str]]:
+        """Build the signals of one publisher, or of several that agree."""
+        columns = tuple(dict.fromkeys(name for names, _ in blocks for name in names))
+        headers = [np.frombuffer(block.header_ns, np.int64) for _, block in blocks]
+        logs = [np.frombuffer(block.log_ns, np.int64) for _, block in blocks]
+        trusts = [trusts_header(*both) for both in zip(headers, logs, strict=True)]
+        is_header = all(is_own for is_own, _ in trusts)
+        notes = [reason for _, reasons in trusts for reason in reasons]
+        ordered = [
+            sorted_stamps(own_ns, [block.values(k) for k in range(len(block.quantities))])
+            for own_ns, (_, block) in zip(headers if is_header else logs, blocks, strict=True)
+        ]
+        left_out: dict[str, int] = {}
+        for one in ordered:
+            notes += one.notes
+            left_out = added(left_out, one.left_out)
+        notes += _thinned(blocks)
+        stamps_ns = ordered[0].stamps_ns
+        if len(blocks) > 1:
+            stamps_ns = distinct(np.concatenate([one.stamps_ns for one in ordered]))
+        stamps_ns.flags.writeable = False
+        found: list[Signal] = []
+        is_given = columns == _NAMES[: len(joint_names)] and len(set(joint_names)) == len(columns)
+        shown = joint_names if is_given else columns
+        for quantity, (label, unit) in enumerate(self.QUANTITIES):
+            parts: list[NDArray[np.float64]] = []
+            for (_, samples), own in zip(blocks, ordered, strict=True):
+                parts.append(_taken(samples.values(quantity), own.keep))
+            values = parts[0]
+            if len(blocks) > 1:
+                values = np.full((len(stamps_ns), len(columns)), np.nan)
+                for (names, _), own, part in zip(blocks, ordered, parts, strict=True):
+                    indices = np.array([columns.index(name) for name in names])
+                    cells = np.ix_(np.searchsorted(stamps_ns, own.stamps_ns), indices)
+                    values[cells] = np.where(np.isnan(values[cells]), part, values[cells])
+            is_finite = np.isfinite(values)
+            if is_finite.any():
+                values = values if is_finite.all() else np.where(is_finite, values, np.nan)
+                values.flags.writeable = False
+                name = f"{topic}.{label}"
+                found.append(Signal(name, stamps_ns, values, shown, unit, left_out=left_out))
+        return found, [f"{topic}: {note}" for note in dict.fromkeys(notes)]
+
+    def _bound(self) -> None:
+        """Decimate the largest block while too many numbers are held."""
+        while sum(block.numbers for block in self._blocks.values()) > self.most_numbers:
+            max(self._blocks.values(), key=lambda block: block.numbers).thin()
+
+
+def _by_interface(
+    names: tuple[str, ...], samples: _JointBlock, notes: list[str]
+) -> tuple[tuple[str, ...], _JointBlock]:
+    """Split joints named after ros2_control interfaces ("joint_1/position") into quantities.
+
+    ros2_control names states so, all in one field. `notes` gets what is to be said.
+    """
+    found = [_INTERFACE.fullmatch(name) for name in names]
+    given = [k for k in range(3) if np.isfinite(samples.values(k)).any()]
+    if len(given) != 1 or not names or not all(found):
+        return names, samples
+    told = {(one[1], one[2]): column for column, one in enumerate(found) if one}
+    joints = tuple(dict.fromkeys(joint for joint, _ in told))
+    kinds = [label for label, _ in JointRows.QUANTITIES]
+    if not {kind for _, kind in told} & set(kinds):
+        return names, samples
+    values = samples.values(given[0])
+    stamps = [np.frombuffer(own, np.int64) for own in (samples.header_ns, samples.log_ns)]
+    quantities = [np.full((len(values), len(joints)), np.nan) for _ in kinds]
+    others: set[str] = set()
+    for (joint, kind), column in told.items():
+        if kind in kinds:
+            quantities[kinds.index(kind)][:, joints.index(joint)] = values[:, column]
+        else:
+            others.add(kind)
+    said = f"; not read: {listed(sorted(others))}" if others else ""
+    notes.append(
+        f"its names are those of interfaces, such as {short_name(names[0])}: read as such{said}"
+    )
+    made = _JointBlock(len(joints))
+    made.add_all([*stamps, *quantities])
+    made.step, made.count, made.is_mixed = samples.step, samples.count, samples.is_mixed
+    return joints, made
+
+
+def _contradict(
+    one: tuple[tuple[str, ...], _JointBlock], two: tuple[tuple[str, ...], _JointBlock]
+) -> bool:
+    """Check whether two series of messages disagree on the same joints by turns."""
+    shared = [name for name in one[0] if name in two[0]]
+    if not shared or not take_turns(*(np.array(part.log_ns, np.int64) for _, part in (one, two))):
+        return False
+    for quantity in range(len(one[1].quantities)):
+        series = []
+        for names, samples in (one, two):
+            own_ns = np.array(samples.log_ns, np.int64)
+            order = np.argsort(own_ns, kind="stable")
+            columns = [names.index(name) for name in shared]
+            series.append((own_ns[order], samples.values(quantity)[order][:, columns]))
+        if disagree(*series):
+            return True
+    return False
+
+
+def _thinned(blocks: _Blocks) -> list[str]:
+    """Say what was left out of too many messages."""
+    most = max((samples for _, samples in blocks), key=lambda samples: samples.step)
+    if most.step == 1:
+        return []
+    mixed = ", of two publishers that are not distinguishable" if most.is_mixed else ""
+    return [
+        f"of {most.count} messages{mixed} every {most.step}th is used, as many as are held; "
+        "cut the log where a part is to be used with all of them"
+    ]
+
+
+# ---- Pictures and sound: their stamps alone
+
+_MAX_REORDERED = 16  # pictures that a decoder holds until they are shown, by H.264 and H.265
+
+
+@dataclass(eq=False)
+class PictureStamps:
+    """Acquisition stamps of one topic's pictures, which are themselves read on demand.
+
+    Attributes:
+        topic: the topic.
+        is_video: whether a picture may be shown before one that was written first.
+        cut: pictures beyond a jump of their clock, once `trusts_header` was asked.
+        ahead: places by which they overtook each other, likewise.
+    """
+
+    topic: str
+    is_video: bool = False
+    cut: int = field(default=0, init=False)
+    ahead: int = field(default=0, init=False)
+    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+
+    def add(self, log_ns: int, picture: PictureSample) -> None:
+        """Append one picture.
+
+        Raises:
+            OverflowError: its stamp lies beyond the year 2262.
+        """
+        self._header_ns.append(picture.stamp_ns)
+        self._log_ns.append(log_ns)
+
+    def trusts_header(self) -> tuple[bool, list[str]]:
+        """Check whether the header stamps can be trusted; if not, say why, and where they jump."""
+        header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
+        if self.is_video:
+            header_ns = _as_shown(header_ns)
+        is_header, reasons = trusts_header(header_ns, log_ns)
+        used_ns = np.where(header_ns == 0, log_ns, header_ns) if is_header else log_ns
+        self.ahead = 0 if self.is_video else places_ahead(used_ns)
+        if self.ahead:
+            count = np.count_nonzero(used_ns[1:] < used_ns[:-1])
+            reasons.append(f"{count} pictures out of order were sorted")
+            used_ns = np.sort(used_ns)
+        part = filmed_part(used_ns)
+        reasons += part.words
+        self.cut = len(used_ns) - len(part.keep)
+        return is_header, [f"{self.topic}: {reason}" for reason in reasons]
+
+
+@dataclass(eq=False)
+class SoundStamps:
+    """Acquisition stamps of the pieces of one topic's sound, which are read on demand.
+
+    Attributes:
+        topic: the topic.
+    """
+
+    topic: str
+    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+
+    def add(self, log_ns: int, sound: SoundSample) -> None:
+        """Append one piece.
+
+        Raises:
+            OverflowError: its stamp lies beyond the year 2262.
+        """
+        self._header_ns.append(sound.stamp_ns)
+        self._log_ns.append(log_ns)
+
+    def trusts_header(self) -> tuple[bool, list[str]]:
+        """Check whether the header stamps of the pieces can be trusted; if not, say why."""
+        header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
+        is_header, reasons = trusts_header(header_ns, log_ns)
+        return is_header, [f"{self.topic}: {reason}" for reason in reasons]
+
+
+def _taken(values: NDArray[np.float64], rows: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Select some rows in order, without a copy where they are all."""
+    if len(rows) == len(values) and np.all(rows[1:] > rows[:-1]):
+        return values
+    return values[rows]
+
+
+def _as_shown(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return stamps of a video [ns] in decoder output order; those that jump stay jumps."""
+    waiting: list[int] = []
+    shown: list[int] = []
+    for stamp_ns in stamps_ns.tolist():
+        heappush(waiting, stamp_ns)
+        if len(waiting) > _MAX_REORDERED:
+            shown.append(heappop(waiting))
+    return np.array(shown + sorted(waiting), np.int64)
+
+
+# ---- Commands and forces: plain numbers, and wrenches
+
+_MAX_COLUMNS = 1000  # numbers of one message; more are no commands, but a picture or a cloud
+_MAX_NUMBERS_BYTES = 64 * 1024  # of a message of so many numbers, as text, with a layout
+
+
+@dataclass(eq=False)
+class NumberRows:
+    """Unlabelled numbers of one topic: one signal, of unit "1"."""
+
+    topic: str
+    _lengths: dict[int, tuple[array[int], array[float]]] = field(default_factory=dict, init=False)
+
+    def check(self, data: bytes | memoryview) -> None:
+        """Refuse a message that is too large to be decoded.
+
+        Raises:
+            BeyondLimitError: it is larger than any with as many numbers as are read.
+        """
+        if len(data) > _MAX_NUMBERS_BYTES:
+            raise BeyondLimitError(
+                f"a message of {len(data)} bytes is over the limit of {_MAX_NUMBERS_BYTES}"
+            )
+
+    def add(self, log_ns: int, numbers: NumbersSample) -> None:
+        """Append the numbers of one message.
+
+        Raises:
+            UnusableError: there are none.
+            BeyondLimitError: there are more than a message may have.
+            ValueError, TypeError: they are none.
+        """
+        values = np.asarray(numbers, np.float64)
+        if not values.size:
+            raise UnusableError("it holds no number")
+        if values.size > _MAX_COLUMNS:
+            raise BeyondLimitError(f"over {_MAX_COLUMNS} numbers")
+        own_ns, stored = self._lengths.setdefault(values.size, (array("q"), array("d")))
+        own_ns.append(log_ns)
+        stored.frombytes(values.tobytes())
+
+    def signals(self) -> tuple[list[Signal], list[str]]:
+        """Return the messages of the most frequent length, and notes on what was left out."""
+        if not self._lengths:
+            return [], []
+        length = max(self._lengths, key=lambda one: len(self._lengths[one][0]))
+        own_ns, stored = self._lengths[length]
+        numbers = np.frombuffer(stored, np.float64).reshape(-1, length)
+        keep, stamps_ns, notes, left_out = sorted_stamps(
+            np.frombuffer(own_ns, np.int64), (numbers,)
+        )
+        others = sum(len(own) for own, _ in self._lengths.values()) - len(own_ns)
+        if others:
+            notes.append(f"{others} messages of another length than {length} were left out")
+        values = numbers[keep]
+        values[~np.isfinite(values)] = np.nan
+        columns = tuple(map(str, range(length)))
+        signal = Signal(self.topic, stamps_ns, values, columns, "1", drives=True, left_out=left_out)
+        return [signal], [f"{self.topic}: {note}" for note in notes]
+
+
+@dataclass(eq=False)
+class WrenchRows:
+    """Forces [N] and torques [N·m] of one topic, each a signal."""
+
+    topic: str
+    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _values: array[float] = field(default_factory=lambda: array("d"), init=False)
+    _frames: OneFrame = field(default_factory=OneFrame, init=False)
+
+    _QUANTITIES = (("force", "N"), ("torque", "N·m"))
+    """Name and unit of each signal, in the order of a `WrenchSample`."""
+
+    def check(self, data: bytes | memoryview) -> None:
+        """Accept every message."""
+
+    def add(self, log_ns: int, wrench: WrenchSample) -> None:
+        """Append one message.
+
+        Raises:
+            OverflowError: its stamp lies beyond the year 2262.
+        """
+        stamp_ns, frame, *six = wrench
+        self._frames.add(frame)
+        self._header_ns.append(stamp_ns)
+        self._log_ns.append(log_ns)
+        self._values.extend(six)
+
+    def signals(self) -> tuple[list[Signal], list[str]]:
+        """Return force and torque where they have any value, and notes on what was repaired."""
+        wrenches = np.frombuffer(self._values, np.float64).reshape(-1, 6)
+        keep, stamps_ns, notes, left_out = order_samples(
+            np.frombuffer(self._header_ns, np.int64),
+            np.frombuffer(self._log_ns, np.int64),
+            (wrenches,),
+        )
+        values = wrenches[keep]
+        values[~np.isfinite(values)] = np.nan
+        found = [
+            Signal(
+                f"{self.topic}.{label}",
+                stamps_ns,
+                three,
+                ("x", "y", "z"),
+                unit,
+                drives=True,
+                frame=self._frames.name,
+                left_out=left_out,
+            )
+            for (label, unit), three in zip(
+                self._QUANTITIES, (values[:, :3], values[:, 3:]), strict=True
+            )
+            if np.isfinite(three).any()
+        ]
+        return found, [f"{self.topic}: {note}" for note in notes]
+
+
+# ---- Planned trajectories: what of them no later one replaced
+
+_MAX_PLAN_BYTES = 4 * 1024 * 1024  # of a message: its points become objects, larger than themselves
+_MAX_POINTS = 100_000  # of a message: a minute and a half of a controller at 1 kHz
+# Points of all trajectories of a log, whatever its size is, and its bytes for each beyond.
+_FREE_POINTS, _BYTES_A_POINT = 200_000, 50
+
+# Points of one topic, and messages without any, times its joints: a table of them must fit.
+_MAX_CELLS = 10_000_000
+
+_LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
+
+
+class PointBudget:
+    """Budget of trajectory points still to be read of a log of `log_bytes`."""
+
+    def __init__(self, log_bytes: int) -> None:
+        self._most = _FREE_POINTS + log_bytes // _BYTES_A_POINT
+        self._left = self._most
+
+    def check(self) -> None:
+        """Check that the budget is not exhausted.
+
+        Raises:
+            BeyondLimitError: it is.
+        """
+        if self._left <= 0:
+            raise BeyondLimitError(f"the log's trajectories have over {self._most} points")
+
+    def spend(self, points: int) -> None:
+        """Deduct points that were read.
+
+        Raises:
+            BeyondLimitError: there are not as many left.
+        """
+        self._left -= points
+        if self._left < 0:
+            self.check()
+
+
+@dataclass
+class _Plans:
+    """Messages for the same joints, flattened."""
+
+    numbers: array[int] = field(default_factory=lambda: array("q"))
+    counts: array[int] = field(default_factory=lambda: array("q"))
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    values: tuple[array[float], ...] = field(
+        default_factory=lambda: (array("d"), array("d"), array("d"))
+    )
+
+
+@dataclass(eq=False)
+class PlannedRows:
+    """Joint trajectory planned on one topic: positions [rad], velocities [rad/s], efforts [N·m].
+
+    A later message replaces what an earlier one planned for its joints and the time after its own
+    start; one without points replaces it by nothing, for all joints.
+
+    Attributes:
+        topic: its name.
+        budget: of points, shared by all topics of the log.
+    """
+
+    topic: str
+    budget: PointBudget
+    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _start_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _stops: array[int] = field(default_factory=lambda: array("q"), init=False)
+    _plans: dict[tuple[str, ...], _Plans] = field(default_factory=dict, init=False)
+    _joints: dict[str, None] = field(default_factory=dict, init=False)
+    _points: int = field(default=0, init=False)
+
+    def check(self, data: bytes | memoryview) -> None:
+        """Refuse a message that is too large to be decoded, or beyond the budget.
+
+        Raises:
+            BeyondLimitError: it is larger than any trajectory, or enough of them were read.
+        """
+        if len(data) > _MAX_PLAN_BYTES:
+            raise BeyondLimitError(
+                f"a message of {len(data)} bytes is over the limit of {_MAX_PLAN_BYTES}"
+            )
+        self.budget.check()
+
+    def add(self, log_ns: int, plan: PlanSample) -> None:
+        """Append one message.
+
+        Raises:
+            UnusableError: its points do not follow each other in time; no controller takes it.
+            BeyondLimitError: it has more joints or points than are read.
+            ValueError, OverflowError: it makes no sense.
+        """
+        points = plan.points
+        self.budget.spend(len(points))
+        if len(points) > _MAX_POINTS:
+            raise BeyondLimitError(f"over {_MAX_POINTS} points")
+        start_ns = plan.stamp_ns or log_ns
+        after_ns = [point[0] for point in points]
+        if any(one < 0 for one in after_ns[:1]) or any(b <= a for a, b in pairwise(after_ns)):
+            raise UnusableError("the times of its points do not increase from 0")
+        if not -_LAST_NS <= start_ns <= _LAST_NS - max(after_ns, default=0):
+            raise OverflowError("a time of it lies beyond the year 2262")
+        columns = [_filled(points, place, len(plan.names)) for place in (1, 2, 3)] if points else []
+        if points:
+            plans = self._plans_of(plan.names, len(points))
+            plans.numbers.append(len(self._log_ns))
+            plans.counts.append(len(points))
+            plans.stamps_ns.extend(start_ns + one for one in after_ns)
+            for stored, values in zip(plans.values, columns, strict=True):
+                stored.frombytes(values.tobytes())
+        else:
+            self._check_cells(1, len(self._joints))
+            self._stops.append(len(self._log_ns))
+        self._points += max(1, len(points))
+        self._log_ns.append(log_ns)
+        self._start_ns.append(start_ns)
+
+    def _plans_of(self, names: tuple[str, ...], points: int) -> _Plans:
+        """Return the messages for these joints.
+
+        Raises:
+            ValueError: two joints have one name, or there is none.
+            BeyondLimitError: more joints or points than a topic may have.
+        """
+        known = self._plans.get(names)
+        if known is None:
+            if not names or len(set(names)) < len(names):
+                raise ValueError("two joints have one name" if names else "it names no joint")
+            if sum(map(len, self._plans)) + len(names) > _MAX_NAMES:
+                raise BeyondLimitError(f"over {_MAX_NAMES} joints")
+        joints = self._joints | dict.fromkeys(names)
+        self._check_cells(points, len(joints))
+        self._joints = joints
+        return known or self._plans.setdefault(names, _Plans())
+
+    def _check_cells(self, points: int, joints: int) -> None:
+        """Raise BeyondLimitError where so many more points of so many joints do not fit."""
+        if (self._points + points) * joints > _MAX_CELLS:
+            raise BeyondLimitError(f"over {_MAX_CELLS} values planned")
+
+    def signals(self) -> tuple[list[Signal], list[str]]:
+        """Return the quantities that have any value as signals; nothing is ever repaired."""
+        columns = tuple(self._joints)
+        parts = [(column, *self._kept_of(column)) for column in columns]
+        if not parts:
+            return [], []
+        stamps_ns = np.unique(np.concatenate([own_ns for _, own_ns, _ in parts]))
+        places = {name: place for place, name in enumerate(columns)}
+        found: list[Signal] = []
+        for quantity, (label, unit) in enumerate(JointRows.QUANTITIES):
+            values = np.full((len(stamps_ns), len(columns)), np.nan)
+            for column, own_ns, three in parts:
+                values[np.searchsorted(stamps_ns, own_ns), places[column]] = three[quantity]
+            is_finite = np.isfinite(values)
+            if is_finite.any():
+                values[~is_finite] = np.nan
+                name = f"{self.topic}.{label}"
+                found.append(Signal(name, stamps_ns, values, columns, unit, drives=True))
+        return found, []
+
+    def _kept_of(self, joint: str) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], ...]]:
+        """Return what was planned for a joint and not replaced: stamps [ns], and three quantities.
+
+        What comes later goes before what came earlier, where both plan for one stamp.
+        """
+        groups = [(names, plans) for names, plans in self._plans.items() if joint in names]
+        ends_ns = self._ends_ns([np.frombuffer(plans.numbers, np.int64) for _, plans in groups])
+        arrived = np.frombuffer(self._log_ns, np.int64)
+        stamps: list[NDArray[np.int64]] = []
+        ranks: list[NDArray[np.int64]] = []
+        values: list[list[NDArray[np.float64]]] = []
+        for names, plans in groups:
+            counts = np.frombuffer(plans.counts, np.int64)
+            numbers = np.repeat(np.frombuffer(plans.numbers, np.int64), counts)
+            own_ns = np.frombuffer(plans.stamps_ns, np.int64)
+            keep = own_ns <= ends_ns[numbers]
+            stamps.append(own_ns[keep])
+            ranks.append(numbers[keep])
+            place = names.index(joint)
+            table = (np.frombuffer(one, np.float64).reshape(-1, len(names)) for one in plans.values)
+            values.append([one[keep, place] for one in table])
+        rank = np.concatenate(ranks)
+        order = np.lexsort((rank, arrived[rank]))
+        three = tuple(np.concatenate(one)[order] for one in zip(*values, strict=True))
+        return np.concatenate(stamps)[order], three
+
+    def _ends_ns(self, numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+        """Return when each message's plan ends, shape (M,) [ns]: at the first start of a later one.
+
+        Args:
+            numbers: of the messages for one joint, in groups; the result is meant for those alone.
+        """
+        arrived, starts = (np.frombuffer(one, np.int64) for one in (self._log_ns, self._start_ns))
+        stops = np.frombuffer(self._stops, np.int64)
+        all_numbers = np.concatenate([*numbers, stops])
+        order = all_numbers[np.lexsort((all_numbers, arrived[all_numbers]))]
+        earliest = np.minimum.accumulate(starts[order][::-1])[::-1]
+        ends_ns = np.full(len(starts), _LAST_NS)
+        ends_ns[order[:-1]] = earliest[1:]
+        return ends_ns
+
+
+def _filled(points: Sequence[Sequence], place: int, width: int) -> NDArray[np.float64]:
+    """Stack one quantity of all points, shape (points, joints); NaN where a point has none.
+
+    Raises:
+        ValueError: a point gives it of another number of joints.
+    """
+    values = np.full((len(points), width), np.nan)
+    for row, point in zip(values, points, strict=True):
+        given = point[place]
+        if len(given):
+            if len(given) != width:
+                raise ValueError(f"it has {width} names but another number of values")
+            row[:] = given
+    return values
+
+
+# ---- Positions and orientations of bodies
+
+ORIENTATION = "orientation"  # how the signal that stands beside one of positions ends
+_MAX_FRAMES = 100  # of a body without a name; more are no frames, but a counter
+_TURNED = 1e-9  # of a quaternion's vector: less is no rotation
+
+
+@dataclass
+class _Samples:
+    """Samples of one body, flat: a log of an hour must fit.
+
+    A header stamp goes in first: it may not fit, where it lies beyond the year 2262.
+    """
+
+    header_ns: array[int] = field(default_factory=lambda: array("q"))
+    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    positions: array[float] = field(default_factory=lambda: array("d"))
+    quaternions: array[float] = field(default_factory=lambda: array("d"))
+
+    @property
+    def places(self) -> Array:
+        """Positions, shape (T, 3)."""
+        return np.frombuffer(self.positions, np.float64).reshape(-1, 3)
+
+    @property
+    def stores(self) -> tuple[array[Any], ...]:
+        """All arrays."""
+        return self.header_ns, self.log_ns, self.positions, self.quaternions
+
+    def part(self, rows: NDArray[np.bool_]) -> _Samples:
+        """Return the samples in a mask `rows`, shape (T,)."""
+        parts: list[array[Any]] = []
+        for store in self.stores:
+            every = np.frombuffer(store, store.typecode).reshape(len(rows), -1)
+            parts.append(array(store.typecode, every[rows].tobytes()))
+        return _Samples(*parts)
+
+    @classmethod
+    def joined(cls, samples: Sequence[_Samples]) -> _Samples:
+        """Concatenate several, in the order in which they begin."""
+        joined = cls()
+        for one in sorted(samples, key=lambda one: one.log_ns[0]):
+            for store, more in zip(joined.stores, one.stores, strict=True):
+                store.extend(more)
+        return joined
+
+
+@dataclass(eq=False)
+class PositionRows:
+    """Positions of one topic, apart by body and, where it names bodies, by frame.
+
+    Attributes:
+        topic: its name.
+        unit: of the positions.
+        scale: from the unit of the messages to that.
+        names_one: whether each message is of one body, whose name counts only among several.
+    """
+
+    topic: str
+    unit: str = "m"
+    scale: float = 1.0
+    names_one: bool = False
+    _rows: dict[tuple[str, str], _Samples] = field(default_factory=dict, init=False)
+
+    def add(self, log_ns: int, positions: Iterable[PositionSample]) -> None:
+        """Append the positions of one message.
+
+        Raises:
+            BeyondLimitError: more bodies than a topic may have.
+            ValueError, OverflowError: they make no sense.
+        """
+        for stamp_ns, name, where, x, y, z, *turn in positions:
+            is_counter = not name and len(self._rows) >= _MAX_FRAMES  # what calls itself a frame
+            frame = "" if is_counter and (name, where) not in self._rows else where
+            rows = self._rows.get((name, frame))
+            if rows is None:
+                if len(self._rows) >= _MAX_NAMES:
+                    raise BeyondLimitError(f"over {_MAX_NAMES} names")
+                rows = self._rows[name, frame] = _Samples()
+            rows.header_ns.append(stamp_ns)
+            rows.log_ns.append(log_ns)
+            rows.positions.extend((x, y, z))
+            rows.quaternions.extend(turn)
+
+    def signals(self) -> tuple[list[Signal], list[str]]:
+        """Return positions and, where it ever turns, orientations of each body and frame.
+
+        Returns:
+            Signals of x, y, z in `unit`, and of unit quaternions x, y, z, w under the same name
+            and `.orientation`; and what was repaired.
+        """
+        found: list[Signal] = []
+        notes: list[str] = []
+        taken: set[str] = set()
+        for name, frame, rows in self._bodies(notes):
+            full = f"{self.topic}.{name}" if name else self.topic
+            if full in taken:
+                full = f"{full}@{frame}"
+                notes.append(
+                    f"{full}: {name or self.topic} has a place in several frames, each is by itself"
+                )
+            taken.add(full)
+            second = two_sources(rows.places)
+            if second is None:
+                found += self._signals_of(full, frame, rows, taken, notes)
+                continue
+            other = f"{full}@2"
+            taken.add(other)
+            notes.append(two_sources_words(full, second, other))
+            found += self._signals_of(full, frame, rows.part(~second), taken, notes)
+            found += self._signals_of(other, frame, rows.part(second), taken, notes)
+        return found, notes
+
+    def _bodies(self, notes: list[str]) -> Iterator[tuple[str, str, _Samples]]:
+        """Yield name, frame and samples of each body; the frame is "" where it changes."""
+        is_one = self.names_one and len({name for name, _ in self._rows}) == 1
+        frames: dict[str, list[tuple[str, _Samples]]] = {}
+        for (name, frame), rows in self._rows.items():
+            frames.setdefault("" if is_one else name, []).append((frame, rows))
+        if self.names_one and len(frames) > 1:
+            notes.append(f"{self.topic}: several bodies, by child_frame_id: {listed(frames)}")
+        for name, parts in frames.items():
+            logs = [np.array(rows.log_ns, np.int64) for _, rows in parts]
+            if name or any(take_turns(*both) for both in pairwise(logs)):
+                yield from ((name, frame, rows) for frame, rows in parts)
+            elif len(parts) == 1:
+                yield name, *parts[0]
+            else:  # it was called otherwise from some time on
+                yield name, "", _Samples.joined([rows for _, rows in parts])
+
+    def _signals_of(
+        self, full: str, frame: str, rows: _Samples, taken: set[str], notes: list[str]
+    ) -> Iterator[Signal]:
+        """Yield the signals of one body; `taken` and `notes` get what is to be known."""
+        header_ns, log_ns = (np.frombuffer(own, np.int64) for own in (rows.header_ns, rows.log_ns))
+        keep, stamps_ns, repairs, left_out = order_samples(header_ns, log_ns, (rows.places,))
+        values = rows.places[keep]
+        values[~np.isfinite(values)] = np.nan
+        if self.scale != 1.0:
+            values = values * self.scale
+        axes = ("x", "y", "z")
+        yield Signal(full, stamps_ns, values, axes, self.unit, frame=frame, left_out=left_out)
+        notes += [f"{full}: {repair}" for repair in repairs]
+        turns = np.frombuffer(rows.quaternions, np.float64).reshape(-1, 4)
+        label = f"{full}.{ORIENTATION}"
+        if len(turns) and label not in taken and _is_told(turns[keep]):
+            taken.add(label)
+            columns = ("x", "y", "z", "w")
+            yield Signal(
+                label, stamps_ns, turns[keep], columns, "1", frame=frame, left_out=left_out
+            )
+
+
+def _is_told(quaternions: Array) -> bool:
+    """Check for a rotation among (T, 4) quaternions: sources of positions alone send none."""
+    sizes = np.abs(quaternions[:, :3])
+    return bool((sizes > _TURNED).any())

@@ -1,0 +1,836 @@
+"""Restore the acquisition times of samples that were stamped on arrival.
+
+A network or a busy machine only delays, and a sensor's clock is uniform. Some samples are held up:
+a pause, and a burst that makes up for it, which is respaced (`smooth_bursts`). Or each is late by
+its own jitter, as pictures over Wi-Fi are: `recover_uniform_clock` fits the clock behind all
+arrivals, on its ticks by dynamic programming (Viterbi), at the period with the least entropy of the
+delays. Stamps that do not show it stay: exact ones with holes, those of an uneven sensor, those of
+a changing rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+# A longer step is a pause: half-way between the usual step and that over one missing sample.
+_PAUSE_PERIODS = 1.5
+
+# A shorter step belongs to a burst that catches up; an even clock's own jitter is smaller.
+_CLOSE_PERIODS = 0.9
+
+_PUNCTUAL_PERIODS = 0.3  # a sample is no later than that where the burst has made up for the pause
+_PATIENCE_SAMPLES = 3  # in a row that are not close, after which what follows a pause is no burst
+_SINGLE_FRACTION = 0.1  # of the steps on a grid with holes, at least, go to the very next point
+_MAX_MEDIAN_FRAMES = 3  # in the median step on a grid; more frames are how stamps are rounded
+_NEAR_PERIODS = 8  # longer steps tell nothing of a grid: the error of its period adds up
+# Error of a step on a grid: of one between stamps of whole microseconds, or as part of a frame.
+_ROUNDING_NS, _ROUNDING_FRACTION = 1_100, 1e-3
+
+
+def smooth_bursts(
+    stamps_ns: NDArray[np.int64], steps: NDArray[np.float64], period: float
+) -> NDArray[np.int64]:
+    """Respace the stamps of a burst after a pause at the usual period.
+
+    Args:
+        stamps_ns: not decreasing, shape (T,) [ns].
+        steps: between them, shape (T - 1,) [ns].
+        period: the usual step [ns].
+    """
+    corrected, after = stamps_ns.copy(), 0
+    for pause in np.flatnonzero(steps > _PAUSE_PERIODS * period):
+        end = _caught_up(steps, int(pause), period)
+        if end is None or pause < after:
+            continue
+        inside = slice(pause + 1, end)
+        even = stamps_ns[pause] + np.round(period * np.arange(1, end - pause)).astype(np.int64)
+        corrected[inside] = np.minimum(even, stamps_ns[inside])
+        after = end
+    return corrected
+
+
+def is_grid(steps: NDArray[np.float64], period: float) -> bool:
+    """Check whether stamps with these steps [ns] lie on one regular grid, up to rounding."""
+    frame = float(np.quantile(steps, _SINGLE_FRACTION, method="lower"))
+    if frame <= 0 or period > (_MAX_MEDIAN_FRAMES + 0.5) * frame:
+        return False
+    near = steps[steps < _NEAR_PERIODS * period]
+    counts = np.round(near / frame)
+    if counts.min() < 1:
+        return False
+    frame = float(near.sum() / counts.sum())
+    error = float(np.abs(near - counts * frame).max())
+    return error <= max(_ROUNDING_NS, _ROUNDING_FRACTION * frame)
+
+
+def _caught_up(steps: NDArray[np.float64], pause: int, period: float) -> int | None:
+    """Return the index after the first step at which a burst is back on the clock, or None."""
+    lateness, slow = steps[pause] - period, 0
+    for at in range(pause + 1, len(steps)):
+        slow = 0 if steps[at] < _CLOSE_PERIODS * period else slow + 1
+        lateness += steps[at] - period
+        if lateness <= _PUNCTUAL_PERIODS * period:
+            return at + 1
+        if slow == _PATIENCE_SAMPLES:
+            return None
+    return None
+
+
+# ---- Change of the sampling rate, such as a camera's in the dark
+
+# A change is sought among so many parts of equal length, with so many samples each at least.
+_PARTS, _MIN_OF_PART = 8, 10
+
+_OTHER_RATE = 0.1  # of a rate: parts differ by more where it changes
+# A step below this fraction of the usual one shows that its sample had waited; a part of which this
+# fraction had is left out.
+_AT_ONCE, _OFTEN_AT_ONCE = 0.1, 0.2
+
+_SURELY = 8.0  # usual deviations of a part's rate that are no change
+
+
+def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
+    """Describe a change of sampling rate, as "goes from 60.0 to 30.0 Hz"; "" if there is none.
+
+    Compares the median step of up to eight parts: neither pauses nor missing samples are a change,
+    nor is what the scatter of the steps makes likely.
+
+    Args:
+        stamps_ns: not decreasing, shape (T,) [ns].
+        lag: samples that a step goes over; many where each is late by its own time.
+    """
+    steps = 1e-6 * (stamps_ns[lag:] - stamps_ns[:-lag]) / lag
+    parts = min(_PARTS, len(steps) // max(_MIN_OF_PART, 2 * lag))
+    if parts < 2:
+        return ""
+    # What waited on its way comes at once: no rate of a sensor.
+    at_once = 1e-6 * np.diff(stamps_ns)[: len(steps)] < _AT_ONCE * float(np.median(steps))
+    pieces = [
+        piece
+        for piece, waited in zip(
+            np.array_split(steps, parts), np.array_split(at_once, parts), strict=True
+        )
+        if np.mean(waited) < _OFTEN_AT_ONCE
+    ]
+    if len(pieces) < 2:
+        return ""
+    medians = np.array([np.median(piece) for piece in pieces])
+    # Between one step and the next, neither a slow change nor a sudden one counts.
+    changes = np.diff(steps[::lag])
+    scatter = float(np.median(np.abs(changes - np.median(changes)))) / np.sqrt(2)
+    doubt = _SURELY * scatter / np.sqrt(len(pieces[0]) / lag)
+    low, high = float(medians.min()), float(medians.max())
+    if low <= 0 or high - low <= _OTHER_RATE * high + doubt:
+        return ""
+    first, last = 1e3 / medians[[0, -1]]
+    if abs(first - last) > _OTHER_RATE * max(first, last):
+        return f"goes from {first:.1f} to {last:.1f} Hz"
+    return f"changes between {1e3 / high:.1f} and {1e3 / low:.1f} Hz"
+
+
+# ---- Ticks: maximum-likelihood assignment of arrivals by dynamic programming over their delays
+# A sample belongs to no tick after its arrival, nor to an earlier one than the sample before. Times
+# are in ms; C candidate clocks; T samples; S numbers of skipped ticks, the first of them `-before`.
+
+Array = NDArray[np.float64]
+
+EVEN, RARER = 0, 1  # laws of delays: uniform up to a longest one; exponential, by their mean
+# Log likelihood that a loss costs: one sample in 700 is lost, and then often some in a row.
+_FIRST_LOST, _NEXT_LOST = 6.5, 1.0
+
+# Log likelihood that a delay beyond the longest costs, and how many times its logarithm more: a
+# network that stalls has delays without bound.
+_OUTLIER, _OUTLIERS_FALL = 3.0, 2.0
+
+# Of an exponential law: medians up to which a delay counts for the mean, and means from which on a
+# delay costs by its logarithm.
+_TYPICAL = 8.0
+
+# Standard deviation by which a sample may seem too early, as the clock is not known exactly: a
+# fraction of the law's scale, within bounds [ms].
+_EARLY, _EARLY_MS = 0.05, (0.3, 2.0)
+
+_MIN_MS, _MAX_MS = 0.3, 10_000.0
+_MAX_SKIPPED, _MAX_BEFORE = 150, 100
+_TYPICAL_EARLIEST = 0.02  # quantile of the delays that a clock is moved by: a few may be wrong
+_SAME = 1e-6
+NEVER = 1e4  # cost of what is out of the question
+
+
+class Clocks(NamedTuple):
+    """Candidate uniform clocks.
+
+    Attributes:
+        periods: shape (C,).
+        starts: time of the tick of the first sample if none was skipped, shape (C,).
+        scales: of the delays' law, shape (C,).
+        laws: which it is, shape (C,).
+    """
+
+    periods: Array
+    starts: Array
+    scales: Array
+    laws: NDArray[np.int64]
+
+    def only(self, one: int) -> Clocks:
+        """Return one candidate alone."""
+        part = slice(one, one + 1)
+        return Clocks(self.periods[part], self.starts[part], self.scales[part], self.laws[part])
+
+
+class TickAssignment(NamedTuple):
+    """Samples assigned to ticks.
+
+    Attributes:
+        costs: negative log likelihood of each candidate, shape (C,).
+        skipped: ticks left out up to each sample, shape (C, T).
+        excess: what it costs more to have so many left out, shape (C, T, S).
+        before: S begins with `-before`.
+    """
+
+    costs: Array
+    skipped: NDArray[np.int64]
+    excess: Array
+    before: int
+
+
+def candidates(periods: Array, scale: float) -> Clocks:
+    """Return each period with each law of delays, to be refined by `fitted`."""
+    count = len(periods)
+    return Clocks(
+        np.tile(periods, 2),
+        np.zeros(2 * count),
+        np.repeat([scale, scale / 3], count),
+        np.repeat([EVEN, RARER], count),
+    )
+
+
+def fitted(arrivals: Array, clocks: Clocks, rounds: int = 2) -> tuple[Clocks, TickAssignment]:
+    """Refine start and scale of the candidates, alternating with the assignment to ticks."""
+    above = arrivals - clocks.periods[:, None] * np.arange(len(arrivals))
+    starts = above[:, :20].min(axis=1)
+    room = ((starts - above.min(axis=1)) / clocks.periods).min()
+    before = int(np.clip(np.ceil(room), 0, _MAX_BEFORE)) + 1
+    clocks = clocks._replace(starts=starts)
+    placing = assign_ticks(arrivals, clocks, before)
+    for _ in range(rounds):
+        late = delays(arrivals, clocks, placing.skipped)
+        moved = np.quantile(late, _TYPICAL_EARLIEST, axis=1)
+        late -= moved[:, None]
+        clocks = clocks._replace(
+            starts=clocks.starts + moved, scales=_scales(late.clip(0), clocks.laws)
+        )
+        placing = assign_ticks(arrivals, clocks, before)
+    return clocks, placing
+
+
+def delays(arrivals: Array, clocks: Clocks, skipped: NDArray[np.int64]) -> Array:
+    """Return the delay of each sample if so many ticks were skipped, shape (C, T)."""
+    ticks = np.arange(len(arrivals)) + skipped
+    return arrivals - clocks.starts[:, None] - clocks.periods[:, None] * ticks
+
+
+def assign_ticks(
+    arrivals: Array, clocks: Clocks, before: int, held: tuple[int, int] | None = None
+) -> TickAssignment:
+    """Assign all samples to their likeliest ticks, and return what others cost.
+
+    Args:
+        arrivals: shape (T,).
+        clocks: whole candidates.
+        before: how many ticks earlier than `starts` the first sample may be.
+        held: a sample, and how many ticks are skipped up to it for sure.
+    """
+    above = delays(arrivals, clocks, np.zeros(len(arrivals), np.int64))
+    most = int(np.ceil((above.max(axis=1) / clocks.periods).min()))
+    skipped = np.arange(before + 2 + min(max(most, 1), _MAX_SKIPPED)) - float(before)
+    late = above[:, :, None] - clocks.periods[:, None, None] * skipped
+    costs = _costs(late, clocks.scales[:, None, None], clocks.laws[:, None, None])
+    if held is not None:
+        costs[:, held[0], skipped != held[1]] = NEVER
+    return cheapest(costs, before)
+
+
+def cheapest(costs: Array, before: int) -> TickAssignment:
+    """Solve the assignment by dynamic programming from the cost of each tick, shape (C, T, S)."""
+    skipped = np.arange(costs.shape[2]) - float(before)
+    onward = _sums(costs, skipped, onward=True)
+    total = onward + _sums(costs, skipped, onward=False) - costs
+    least = total[:, 0].min(axis=1)
+    excess = total - least[:, None, None]
+    # Of ways that cost the same the lowest is taken everywhere: they would else be mixed.
+    return TickAssignment(least, (excess < _SAME).argmax(axis=2) - before, excess, before)
+
+
+def _sums(paid: Array, skipped: Array, *, onward: bool) -> Array:
+    """Accumulate the least cost up to each sample and tick, forward or backward (min-sum)."""
+    sums = np.empty_like(paid)
+    order = range(paid.shape[1]) if onward else range(paid.shape[1] - 1, -1, -1)
+    way = skipped if onward else -skipped
+    best: Array | None = None
+    for at in order:
+        if best is not None:
+            best = _with_losses(best, way, onward=onward)
+        best = paid[:, at] if best is None else best + paid[:, at]
+        sums[:, at] = best
+    return sums
+
+
+def _with_losses(sums: Array, way: Array, *, onward: bool) -> Array:
+    """Propagate those sums by one sample: none is lost in between, or some are."""
+    side = slice(None) if onward else slice(None, None, -1)
+    ahead, far = sums[:, side], way[side]
+    after = ahead.copy()
+    cheapest = np.minimum.accumulate(ahead - _NEXT_LOST * far, axis=1)[:, :-1]
+    lost = cheapest + _NEXT_LOST * far[1:] + (_FIRST_LOST - _NEXT_LOST)
+    np.minimum(after[:, 1:], lost, out=after[:, 1:])
+    return after[:, side]
+
+
+def _costs(late: Array, scales: Array, laws: NDArray[np.int64]) -> Array:
+    """Return the negative log likelihood of each delay."""
+    early = np.clip(_EARLY * scales, *_EARLY_MS)
+    share = late.clip(0) / scales
+    far = np.log(np.maximum(share, 1.0))
+    even = np.where(share > 1, _OUTLIER + _OUTLIERS_FALL * far, 0.0)
+    rarer = np.minimum(share, _TYPICAL + _OUTLIERS_FALL * np.maximum(far - np.log(_TYPICAL), 0.0))
+    cost = np.log(scales) + np.where(laws == EVEN, even, rarer)
+    cost += 0.5 * (late.clip(max=0) / early) ** 2
+    return np.minimum(cost, NEVER, out=cost)
+
+
+def _scales(late: Array, laws: NDArray[np.int64]) -> Array:
+    """Return the maximum-likelihood scale of each candidate's delays, shape (C,)."""
+    tried = np.geomspace(_MIN_MS, _MAX_MS, 80)
+    ordered = np.sort(np.maximum(late, _MIN_MS), axis=1)
+    logs = np.cumsum(np.log(ordered[:, ::-1]), axis=1)  # of the longest ones
+    scales = np.empty(len(late))
+    for row, (one, total) in enumerate(zip(ordered, logs, strict=True)):
+        if laws[row] == RARER:
+            scales[row] = one[one <= _TYPICAL * np.median(one)].mean()
+            continue
+        outliers = len(one) - np.searchsorted(one, tried, side="right")
+        beyond = np.where(outliers > 0, total[outliers - 1] - outliers * np.log(tried), 0.0)
+        cost = len(one) * np.log(tried) + _OUTLIER * outliers + _OUTLIERS_FALL * beyond
+        scales[row] = tried[int(cost.argmin())]
+    return scales
+
+
+# ---- Period: from samples on ticks, and from usual frame rates
+
+Ticks = NDArray[np.int64]
+
+_HZ = (5, 6, 10, 12, 12.5, 15, 20, 24, 25, 30, 40, 48, 50, 60, 72, 75, 80, 90, 100, 120)
+_HZ += (144, 150, 180, 200, 240, 250, 300, 360, 400, 480, 500, 1000)
+# [ms]: what cameras are built for, and the same as television has it (59.94 Hz for 60).
+_NOMINAL_PERIODS = 1e3 / np.array(_HZ)
+_TYPICAL_PERIODS = np.concatenate([_NOMINAL_PERIODS, 1.001 * _NOMINAL_PERIODS])
+
+_TYPICAL_SLACK = 15.0  # log likelihood that may be lost by taking a rate as exactly a usual one
+_MAX_LOST = 0.35  # of all ticks, at a usual rate
+# Log likelihood that a rate is worth beside the same as television has it: in the few seconds of a
+# drop, delays hardly tell them apart.
+_NOMINAL_GAIN = 4.0
+
+_CHOSEN_GAIN = 4.0  # log likelihood that the usual rate is worth that put the samples on ticks
+APART = 0.3  # of a period: by so much neighbouring rates differ at the last sample
+# A law's scale over the width of its density's kernel, and the least such width.
+_KERNEL, _NARROWEST_MS = 25.0, 0.15
+
+
+def usual_periods(least: float, most: float) -> Array:
+    """Return usual camera periods [ms] for a mean step of `least` to `most`, some ticks lost."""
+    return _TYPICAL_PERIODS[
+        ((1 - _MAX_LOST) * least <= _TYPICAL_PERIODS) & (most >= _TYPICAL_PERIODS)
+    ]
+
+
+def period_of(ticks: Ticks, arrivals: Array, clock: Clocks) -> tuple[float, float, float]:
+    """Estimate period, time of tick 0, and the period's standard deviation.
+
+    Minimises the entropy of the delays, whose law has edges or peaks on either side.
+    """
+    kernel = max(_NARROWEST_MS, float(clock.scales[0]) / _KERNEL)
+    span, middle = float(np.ptp(ticks)), ticks - ticks.mean()
+
+    def costs_of(periods: Array) -> Array:
+        late = arrivals - periods[:, None] * middle
+        return _mean_delay(late) if clock.laws[0] == RARER else _scatter(late, kernel)
+
+    period, error, least = float(clock.periods[0]), 0.0, np.inf
+    for width in (1.0, 0.25):
+        tried = period * (1 + np.linspace(-APART, APART, 41) * width / span)
+        costs = costs_of(tried)
+        least = min(least, float(costs.min()))
+        weights = np.exp(costs.min() - costs)
+        weights /= weights.sum()
+        period = float(weights @ tried)
+        error = float(np.sqrt(weights @ (tried - period) ** 2))
+    usual = _TYPICAL_PERIODS[np.abs(_TYPICAL_PERIODS - period) < APART / span * period]
+    if len(usual):
+        costs = costs_of(usual) - _CHOSEN_GAIN * (usual == clock.periods[0])
+        costs -= _NOMINAL_GAIN * np.isin(usual, _NOMINAL_PERIODS)
+        if costs.min() < least + _TYPICAL_SLACK:
+            period = float(usual[costs.argmin()])
+    return period, float((arrivals - period * ticks).min()), error
+
+
+def period_below(ticks: Ticks, arrivals: Array) -> float:
+    """Fit the line below all arrivals with the least sum of distances, by the lower convex hull."""
+    hull: list[tuple[int, float]] = []
+    for tick, arrival in zip(ticks.tolist(), arrivals.tolist(), strict=True):
+        while len(hull) > 1 and _is_above(hull[-2], hull[-1], (tick, arrival)):
+            hull.pop()
+        hull.append((tick, arrival))
+    middle = float(ticks.mean())
+    for (first, low), (last, high) in pairwise(hull):
+        if last >= middle:
+            return (high - low) / (last - first)
+    return 0.0
+
+
+def _is_above(one: tuple[int, float], point: tuple[int, float], other: tuple[int, float]) -> bool:
+    """Check whether a point lies on or above the line through those on its sides."""
+    rise = (point[1] - one[1]) * (other[0] - point[0])
+    return rise >= (other[1] - point[1]) * (point[0] - one[0])
+
+
+def _mean_delay(late: Array) -> Array:
+    """Return the cost of `_scatter` for exponential delays, decided by those hardly late."""
+    mean = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
+    return late.shape[1] * np.log(np.maximum(mean, _NARROWEST_MS))
+
+
+def _scatter(late: Array, kernel: float) -> Array:
+    """Return the negative log likelihood of delays under their leave-one-out density, shape (C,).
+
+    Args:
+        late: shape (C, T).
+        kernel: standard deviation of the Gaussian kernel of the density.
+    """
+    fine = 3.0 / kernel
+    bins = ((late - late.min(axis=1, keepdims=True)) * fine).astype(np.int64)
+    width = 9
+    shape = np.exp(-0.5 * (np.arange(-width, width + 1) / 3.0) ** 2)
+    costs = np.empty(len(late))
+    for row, own in enumerate(bins):
+        counts = np.bincount(own)
+        density = np.convolve(counts, shape)[own + width] - shape[width]
+        costs[row] = -np.log(np.maximum(density, 0.05)).sum()
+    return costs
+
+
+# ---- Uniform clock behind arrivals, in blocks of samples since its rate drifts
+
+MIN_COUNT = 20  # samples; fewer tell no clock
+_TYPICAL_GAIN = 15.0  # log likelihood that a usual rate is worth
+_SLOWER, _FASTER = 0.05, 0.14  # logarithm of the usual step up to which rates beside it are tried
+# Samples over which a rate is taken where each is late by its own time: delays spread over so many
+# as they ever do.
+LAG = 24
+
+# Samples that a rate is first sought in, by how much they grow, and rates on each side that are
+# tried then.
+_BEGIN, _GROW, _NEIGHBOURS = 64, 3, 4
+
+# Samples that one straight line is for, and those that it shares with the next.
+_BLOCK, _SHARED = 512, 128
+
+_POSSIBLE = 6.0  # log likelihood that another tick than the likeliest may cost
+
+
+@dataclass(frozen=True, eq=False)
+class UniformClock:
+    """Uniform clock, and which of its ticks each of T samples was taken at.
+
+    Attributes:
+        arrivals_ns: of the samples, shape (T,) [ns].
+        ticks: likeliest, increasing strictly, shape (T,).
+        earliest: first tick that the arrivals leave possible for each, shape (T,).
+        latest: last one, shape (T,).
+        stamps: of `ticks`, since the first arrival, shape (T,) [ms].
+        periods: between ticks, around each sample, shape (T,) [ms].
+        rms_ms: standard deviation of the stamps, beside what they are all off by.
+        cost: negative log likelihood of the arrivals.
+    """
+
+    arrivals_ns: NDArray[np.int64]
+    ticks: Ticks
+    earliest: Ticks
+    latest: Ticks
+    stamps: Array
+    periods: Array
+    rms_ms: float
+    cost: float
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Acquisition times, shape (T,) [ns], up to an unknown constant delay."""
+        return self.arrivals_ns[0] + np.round(1e6 * self.stamps).astype(np.int64)
+
+    @property
+    def lateness(self) -> Array:
+        """Delay of each sample relative to the most punctual one, shape (T,) [ms]."""
+        late = 1e-6 * (self.arrivals_ns - self.arrivals_ns[0]) - self.stamps
+        return late - late.min()
+
+    @property
+    def rate_hz(self) -> float:
+        """Tick rate [Hz]."""
+        return 1e3 / float(np.median(self.periods))
+
+    @property
+    def unsure(self) -> NDArray[np.bool_]:
+        """Whether each sample may belong to another tick than its likeliest, shape (T,)."""
+        return self.earliest < self.latest
+
+    @property
+    def lost(self) -> int:
+        """Number of ticks between the first and the last sample that have none."""
+        return int(self.ticks[-1] - self.ticks[0]) + 1 - len(self.ticks)
+
+    def runs(self) -> Iterator[slice]:
+        """Yield the runs of consecutive samples whose tick is ambiguous."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.unsure, [False]])))
+        for first, end in edges.reshape(-1, 2).tolist():
+            yield slice(first, end)
+
+    def placed_by(self, cost: Callable[[NDArray[np.intp], Array], Array]) -> UniformClock:
+        """Reassign samples of ambiguous tick by a cost other than that of their arrival.
+
+        Args:
+            cost: negative log likelihood of samples (numbers, shape (N,)) that are taken at times
+                as `stamps` has them, shape (N, S) [ms]; shape (N, S).
+        """
+        ticks, earliest, latest = self.ticks.copy(), self.earliest.copy(), self.latest.copy()
+        for run in self.runs():
+            numbers = np.arange(run.start, run.stop)
+            low = int((earliest[run] - numbers).min())
+            skipped = np.arange(low, int((latest[run] - numbers).max()) + 1)
+            tried = numbers[:, None] + skipped
+            times = self.stamps[run, None] + self.periods[run, None] * (
+                tried - self.ticks[run, None]
+            )
+            paid = np.asarray(cost(numbers, times), np.float64)
+            out = (tried < earliest[run, None]) | (tried > latest[run, None])
+            placing = cheapest(np.where(out, NEVER, paid)[None], -low)
+            ticks[run] = numbers + placing.skipped[0]
+            earliest[run], latest[run] = _possible(placing.excess[0], numbers, -low)
+        moved = self.stamps + self.periods * (ticks - self.ticks)
+        return replace(self, ticks=ticks, earliest=earliest, latest=latest, stamps=moved)
+
+
+def recover_uniform_clock(arrivals_ns: NDArray[np.int64]) -> UniformClock | None:
+    """Fit the likeliest uniform clock to arrivals; None if they are too few or simultaneous.
+
+    Whether they come from a uniform clock at all is another question.
+
+    Args:
+        arrivals_ns: not decreasing, shape (T,) [ns].
+    """
+    if len(arrivals_ns) < MIN_COUNT:
+        return None
+    arrivals = 1e-6 * (arrivals_ns - arrivals_ns[0])
+    if np.median(arrivals[_lag(arrivals) :] - arrivals[: -_lag(arrivals)]) <= 0:
+        return None
+    clock: UniformClock | None = None
+    for first in range(0, max(1, len(arrivals) - _SHARED), _BLOCK - _SHARED):
+        block = slice(first, first + _BLOCK)
+        known = None if clock is None else float(clock.periods[-1])
+        part = _straight(arrivals[block], known)
+        part = replace(part, stamps=part.stamps + arrivals[first])
+        clock = part if clock is None else _joined(clock, part, first)
+    assert clock is not None
+    return replace(clock, arrivals_ns=arrivals_ns)
+
+
+def _lag(arrivals: Array) -> int:
+    return max(1, min(LAG, len(arrivals) // 2))
+
+
+def _straight(arrivals: Array, known: float | None) -> UniformClock:
+    """Fit a clock whose rate does not drift.
+
+    Args:
+        arrivals: shape (T,) [ms].
+        known: period of what came before [ms]; None where nothing did.
+    """
+    since = arrivals - arrivals[0]
+    clock, skipped = _likeliest(since, known)
+    numbers = np.arange(len(since))
+    for _ in range(2):
+        period, start, error = period_of(numbers + skipped, since, clock)
+        clock = clock._replace(periods=np.array([period]), starts=np.array([start]))
+        skipped = assign_ticks(since, clock, _before(skipped)).skipped[0]
+    placing = assign_ticks(since, clock, _before(skipped))
+    skipped = placing.skipped[0]
+    # The same clock shifted by a tick tells the same times, so the surest sample stays.
+    sure = int(np.partition(placing.excess[0], 1, axis=1)[:, 1].argmax())
+    placing = assign_ticks(since, clock, placing.before, held=(sure, int(skipped[sure])))
+    ticks = numbers + placing.skipped[0]
+    earliest, latest = _possible(placing.excess[0], numbers, placing.before)
+    period, start, error = period_of(ticks, since, clock)
+    return UniformClock(
+        arrivals_ns=np.zeros(0, np.int64),
+        ticks=ticks,
+        earliest=earliest,
+        latest=latest,
+        stamps=start + period * ticks,
+        periods=np.full(len(ticks), period),
+        rms_ms=error * float(np.std(ticks)),
+        cost=float(placing.costs[0]),
+    )
+
+
+def _before(skipped: Ticks) -> int:
+    """Return how many ticks earlier than it seems the first sample may be."""
+    return max(0, -int(skipped.min())) + 3
+
+
+def _likeliest(arrivals: Array, known: float | None) -> tuple[Clocks, Ticks]:
+    """Return the likeliest of many rates, and how many ticks it skips up to each sample."""
+    count, lag = len(arrivals), _lag(arrivals)
+    own = float(np.median(arrivals[lag:] - arrivals[:-lag])) / lag
+    windows = range(0, max(1, count - LAG + 1), LAG // 2)
+    spreads = [
+        np.ptp(arrivals[at : at + LAG] - own * np.arange(len(arrivals[at : at + LAG])))
+        for at in windows
+    ]
+    scale = max(1.0, float(np.median(spreads)))
+    size = count if known else min(count, _BEGIN)
+    beside = np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
+    periods = own * np.exp(np.arange(-_FASTER, _SLOWER, APART / size))
+    if known:
+        periods = known * np.exp(np.array([-APART, 0.0, APART]) / size)
+    while True:
+        best, cost, skipped = _best(arrivals[:size], candidates(periods, scale))
+        if size == count:
+            break
+        hull = period_below(np.arange(size) + skipped, arrivals[:size])
+        size = min(count, _GROW * size)
+        periods = np.append(best.periods[0] * np.exp(beside * APART / size), hull)
+    mean = float(arrivals[-1]) / (count - 1)
+    usual = usual_periods(min(mean, own), max(mean, own) + 1.2 * scale / count)
+    if known is None and len(usual):
+        other, other_cost, other_skipped = _best(arrivals, candidates(usual, scale))
+        if other_cost - _TYPICAL_GAIN < cost:
+            return other, other_skipped
+    return best, skipped
+
+
+def _best(arrivals: Array, clocks: Clocks) -> tuple[Clocks, float, Ticks]:
+    """Return the likeliest candidate, its cost, and how many ticks it skips up to each sample."""
+    clocks, placing = fitted(arrivals, clocks)
+    best = int(placing.costs.argmin())
+    return clocks.only(best), float(placing.costs[best]), placing.skipped[best]
+
+
+def _possible(excess: Array, numbers: NDArray[np.intp], before: int) -> tuple[Ticks, Ticks]:
+    """Return the first and the last tick that is possible for each sample."""
+    can_be = excess < _POSSIBLE
+    last = can_be.shape[1] - 1 - can_be[:, ::-1].argmax(axis=1)
+    return numbers + can_be.argmax(axis=1) - before, numbers + last - before
+
+
+def _joined(one: UniformClock, other: UniformClock, first: int) -> UniformClock:
+    """Join two clocks of which the second begins at sample `first` of the first."""
+    shared = len(one.ticks) - first
+    shift = int(np.median(one.ticks[first:] - other.ticks[:shared]))
+    half = shared // 2
+    cut, own = first + half, slice(half, None)
+    moved = {name: getattr(other, name)[own] + shift for name in ("ticks", "earliest", "latest")}
+    joined = {
+        name: np.concatenate([getattr(one, name)[:cut], values]) for name, values in moved.items()
+    }
+    return replace(
+        one,
+        **joined,
+        stamps=np.concatenate([one.stamps[:cut], other.stamps[own]]),
+        periods=np.concatenate([one.periods[:cut], other.periods[own]]),
+        rms_ms=max(one.rms_ms, other.rms_ms),
+        cost=one.cost + other.cost,
+    )
+
+
+# ---- Late samples: put back on the clock behind them, where the stamps show one
+# Delays add up to nothing, and what came late is followed by what comes close upon it.
+
+STAMPS_NOTE = "stamps"  # note of a log's info record: whose clock a camera's stamps are of
+BY_ARRIVALS = "even clock"  # how it begins where they were found from arrivals, the log's own times
+ARRIVALS = (BY_ARRIVALS, "arrival")  # how it begins where the times that are read are arrivals
+
+_MIN_SAMPLES = 10  # fewer do not tell an even clock's period
+# Steps that differ by less of a period are alike; where each sample is stamped when it was taken,
+# more of the steps are like the next one.
+_ALIKE, _MOSTLY = 0.02, 0.5
+
+# Standard deviation of delays that are worth a correction: of a period, and at least.
+_LATE, _LATE_MS = 0.02, 0.3
+
+# Standard deviation of delays over that of the steps: delays of one sample each give 0.7, and a
+# sensor whose steps differ by themselves drifts far from any even clock.
+_ADDS_UP = 1.1
+
+# Steps below this part of a period, in more than this part of all: no sensor is so fast so often,
+# but what waited on its way is.
+_HURRIED, _OFTEN = 0.25, 0.05
+
+_FEW_LOST = 0.2  # of all ticks: with more missing, an even clock explains whatever comes
+_ROUNDED = 1.5  # of what stamps are rounded to: delays that are no more than that are rounding
+# First samples whose steps are shuffled, and log likelihood for each that this must cost.
+_COMPARED, _TELLING = 512, 0.4
+
+MAX_SAMPLES = 50_000  # of which a clock is sought: a quarter of an hour of a camera
+# Quantile to which single long delays and steps are cut where two spreads are compared.
+_UNUSUAL = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedStamps:
+    """Recorded stamps, and the same with those of late samples corrected.
+
+    Attributes:
+        recorded_ns: shape (T,) [ns].
+        stamps_ns: when the samples were taken, increasing, shape (T,) [ns].
+        clock: the uniform clock that they are taken from; None where they are not.
+        rates: how the rate of the samples changes, in words; "" where it does not.
+    """
+
+    recorded_ns: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    clock: UniformClock | None = None
+    rates: str = ""
+
+    @property
+    def taken_ns(self) -> dict[int, int]:
+        """Acquisition time [ns] by recorded stamp [ns], of late samples only."""
+        late = self.recorded_ns != self.stamps_ns
+        return dict(
+            zip(self.recorded_ns[late].tolist(), self.stamps_ns[late].tolist(), strict=True)
+        )
+
+    def warnings(self, samples: str) -> list[str]:
+        """Return warnings about late samples, which are called `samples`; empty if none is late."""
+        said = [f"the rate of the {samples} {self.rates}"] if self.rates else []
+        count = len(self.taken_ns)
+        if not count:
+            return said
+        if self.clock is None:
+            latest_ms = float(np.max(self.recorded_ns - self.stamps_ns)) * 1e-6
+            late = f"{count} {samples} came in bursts, up to {latest_ms:.0f} ms late: their stamps"
+            return [*said, f"{late} are taken as even"]
+        return [
+            *said,
+            f"the {samples} came up to {self.clock.lateness.max():.0f} ms late: they are stamped "
+            f"by the even clock behind their arrivals ({clock_in_words(self.clock)})",
+        ]
+
+
+def clock_in_words(clock: UniformClock) -> str:
+    """Describe a clock and its accuracy: "60.00 Hz, known to 0.1 ms, 2 missing"."""
+    words = f"{clock.rate_hz:.2f} Hz, known to {clock.rms_ms:.1f} ms"
+    if clock.lost:
+        words += f", {clock.lost} missing"
+    if unsure := int(np.count_nonzero(clock.unsure)):
+        words += f", {unsure} perhaps a place off"
+    return words
+
+
+def correct_late_stamps(
+    stamps_ns: NDArray[np.int64], *, are_arrivals: bool = False
+) -> CorrectedStamps:
+    """Put late samples back on the uniform clock behind them, where the stamps show one.
+
+    A burst that does not make up for its pause is left as it is, and so are stamps on an exact grid
+    of which points are left out: no burst hits it.
+
+    Args:
+        stamps_ns: not decreasing, shape (T,) [ns].
+        are_arrivals: whether it is known that they are, else the stamps themselves have to show it.
+    """
+    if len(stamps_ns) < _MIN_SAMPLES:
+        return CorrectedStamps(stamps_ns, stamps_ns)
+    if are_arrivals and (clock := clock_behind(stamps_ns, are_arrivals=True)[0]):
+        return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
+    steps = np.diff(stamps_ns).astype(np.float64)
+    period, lag = float(np.median(steps)), min(LAG, len(steps) // 2)
+    usual = float(np.median(stamps_ns[lag:] - stamps_ns[:-lag])) / lag
+    comes_singly = period > usual / 2
+    is_exact = comes_singly and np.mean(np.abs(np.diff(steps)) < _ALIKE * period) > _MOSTLY
+    if comes_singly and is_grid(steps, period):
+        rates = changing_rate(stamps_ns, 1 if is_exact else LAG)
+        return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
+    if is_exact or len(stamps_ns) > MAX_SAMPLES:
+        even = smooth_bursts(stamps_ns, steps, period)
+        return CorrectedStamps(stamps_ns, even, rates=changing_rate(even))
+    clock, rates = clock_behind(stamps_ns)
+    if clock is None or not _is_worth(clock):
+        return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
+    return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
+
+
+def clock_behind(
+    arrivals_ns: NDArray[np.int64], *, are_arrivals: bool = False
+) -> tuple[UniformClock | None, str]:
+    """Fit the uniform clock behind samples each of which has its own delay.
+
+    Args:
+        arrivals_ns: not decreasing, shape (T,) [ns].
+        are_arrivals: whether it is known that they are.
+
+    Returns:
+        The clock, or None where none can be determined, and then how the rate changes, in words; ""
+        where it does not.
+    """
+    if rates := changing_rate(arrivals_ns, LAG):
+        return None, rates
+    clock = recover_uniform_clock(arrivals_ns) if len(arrivals_ns) <= MAX_SAMPLES else None
+    if clock is None or np.any(np.diff(clock.stamps_ns) <= 0) or not _explains(clock):
+        return None, ""
+    return (clock if are_arrivals or _is_telling(clock) else None), ""
+
+
+def _is_worth(clock: UniformClock) -> bool:
+    """Check whether delays exceed rounding, and what is as well left alone."""
+    late = clock.lateness
+    if np.ptp(late) < _ROUNDED * np.gcd.reduce(np.diff(clock.arrivals_ns)) * 1e-6:
+        return False
+    return _spread(late - np.median(late)) > max(_LATE * float(np.median(clock.periods)), _LATE_MS)
+
+
+def _explains(clock: UniformClock) -> bool:
+    """Check whether a clock's residuals are delays: they add up to nothing, few ticks are lost."""
+    stamps_ns, late = clock.arrivals_ns, clock.lateness
+    if clock.lost > _FEW_LOST * (clock.lost + len(late)):
+        return False
+    period, steps = float(np.median(clock.periods)), 1e-6 * np.diff(stamps_ns)
+    spread = _spread(late - np.median(late))
+    is_hurried = np.mean(steps < _HURRIED * period) > _OFTEN
+    own = _spread(steps - period * np.diff(clock.ticks))
+    return bool(is_hurried or spread <= max(_ADDS_UP * own, _LATE * period))
+
+
+def _is_telling(clock: UniformClock) -> bool:
+    """Test by permutation whether shuffled steps are much less like a uniform clock.
+
+    They are not where the steps are a sensor's own, that is not even.
+    """
+    first = clock.arrivals_ns[:_COMPARED]
+    shuffled = np.random.default_rng(0).permutation(np.diff(first))
+    whole = clock if len(first) == len(clock.arrivals_ns) else recover_uniform_clock(first)
+    other = recover_uniform_clock(first[0] + np.cumsum(np.append(0, shuffled)))
+    assert whole is not None
+    assert other is not None
+    return other.cost - whole.cost > _TELLING * len(first)
+
+
+def _spread(values: NDArray[np.float64]) -> float:
+    """Return the winsorised root mean square: single large values are cut."""
+    size = np.abs(values)
+    return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, _UNUSUAL)) ** 2)))

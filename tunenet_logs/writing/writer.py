@@ -1,0 +1,793 @@
+"""Write crash-safe MCAP with schemas: what was acknowledged stays readable.
+
+`EpisodeWriter` puts messages into the chunks of an `McapOutput`, which counts in an `McapSummary`
+what has reached the file: so the log can be ended whole at any moment, even after a write that
+failed. `restamp` gives a finished log other header stamps.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, NoReturn, Self
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.stream_reader import StreamReader
+from numpy.typing import ArrayLike, NDArray
+
+from tunenet_logs import __version__, messages
+from tunenet_logs.episode import EpisodeInfo, Frame
+from tunenet_logs.errors import LogError
+from tunenet_logs.files import open_regular
+from tunenet_logs.messages import INFO_RECORD
+from tunenet_logs.timing.arrivals import STAMPS_NOTE
+from tunenet_logs.timing.stamps import now_ns
+from tunenet_logs.writing.owned_path import NO_SPACE, ClaimedName, LogPlace, WholeFile, not_writable
+
+MAGIC = b"\x89MCAP0\r\n"  # an MCAP file begins and ends with it
+
+
+class McapSummary:
+    """Counts and indexes of what has reached a file.
+
+    Attributes:
+        message_count: messages in its chunks.
+    """
+
+    def __init__(self) -> None:
+        self.message_count = 0
+        self.schemas: list[Schema] = []
+        self.channels: list[Channel] = []
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._chunk_indexes = bytearray()  # as bytes: hours of recording make many
+        self._chunk_count = 0
+        self._counts: dict[int, int] = {}
+        self._span_ns: tuple[int, int] | None = None
+
+    def add_chunk(
+        self, index: ChunkIndex, counts: Mapping[int, int], announced: Sequence[Schema | Channel]
+    ) -> None:
+        """Count a chunk that is in the file.
+
+        Args:
+            index: of the chunk.
+            counts: messages in it, by channel.
+            announced: the schemas and channels that are in it.
+        """
+        self._chunk_indexes += bytes_of(index)
+        self._chunk_count += 1
+        for record in announced:
+            if isinstance(record, Schema):
+                self.schemas.append(record)
+            else:
+                self.channels.append(record)
+        for channel_id, count in counts.items():
+            self._counts[channel_id] = self._counts.get(channel_id, 0) + count
+            self.message_count += count
+        start_ns, end_ns = index.message_start_time, index.message_end_time
+        first_ns, last_ns = self._span_ns or (start_ns, end_ns)
+        self._span_ns = min(first_ns, start_ns), max(last_ns, end_ns)
+
+    def add_metadata(self, index: MetadataIndex) -> None:
+        """Count a metadata record that is in the file."""
+        self._metadata_indexes.append(index)
+
+    def ending(
+        self, at: int, data_crc32: int, last: MetadataIndex, *, has_chunk_index: bool = True
+    ) -> bytes:
+        """Encode data end, summary and footer.
+
+        Args:
+            at: where they begin in the file.
+            data_crc32: of all before that.
+            last: a metadata record that comes just before, and is not counted yet.
+            has_chunk_index: whether readers may jump; without, they go through from the beginning.
+        """
+        data_end = bytes_of(DataEnd(data_crc32))
+        start = at + len(data_end)
+        summary, offsets = bytearray(), bytearray()
+        for opcode, group in self._groups([*self._metadata_indexes, last]):
+            kept = group if has_chunk_index or opcode != Opcode.CHUNK_INDEX else b""
+            offsets += bytes_of(SummaryOffset(opcode, start + len(summary), len(kept)))
+            summary += kept
+        offset_start = start + len(summary)
+        summary += offsets
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
+        crc32 = zlib.crc32(head, zlib.crc32(summary))
+        return data_end + bytes(summary) + bytes_of(Footer(start, offset_start, crc32)) + MAGIC
+
+    def _groups(self, metadata_indexes: Sequence[MetadataIndex]) -> Iterator[tuple[Opcode, bytes]]:
+        """Yield the records of the summary in its order."""
+        first_ns, last_ns = self._span_ns or (0, 0)
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self.channels),
+            channel_message_counts=self._counts,
+            chunk_count=self._chunk_count,
+            message_count=self.message_count,
+            metadata_count=len(metadata_indexes),
+            message_start_time=first_ns,
+            message_end_time=last_ns,
+            schema_count=len(self.schemas),
+        )
+        yield Opcode.SCHEMA, b"".join(map(bytes_of, self.schemas))
+        yield Opcode.CHANNEL, b"".join(map(bytes_of, self.channels))
+        yield Opcode.STATISTICS, bytes_of(statistics)
+        yield Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)
+        yield Opcode.ATTACHMENT_INDEX, b""
+        yield Opcode.METADATA_INDEX, b"".join(map(bytes_of, metadata_indexes))
+
+
+def bare_ending(data_crc32: int) -> bytes:
+    """Encode the shortest end that readers take: no summary."""
+    return bytes_of(DataEnd(data_crc32)) + bytes_of(Footer(0, 0, 0)) + MAGIC
+
+
+def bytes_of(record: McapRecord) -> bytes:
+    """Serialise a record."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+# ---- Chunks: the bytes of `mcap.writer.Writer`, counted when they have reached the file
+# That writer counts what it is handed, so its end speaks of what a full disk never took. Chunks
+# that cannot be packed are left so here, with less effort.
+
+# Before packing; few enough that a killed recorder loses little, many enough to pack well.
+_CHUNK_BYTES = 64 * 1024
+
+# Samples of a chunk, packed to see whether it can be: films and pictures are packed already.
+_SAMPLE_BYTES, _SAMPLES = 2048, 4
+
+_MIN_GAIN = 0.03  # of the samples, for which a chunk is worth the usual effort
+_LITTLE_EFFORT = -1  # level that takes a fifth of the time, and leaves what does not pack as it is
+
+# A message's record up to its data: kind, length, channel, sequence number, two stamps [ns].
+_MESSAGE = struct.Struct("<BQHIQQ")
+
+# Of that, what the record's length counts: all but kind and length.
+_MESSAGE_HEAD_BYTES = _MESSAGE.size - 9
+
+# A chunk's index of one channel, up to its entries: kind, length, channel, size [bytes].
+_INDEX = struct.Struct("<BQHI")
+
+
+class McapOutput:
+    """MCAP file in the making: zstd chunks, CRCs of chunks and of the whole.
+
+    Args:
+        file: empty.
+        profile: of the log, as in the MCAP registry.
+        library: what writes it.
+
+    Attributes:
+        is_ended: whether the log has its end.
+
+    Raises:
+        OSError: not even the beginning can be written.
+    """
+
+    def __init__(self, file: WholeFile, profile: str, library: str) -> None:
+        self.is_ended = False
+        self._file = file
+        self._compressor = zstandard.ZstdCompressor()
+        self._quick_compressor = zstandard.ZstdCompressor(_LITTLE_EFFORT)
+        self._summary = McapSummary()
+        self._open_chunk()
+        file.append(MAGIC + bytes_of(Header(profile, library)))
+
+    def _open_chunk(self) -> None:
+        self._new: list[Schema | Channel] = []
+        self._pieces: list[bytes] = []
+        self._offset = 0
+        self._entries: dict[int, list[int]] = {}
+
+    def add_schema(self, name: str, encoding: str, text: str) -> int:
+        """Announce a type of messages, and return its id."""
+        known = len(self._summary.schemas) + sum(isinstance(record, Schema) for record in self._new)
+        schema = Schema(id=known + 1, name=name, encoding=encoding, data=text.encode())
+        self._announce(schema)
+        return schema.id
+
+    def add_channel(self, topic: str, encoding: str, schema_id: int) -> int:
+        """Announce a topic, and return its id."""
+        known = len(self._summary.channels) + sum(
+            isinstance(record, Channel) for record in self._new
+        )
+        channel = Channel(
+            id=known + 1, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id
+        )
+        self._announce(channel)
+        return channel.id
+
+    def add_message(
+        self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes
+    ) -> None:
+        """Add a message to the open chunk, and write that if it is full.
+
+        Raises:
+            OSError: the chunk does not fit; the file is as it was before it.
+        """
+        offset = self._offset
+        entries = self._entries.get(channel_id)
+        if entries is None:
+            entries = self._entries[channel_id] = []
+        entries += (log_ns, offset)
+        length = _MESSAGE_HEAD_BYTES + len(data)
+        self._pieces += (_MESSAGE.pack(5, length, channel_id, sequence, log_ns, publish_ns), data)
+        self._offset = offset = offset + 9 + length
+        if offset > _CHUNK_BYTES:
+            self.close_chunk()
+
+    def close_chunk(self) -> None:
+        """Write the open chunk, if it holds messages.
+
+        Raises:
+            OSError: it does not fit; the file is as it was before it, the chunk is lost.
+        """
+        if not self._entries:
+            return
+        entries, new, data = self._entries, self._new, b"".join(self._pieces)
+        self._open_chunk()
+        compressed = self._packed(data)
+        chunk = Chunk(
+            compression="zstd",
+            data=compressed,
+            message_start_time=min(min(pairs[::2]) for pairs in entries.values()),
+            message_end_time=max(max(pairs[::2]) for pairs in entries.values()),
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+        start = self._file.size_bytes
+        builder = RecordBuilder()
+        chunk.write(builder)
+        length = builder.count
+        tail, offsets = _message_indexes(entries, start + length)
+        builder.write(tail)
+        self._file.append(builder.end())
+        index = ChunkIndex(
+            message_start_time=chunk.message_start_time,
+            message_end_time=chunk.message_end_time,
+            chunk_start_offset=start,
+            chunk_length=length,
+            message_index_offsets=offsets,
+            message_index_length=len(tail),
+            compression=chunk.compression,
+            compressed_size=len(compressed),
+            uncompressed_size=len(data),
+        )
+        counts = {channel_id: len(pairs) // 2 for channel_id, pairs in entries.items()}
+        self._summary.add_chunk(index, counts, new)
+
+    def _packed(self, data: bytes) -> bytes:
+        step = len(data) // _SAMPLES
+        if step > _SAMPLE_BYTES:
+            starts = range(0, _SAMPLES * step, step)
+            sample = b"".join(data[at : at + _SAMPLE_BYTES] for at in starts)
+            if len(self._compressor.compress(sample)) > (1 - _MIN_GAIN) * len(sample):
+                return self._quick_compressor.compress(data)
+        return self._compressor.compress(data)
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record at once.
+
+        Raises:
+            OSError: it does not fit; the file is as it was before it.
+        """
+        record, index = self._metadata(name, values)
+        self._file.append(record)
+        self._summary.add_metadata(index)
+
+    def end(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a last metadata record and the end of the log. The open chunk is left out.
+
+        Raises:
+            OSError: it does not fit; the file is as it was before it.
+        """
+        record, index = self._metadata(name, values)
+        at, crc32 = self._after(record)
+        self._file.append(record + self._summary.ending(at, crc32, index))
+        self.is_ended = True
+
+    def end_as_fits(self, name: str, values: Mapping[str, str]) -> bool:
+        """End the log on a full disk with as much as fits; return False if nothing does.
+
+        What is given up, in this order: the index of the chunks, so that readers go through the
+        log from its beginning; the rest of the summary; the metadata record.
+        """
+        record, index = self._metadata(name, values)
+        at, crc32 = self._after(record)
+        ending = self._summary.ending
+        for piece in (
+            record + ending(at, crc32, index),
+            record + ending(at, crc32, index, has_chunk_index=False),
+            record + bare_ending(crc32),
+            bare_ending(self._file.crc32),
+        ):
+            with suppress(OSError):
+                self._file.append(piece)
+                self.is_ended = True
+                break
+        return self.is_ended
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages in the file, those in the open chunk not counted."""
+        return self._summary.message_count
+
+    def _announce(self, record: Schema | Channel) -> None:
+        self._new.append(record)
+        piece = bytes_of(record)
+        self._pieces.append(piece)
+        self._offset += len(piece)
+
+    def _metadata(self, name: str, values: Mapping[str, str]) -> tuple[bytes, MetadataIndex]:
+        record = bytes_of(Metadata(name=name, metadata=dict(values)))
+        return record, MetadataIndex(self._file.size_bytes, len(record), name)
+
+    def _after(self, piece: bytes) -> tuple[int, int]:
+        """Return size and CRC of the file when `piece` will have been added."""
+        return self._file.size_bytes + len(piece), zlib.crc32(piece, self._file.crc32)
+
+
+def _message_indexes(entries: Mapping[int, list[int]], at: int) -> tuple[bytes, dict[int, int]]:
+    """Build the index records of a chunk, from offset `at` on, and the offset of each channel's."""
+    pieces: list[bytes] = []
+    offsets: dict[int, int] = {}
+    for channel_id, pairs in entries.items():
+        offsets[channel_id] = at
+        size = 8 * len(pairs)
+        piece = _INDEX.pack(7, 6 + size, channel_id, size) + struct.pack(f"<{len(pairs)}Q", *pairs)
+        pieces.append(piece)
+        at += len(piece)
+    return b"".join(pieces), offsets
+
+
+# ---- Restamping: other header stamps for a finished log of ours, known only at its end
+# The log is copied and then replaced at once, so that it is whole at every moment.
+
+_PARTIAL = ".stamping"  # behind the copy's name while it is written
+# A header's stamp in CDR: seconds and nanoseconds, behind four bytes of encapsulation.
+_STAMP, _STAMP_AT = struct.Struct("<iI"), 4
+
+
+def header_stamps_ns(path: Path, topic: str) -> list[int]:
+    """Return the header stamps of a topic's messages, in the order of the file [ns].
+
+    Raises:
+        LogError: the log cannot be read.
+    """
+    stamps: list[int] = []
+    numbers: set[int] = set()
+    try:
+        with open_regular(path) as log:
+            for record in _records(log):
+                if isinstance(record, Channel) and record.topic == topic:
+                    numbers.add(record.id)
+                elif isinstance(record, Message) and record.channel_id in numbers:
+                    stamps.append(_stamp_ns(record.data))
+    except (OSError, McapError, struct.error) as error:
+        raise LogError(f"{path}: cannot be read again ({error})", "check its disk") from error
+    return stamps
+
+
+def restamp(path: Path, topic: str, stamps_ns: Mapping[int, int], note: str) -> None:
+    """Replace the header stamps of a topic's messages; their log stamps stay what they were.
+
+    Args:
+        path: a whole log that `EpisodeWriter` wrote.
+        topic: of messages that begin with a header.
+        stamps_ns: the new stamp [ns] by the old one.
+        note: whose clock that is, for the info record.
+
+    Raises:
+        LogError: it cannot be copied; the log is as it was.
+    """
+    try:
+        name = path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")
+        copy = ClaimedName(name, takes_over=False)
+        try:
+            with open_regular(path) as log:
+                _copy(log, copy.descriptor, topic, stamps_ns, note)
+                if not os.path.samestat(os.lstat(path), os.fstat(log.fileno())):
+                    raise LogError(
+                        f"{path}: was replaced while its stamps were written",
+                        "leave it where it is, and do it again",
+                    )
+                copy.rename(path, replaces=True)
+        finally:
+            copy.remove()  # nothing is there where it was renamed
+    except (OSError, McapError) as error:
+        if isinstance(error, OSError):
+            raise not_writable(path, error) from error
+        raise LogError(f"{path}: cannot be read again ({error})", "check its disk") from error
+
+
+def _copy(
+    log: BinaryIO, descriptor: int, topic: str, stamps_ns: Mapping[int, int], note: str
+) -> None:
+    file = WholeFile(descriptor)
+    output = McapOutput(file, "ros2", f"tunenet-logs {__version__}")
+    channels: dict[int, Channel] = {}
+    ids: dict[int, int] = {}
+    types: dict[int, Schema] = {}
+    schemas: dict[int, int] = {}
+    last: Mapping[str, str] | None = None
+    for record in _records(log):
+        if isinstance(record, Schema):
+            types[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Metadata):
+            if last is not None:
+                output.close_chunk()
+                output.add_metadata(INFO_RECORD, last)
+            last = record.metadata
+        elif isinstance(record, Message):
+            channel = channels[record.channel_id]
+            if channel.schema_id not in schemas:
+                schema = types[channel.schema_id]
+                schemas[schema.id] = output.add_schema(
+                    schema.name, schema.encoding, schema.data.decode()
+                )
+            if channel.id not in ids:
+                ids[channel.id] = output.add_channel(
+                    channel.topic, channel.message_encoding, schemas[channel.schema_id]
+                )
+            data, published_ns = record.data, record.publish_time
+            if channel.topic == topic:
+                published_ns = stamps_ns[_stamp_ns(data)]
+                stamp = _STAMP.pack(*divmod(published_ns, 10**9))
+                data = data[:_STAMP_AT] + stamp + data[_STAMP_AT + _STAMP.size :]
+            output.add_message(
+                ids[channel.id], record.sequence, record.log_time, max(published_ns, 0), data
+            )
+    output.close_chunk()
+    output.end(INFO_RECORD, {**(last or {}), f"notes.{STAMPS_NOTE}": note})
+    file.sync()
+
+
+def _records(log: BinaryIO) -> Iterator[McapRecord]:
+    return iter(StreamReader(log).records)
+
+
+def _stamp_ns(data: bytes) -> int:
+    seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_AT)
+    return seconds * 10**9 + nanoseconds
+
+
+# ---- Episode
+
+_CHUNK_SECONDS = 0.1  # what a killed live recording loses at most
+_SYNC_SECONDS = 1.0  # what a power cut may cost; oftener, a slow disk would hold up a recording
+
+
+class EpisodeWriter:
+    """Writer of one episode to `path` (ROS 2 CDR in MCAP). For one thread.
+
+    The file is named `NAME.mcap.active` until it is whole. Chunks are small and, for a live
+    source, closed every 0.1 s, so a killed recorder loses the last moments at most; once a second
+    the disk is asked to keep them. The first write error, or too little space, ends the recording:
+    the log is cut to what is whole, ended so that every reader opens it, and LogError says so.
+
+    Args:
+        path: the finished log.
+        info: written at once, and again with the final counts at the end.
+        overwrite: replace an existing log (only with one that did not end in an error).
+        live: whether the source is gone once it is missed. Then `log_time` is the receipt, and
+            chunks are closed by the clock, for which `tick` is to be called when nothing comes;
+            else by their size alone, so that the same episode gives the same bytes.
+        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
+        is_import: made from a log that is still there: if anything breaks it off, nothing is left.
+
+    Attributes:
+        accepted: messages handed over.
+        tally: asked when the recording ends: what the recorder counted (`captured`, ...), and
+            takes no more. `dropped` follows. Left alone, what was accepted was captured.
+
+    Raises:
+        LogError: `path` exists, the folder cannot be written to, or its disk has too little space.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        info: EpisodeInfo,
+        *,
+        overwrite: bool = False,
+        live: bool = True,
+        min_free_bytes: int = 0,
+        is_import: bool = False,
+    ) -> None:
+        self._place = LogPlace(path, overwrite=overwrite, min_free_bytes=min_free_bytes)
+        self.path = path
+        self.active_path = self._place.active_path
+        self.info = info
+        self.accepted = 0
+        self.tally: Callable[[], Mapping[str, int]] = dict
+        self._live = live
+        self._is_import = is_import
+        self._channels: dict[str, _Channel] = {}
+        self._schemas: dict[str, int] = {}
+        now = time.monotonic()
+        self._chunk_at, self._sync_at = now + _CHUNK_SECONDS, now + _SYNC_SECONDS
+        self._due_at = self._chunk_at if live else self._sync_at
+        self._file = WholeFile(self._place.claim.descriptor)
+        try:
+            self._output = McapOutput(self._file, "ros2", f"tunenet-logs {__version__}")
+            self._output.add_metadata(INFO_RECORD, info.to_strings())
+        except OSError as error:
+            self.discard()
+            raise not_writable(path, error) from error
+
+    def write_pose(
+        self,
+        topic: str,
+        stamp_ns: int,
+        position_m: NDArray[np.float64],
+        turn: ArrayLike = messages.NOT_TURNED,
+        frame: str = "world",
+    ) -> None:
+        """Write a PoseStamped at `position_m`, shape (3,) [m], and a quaternion x, y, z, w."""
+        data = messages.encode(messages.pose(stamp_ns, frame, position_m, turn), messages.POSE)
+        self.write_message(topic, messages.POSE, stamp_ns, data)
+
+    def write_frame(self, topic: str, frame: Frame, received_ns: int | None = None) -> None:
+        """Write an image as it is: a CompressedImage, CompressedVideo, or Image of bare pixels."""
+        type_name, data = messages.frame(frame)
+        self.write_message(topic, type_name, frame.stamp_ns, data, received_ns)
+
+    def write_sound(
+        self,
+        topic: str,
+        stamp_ns: int,
+        pcm: NDArray[np.int16],
+        rate_hz: int,
+        received_ns: int | None = None,
+    ) -> None:
+        """Write a RawAudio of samples, shape (N, channels), the first taken at `stamp_ns`."""
+        data = messages.encode(messages.raw_audio(stamp_ns, pcm, rate_hz), messages.RAW_AUDIO)
+        self.write_message(topic, messages.RAW_AUDIO, stamp_ns, data, received_ns)
+
+    def write_joints(
+        self,
+        topic: str,
+        stamp_ns: int,
+        names: Sequence[str],
+        position_rad: ArrayLike,
+        velocity_rad_s: ArrayLike = (),
+        effort_nm: ArrayLike = (),
+    ) -> None:
+        """Write a JointState, each quantity of shape (joints,) [rad, rad/s, N·m] or empty."""
+        state = messages.joint_state(stamp_ns, names, position_rad, velocity_rad_s, effort_nm)
+        data = messages.encode(state, messages.JOINT_STATE)
+        self.write_message(topic, messages.JOINT_STATE, stamp_ns, data)
+
+    def write_message(
+        self, topic: str, type_name: str, stamp_ns: int, data: bytes, received_ns: int | None = None
+    ) -> None:
+        """Write a message that is already CDR.
+
+        Args:
+            topic: with one type only.
+            type_name: such as "sensor_msgs/msg/JointState".
+            stamp_ns: of the acquisition.
+            data: the message with its four bytes of encapsulation.
+            received_ns: when a live one came, on the clock of `now_ns`; now if None.
+
+        Raises:
+            LogError: writing failed, or the disk is nearly full; the recording is over.
+            ValueError: a type that is not known, or another than the topic's.
+        """
+        channel = self._channels.get(topic)
+        if channel is None or channel.type_name != type_name:
+            channel = self._register(topic, type_name)
+        channel.sequence += 1
+        self.accepted += 1
+        published_ns = max(stamp_ns, 0)  # MCAP knows no time before 1970
+        log_ns = published_ns
+        if self._live:
+            log_ns = now_ns() if received_ns is None else received_ns
+        try:
+            self._output.add_message(channel.id, channel.sequence, log_ns, published_ns, data)
+        except OSError as error:
+            self._break_off(error)
+        if time.monotonic() >= self._due_at:
+            self.tick()
+
+    def tick(self) -> None:
+        """Close chunks and sync the disk when due; to be called often while nothing comes.
+
+        Raises:
+            LogError: writing failed, or the disk is nearly full; the recording is over.
+        """
+        now = time.monotonic()
+        if now < self._due_at:
+            return
+        try:
+            if self._live and now >= self._chunk_at:
+                self._output.close_chunk()
+                self._chunk_at = now + _CHUNK_SECONDS
+            if now >= self._sync_at:
+                self._file.sync()
+                self._sync_at = now + _SYNC_SECONDS
+                self._look_after_the_file()
+                self._spare_the_disk()
+        except OSError as error:
+            self._break_off(error)
+        self._due_at = min(self._chunk_at, self._sync_at) if self._live else self._sync_at
+
+    @property
+    def written(self) -> int:
+        """Number of messages that are in the file and would survive this process."""
+        return self._output.message_count
+
+    def note(self, name: str, text: str) -> None:
+        """Add a note to the log's info that became known while recording."""
+        self.info = replace(self.info, notes={**self.info.notes, name: text})
+
+    def note_at_once(self, name: str, text: str) -> None:
+        """Add a note and write the info so far, so that a killed recorder's log has it, too.
+
+        Raises:
+            LogError: writing failed; the recording is over.
+        """
+        self.note(name, text)
+        try:
+            self._output.add_metadata(INFO_RECORD, self.info.to_strings())
+        except OSError as error:
+            self._break_off(error)
+
+    def discard(self) -> None:
+        """Leave no log: nothing came that is worth one. A log that it would replace stays."""
+        self._place.claim.remove()
+
+    def close(self, ended: str = "") -> None:
+        """Finish the log and give it its name. Safe to call twice.
+
+        Args:
+            ended: why the recording ended before its source did.
+
+        Raises:
+            LogError: writing failed.
+        """
+        if self._is_over:
+            return
+        try:
+            self._output.close_chunk()
+            self._output.end(INFO_RECORD, self._final_info(ended))
+            self._file.sync()
+        except OSError as error:
+            self._break_off(error)
+        self._look_after_the_file()
+        kept = self._place.keep(is_whole=True, or_nothing=self._is_import)
+        if kept != self.path:
+            raise LogError(f"{self.path}: exists by now, or cannot be written; {self._left(kept)}")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self._is_import:
+            self.close("" if kind is None else f"broke off ({kind.__name__})")
+            return
+        try:
+            if kind is None:
+                self.close()
+        finally:
+            self.discard()  # nothing is there where it was closed well
+
+    def _register(self, topic: str, type_name: str) -> _Channel:
+        self._place.claim.is_kept = not self._is_import
+        if topic in self._channels:
+            known = self._channels[topic].type_name
+            raise ValueError(f"{topic} holds {known}, so it cannot hold {type_name}")
+        text = messages.definition(type_name)
+        if type_name not in self._schemas:
+            self._schemas[type_name] = self._output.add_schema(type_name, "ros2msg", text)
+        number = self._output.add_channel(topic, "cdr", self._schemas[type_name])
+        self._channels[topic] = _Channel(number, type_name)
+        return self._channels[topic]
+
+    def _final_info(self, ended: str) -> dict[str, str]:
+        """Return the info record of the end: what is in the file now, and what is not."""
+        counts = {"captured": self.accepted, **self.tally()}
+        captured = counts.pop("captured")
+        dropped = captured - self.written
+        info = self.info.ended(
+            ended, captured=captured, dropped=dropped, **counts, written=self.written
+        )
+        self.info = info
+        return info.to_strings()
+
+    def _spare_the_disk(self) -> None:
+        if why := self._place.why_too_full(self._file.free_bytes()):
+            self._output.close_chunk()
+            self._end_early(f"stopped, {why}", "free some space, or lower --min-free")
+
+    def _look_after_the_file(self) -> None:
+        """End a log whose file somebody removed, moved or replaced: what follows would be lost."""
+        if why := self._place.claim.why_lost():
+            self._output.close_chunk()
+            verb = "importing" if self._is_import else "recording"
+            remedy = "leave that file where it is until the log has ended"
+            self._end_early(f"{self.active_path.name} {why} while {verb}", remedy)
+        if self._file.is_changed():
+            self._place.keep(is_whole=False, or_nothing=self._is_import)
+            left = f"save what is left of {self.written} messages with tunenet-logs recover"
+            raise LogError(
+                f"{self.active_path}: another program cut it or wrote to it meanwhile; "
+                + (self._left(None) if self._is_import else left)
+            )
+
+    def _break_off(self, error: OSError) -> NoReturn:
+        if self._is_over:
+            raise LogError(f"{self.path}: the recording is over", "begin another") from error
+        verb = "import" if self._is_import else "record"
+        is_full = error.errno in NO_SPACE
+        remedy = f"free some space and {verb} again" if is_full else f"{verb} to another disk"
+        self._end_early(f"writing failed ({error.strerror})", remedy, error)
+
+    def _end_early(self, why: str, remedy: str, cause: OSError | None = None) -> NoReturn:
+        """End the log with what is in it, and say what is kept and where."""
+        is_whole = not self._is_import and (
+            self._output.is_ended or self._output.end_as_fits(INFO_RECORD, self._final_info(why))
+        )
+        kept = self._place.keep(is_whole=is_whole, is_cut=True, or_nothing=self._is_import)
+        raise LogError(f"{self.path}: {why}; {self._left(kept)}; {remedy}") from cause
+
+    def _left(self, kept: Path | None) -> str:
+        """Say what is left of a log that did not get its name."""
+        if self._is_import:
+            return "nothing is left of the import"
+        messages = f"{self.written} of {self.info.counts['captured']} messages"
+        if kept is None:
+            return f"{messages} are lost: no copy of them could be written"
+        return f"{messages} are kept in {self._place.called(kept)}"
+
+    @property
+    def _is_over(self) -> bool:
+        return self._place.claim.descriptor < 0
+
+
+class _Channel:
+    """Topic in the log."""
+
+    __slots__ = ("id", "sequence", "type_name")
+
+    def __init__(self, number: int, type_name: str) -> None:
+        self.id = number
+        self.type_name = type_name
+        self.sequence = 0
