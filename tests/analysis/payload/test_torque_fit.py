@@ -107,7 +107,7 @@ def test_the_centre_of_mass_is_identifiable_with_a_tare():
 def test_without_a_tare_the_centre_stays_open(real):
     _, fit = real
     assert not fit.held.centre.is_identifiable
-    assert "cannot tell" in fit.identifiability
+    assert "cannot separate" in fit.identifiability
     assert "--tare" in fit.identifiability
 
 

@@ -23,7 +23,7 @@ from tests.tunenet_logs.exports.tracks import (
 from tunenet_logs.episode import UNSTATED
 from tunenet_logs.formats.kinds import start_of
 from tunenet_logs.formats.options import ReadOptions
-from tunenet_logs.formats.registry import _EXPORTS
+from tunenet_logs.formats.registry import EXPORTS
 from tunenet_logs.timing.arrivals import correct_late_stamps
 
 LAYOUTS = sorted(WRITERS)
@@ -72,7 +72,7 @@ def test_a_user_says_the_rate(tmp_path: Path, layout: str):
 def test_a_layout_is_known_by_its_header_and_by_no_other_reader(tmp_path: Path, layout: str):
     path = written(tmp_path, layout)
     other = path.rename(tmp_path / "noname.dat")
-    claimed = [read.__name__ for is_this, read in _EXPORTS if is_this(start_of(other))]
+    claimed = [read.__name__ for is_this, read in EXPORTS if is_this(start_of(other))]
     assert claimed[:1] == [f"read_{layout}"]
     assert list(read(other).signals) == list(TRACKS)
 
