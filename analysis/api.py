@@ -64,7 +64,7 @@ from tunenet_logs.recorders.simulators.known import BALLS, Ball, simulated_by
 from tunenet_logs.terminal import Bar, Listener, Progress, heard_by
 
 if TYPE_CHECKING:
-    import pandas as pd
+    import pandas as pd  # pyright: ignore[reportMissingTypeStubs] (it ships its own types)
 
     from tunenet_logs.analysis.campaign import Campaign
     from tunenet_logs.analysis.report.page import Kind
