@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from tunenet_logs.errors import NotFoundError
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.recorders.simulators.known import UNKNOWN_BALL, Ball
-from tunenet_logs.terminal import FEW_NAMES, listed
 
 if TYPE_CHECKING:
     from tunenet_logs.analysis.payload.arm_card import ArmCard
@@ -133,29 +131,3 @@ class Options:
     weights: Path | None = None
     selection: Selection = field(default_factory=Selection)
     source: SimulatorSource | None = None
-
-
-def check_start(start_s: float | None, length_s: float) -> None:
-    """Refuse a part that begins after the end of a recording.
-
-    Args:
-        start_s: Start of the part [s since the first sample]; None for that sample.
-        length_s: From the first sample to the last.
-
-    Raises:
-        NotFoundError: It does; the message states the length.
-    """
-    if start_s is not None and start_s > length_s:
-        raise NotFoundError(
-            f"--start {start_s:g} is past the end: the recording is {length_s:.2f} s long",
-            "give an earlier one, or leave it out",
-        )
-
-
-def no_topic(topic: str, usable: Iterable[str]) -> NotFoundError:
-    """Build the error for a topic that shows nothing; the message lists `usable` ones."""
-    known = listed(sorted(usable), FEW_NAMES)
-    remedy = "name one of these with --topic, or leave it out"
-    if not known:
-        remedy = "leave --topic out; see with tunenet-logs info what the log holds"
-    return NotFoundError(f"no usable topic {topic} (there is: {known or 'none'})", remedy)

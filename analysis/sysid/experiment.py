@@ -358,11 +358,6 @@ class SimulatorExperiment:
         return log_simulator(stream, tuning)
 
 
-def moments_of(detection: SimulatorDetection) -> Array:
-    """Return all compared stamps since the log's first sample, shape (M,) [s]."""
-    return np.unique(detection.connected.target.seconds) + detection.offset_s
-
-
 # ---- Plan: how a log would drive a model and be compared with it, before tuning
 
 

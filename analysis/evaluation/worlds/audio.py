@@ -7,7 +7,7 @@ them at a given ratio. Nothing is a recording: all of it is made from random num
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -1200,12 +1200,6 @@ NO_BOUNCES: dict[str, Maker] = {
     "noise": _nothing,
     "silence": _nothing,
 }
-
-
-def draw_negatives(seed: int, count: int) -> Iterator[NoBounce]:
-    """Yield `count` sounds, of each kind in turn; the same however many are drawn."""
-    for number in range(count):
-        yield draw_negative(seed, number)
 
 
 def draw_negative(seed: int, number: int) -> NoBounce:
