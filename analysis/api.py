@@ -16,14 +16,14 @@ are a `TuneNetError`.
 
 from __future__ import annotations
 
+import inspect
 import warnings
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import MISSING, fields, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from tunenet_logs.analysis.checks import Check, CrossCheck
 from tunenet_logs.analysis.compare import Comparison
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.options import AnyPath, TuneOptions, ball_doubts, options_of
+from tunenet_logs.analysis.options import AnyPath, TuneOptions, options_of
 from tunenet_logs.analysis.record import (
     Curves,
     Equivalent,
@@ -47,9 +47,10 @@ from tunenet_logs.analysis.record import (
     read_record,
     to_json,
 )
+from tunenet_logs.console import made_of, options_in
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Frame, Signal
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError, WeightsError
-from tunenet_logs.formats.options import ReadingOptions, reading_of
+from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.recorders.simulated import (
     DropOrder,
     FilmOrder,
@@ -61,14 +62,13 @@ from tunenet_logs.recorders.simulated import (
     simulate_shot,
 )
 from tunenet_logs.recorders.simulators.known import BALLS, Ball, simulated_by
-from tunenet_logs.terminal import Bar, Listener, Progress, heard_by
+from tunenet_logs.terminal import Listener, Progress, heard_by
 
 if TYPE_CHECKING:
     import pandas as pd  # pyright: ignore[reportMissingTypeStubs] (it ships its own types)
 
     from tunenet_logs.analysis.campaign import Campaign
     from tunenet_logs.analysis.report.page import Kind
-    from tunenet_logs.analysis.selection import Options
     from tunenet_logs.recorders.simulators.base import Simulator
     from tunenet_logs.writing.owned_path import Knows
 
@@ -78,12 +78,12 @@ if TYPE_CHECKING:
 _LATEST_S = 9e9  # stamps in ns of 64 bits end at 9.2e9 s
 
 
-def read_episode(path: AnyPath, **reading: Unpack[ReadingOptions]) -> Episode:
+def read_episode(path: AnyPath, **reading: Any) -> Episode:
     """Read any log or video into memory; images are decoded when `Episode.frames` is called.
 
     Args:
         path: Log, video, table, ROS bag or a bag's folder.
-        **reading: What the file does not state itself; see `ReadingOptions`.
+        **reading: What the file does not state itself; see `ReadOptions`.
 
     Raises:
         LogError: There is no such file, or nothing in it can be read.
@@ -91,7 +91,7 @@ def read_episode(path: AnyPath, **reading: Unpack[ReadingOptions]) -> Episode:
     """
     from tunenet_logs.reader import read_episode as read
 
-    return read(Path(path), reading_of(reading))
+    return read(Path(path), made_of(ReadOptions, reading))
 
 
 def episode_of_positions(
@@ -492,7 +492,29 @@ def _warn(text: str) -> None:
 Reviewed = Literal["all", "none", "ok", "suspect", "rejected"]
 """Which logs get a review: all, none, or those of one verdict."""
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
+
+def _with_options(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Name each field of `TuneOptions` in a function's signature, for notebooks and `help`."""
+    own = inspect.signature(function)
+    kept = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    known = [one for one in fields(TuneOptions) if one.name in options_in(TuneOptions)]
+    named = [
+        inspect.Parameter(
+            one.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None if one.default is MISSING else one.default,
+            annotation=one.type,
+        )
+        for one in known
+    ]
+    vars(function)["__signature__"] = own.replace(parameters=[*kept, *named])
+    return function
+
+
+@_with_options
 def tune(
     source: AnyPath | Episode,
     *,
@@ -500,7 +522,7 @@ def tune(
     name: str = "episode",
     engine: str | None = None,
     progress: Listener | None = None,
-    **options: Unpack[TuneOptions],
+    **options: Any,
 ) -> Tuning:
     """Tune from one log, as `tunenet-tune` does; nothing is written.
 
@@ -525,24 +547,23 @@ def tune(
     from tunenet_logs.analysis.result_files import log_sha256
     from tunenet_logs.analysis.tuning import provenance_of, tune_episode, tune_log
 
+    sha256 = ""
     with simulated_by(engine), heard_by(progress):
         if isinstance(source, Episode):
             chosen = _with(simulator, options_of(options))
             tuning = tune_episode(source, chosen, Path(name))
-            sha256 = ""
         else:
             with _here(source) as path:
                 chosen = _with(simulator, options_of(options, [path]))
                 tuning = tune_log(path, chosen)
-                sha256 = ""
                 with suppress(OSError):  # the tuning says why
                     sha256 = log_sha256(path)
-    for doubt in ball_doubts(options, chosen.selection.ball):
+    for doubt in chosen.ball_doubts:
         warnings.warn(doubt, stacklevel=2)
     return replace(tuning, provenance=provenance_of(tuning, sha256, chosen))
 
 
-def _with(simulator: Simulator | None, options: Options) -> Options:
+def _with(simulator: Simulator | None, options: TuneOptions) -> TuneOptions:
     """Add the user's own simulator to the options, if there is one."""
     if simulator is None:
         return options
@@ -565,45 +586,7 @@ def _here(source: AnyPath) -> Generator[Path]:
         yield path
 
 
-class _Counted:
-    """Progress bar that calls a listener."""
-
-    def __init__(self, listener: Listener, what: str, total: int) -> None:
-        self._listener, self._what, self._total = listener, what, total
-        self._done = 0
-
-    def update(self, done: int, /) -> None:
-        """Count `done` more items."""
-        self._done += done
-        self._listener(self._what, self._done / max(self._total, 1))
-
-    def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
-        """Show nothing."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _HeardByFunction(Progress):
-    """Progress that is reported to a function instead of the terminal."""
-
-    quiet: bool = True
-    listener: Listener | None = None
-
-    @contextmanager
-    def stages(self, name: str) -> Generator[None]:  # noqa: ARG002 (one log has no need of it)
-        """See `Progress.stages`."""
-        with heard_by(self.listener):
-            yield
-
-    @contextmanager
-    def bar(self, total: int | None, what: str, unit: str) -> Generator[Bar]:
-        """See `Progress.bar`."""
-        if self.listener is None:
-            with super().bar(total, what, unit) as bar:
-                yield bar
-        else:
-            yield _Counted(self.listener, what, total or 0)
-
-
+@_with_options
 def tune_all(
     logs: AnyPath | Iterable[AnyPath],
     folder: AnyPath,
@@ -615,7 +598,7 @@ def tune_all(
     ray: str | None = None,
     engine: str | None = None,
     progress: Listener | None = None,
-    **options: Unpack[TuneOptions],
+    **options: Any,
 ) -> pd.DataFrame:
     """Tune many logs on all cores, as `tunenet-tune LOGS -o FOLDER` does.
 
@@ -641,28 +624,24 @@ def tune_all(
     """
     from tunenet_logs.analysis.batch.ledger import read_ledger
     from tunenet_logs.analysis.batch.logs import find_logs
-    from tunenet_logs.analysis.batch.run import Order, Writing, closing, on_ray, run_batch
+    from tunenet_logs.analysis.batch.run import Order, Writing, closing, run_batch
 
     named = [logs] if isinstance(logs, str | PathLike) else list(logs)
-    places = [str(one) if "://" in str(one) else Path(one) for one in named]
-    verdicts = {"all": Writing().reviewed, "none": frozenset[str]()}
-    writing = Writing(overwrite, verdicts.get(reviewed, frozenset([reviewed])))
-    found = find_logs(places)
+    found = find_logs([str(one) if "://" in str(one) else Path(one) for one in named])
     chosen = options_of(options, [one.log for one in found.logs if isinstance(one.log, Path)])
-    order = Order(found.logs, chosen, writing, Path(folder), keeps_ledger=True, resumes=resume)
-    stream = None
-    if ray is not None:
-        from tunenet_logs.analysis.parallel import Cluster
-
-        stream = partial(on_ray, Cluster(ray, jobs))
+    verdicts = {"all": Writing().reviewed, "none": frozenset[str]()}
+    order = Order(
+        found.logs,
+        chosen,
+        Writing(overwrite, verdicts.get(reviewed, frozenset([reviewed]))),
+        Path(folder),
+        keeps_ledger=True,
+        resumes=resume,
+        jobs=jobs,
+        ray=ray,
+    )
     with simulated_by(engine):
-        batch = run_batch(
-            order,
-            _HeardByFunction(listener=progress),
-            stream,
-            jobs,
-            after=partial(closing, order, None),
-        )
+        batch = run_batch(order, Progress(quiet=True, listener=progress), after=closing)
     assert batch.ledger is not None
     return read_ledger(batch.ledger)
 
@@ -687,7 +666,7 @@ __all__ = [
     "NotFoundError",
     "PayloadOrder",
     "Provenance",
-    "ReadingOptions",
+    "ReadOptions",
     "Rebound",
     "Record",
     "Reviewed",

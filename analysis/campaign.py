@@ -43,43 +43,26 @@ from tunenet_logs.terminal import Progress, listed
 
 WIDTH_PX = 160  # of the longer side: what a view in a corner of a review shows
 RATE_HZ = 30.0  # pictures a second, at most: they play smoothly
-_MAX_PICTURES = 300  # ten seconds at that rate: a drop is over by then
 _QUALITY = 75  # of JPEG, 0 to 100: small files, in which the ball is still clear
-# Stamps jitter: a picture that is early by so little counts as due.
-_SLACK_S = 0.25 / RATE_HZ
-
+_SLACK_S = 0.25 / RATE_HZ  # Stamps jitter: a picture that is early by so little counts as due
 _STROBES = 24  # pictures in a strobe picture: with more, the ball would overlap itself
 
 
 @dataclass(frozen=True)
 class SmallFilm:
-    """Downsampled images as JPEG.
+    """Downsampled images as JPEG."""
 
-    Attributes:
-        start_ns: Origin of `seconds`.
-        seconds: Stamp of each image [s], increasing.
-        pictures: In their order.
-        strobe: The ball at many of those times, in one image.
-        size_px: (width, height) of each.
-    """
-
-    start_ns: int
-    seconds: tuple[float, ...]
-    pictures: tuple[bytes, ...]
-    strobe: bytes
-    size_px: tuple[int, int]
+    start_ns: int  # origin of `seconds`
+    seconds: tuple[float, ...]  # stamp of each image [s], increasing
+    pictures: tuple[bytes, ...]  # in their order
+    strobe: bytes  # the ball at many of those times, in one image
+    size_px: tuple[int, int]  # (width, height) of each
 
 
 def small_film(
     log: Path, start_ns: int | None, window_s: tuple[float, float] | None
 ) -> SmallFilm | None:
-    """Downsample the images of a log; None if it has none that can be read.
-
-    Args:
-        log: Of any kind.
-        start_ns: Origin of time; None for the first image.
-        window_s: First and last time since `start_ns`; None for all, up to the maximum count.
-    """
+    """Downsample the images of a log; None if it has none that can be read."""
     try:
         episode = read_episode(log)
     except TuneNetError:
@@ -87,22 +70,24 @@ def small_film(
     if not episode.picture_topics:
         return None
     first_s, last_s = window_s or (float("-inf"), float("inf"))
-    pace = _Pace()
     seconds: list[float] = []
+    due_s = before_s = float("-inf")
     small: list[Picture] = []
     with suppress(LogError):  # what was read before the damage is shown
         for frame in episode.frames(episode.picture_topics[0]):
             start_ns = frame.stamp_ns if start_ns is None else start_ns
             at_s = (frame.stamp_ns - start_ns) * 1e-9
-            if not pace.is_due(at_s) or not first_s <= at_s <= last_s:
+            # At most `RATE_HZ`: of two images the nearer one to what is due.
+            slack_s, before_s = min(_SLACK_S, (at_s - before_s) / 2), at_s
+            if at_s < due_s - slack_s or not first_s <= at_s <= last_s:
                 continue
             with suppress(LogError):  # a damaged picture
-                picture = _reduced(frame)
+                picture = _downsampled(frame)
                 if not small or picture.shape == small[0].shape:
-                    pace.took(at_s)
+                    due_s = max(due_s, at_s) + 1 / RATE_HZ
                     seconds.append(at_s)
                     small.append(picture)
-            if len(small) >= _MAX_PICTURES:
+            if len(small) >= 300:  # ten seconds at that rate: a drop is over by then
                 break
     if not small or start_ns is None:
         return None
@@ -111,25 +96,7 @@ def small_film(
     return SmallFilm(start_ns, tuple(seconds), pictures, _jpeg(strobe(small)), (width, height))
 
 
-class _Pace:
-    """Decimator that keeps images at most at `RATE_HZ`."""
-
-    def __init__(self) -> None:
-        self._due_s = float("-inf")
-        self._before_s = float("-inf")
-
-    def is_due(self, at_s: float) -> bool:
-        """Return whether the image of a time is the nearest to the one that is due."""
-        slack_s = min(_SLACK_S, (at_s - self._before_s) / 2)
-        self._before_s = at_s
-        return at_s >= self._due_s - slack_s
-
-    def took(self, at_s: float) -> None:
-        """Record that an image was kept."""
-        self._due_s = max(self._due_s, at_s) + 1 / RATE_HZ
-
-
-def _reduced(frame: Frame) -> Picture:
+def _downsampled(frame: Frame) -> Picture:
     """Downsample an image; shape (H, W, 3), BGR."""
     import cv2
 
@@ -164,7 +131,6 @@ def _jpeg(picture: Picture) -> bytes:
 # ---- Tuned drop: one recorded drop, from the record of its tuning.
 
 State = Literal["drop", "doubtful drop", "rejected drop"]
-
 _FIRST_WALL_NS = 10**17  # stamps from 1973 on are a wall clock's; smaller ones count from a start
 _STATES: Mapping[Verdict, State] = {
     "ok": "drop",
@@ -175,33 +141,20 @@ _STATES: Mapping[Verdict, State] = {
 
 @dataclass(frozen=True, eq=False)
 class TunedDrop:
-    """One recorded drop.
+    """One recorded drop."""
 
-    Attributes:
-        log: The recording; None if only its tuning is there.
-        tuning: The JSON; None if it was tuned here and now.
-        name: Of the log.
-        ball: As it was named when recording; "" if it was not.
-        reason: Why the verdict is not "ok".
-        value: The coefficient of restitution; None for a rejected drop.
-        interval95: None if no valid one exists.
-        overlay: The curves; None if no drop was found.
-        window_s: Its first and last sample, since the log's first.
-        film: Its images; None if it has none, or they were not read.
-        others: Other scalar estimates: how the restitution falls with speed, drag.
-    """
-
-    log: Path | None
-    tuning: Path | None
-    name: str
-    ball: str
+    log: Path | None  # the recording; None if only its tuning is there
+    tuning: Path | None  # the JSON; None if it was tuned here and now
+    name: str  # of the log
+    ball: str  # as it was named when recording; "" if it was not
     verdict: Verdict
-    reason: str
-    value: float | None
-    interval95: tuple[float, float] | None
-    overlay: Curves | None
-    window_s: tuple[float, float] | None = None
-    film: SmallFilm | None = None
+    reason: str  # why the verdict is not "ok"
+    value: float | None  # the coefficient of restitution; None for a rejected drop
+    interval95: tuple[float, float] | None  # None if no valid one exists
+    overlay: Curves | None  # the curves; None if no drop was found
+    window_s: tuple[float, float] | None = None  # its first and last sample, since the log's first
+    film: SmallFilm | None = None  # its images; None if it has none, or they were not read
+    # other scalar estimates: how the restitution falls with speed, drag
     others: tuple[Estimate, ...] = ()
 
     @property
@@ -218,11 +171,7 @@ class TunedDrop:
 
 
 def read_tuned_drop(tuning: Path) -> TunedDrop | None:
-    """Read the drop of a tuning's JSON; None if the file is something else.
-
-    Raises:
-        OSError: It cannot be read.
-    """
+    """Read the drop of a tuning's JSON; None if the file is something else."""
     tuning.stat()  # a file that cannot be read is no file of something else
     try:
         record = read_record(tuning)
@@ -266,45 +215,26 @@ def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
 
 # Suffixes of logs that are taken for a drop wherever they are found.
 _LOGS = frozenset((".mcap", ".bag", ".db3", ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"))
-
 # The same for a file that the user names: a table that merely lies in a folder may be anything.
 _NAMED_LOGS = _LOGS | {".csv", ".tsv"}
-
 _TABLES = frozenset((".csv", ".tsv", ".txt"))  # suffixes of what may be a table of outcomes
 # Of one folder: a campaign has hundreds; one with more is a home or a disk, named by mistake.
 _MAX_FILES = 20_000
-
 _MAX_ENTRIES = 100_000  # files and folders that are looked at: folders may hold no file
 
 
 @dataclass(frozen=True)
 class Material:
-    """Contents of a campaign's files.
+    """Contents of a campaign's files."""
 
-    Attributes:
-        outcomes: Sorted by time.
-        drops: Tuned, sorted by name.
-        untuned: Logs without a tuning.
-        roots: Folders that outcomes may name files from.
-    """
-
-    outcomes: tuple[Outcome, ...]
-    drops: tuple[TunedDrop, ...]
-    untuned: tuple[Path, ...]
-    roots: tuple[Path, ...]
+    outcomes: tuple[Outcome, ...]  # sorted by time
+    drops: tuple[TunedDrop, ...]  # tuned, sorted by name
+    untuned: tuple[Path, ...]  # logs without a tuning
+    roots: tuple[Path, ...]  # folders that outcomes may name files from
 
 
 def material_of(places: Sequence[Path], warn: Warn) -> Material:
-    """Sort the files of folders, and files that were named.
-
-    Args:
-        places: Files, and folders, which are searched recursively.
-        warn: Called with what cannot be read.
-
-    Raises:
-        LogError: There is no such place or no file of a campaign in it, or a table of outcomes is
-            invalid.
-    """
+    """Sort the files of folders, and files that were named."""
     named = frozenset(real_path(place) for place in places if place.is_file())
     outcomes: list[Outcome] = []
     drops: list[TunedDrop] = []
@@ -353,15 +283,14 @@ def holds_campaign(places: Sequence[Path]) -> bool:
 
     def is_outcome(file: Path) -> bool:
         try:
-            return bool(_outcomes(file, _silent))
+            return bool(_outcomes(file, silent))
         except (LogError, OSError):
             return False
 
-    return any(map(is_outcome, files_of(places, _silent)))
+    def silent(_: str) -> None:
+        """Ignore a warning: the next reader of these files reports it."""
 
-
-def _silent(_: str) -> None:
-    """Ignore a warning: the next reader of these files reports it."""
+    return any(map(is_outcome, files_of(places, silent)))
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
@@ -406,25 +335,17 @@ def _inside(folder: Path, warn: Warn) -> list[Path]:
             continue
         looked += len(every)
         folders = [entry.name for entry in every if entry.is_dir(follow_symlinks=False)]
-        names = [entry.name for entry in every if not _is_folder(entry)]
-        found += [Path(root, name) for name in sorted(names, key=natural)]
+        # Links to folders are left out; circular links are not.
+        links = {one.name for one in every if one.is_symlink() and is_folder(Path(one.path))}
+        names = {entry.name for entry in every} - links - set(folders)
+        found += [Path(root, name) for name in sorted(sorted(names), key=natural)]
         waiting += [Path(root, name) for name in sorted(folders, reverse=True)]
         if len(found) > _MAX_FILES or looked >= _MAX_ENTRIES:
-            most = (
-                f"{_MAX_FILES} files"
-                if len(found) > _MAX_FILES
-                else f"{_MAX_ENTRIES} files and folders"
-            )
+            too_many = len(found) > _MAX_FILES
+            most = f"{_MAX_FILES} files" if too_many else f"{_MAX_ENTRIES} files and folders"
             warn(f"{folder}: holds over {most}; those beyond are left out")
             return found[:_MAX_FILES]
     return found
-
-
-def _is_folder(entry: os.DirEntry[str]) -> bool:
-    """Return whether it is a folder or a link to one; circular links are not."""
-    return entry.is_dir(follow_symlinks=False) or (
-        entry.is_symlink() and is_folder(Path(entry.path))
-    )
 
 
 def _is_regular(file: Path, warn: Warn) -> bool:
@@ -441,12 +362,7 @@ def _is_regular(file: Path, warn: Warn) -> bool:
 
 
 def _outcomes(file: Path, warn: Warn) -> Sequence[Outcome]:
-    """Read a file's outcomes; none if it is something else.
-
-    Raises:
-        LogError: A table of outcomes is invalid.
-        OSError: It cannot be read.
-    """
+    """Read a file's outcomes; none if it is something else."""
     suffix = file.suffix.lower()
     if suffix not in _TABLES and suffix != ".mcap":
         return ()
@@ -483,24 +399,26 @@ def _with_logs(drops: Iterable[TunedDrop], logs: Iterable[Path], warn: Warn) -> 
 
 
 def _one_each(drops: Sequence[TunedDrop], named: frozenset[Path], warn: Warn) -> list[TunedDrop]:
-    """Keep one tuning per log, by `_rank`, so that no drop is counted twice."""
+    """Keep one tuning per log, so that no drop is counted twice.
+
+    One that an outcome names comes first, then one that is named as the log is.
+    """
+
+    def rank(drop: TunedDrop) -> tuple[bool, bool, str]:
+        tuning, log = drop.tuning or Path(), drop.log or Path()
+        return real_path(tuning) not in named, tuning.stem != log.stem, str(tuning)
+
     by_log: dict[Path, list[TunedDrop]] = {}
     for drop in drops:
         if drop.log is not None:
             by_log.setdefault(real_path(drop.log), []).append(drop)
     kept = [drop for drop in drops if drop.log is None]
     for log, several in by_log.items():
-        chosen = min(several, key=lambda drop: _rank(drop, named))
+        chosen = min(several, key=rank)
         if len(several) > 1:
             warn(f"{log}: has {len(several)} tunings; {chosen.tuning} counts")
         kept.append(chosen)
     return kept
-
-
-def _rank(drop: TunedDrop, named: frozenset[Path]) -> tuple[bool, bool, str]:
-    """Rank tunings of one log: named by an outcome first, then named as the log is."""
-    tuning, log = drop.tuning or Path(), drop.log or Path()
-    return real_path(tuning) not in named, tuning.stem != log.stem, str(tuning)
 
 
 # ---- Attempts: link drops, tunings and outcomes, in the order in which they were made.
@@ -510,21 +428,13 @@ _UNNAMED = "unnamed ball"  # of a drop whose recording names no ball, and that n
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """One attempt: drops until one was good, then the shot's outcome.
+    """One attempt: drops until one was good, then the shot's outcome."""
 
-    Attributes:
-        number: Its position in the campaign, from 1.
-        ball: Name of the ball.
-        of_ball: Its position among those of this ball, from 1.
-        drops: In their order; the shot was tuned from the last.
-        outcome: None if none was recorded.
-    """
-
-    number: int
-    ball: str
-    of_ball: int
-    drops: tuple[TunedDrop, ...]
-    outcome: Outcome | None
+    number: int  # its position in the campaign, from 1
+    ball: str  # name of the ball
+    of_ball: int  # its position among those of this ball, from 1
+    drops: tuple[TunedDrop, ...]  # in their order; the shot was tuned from the last
+    outcome: Outcome | None  # None if none was recorded
 
     @property
     def used(self) -> TunedDrop | None:
@@ -573,7 +483,17 @@ def attempts_of(material: Material, warn: Warn) -> tuple[Attempt, ...]:
     drops = sorted(material.drops, key=lambda drop: natural(drop.name))
     if all(drop.wall_ns is not None for drop in drops):
         drops = sorted(material.drops, key=lambda drop: drop.wall_ns or 0)
-    latest = _latest(material.outcomes, warn)
+    # The last of several outcomes of one attempt counts, in the order of the first ones.
+    by_attempt: dict[tuple[str, str, int], Outcome] = {}
+    for outcome in material.outcomes:
+        key = (outcome.task, outcome.ball, outcome.attempt)
+        if key in by_attempt:
+            warn(
+                f"{outcome.name}: has several outcomes; the one of the latest time counts "
+                f"({outcome.word})"
+            )
+        by_attempt[key] = outcome
+    latest = list(by_attempt.values())
     linked = _linked(latest, drops, material.roots)
     made: list[tuple[int, Attempt]] = []
     waiting: list[tuple[int, TunedDrop]] = []
@@ -602,27 +522,23 @@ def attempts_of(material: Material, warn: Warn) -> tuple[Attempt, ...]:
     ]
     if all(_wall_ns(attempt) is not None for attempt in ordered):
         ordered.sort(key=lambda attempt: _wall_ns(attempt) or 0)
-    return tuple(_numbered(ordered))
-
-
-def _latest(outcomes: Sequence[Outcome], warn: Warn) -> list[Outcome]:
-    """Keep the last of several outcomes of one attempt, in the order of the first ones."""
-    found: dict[tuple[str, str, int], Outcome] = {}
-    for outcome in outcomes:
-        key = (outcome.task, outcome.ball, outcome.attempt)
-        if key in found:
-            warn(
-                f"{outcome.name}: has several outcomes; the one of the latest time counts "
-                f"({outcome.word})"
-            )
-        found[key] = outcome
-    return list(found.values())
+    # Number them in the campaign, and by ball where the outcome does not.
+    counts: dict[str, int] = {}
+    numbered: list[Attempt] = []
+    for number, attempt in enumerate(ordered, 1):
+        of_ball = attempt.of_ball or counts.get(attempt.ball, 0) + 1
+        counts[attempt.ball] = max(of_ball, counts.get(attempt.ball, 0))
+        numbered.append(replace(attempt, number=number, of_ball=of_ball))
+    return tuple(numbered)
 
 
 def _linked(
     outcomes: Sequence[Outcome], drops: Sequence[TunedDrop], roots: Sequence[Path]
 ) -> dict[int, list[Outcome]]:
-    """Map the id of each drop to the outcomes that name its log or tuning."""
+    """Map the id of each drop to the outcomes that name its log or tuning.
+
+    By a path, or by a name that only one drop has: paths may be another machine's.
+    """
     by_path = {real_path(path): drop for drop in drops for path in (drop.log, drop.tuning) if path}
     by_name: dict[str, list[TunedDrop]] = {}
     for drop in drops:
@@ -632,26 +548,14 @@ def _linked(
     linked: dict[int, list[Outcome]] = {}
     for outcome in outcomes:
         for text in (outcome.drop_log, outcome.tuning):
-            drop = _named(text, by_path, by_name, roots) if text else None
-            if drop is not None:
-                linked.setdefault(id(drop), []).append(outcome)
+            if not text:
+                continue
+            there = [by_path[at] for root in roots if (at := real_path(root / text)) in by_path]
+            same = by_name.get(Path(text).name, [])
+            if there or len(same) == 1:
+                linked.setdefault(id((there or same)[0]), []).append(outcome)
                 break
     return linked
-
-
-def _named(
-    text: str,
-    by_path: dict[Path, TunedDrop],
-    by_name: dict[str, list[TunedDrop]],
-    roots: Sequence[Path],
-) -> TunedDrop | None:
-    """Find a drop by a path, or by a name that only one has: paths may be another machine's."""
-    for root in roots:
-        found = by_path.get(real_path(root / text))
-        if found is not None:
-            return found
-    same = by_name.get(Path(text).name, [])
-    return same[0] if len(same) == 1 else None
 
 
 def _wall_ns(attempt: Attempt) -> int | None:
@@ -663,17 +567,6 @@ def _wall_ns(attempt: Attempt) -> int | None:
     return max(known) if known else None
 
 
-def _numbered(attempts: Sequence[Attempt]) -> list[Attempt]:
-    """Number attempts in the campaign, and by ball if the outcome does not."""
-    counts: dict[str, int] = {}
-    numbered: list[Attempt] = []
-    for number, attempt in enumerate(attempts, 1):
-        of_ball = attempt.of_ball or counts.get(attempt.ball, 0) + 1
-        counts[attempt.ball] = max(of_ball, counts.get(attempt.ball, 0))
-        numbered.append(replace(attempt, number=number, of_ball=of_ball))
-    return numbered
-
-
 # ---- Campaign: build its attempts, with images of the drops, from its files.
 
 _AROUND_S = 0.3  # of pictures before and after the curves: what led to them, what followed
@@ -681,28 +574,13 @@ _AROUND_S = 0.3  # of pictures before and after the curves: what led to them, wh
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """A campaign to review.
+    """A campaign to review."""
 
-    Attributes:
-        name: Of the folder that was named first.
-        attempts: In their order, at least one.
-        tuned_now: How many drops had no tuning beside them.
-        unread: How many logs cannot be read; they are no attempts.
-        places: That were named, without links.
-    """
-
-    name: str
-    attempts: tuple[Attempt, ...]
-    tuned_now: int
-    unread: int
-    places: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class _Unread:
-    """Log that cannot be read, and why."""
-
-    reason: str
+    name: str  # Of the folder that was named first
+    attempts: tuple[Attempt, ...]  # In their order, at least one
+    tuned_now: int  # How many drops had no tuning beside them
+    unread: int  # How many logs cannot be read; they are no attempts
+    places: tuple[str, ...] = ()  # That were named, without links
 
 
 def campaign_of(
@@ -710,22 +588,15 @@ def campaign_of(
 ) -> Campaign:
     """Read the files of a campaign, and tune drops that have no tuning; nothing is written.
 
-    Args:
-        places: Folders, logs, tunings, outcomes, tables of outcomes.
-        jobs: Processes; None for all cores.
-        progress: Shows the drop under way.
-        warn: Called with what cannot be read or does not fit.
-
-    Raises:
-        LogError: No file of a campaign is there.
+    `jobs` (None for all cores).
     """
     material = material_of(places, warn)
     work: list[TunedDrop | Path] = [*material.drops, *material.untuned]
     pieces = [Piece(item, 1, item.name) for item in work]
     read = parallel_map(_read, pieces, jobs, progress, ("reading", "drop")) if pieces else []
-    unread = [log for log in read if isinstance(log, _Unread)]
-    for log in unread:
-        warn(log.reason)
+    unread = [reason for reason in read if isinstance(reason, str)]
+    for reason in unread:
+        warn(reason)
     drops = sorted(
         (drop for drop in read if isinstance(drop, TunedDrop)), key=lambda drop: natural(drop.name)
     )
@@ -743,10 +614,25 @@ def places_of(places: Sequence[Path]) -> tuple[str, ...]:
     return tuple(str(real_path(place)) for place in places)
 
 
-def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:
-    """Read a drop with its images, in a worker process."""
-    drop = _tuned(item) if isinstance(item, Path) else item
-    if not isinstance(drop, TunedDrop) or drop.log is None:
+def _read(item: TunedDrop | Path) -> TunedDrop | str | None:
+    """Read a drop with its images, in a worker process; why a log cannot be read; None for others.
+
+    A log without a tuning is tuned here and now.
+    """
+    if isinstance(item, TunedDrop):
+        drop = item
+    else:
+        from tunenet_logs.analysis.experiment import record_of
+        from tunenet_logs.analysis.options import TuneOptions
+        from tunenet_logs.analysis.tuning import tune_log
+
+        tuning = tune_log(item, TuneOptions())
+        if tuning.episode is None:
+            return f"{item}: {tuning.reason}"
+        if tuning.task not in ("drop", None):
+            return None
+        drop = drop_of(record_of(tuning), item, None)
+    if drop.log is None:
         return drop
     overlay = drop.overlay
     window_s = drop.window_s
@@ -756,20 +642,6 @@ def _read(item: TunedDrop | Path) -> TunedDrop | _Unread | None:
     return replace(drop, film=small_film(drop.log, start_ns, window_s))
 
 
-def _tuned(log: Path) -> TunedDrop | _Unread | None:
-    """Tune the drop of a log; None if it is something else than a drop."""
-    from tunenet_logs.analysis.experiment import record_of
-    from tunenet_logs.analysis.selection import Options
-    from tunenet_logs.analysis.tuning import tune_log
-
-    tuning = tune_log(log, Options())
-    if tuning.episode is None:
-        return _Unread(f"{log}: {tuning.reason}")
-    if tuning.task not in ("drop", None):
-        return None
-    return drop_of(record_of(tuning), log, None)
-
-
 # ---- Rates: successes beside the paper's, and restitutions by ball.
 
 _Z95 = 1.959963984540054  # standard deviations: 95 % of a normal distribution are within
@@ -777,19 +649,12 @@ _Z95 = 1.959963984540054  # standard deviations: 95 % of a normal distribution a
 
 @dataclass(frozen=True)
 class Rate:
-    """Success rate of some attempts.
+    """Success rate of some attempts."""
 
-    Attributes:
-        name: Of these attempts.
-        successes: Number that succeeded.
-        count: Number with an outcome.
-        published: The paper's fraction; None if it has none.
-    """
-
-    name: str
-    successes: int
-    count: int
-    published: float | None = None
+    name: str  # of these attempts
+    successes: int  # number that succeeded
+    count: int  # number with an outcome
+    published: float | None = None  # the paper's fraction; None if it has none
 
     @property
     def fraction(self) -> float:
@@ -804,19 +669,12 @@ class Rate:
 
 @dataclass(frozen=True)
 class BallRestitutions:
-    """Coefficients of restitution tuned for one ball.
+    """Coefficients of restitution tuned for one ball."""
 
-    Attributes:
-        name: Of the ball.
-        values: One per drop, in their order.
-        attempts: Numbers of the first attempts with those.
-        intervals95: None where one has none.
-    """
-
-    name: str
-    values: tuple[float, ...]
-    attempts: tuple[int, ...]
-    intervals95: tuple[tuple[float, float] | None, ...]
+    name: str  # of the ball
+    values: tuple[float, ...]  # one per drop, in their order
+    attempts: tuple[int, ...]  # numbers of the first attempts with those
+    intervals95: tuple[tuple[float, float] | None, ...]  # None where one has none
 
     @property
     def mean(self) -> float:
@@ -867,20 +725,13 @@ def overall_rates(attempts: Sequence[Attempt]) -> tuple[Rate, ...]:
 
 def ball_rates(attempts: Sequence[Attempt]) -> tuple[Rate, ...]:
     """Rate attempts by ball, in order, and by task if it is no bounce shot."""
-    tried = [
-        (
-            ball,
-            task,
-            [attempt for attempt in attempts if attempt.ball == ball and _task(attempt) == task],
-        )
-        for ball in _balls_of(attempts)
-        for task in _tasks_of(attempts)
-    ]
-    return tuple(
-        _rate(ball if task == BOUNCE_SHOT else f"{ball}, {task}", own, None)
-        for ball, task, own in tried
-        if own
-    )
+    rates: list[Rate] = []
+    for ball in _balls_of(attempts):
+        for task in _tasks_of(attempts):
+            own = [one for one in attempts if one.ball == ball and _task(one) == task]
+            name = ball if task == BOUNCE_SHOT else f"{ball}, {task}"
+            rates += [_rate(name, own, None)] if own else []
+    return tuple(rates)
 
 
 def _task(attempt: Attempt) -> str | None:
@@ -928,28 +779,18 @@ def _rate(name: str, attempts: Iterable[Attempt], published: float | None) -> Ra
 
 # ---- Tunings that a user names: JSONs of `tunenet-tune`, and folders with them.
 
-_MAX_LABEL_FOLDERS = 4  # folders that are put before a name to tell it from an equal one
-
 
 @dataclass(frozen=True, eq=False)
 class TuningFile:
-    """JSON of a tuning, and its record.
-
-    Attributes:
-        label: The log's name; with folders in front if several logs have it.
-    """
+    """JSON of a tuning, and its record."""
 
     path: Path
     record: Record
-    label: str
+    label: str  # the log's name; with folders in front if several logs have it
 
 
 def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
-    """Read tunings in the order they are named; those of a folder, searched recursively, by name.
-
-    Raises:
-        LogError: There is no such place, no tuning in any of them, or a named file is none.
-    """
+    """Read tunings in the order that they are named; those of a folder, recursively, by name."""
     named = {real_path(place) for place in places if place.is_file()}
     found: list[tuple[Path, Record]] = []
     for path in files_of(places, warn):
@@ -964,7 +805,17 @@ def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
     if not found:
         words = ", ".join(map(str, places))
         raise LogError(f"{words}: holds no tuning; give the .json that tunenet-tune wrote")
-    labels = _labels(found)
+    # Label logs; equal names get as many folders of their JSON as distinguish them.
+    names = [record.log or path.stem for path, record in found]
+    counts = Counter(names)
+    labels = list(names)
+    for depth in range(4):  # folders before a name, to tell it from an equal one
+        again = Counter(labels)
+        for index, (path, _) in enumerate(found):
+            if counts[names[index]] > 1 and again[labels[index]] > 1:
+                folders = real_path(path).parent.parts[-1 - depth :]
+                labels[index] = f"{names[index]} ({'/'.join([*folders, path.stem])})"
+    labels = distinct(labels)
     return tuple(
         TuningFile(path, record, label) for (path, record), label in zip(found, labels, strict=True)
     )
@@ -973,17 +824,3 @@ def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
 def in_order(tunings: Sequence[TuningFile]) -> tuple[TuningFile, ...]:
     """Sort by labels in natural order."""
     return tuple(sorted(tunings, key=lambda tuning: natural(tuning.label)))
-
-
-def _labels(found: Sequence[tuple[Path, Record]]) -> list[str]:
-    """Label logs; equal names get as many folders of their JSON as distinguish them."""
-    names = [record.log or path.stem for path, record in found]
-    counts = Counter(names)
-    labels = list(names)
-    for depth in range(_MAX_LABEL_FOLDERS):
-        again = Counter(labels)
-        for index, (path, _) in enumerate(found):
-            if counts[names[index]] > 1 and again[labels[index]] > 1:
-                folders = real_path(path).parent.parts[-1 - depth :]
-                labels[index] = f"{names[index]} ({'/'.join([*folders, path.stem])})"
-    return distinct(labels)

@@ -1,20 +1,25 @@
-"""Checks of a tuning, and the verdict that follows from them."""
+"""Checks of a tuning as data, and the verdict that follows from them.
+
+A room has one table of `CheckSpec`; `CheckSpec.measured` makes a `Check` of a number. The sentence
+that users read, the JSON, the pages and docs/checks.md are made of these.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
 
 from tunenet_logs.analysis.statistics import TWO_SIDED
 from tunenet_logs.episode import BY_CLOCK, MAX_LEFT_OUT, Episode, LeftOut
 
 Verdict = Literal["ok", "suspect", "rejected"]
+Sense = Literal["at most", "at least", "within", "true"]
 
-# At most this many digits are added so that a figure and its limit differ in print.
-_MORE_DIGITS = 3
-
-_EVEN_CLOCK = "stamp samples by a clock that is not set meanwhile, local time by UTC"
+_MORE_DIGITS = 3  # added at most so that a figure and its limit differ in print
+_UNWRITTEN: Mapping[str, Any] = {"key": None}  # of a field that a record's JSON does not hold
 
 
 @dataclass(frozen=True)
@@ -28,18 +33,173 @@ class Check:
         invalidates_interval: Whether a failure puts the model behind the interval in doubt; not so
             if it only leaves less data, which the interval says, or if another check would see it.
         secondary: Whether a failure may follow from that of another check, which is named first.
+        value: What was measured, in `unit`; None where it is no number.
+        limit: What it is compared with; None where that is no number.
+        unit: Of both; "" where they are counts or ratios.
+        wanted: The limit in words, as `detail` has it in brackets; "" where it has none.
     """
 
     name: str
     passed: bool
     detail: str
-    fatal: bool = False
+    fatal: bool = field(default=False, metadata=_UNWRITTEN)
     advice: str = ""
-    invalidates_interval: bool = True
-    secondary: bool = False
+    invalidates_interval: bool = field(default=True, metadata=_UNWRITTEN)
+    secondary: bool = field(default=False, metadata=_UNWRITTEN)
+    value: float | None = None
+    limit: float | None = None
+    unit: str = ""
+    wanted: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passed", bool(self.passed))  # NumPy's bool is no JSON
+
+    @property
+    def figure(self) -> str:
+        """The detail without its limit."""
+        return self.detail.replace(f" ({self.wanted})", "", 1) if self.wanted else self.detail
+
+
+class Limit(NamedTuple):
+    """What a measured value is compared with; made by `at_most`, `at_least`, `within`, `TRUE`."""
+
+    sense: Sense
+    value: float  # in `unit`; a check whose limit depends on the recording is given its own
+    unit: str = ""
+    # format of the value and of the limit in a sentence; of both if there is one
+    shown: str = ".0f"
+    # value beyond which nothing can be reported; None if a failure is never fatal
+    fatal: float | None = None
+
+
+def at_most(value: float, unit: str = "", shown: str = ".0f", fatal: float | None = None) -> Limit:
+    """Make an upper limit."""
+    return Limit("at most", value, unit, shown, fatal)
+
+
+def at_least(value: float, unit: str = "", shown: str = ".0f", fatal: float | None = None) -> Limit:
+    """Make a lower limit."""
+    return Limit("at least", value, unit, shown, fatal)
+
+
+def within(value: float, unit: str = "", shown: str = ".0f") -> Limit:
+    """Make a limit to either side of zero."""
+    return Limit("within", value, unit, shown)
+
+
+TRUE = Limit("true", 1)  # of a check that has no number
+_WANTED = {
+    "at most": "at most {limit}",
+    "at least": "wanted: {limit} or more",
+    "within": "at most {limit} either way",
+    "true": "",
+}
+
+
+@dataclass(frozen=True)
+class CheckSpec:
+    """All of a check but what is measured.
+
+    `seen`, `wanted` and `more` are formats of `{value}`, `{limit}`, `{unit}` and the words that are
+    given to `measured`.
+    """
+
+    name: str
+    limit: Limit
+    measures: str  # what it measures, for docs/checks.md
+    cause: str  # the usual cause of a failure, for docs/checks.md
+    advice: str  # see `Check`
+    seen: str = "{value} {unit}"  # what was seen
+    wanted: str | None = None  # the limit, in brackets after it; None for the usual words
+    more: str = ""  # what follows the brackets
+    passes: str = ""  # what passes, for docs/checks.md; "" for the limit alone
+    if_not: str = ""  # what a failure means, for docs/checks.md; "" for what the limit says
+    invalidates_interval: bool = True  # see `Check`
+    secondary: bool = False  # see `Check`
+
+    def measured(
+        self,
+        value: float,
+        limit: float | None = None,
+        *,
+        detail: str | None = None,
+        passed: bool | None = None,
+        fatal: bool | None = None,
+        unit: str | None = None,
+        advice: str | None = None,
+        invalidates_interval: bool | None = None,
+        secondary: bool | None = None,
+        **words: object,
+    ) -> Check:
+        """Compare a value with the limit.
+
+        Args:
+            value: In the limit's unit; of `TRUE`, whether it passes.
+            limit: Where it depends on the recording.
+            detail: The whole sentence in place of `seen`, `wanted` and `more`.
+            passed: Where it is not the comparison alone that says it.
+            fatal: Whether a failure is fatal where not the limit says it.
+            unit: In place of the limit's.
+            advice: In place of the check's own, as the next two.
+            invalidates_interval: See `Check`.
+            secondary: See `Check`.
+            words: That fill its texts.
+        """
+        sense, usual_limit, usual_unit, shown, worst = self.limit
+        limit = usual_limit if limit is None else float(limit)
+        unit = usual_unit if unit is None else unit
+        size = abs(value) if sense == "within" else float(value)
+        sign = -1 if sense in ("at least", "true") else 1
+        if passed is None:
+            passed = sign * size <= sign * limit
+        if fatal is None:
+            fatal = worst is not None and sign * size > sign * worst
+        known: dict[str, object] = {"unit": unit, **words}
+        known["value"], known["limit"] = _figures(float(value), limit, shown)
+        wanted = ""
+        if detail is None:
+            wanted = (_WANTED[sense] if self.wanted is None else self.wanted).format(**known)
+            brackets = f" ({wanted})" if wanted else ""
+            detail = self.seen.format(**known) + brackets + self.more.format(**known)
+        has_numbers = sense != "true"
+        return Check(
+            self.name,
+            passed,
+            detail,
+            fatal=bool(fatal),
+            advice=self.advice if advice is None else advice,
+            invalidates_interval=self.invalidates_interval
+            if invalidates_interval is None
+            else invalidates_interval,
+            secondary=self.secondary if secondary is None else secondary,
+            value=float(value) if has_numbers and math.isfinite(value) else None,
+            limit=limit if has_numbers and math.isfinite(limit) else None,
+            unit=unit,
+            wanted=wanted,
+        )
+
+
+Table = Mapping[str, CheckSpec]
+
+
+def table(*specs: CheckSpec) -> Table:
+    """Make a room's table of checks, by their names."""
+    return {spec.name: spec for spec in specs}
+
+
+def _figures(value: float, limit: float, shown: str) -> tuple[str, str]:
+    """Format a value and its limit, with more digits where they would print alike."""
+    value_format, _, limit_format = shown.partition(" ")
+    pairs: list[tuple[str, str]] = []
+    for more in range(_MORE_DIGITS + 1):
+        formats = [
+            re.sub(r"\.(\d+)", lambda digits, more=more: f".{int(digits[1]) + more}", one)
+            for one in (value_format, limit_format or value_format)
+        ]
+        pairs.append((format(value, formats[0]), format(limit, formats[1])))
+        if float(pairs[-1][0]) != float(pairs[-1][1]):
+            return pairs[-1]
+    return pairs[0]
 
 
 @dataclass(frozen=True)
@@ -59,7 +219,7 @@ class CrossCheck:
     agrees: bool
     tolerance: float | None = None
     noise95: float | None = None
-    advice: str = ""
+    advice: str = field(default="", metadata=_UNWRITTEN)
 
     @classmethod
     def judged(
@@ -86,18 +246,42 @@ class CrossCheck:
         return cls(method, value, agrees, tolerance, None if sd is None else TWO_SIDED * sd, advice)
 
 
+LOG = table(
+    CheckSpec(
+        "samples as they were recorded",
+        TRUE,
+        measures="whether the samples that were read are as the file's checksums have them",
+        passes="none is known to be changed",
+        cause="a wrong data checksum, a cut end",
+        advice="tune the log as it was before it was damaged",
+    ),
+    CheckSpec(
+        "samples are all there",
+        at_most(100 * MAX_LEFT_OUT, "%", ".1f"),
+        seen="{what}: {value} %",
+        measures="samples of what is tuned that the log had besides, and that are left out: by a "
+        "clock that was set, with the stamp of another sample but other values, in damaged "
+        "messages and places, in rows that cannot be read, beyond a budget; a tare's too",
+        passes="at most {limit} % of all",
+        cause="a clock set while it recorded, local time at the end of summer time, two things "
+        "under one name, a damaged file",
+        advice="stamp samples by a clock that is not set meanwhile, local time by UTC; else "
+        "record, copy or export it whole",
+    ),
+)
+
+
 def log_checks(episode: Episode, lacking: Sequence[LeftOut]) -> tuple[Check, ...]:
     """Check the file itself: samples that may have been changed, or are missing."""
+    intact, whole = LOG.values()
     detail = episode.tainted or "no sample that was read is known to be damaged"
-    advice = "tune the log as it was before it was damaged"
-    recorded = Check("samples as they were recorded", not episode.tainted, detail, advice=advice)
+    recorded = intact.measured(not episode.tainted, detail=detail)
     most = max(lacking, key=lambda one: one.share, default=LeftOut("", 0, {}))
-    share, limit = figures(100 * most.share, 100 * MAX_LEFT_OUT, 1)
-    nothing = "none is known to be left out"
-    detail = f"{most}: {share} % (at most {limit})" if most.share else nothing
     is_clock = most.by_reason.get(BY_CLOCK, 0) > sum(most.by_reason.values()) / 2
-    advice = _EVEN_CLOCK if is_clock else "record, copy or export it whole"
-    return (recorded, Check("samples are all there", not most.is_much, detail, advice=advice))
+    clock_advice, _, advice = whole.advice.partition("; else ")
+    advice = clock_advice if is_clock else advice
+    nothing = None if most.share else "none is known to be left out"
+    return recorded, whole.measured(100 * most.share, what=most, detail=nothing, advice=advice)
 
 
 def judge(
@@ -125,12 +309,3 @@ def judge(
         return "ok", None
     advice = f"; at the next {occasion}: {remedies[0]}" if remedies[0] else ""
     return "rejected" if fatal else "suspect", "; ".join(reasons) + advice
-
-
-def figures(seen: float, limit: float, digits: int, kind: str = "f") -> tuple[str, str]:
-    """Format two numbers with `digits` digits, or more where they would print alike."""
-    for more in range(digits, digits + _MORE_DIGITS + 1):
-        pair = f"{seen:.{more}{kind}}", f"{limit:.{more}{kind}}"
-        if pair[0] != pair[1]:
-            return pair
-    return f"{seen:.{digits}{kind}}", f"{limit:.{digits}{kind}}"

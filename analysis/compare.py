@@ -31,31 +31,18 @@ _SAME_RATIO = 1.02  # of two speeds: a ball's restitution changes by a thousandt
 
 @dataclass(frozen=True)
 class ComparedValue:
-    """One log's value of one scalar.
+    """One log's value of one scalar."""
 
-    Attributes:
-        label: Of the log.
-        value: In the quantity's unit.
-        interval95: None if no valid one exists.
-        verdict: Of the log.
-        sha256: Of the recording; "" if unknown.
-        is_restitution: Whether it holds at one speed only.
-        speed_m_s: Impact speed that it holds for; None if unknown.
-        slowest_m_s: Least impact speed in this log; None if unknown.
-        slope: p of e(v) = e (v / speed)^-p; None if unknown.
-        slope_half: Half of its 95 % interval; None if it has none.
-    """
-
-    label: str
-    value: float
-    interval95: Interval | None
-    verdict: Verdict
-    sha256: str = ""
-    is_restitution: bool = False
-    speed_m_s: float | None = None
-    slowest_m_s: float | None = None
-    slope: float | None = None
-    slope_half: float | None = None
+    label: str  # of the log
+    value: float  # in the quantity's unit
+    interval95: Interval | None  # None if no valid one exists
+    verdict: Verdict  # of the log
+    sha256: str = ""  # of the recording; "" if unknown
+    is_restitution: bool = False  # whether it holds at one speed only
+    speed_m_s: float | None = None  # impact speed that it holds for; None if unknown
+    slowest_m_s: float | None = None  # least impact speed in this log; None if unknown
+    slope: float | None = None  # p of e(v) = e (v / speed)^-p; None if unknown
+    slope_half: float | None = None  # half of its 95 % interval; None if it has none
 
 
 def restitution_value(value: ComparedValue, record: Record) -> ComparedValue:
@@ -148,27 +135,16 @@ TEST_WORDS = (
 
 @dataclass(frozen=True)
 class PairTest:
-    """Test of two values of one quantity.
+    """Test of two values of one quantity."""
 
-    Attributes:
-        first: Label of the log whose value is the minuend.
-        second: Label of the log whose value is subtracted.
-        difference: First less second, in the quantity's unit.
-        interval95: Of the difference.
-        probability: Two-sided p-value; None if not tested.
-        corrected: The same after Holm's correction; None if not tested.
-        speed_m_s: At which restitutions were compared; None for other quantities.
-        caution: One short sentence; "" if nothing.
-    """
-
-    first: str
-    second: str
-    difference: float
-    interval95: Interval
-    probability: float | None
-    corrected: float | None = None
-    speed_m_s: float | None = None
-    caution: str = ""
+    first: str  # label of the log whose value is the minuend
+    second: str  # label of the log whose value is subtracted
+    difference: float  # first less second, in the quantity's unit
+    interval95: Interval  # of the difference
+    probability: float | None  # two-sided p-value; None if not tested
+    corrected: float | None = None  # the same after Holm's correction; None if not tested
+    speed_m_s: float | None = None  # at which restitutions were compared; None for other quantities
+    caution: str = ""  # one short sentence; "" if nothing
 
     @property
     def differs(self) -> bool:
@@ -178,28 +154,24 @@ class PairTest:
 
 def pair_tests(values: Sequence[ComparedValue]) -> list[PairTest]:
     """Test each pair of values with intervals; p-values are not corrected yet."""
-    known = [value for value in values if value.interval95 is not None]
-    return [_test(*pair) for pair in combinations(known, 2)]
-
-
-def _test(first: ComparedValue, second: ComparedValue) -> PairTest:
-    if first.is_restitution:
-        first, second, speed_m_s, caution = at_one_speed(first, second)
-    else:
+    tests: list[PairTest] = []
+    for first, second in combinations([one for one in values if one.interval95 is not None], 2):
         speed_m_s, caution = None, ""
-    (down, up), (other_down, other_up) = _errors(first), _errors(second)
-    difference = first.value - second.value
-    below, above = math.hypot(down, other_up), math.hypot(up, other_down)
-    probability: float | None = None
-    if first.sha256 and first.sha256 == second.sha256:
-        caution = "the same recording: not compared"
-    else:
-        toward_zero = below if difference > 0 else above
-        deviations = abs(difference) * TWO_SIDED / max(toward_zero, _NOTHING)
-        probability = math.erfc(min(deviations, 1e6) / math.sqrt(2))
-    ends = difference - below, difference + above
-    labels = first.label, second.label
-    return PairTest(*labels, difference, ends, probability, None, speed_m_s, caution)
+        if first.is_restitution:
+            first, second, speed_m_s, caution = at_one_speed(first, second)  # noqa: PLW2901
+        (down, up), (other_down, other_up) = _errors(first), _errors(second)
+        difference = first.value - second.value
+        below, above = math.hypot(down, other_up), math.hypot(up, other_down)
+        probability: float | None = None
+        if first.sha256 and first.sha256 == second.sha256:
+            caution = "the same recording: not compared"
+        else:
+            toward_zero = below if difference > 0 else above
+            deviations = abs(difference) * TWO_SIDED / max(toward_zero, _NOTHING)
+            probability = math.erfc(min(deviations, 1e6) / math.sqrt(2))
+        ends, labels = (difference - below, difference + above), (first.label, second.label)
+        tests.append(PairTest(*labels, difference, ends, probability, None, speed_m_s, caution))
+    return tests
 
 
 def _errors(value: ComparedValue) -> Interval:
@@ -232,34 +204,27 @@ MAX_LOGS = 200  # compared at once: with n logs there are n²/2 pairs, and nobod
 
 @dataclass(frozen=True)
 class ComparedQuantity:
-    """One scalar parameter, or component of one, across the logs that have it.
+    """One scalar parameter, or component of one, across the logs that have it."""
 
-    Attributes:
-        name: The parameter's, with the component for one of several numbers: "payload_com_x".
-        unit: "1" if it has none.
-        values: One per log that has it, in the logs' order.
-        tests: Of each pair of values with intervals.
-    """
-
-    name: str
-    unit: str
-    values: tuple[ComparedValue, ...]
-    tests: tuple[PairTest, ...]
+    name: str  # the parameter's, with the component for one of several numbers: "payload_com_x"
+    unit: str  # "1" if it has none
+    values: tuple[ComparedValue, ...]  # one per log that has it, in the logs' order
+    tests: tuple[PairTest, ...]  # of each pair of values with intervals
 
 
 @dataclass(frozen=True)
 class ComparedGroup:
-    """Comparable logs: of one task, one preset, and one engine if the values depend on it.
+    """Comparable logs: of one task, one preset, and one engine if the values depend on it."""
 
-    Attributes:
-        title: What they have in common.
-        labels: Of its logs.
-        quantities: In the order in which the logs have them.
-    """
+    title: str  # what they have in common
+    labels: tuple[str, ...]  # of its logs
+    quantities: tuple[ComparedQuantity, ...]  # in the order in which the logs have them
 
-    title: str
-    labels: tuple[str, ...]
-    quantities: tuple[ComparedQuantity, ...]
+
+COLUMNS = ("log", "task", "preset", "verdict", "reason", "parameter", "unit", "value", "low")
+COLUMNS += ("high", "impact_speed_m_s", "differs_from", "log_sha256")
+PAIR_COLUMNS = ("group", "parameter", "unit", "first", "second", "difference", "low", "high", "p")
+PAIR_COLUMNS += ("p_holm", "differs", "speed_m_s", "caution")
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,11 +255,32 @@ class Comparison:
         """
         import pandas as pd
 
-        rows = [row for group in self.groups for row in _rows(self, group)]
-        rows += [
-            {**_of_record(label, record), "reason": record.reason}
-            for label, record in self.without_values
+        records = dict(zip(self.labels, self.records, strict=True))
+
+        def row(label: str, *more: Any) -> tuple[Any, ...]:
+            """Order what is known of a log as `COLUMNS` are, with "more" from the parameter on."""
+            record = records[label]
+            preset = (record.simulator or {}).get("preset")
+            sha256 = record.provenance.log_sha256 if record.provenance else ""
+            reason = None if more else record.reason
+            known = (label, record.task, preset, record.verdict, reason)
+            return (*known, *(more or [None] * (len(COLUMNS) - len(known) - 1)), sha256)
+
+        rows = [
+            row(
+                value.label,
+                quantity.name,
+                quantity.unit,
+                value.value,
+                *(value.interval95 or (None, None)),
+                value.speed_m_s,
+                "; ".join(told_apart(quantity, value.label)),
+            )
+            for group in self.groups
+            for quantity in group.quantities
+            for value in quantity.values
         ]
+        rows += [row(label) for label, _ in self.without_values]
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
     def pairs_frame(self) -> pd.DataFrame:
@@ -306,32 +292,25 @@ class Comparison:
         import pandas as pd
 
         rows = [
-            {
-                "group": group.title,
-                "parameter": quantity.name,
-                "unit": quantity.unit,
-                "first": test.first,
-                "second": test.second,
-                "difference": test.difference,
-                "low": test.interval95[0],
-                "high": test.interval95[1],
-                "p": test.probability,
-                "p_holm": test.corrected,
-                "differs": test.differs,
-                "speed_m_s": test.speed_m_s,
-                "caution": test.caution,
-            }
+            (
+                group.title,
+                quantity.name,
+                quantity.unit,
+                test.first,
+                test.second,
+                test.difference,
+                *test.interval95,
+                test.probability,
+                test.corrected,
+                test.differs,
+                test.speed_m_s,
+                test.caution,
+            )
             for group in self.groups
             for quantity in group.quantities
             for test in quantity.tests
         ]
         return pd.DataFrame(rows, columns=list(PAIR_COLUMNS))
-
-
-COLUMNS = ("log", "task", "preset", "verdict", "reason", "parameter", "unit", "value", "low")
-COLUMNS += ("high", "impact_speed_m_s", "differs_from", "log_sha256")
-PAIR_COLUMNS = ("group", "parameter", "unit", "first", "second", "difference", "low", "high", "p")
-PAIR_COLUMNS += ("p_holm", "differs", "speed_m_s", "caution")
 
 
 def compare(records: Sequence[Record], names: Sequence[str] | None = None) -> Comparison:
@@ -384,68 +363,28 @@ def _kind(record: Record) -> tuple[str, ...]:
 
 
 def _group(kind: Sequence[str], labels: list[str], records: list[Record]) -> ComparedGroup:
+    """Test the scalars of comparable logs; the components of one parameter are one family."""
     values: dict[tuple[str, str], list[ComparedValue]] = {}
+    families: dict[tuple[str, str], dict[tuple[str, str], None]] = {}
     for label, record in zip(labels, records, strict=True):
-        for (name, unit), value in _values(label, record):
-            values.setdefault((name, unit), []).append(value)
+        sha256 = record.provenance.log_sha256 if record.provenance else ""
+        for known in record.estimates:
+            for part in known.components:
+                value = ComparedValue(label, part.value, part.interval95, record.verdict, sha256)
+                if part.name == "restitution" and record.physical:
+                    value = restitution_value(value, record)
+                key = part.name, known.unit
+                values.setdefault(key, []).append(value)
+                families.setdefault((known.name, known.unit), {})[key] = None
     tests = {key: pair_tests(found) for key, found in values.items()}
-    families: dict[tuple[str, str], list[tuple[str, str]]] = {}
-    of_parameter = {
-        part.name: known.name
-        for record in records
-        for known in record.estimates
-        for part in known.components
-    }
-    for name, unit in values:
-        families.setdefault((of_parameter[name], unit), []).append((name, unit))
-    for keys in families.values():  # the components of one parameter are one family
+    for keys in families.values():
         corrected = iter(holm([test for key in keys for test in tests[key]]))
-        for key in keys:
-            tests[key] = [next(corrected) for _ in tests[key]]
+        tests |= {key: [next(corrected) for _ in tests[key]] for key in keys}
     quantities = tuple(
         ComparedQuantity(name, unit, tuple(found), tuple(tests[name, unit]))
         for (name, unit), found in values.items()
     )
     return ComparedGroup(", ".join(kind), tuple(labels), quantities)
-
-
-def _values(label: str, record: Record) -> list[tuple[tuple[str, str], ComparedValue]]:
-    """List a log's scalar values by name and unit."""
-    sha256 = record.provenance.log_sha256 if record.provenance else ""
-    found: list[tuple[tuple[str, str], ComparedValue]] = []
-    for known in record.estimates:
-        for part in known.components:
-            value = ComparedValue(label, part.value, part.interval95, record.verdict, sha256)
-            if part.name == "restitution" and record.physical:
-                value = restitution_value(value, record)
-            found.append(((part.name, known.unit), value))
-    return found
-
-
-def _rows(comparison: Comparison, group: ComparedGroup) -> list[dict[str, Any]]:
-    record_of = dict(zip(comparison.labels, comparison.records, strict=True))
-    return [
-        {
-            **_of_record(value.label, record_of[value.label]),
-            "parameter": quantity.name,
-            "unit": quantity.unit,
-            "value": value.value,
-            "low": value.interval95[0] if value.interval95 else None,
-            "high": value.interval95[1] if value.interval95 else None,
-            "impact_speed_m_s": value.speed_m_s,
-            "differs_from": "; ".join(told_apart(quantity, value.label)),
-        }
-        for quantity in group.quantities
-        for value in quantity.values
-    ]
-
-
-def _of_record(label: str, record: Record) -> dict[str, Any]:
-    verdict: Verdict = record.verdict
-    preset = (record.simulator or {}).get("preset")
-    sha256 = record.provenance.log_sha256 if record.provenance else ""
-    known = {"log": label, "task": record.task, "preset": preset, "verdict": verdict}
-    return {**known, "log_sha256": sha256}
 
 
 def told_apart(quantity: ComparedQuantity, label: str) -> list[str]:

@@ -16,11 +16,11 @@ import numpy as np
 
 from tunenet_logs.analysis.checks import Check, CrossCheck, Verdict
 from tunenet_logs.analysis.estimators.base import FitResult, Problem, Step, Trace
+from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.record import Estimate, Motion, Provenance, Rebound, Record
-from tunenet_logs.analysis.selection import Selection, Subject
 from tunenet_logs.analysis.tunenet.network import Network, PairSet, Recipe, Workers
 from tunenet_logs.analysis.tunenet.weights import Purpose
-from tunenet_logs.episode import IMPLAUSIBLE, Array, Episode, LeftOut, Signal, added
+from tunenet_logs.episode import IMPLAUSIBLE, Array, Episode, LeftOut, added
 from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.terminal import Progress, short_name
 
@@ -69,38 +69,25 @@ class Detection(Protocol):
 
 @dataclass(frozen=True)
 class Training:
-    """How the network of a preset is trained.
+    """How the network of a preset is trained."""
 
-    Attributes:
-        purpose: What its weights are for.
-        network: Its architecture.
-        recipe: Its hyperparameters.
-        make_pairs: (pairs wanted or None, seed, workers, progress) -> training data.
-    """
-
-    purpose: Purpose
-    network: Network
-    recipe: Recipe
+    purpose: Purpose  # what its weights are for
+    network: Network  # its architecture
+    recipe: Recipe  # its hyperparameters
+    # (pairs wanted or None, seed, workers, progress) -> training data
     make_pairs: Callable[[int | None, int, Workers, Progress], PairSet]
 
 
 @dataclass(frozen=True)
 class Preset:
-    """One way of simulating and observing an experiment.
+    """One way of simulating and observing an experiment."""
 
-    Attributes:
-        physical: Whether its value is the object's own, or a number of one engine's settings.
-        parameters: That are estimated.
-        method: Default; see `registry.METHODS`.
-        training: Of its network; None for an experiment without one, or whose problems train
-            their own.
-        starts_as_given: Whether every method starts from the parameters' own initial values.
-    """
-
-    physical: bool
-    parameters: tuple[Parameter, ...]
-    method: str
+    physical: bool  # whether its value is the object's own, or a number of one engine's settings
+    parameters: tuple[Parameter, ...]  # that are estimated
+    method: str  # default; see `registry.METHODS`
+    # of its network; None for an experiment without one, or whose problems train their own
     training: Training | None = None
+    # whether every method starts from the parameters' own initial values
     starts_as_given: bool = False
 
 
@@ -153,7 +140,7 @@ class Experiment(Protocol):
         """Rate how likely the episode shows it, in the topic if one is named."""
         ...
 
-    def detect(self, episode: Episode, selection: Selection, preset: str) -> Any:
+    def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> Any:
         """Detect it in an episode, as a `Detection`; nothing is estimated here.
 
         Raises:
@@ -196,38 +183,30 @@ class Experiment(Protocol):
 
 # ---- Plausible values: remove those that nothing measures, so that no sum overflows later.
 
-# Of a position, an angle or a torque in any unit: squares and their sums stay finite.
-_MAX_SIZE = 1e12
-
+_MAX_SIZE = 1e12  # of anything in any unit: squares and their sums stay finite
 _MIN_SIZE = 1e-60  # apart from 0: below, a ratio could be infinite
 
 
 def drop_invalid_samples(episode: Episode) -> Episode:
     """Remove values that nothing measures; a warning counts them by topic."""
-    signals = {name: _bounded(signal) for name, signal in episode.signals.items()}
+    signals = dict(episode.signals)
     warnings: list[str] = []
     for name, signal in episode.signals.items():
-        if signals[name] is signal:
+        size = np.abs(signal.values)
+        is_huge, is_tiny = size > _MAX_SIZE, (size > 0) & (size < _MIN_SIZE)
+        if not is_huge.any() and not is_tiny.any():
             continue
-        count = int(np.sum(np.abs(signal.values) > _MAX_SIZE))
-        if count:
+        values = np.where(is_huge, np.nan, np.where(is_tiny, 0.0, signal.values))
+        rows = {IMPLAUSIBLE: int(np.count_nonzero(is_huge.any(axis=1)))}
+        signals[name] = replace(signal, values=values, left_out=added(signal.left_out, rows))
+        if is_huge.any():
             warnings.append(
-                f"{short_name(name)}: {count} values beyond {_MAX_SIZE:g} were left out; "
-                "nothing measures them"
+                f"{short_name(name)}: {np.count_nonzero(is_huge)} values beyond {_MAX_SIZE:g} were "
+                "left out; nothing measures them"
             )
     if all(signals[name] is signal for name, signal in episode.signals.items()):
         return episode
     return replace(episode, signals=signals, warnings=(*episode.warnings, *warnings))
-
-
-def _bounded(signal: Signal) -> Signal:
-    size = np.abs(signal.values)
-    is_huge, is_tiny = size > _MAX_SIZE, (size > 0) & (size < _MIN_SIZE)
-    if not is_huge.any() and not is_tiny.any():
-        return signal
-    values = np.where(is_huge, np.nan, np.where(is_tiny, 0.0, signal.values))
-    rows = {IMPLAUSIBLE: int(np.count_nonzero(is_huge.any(axis=1)))}
-    return replace(signal, values=values, left_out=added(signal.left_out, rows))
 
 
 # ---- Tuning: the result for one log, and its record.
@@ -313,33 +292,33 @@ def record_of(tuning: Tuning) -> Record:
     detection, trace, experiment = tuning.detection, tuning.trace, tuning.experiment
     intervals = tuning.interval95
     estimates: list[Estimate] = []
-    if tuning.estimate is not None and experiment is not None:
-        for index, parameter in enumerate(tuning.parameters):
-            ends = None if intervals is None else tuple(intervals[index].tolist())
-            value = float(tuning.estimate[index])
-            estimates.append(Estimate(parameter.name, parameter.unit, value, ends))
-        for extra in trace.fit.extra if trace and trace.fit else ():
-            ends = None if intervals is None else tuple(map(tuple, extra.interval95.tolist()))
-            estimates.append(Estimate(extra.name, extra.unit, tuple(extra.values.tolist()), ends))
     motion, rebounds, iterations = Motion(), (), ()
     if trace is not None and experiment is not None:
         names = [parameter.name for parameter in tuning.parameters]
-        iterations = tuple(
-            dict(zip(names, step.values.tolist(), strict=True)) for step in trace.steps
-        )
         motion = experiment.motion(detection, trace) or Motion()
+        if tuning.estimate is not None:
+            for index, parameter in enumerate(tuning.parameters):
+                ends = None if intervals is None else tuple(intervals[index].tolist())
+                value = float(tuning.estimate[index])
+                estimates.append(Estimate(parameter.name, parameter.unit, value, ends))
+            for extra in trace.fit.extra if trace.fit else ():
+                ends = None if intervals is None else tuple(map(tuple, extra.interval95.tolist()))
+                values = tuple(extra.values.tolist())
+                estimates.append(Estimate(extra.name, extra.unit, values, ends))
+        # What has no known unit has no value.
         estimates = [one for one in estimates if one.name not in motion.unknown]
         iterations = tuple(
-            {name: value for name, value in step.items() if name not in motion.unknown}
-            for step in iterations
+            {
+                name: value
+                for name, value in zip(names, step.values.tolist(), strict=True)
+                if name not in motion.unknown
+            }
+            for step in trace.steps
         )
         if estimates and tuning.physical:
             rebounds = experiment.rebounds(detection, trace)
         if intervals is None:
-            rebounds = tuple(
-                Rebound(bounce.impact_s, bounce.restitution, None, bounce.impact_speed_m_s)
-                for bounce in rebounds
-            )
+            rebounds = tuple(replace(bounce, interval95=None) for bounce in rebounds)
     window = None
     if detection is not None:
         window = {name: float(at_s) for name, at_s in detection.window.items()}

@@ -22,34 +22,20 @@ from tunenet_logs.episode import Array, Sound
 # too. So changes are followed up to the loudest moment, in a sound that is whitened less.
 
 _AROUND_S = (0.010, 0.006)  # before and after a rise, where the moment is looked for
-# Of background before it, and of the linear prediction that whitens it.
-_BACKGROUND_S, _ORDER = 0.05, 16
-
+_ORDER = 16  # of the linear prediction that whitens the sound
 # White noise that regularises the prediction, over the background's power: for the first change,
 # and for those after it.
 _FIRM, _MILD = 1e-4, 0.1
-
-# Of a change after the first: rise of the power, and gain in log likelihood.
-_MIN_STEP_DB, _MIN_GAIN = 5.0, 10.0
-
-_MAX_STEPS = 6  # changes that are followed
 # Over which power is averaged where its largest is looked for, and until when after that.
 _LOUDEST_S, _PAST_LOUDEST_S = 0.0005, 0.0015
-
 _EDGE_SAMPLES = 8  # on both sides of a change
 
 
 def moment_of(samples: Array, at: int, rate_hz: float) -> tuple[float, float]:
-    """Pick an onset by Akaike's criterion; return it and its standard deviation [samples].
-
-    Args:
-        samples: shape (N,).
-        at: where it rises, within some milliseconds.
-        rate_hz: of the samples.
-    """
+    """Pick the onset near sample `at` by Akaike's criterion; return it and its sd [samples]."""
     low = max(at - round(_AROUND_S[0] * rate_hz), 0)
     high = min(at + round(_AROUND_S[1] * rate_hz), len(samples))
-    begin = max(low - round(_BACKGROUND_S * rate_hz), 0)
+    begin = max(low - round(0.05 * rate_hz), 0)
     change = _change(_whitened(samples[begin:high], low - begin, _FIRM))
     if change is None:
         return float(at), 0.001 * rate_hz
@@ -58,20 +44,19 @@ def moment_of(samples: Array, at: int, rate_hz: float) -> tuple[float, float]:
     wide = max(round(_LOUDEST_S * rate_hz), 1)
     loudest = int(np.convolve(mild**2, np.ones(wide), "same").argmax())
     last = loudest + round(_PAST_LOUDEST_S * rate_hz)
-    for _ in range(_MAX_STEPS):
+    for _ in range(6):  # changes that rise by 5 dB, and gain 10 in log likelihood
         change = _change(mild[int(moment) : last])
-        if change is None or change[2] < _MIN_STEP_DB or change[3] < _MIN_GAIN:
+        if change is None or change[2] < 5.0 or change[3] < 10.0:
             break
         moment, sd = int(moment) + change[0], change[1]
     return low + moment, sd
 
 
 def _change(piece: Array) -> tuple[float, float, float, float] | None:
-    """Locate where a piece of white noise changes its variance.
+    """Locate where a piece of white noise changes its variance; None where it is too short.
 
-    Returns:
-        That and its standard deviation [samples], the change [dB], and what it gains in log
-        likelihood; None where the piece is too short.
+    Returns that and its standard deviation [samples], the change [dB], and the gain in log
+    likelihood.
     """
     count = len(piece)
     if count < 2 * _EDGE_SAMPLES + 4:
@@ -111,43 +96,28 @@ _BAND_EDGES_HZ = (150.0, 400.0, 800.0, 1600.0, 3200.0, 6400.0, 12_800.0, 20_000.
 _MIN_RATE_HZ = 2000.0  # of a sound in which knocks are detected
 # Between frames, and how much of the sound each sees.
 _HOP_S, _FRAME_S = 0.001, 0.002
-
 # Frames of the background before a knock, of the gap between, and of the knock.
 _BEFORE, _GUARD, _AFTER = 12, 2, 4
-
-# Below a band's median over the whole sound: quieter frames count as silent.
-_FLOOR_DB = 12.0
-
-_MAX_DB = 25.0  # of one band's rise: more counts as this
 _MIN_RISE_DB = 2.0  # of a knock, mean over all bands
 _APART = 20  # frames between two knocks: of nearer ones, the louder counts
 MAX_ONSETS = 400  # that are kept: those that rise the most
 # After a knock, softer ones within this time, by this much, are its echoes.
 _ECHO_S, _ECHO_DB = 0.05, 1.0
-
 _MIN_SD_S = 2e-5  # of a moment: one sample
 _LOUD_S = 0.010  # after an onset, in which its peak is measured
 
 
 @dataclass(frozen=True, eq=False)
 class Onsets:
-    """Onsets of a sound, in order.
+    """Onsets of a sound, in order."""
 
-    Attributes:
-        times_s: on the sound's clock, 0 at its first sample, shape (N,) [s].
-        sds_s: of them, shape (N,) [s].
-        rises_db: mean rise over all bands, shape (N,).
-        loudness_db: of each, over the background before it taken off, re full scale, shape (N,).
-        colours_db: of its bands less their mean, shape (N, B).
-        peaks: largest sample of each, full scale 1, shape (N,).
-    """
-
-    times_s: Array
-    sds_s: Array
-    rises_db: Array
+    times_s: Array  # on the sound's clock, 0 at its first sample, shape (N,) [s]
+    sds_s: Array  # of them, shape (N,) [s]
+    rises_db: Array  # mean rise over all bands, shape (N,)
+    # Of each, over the background before it taken off, re full scale, shape (N,).
     loudness_db: Array
-    colours_db: Array
-    peaks: Array
+    colours_db: Array  # of its bands less their mean, shape (N, B)
+    peaks: Array  # largest sample of each, full scale 1, shape (N,)
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -174,7 +144,12 @@ def onsets(sound: Sound) -> Onsets:
         return Onsets(none, none, none, none, np.zeros((0, 0)), none)
     powers = _band_powers(samples, heard_hz)
     rises, before, after = _rises(powers)
-    frames = _peaks(rises.mean(axis=0))
+    rise = rises.mean(axis=0)
+    from scipy.signal import find_peaks
+
+    frames, shape = find_peaks(rise, height=_MIN_RISE_DB, distance=_APART)
+    most = np.argsort(-shape["peak_heights"])[:MAX_ONSETS]
+    frames = np.sort(frames[most])
     picked = [moment_of(samples, frame * hop, heard_hz) for frame in frames.tolist()]
     own = np.maximum(after[:, frames] - before[:, frames], 1e-12 + 0.05 * after[:, frames])
     colours_db = 10 * np.log10(own)
@@ -188,14 +163,9 @@ def onsets(sound: Sound) -> Onsets:
         np.array([_peak(samples, at, heard_hz) for at, _ in picked]),
     )
     found = found.only(np.argsort(found.times_s, kind="stable"))
-    return found.only(~_echoes(found.times_s, found.loudness_db))
-
-
-def _echoes(times_s: Array, loudness_db: Array) -> NDArray[np.bool_]:
-    """Return which onsets follow a louder one so soon that they may be its echo."""
-    since_s = times_s[:, None] - times_s[None, :]
-    louder = loudness_db[None, :] > loudness_db[:, None] + _ECHO_DB
-    return np.any((since_s > 0) & (since_s < _ECHO_S) & louder, axis=1)
+    since_s = found.times_s[:, None] - found.times_s[None, :]
+    louder = found.loudness_db[None, :] > found.loudness_db[:, None] + _ECHO_DB
+    return found.only(~np.any((since_s > 0) & (since_s < _ECHO_S) & louder, axis=1))
 
 
 def _hop(rate_hz: float) -> int:
@@ -225,7 +195,7 @@ def _rises(powers: Array) -> tuple[Array, Array, Array]:
     from scipy.ndimage import maximum_filter1d
 
     usual = np.median(powers, axis=1, keepdims=True)
-    floor = usual * 10 ** (-_FLOOR_DB / 10) + 1e-12
+    floor = usual * 10 ** (-12.0 / 10) + 1e-12  # quieter frames count as silent
     # the loudest moment shortly before, so that an echo's ripples are no knocks
     before = maximum_filter1d(powers, _BEFORE, axis=1, mode="nearest", origin=0)
     before = np.roll(before, _BEFORE // 2 + _GUARD, axis=1)
@@ -233,15 +203,7 @@ def _rises(powers: Array) -> tuple[Array, Array, Array]:
     after = maximum_filter1d(powers, _AFTER, axis=1, mode="nearest")
     after = np.roll(after, -(_AFTER // 2), axis=1)
     rises = 10 * np.log10((after + floor) / (before + floor))
-    return np.clip(rises, 0.0, _MAX_DB), before, after
-
-
-def _peaks(rise: Array) -> NDArray[np.int64]:
-    from scipy.signal import find_peaks
-
-    frames, shape = find_peaks(rise, height=_MIN_RISE_DB, distance=_APART)
-    most = np.argsort(-shape["peak_heights"])[:MAX_ONSETS]
-    return np.sort(frames[most])
+    return np.clip(rises, 0.0, 25.0), before, after  # more of one band counts as this
 
 
 def _peak(samples: Array, at: float, rate_hz: float) -> float:

@@ -46,15 +46,10 @@ _ONLY_HERE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 
 @dataclass(frozen=True)
 class Cluster:
-    """Ray cluster to work on.
+    """Ray cluster to work on."""
 
-    Attributes:
-        address: Of its head, "auto" for the one that this machine is part of, or `HERE`.
-        jobs: Number of actors; None for all cores of the cluster.
-    """
-
-    address: str = HERE
-    jobs: int | None = None
+    address: str = HERE  # of its head, "auto" for the one that this machine is part of, or `HERE`
+    jobs: int | None = None  # number of actors; None for all cores of the cluster
 
 
 def on_cluster(
@@ -64,12 +59,6 @@ def on_cluster(
     lost: Callable[[Item], Result],
 ) -> Iterator[tuple[int, Result]]:
     """Map `work` over items on a cluster, in the order they are done; see `streamed`.
-
-    Args:
-        cluster: The cluster.
-        work: A function of a module, so that an actor can import it.
-        items: Items to map.
-        lost: Builds the result of an item whose actor died twice.
 
     Raises:
         UsageError: Ray is not installed, or nobody answers at the address.
@@ -98,8 +87,7 @@ def _done(
 
     if not rows:
         return
-    blocks = -(-len(rows) // at_a_time)
-    given = ray.data.from_items(rows, override_num_blocks=blocks)
+    given = ray.data.from_items(rows, override_num_blocks=-(-len(rows) // at_a_time))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "`ray_remote_args_fn` is deprecated")  # nothing else yet
         done = given.map_batches(
@@ -109,25 +97,14 @@ def _done(
             batch_size=None,
             batch_format="numpy",
             num_cpus=1,
-            ray_remote_args_fn=_remote,
+            # Dead actors restart, but tasks are not retried unasked.
+            ray_remote_args_fn=lambda: {"max_restarts": -1, "max_task_retries": 0},
         )
     for batch in done.iter_batches(batch_size=None, batch_format="numpy", prefetch_batches=0):
-        for at, result in zip(batch["number"].tolist(), batch["result"], strict=True):
-            if isinstance(result, _Raised):
-                raise result.error
+        for at, (result, error) in zip(batch["number"].tolist(), batch["result"], strict=True):
+            if error is not None:
+                raise error
             yield at, result
-
-
-def _remote() -> dict[str, Any]:
-    """Return Ray's options: dead actors restart, but tasks are not retried unasked."""
-    return {"max_restarts": -1, "max_task_retries": 0}
-
-
-@dataclass(frozen=True)
-class _Raised:
-    """Stand-in for a result where `work` raised."""
-
-    error: Exception
 
 
 class _Worker:
@@ -137,13 +114,13 @@ class _Worker:
         self._work = work
 
     def __call__(self, batch: Mapping[str, Any]) -> dict[str, Any]:
-        """Return results by number; errors of `work` are raised again where they are taken."""
+        """Return results by number, each with an error of `work`, raised where it is taken."""
         results = np.empty(len(batch["item"]), object)
         for at, item in enumerate(batch["item"]):
             try:
-                results[at] = self._work(item)
+                results[at] = (self._work(item), None)
             except Exception as error:  # noqa: BLE001
-                results[at] = _Raised(error)
+                results[at] = (None, error)
         return {"number": batch["number"], "result": results}
 
 
@@ -217,16 +194,11 @@ _TRIES = 2  # of an item alone, after a process died: one may have been killed f
 
 @dataclass(frozen=True)
 class Piece(Generic[Item]):
-    """Unit of work of one process.
-
-    Attributes:
-        units: How much that is, for the progress bar.
-        name: Shown beside it.
-    """
+    """Unit of work of one process."""
 
     item: Item
-    units: int = 1
-    name: str = ""
+    units: int = 1  # how much that is, for the progress bar
+    name: str = ""  # shown beside it
 
 
 def parallel_map(
@@ -236,17 +208,9 @@ def parallel_map(
     progress: Progress,
     what: tuple[str, str],
 ) -> list[Result]:
-    """Map `work` over pieces in `jobs` processes; results keep their order.
+    """Map `work` over pieces as `streamed` does; results keep their order.
 
-    Args:
-        work: A function of a module, so that a process can import it.
-        pieces: Units of work.
-        jobs: None for all cores.
-        progress: Shows what is under way.
-        what: Verb and unit of the progress bar.
-
-    Raises:
-        BrokenProcessPool: A process died.
+    `progress` shows a bar of the verb and the unit `what`. A process that dies is an error.
     """
     total = sum(piece.units for piece in pieces)
     results: dict[int, Result] = {}
@@ -301,6 +265,19 @@ def streamed(
             yield at, _alone(work, items[at], lost)
 
 
+def _alone(
+    work: Callable[[Item], Result], item: Item, lost: Callable[[Item], Result] | None
+) -> Result:
+    """Run one item in a process of its own, up to `_TRIES` times."""
+    for _ in range(_TRIES):
+        with suppress(BrokenProcessPool), _pool(1) as pool:
+            with signals_held(), heard():
+                future = pool.submit(work, item)
+            return future.result()
+    assert lost is not None
+    return lost(item)
+
+
 def _pooled(
     work: Callable[[Item], Result],
     items: Sequence[Item],
@@ -322,19 +299,6 @@ def _pooled(
                 at = futures.pop(future)
                 under_way.discard(at)
                 yield at, result
-
-
-def _alone(
-    work: Callable[[Item], Result], item: Item, lost: Callable[[Item], Result] | None
-) -> Result:
-    """Run one item in a process of its own, up to `_TRIES` times."""
-    for _ in range(_TRIES):
-        with suppress(BrokenProcessPool), _pool(1) as pool:
-            with signals_held(), heard():
-                future = pool.submit(work, item)
-            return future.result()
-    assert lost is not None
-    return lost(item)
 
 
 @contextmanager
@@ -366,12 +330,12 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 def _begin(silently: bool) -> None:
     """Initialise a worker, which ends with the process that started it."""
+
+    def end_with_parent() -> None:
+        if (parent := parent_process()) is not None:
+            parent.join()
+            os._exit(1)
+
     if silently:
         silence_libraries()
-    Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    if (parent := parent_process()) is not None:
-        parent.join()
-        os._exit(1)
+    Thread(target=end_with_parent, daemon=True).start()

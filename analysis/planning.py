@@ -61,29 +61,18 @@ _MAX_SPEED_M_S = 1e4  # of an impact; nothing that people drop is faster
 
 @dataclass(frozen=True, eq=False)
 class KnownBall:
-    """Ball with its uncertainty.
+    """Ball with its uncertainty."""
 
-    Attributes:
-        law: The most likely one.
-        covariance: Of the logarithm of its restitution and of its slope, shape (2, 2).
-        bounces: Number seen.
-        remarks: For the user.
-        slope_source: Where the law's slope comes from.
-        drag_1_m: Deceleration by the air over speed squared; None for that of the rig's ball.
-        drag_sd_1_m: Its standard deviation; 0 if the user states the drag.
-        name: Of the ball, as it was recorded.
-        logs: That it was tuned from; see `logs_of`.
-    """
-
-    law: SpeedLaw
-    covariance: Array
-    bounces: int = 0
-    remarks: tuple[str, ...] = ()
-    slope_source: SlopeSource = "told"
+    law: SpeedLaw  # the most likely one
+    covariance: Array  # of the logarithm of its restitution and of its slope, shape (2, 2)
+    bounces: int = 0  # number seen
+    remarks: tuple[str, ...] = ()  # for the user
+    slope_source: SlopeSource = "told"  # where the law's slope comes from
+    # Deceleration by the air over speed squared; None for that of the rig's ball
     drag_1_m: float | None = None
-    drag_sd_1_m: float = 0.0
-    name: str = ""
-    logs: Logs = field(default_factory=dict)
+    drag_sd_1_m: float = 0.0  # its standard deviation; 0 if the user states the drag
+    name: str = ""  # of the ball, as it was recorded
+    logs: Logs = field(default_factory=dict)  # that it was tuned from; see `logs_of`
 
     @property
     def slope_sd(self) -> float:
@@ -137,7 +126,7 @@ def read_tuning(path: Path) -> KnownBall:
             "ball that bounced"
         )
     try:
-        ball = replace(_ball_of(record), logs=logs_of([record]))
+        ball = replace(_ball_of(record), name=record.ball or "", logs=logs_of([record]))
     except ValueError as error:
         raise LogError(f"{path}: {error}; tune the log again") from error
     if record.verdict == "suspect":
@@ -177,15 +166,26 @@ def _ball_of(record: Record) -> KnownBall:
     Raises:
         ValueError: It holds a value that no ball has.
     """
-    value, sd = _value_and_sd(record)
-    seen = [
-        (speed, *_checked(bounce.restitution, bounce.interval95))
-        for bounce in record.rebounds
-        if (speed := _checked_speed(bounce.impact_speed_m_s)) is not None
-    ]
+    first = _tuned(record, RESTITUTION.name, 0.0, 1.0)
+    if first is None:
+        raise ValueError("holds no restitution; give the tuning of a dropped ball")
+    seen: list[tuple[float, float, float]] = []
+    for bounce in record.rebounds:
+        speed, value, interval95 = bounce.impact_speed_m_s, bounce.restitution, bounce.interval95
+        if speed is None:
+            continue
+        if not 0 < speed < _MAX_SPEED_M_S:
+            raise ValueError(f"impact_speed {speed} is none")
+        seen.append((speed, value, _told_sd(_sd(interval95))))
+        _check("restitution", value, 0.0, 1.0)
     slope = _tuned(record, SLOPE, -1.0, 1.0) if record.physical else None
+    value, sd = first.value, _told_sd(first.sd)
     if not seen:
-        ball = _of_no_speed(value, sd)
+        remark = (
+            "the tuning knows no impact speeds: the restitution is taken as the same at all speeds"
+        )
+        covariance = _covariance(value, sd, more=_NO_SPEED_SD)
+        ball = KnownBall(SpeedLaw(value), covariance, remarks=(remark,), slope_source="assumed")
     elif slope is not None:
         law = SpeedLaw(value, slope.value, seen[0][0])
         covariance = _covariance(value, sd, slope_sd=SLOPE_SD if slope.sd is None else slope.sd)
@@ -193,10 +193,10 @@ def _ball_of(record: Record) -> KnownBall:
     else:
         ball = _fitted(np.array(seen, dtype=float))
     drag = _tuned(record, DRAG, 0.0, _MAX_DRAG_1_M) if record.physical else None
-    if drag is not None:
-        sd_1_m = max(drag.value / 2, _DRAG_SD_1_M) if drag.sd is None else drag.sd
-        ball = replace(ball, drag_1_m=drag.value, drag_sd_1_m=sd_1_m)
-    return replace(ball, name=record.ball or "")
+    if drag is None:
+        return ball
+    sd_1_m = max(drag.value / 2, _DRAG_SD_1_M) if drag.sd is None else drag.sd
+    return replace(ball, drag_1_m=drag.value, drag_sd_1_m=sd_1_m)
 
 
 class _Tuned(NamedTuple):
@@ -207,32 +207,25 @@ class _Tuned(NamedTuple):
 
 
 def _tuned(record: Record, name: str, low: float, high: float) -> _Tuned | None:
-    """Return a record's quantity, or None.
-
-    Raises:
-        ValueError: It is not from `low` to `high`.
-    """
+    """Return a record's quantity, or None; a ValueError if it is not from `low` to `high`."""
     known = record.estimate(name)
     if known is None or not isinstance(known.value, float):
         return None
-    if not low <= known.value <= high:
-        raise ValueError(f"{name} {known.value:g} is not a number from {low:g} to {high:g}")
-    if known.interval95 is None:
-        return _Tuned(known.value, None)
-    below, above = known.interval95
-    return _Tuned(known.value, abs(above - below) / 2 / TWO_SIDED)  # pyright: ignore[reportOperatorIssue] (one number has one interval)
+    _check(name, known.value, low, high)
+    return _Tuned(known.value, _sd(known.interval95))  # pyright: ignore[reportArgumentType] (one number has one interval)
 
 
-def _of_no_speed(value: float, sd: float) -> KnownBall:
-    """Build a ball whose impact speeds are unknown."""
-    return KnownBall(
-        SpeedLaw(value),
-        _covariance(value, sd, more=_NO_SPEED_SD),
-        remarks=(
-            "the tuning knows no impact speeds: the restitution is taken as the same at all speeds",
-        ),
-        slope_source="assumed",
-    )
+def _check(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise ValueError(f"{name} {value:g} is not a number from {low:g} to {high:g}")
+
+
+def _sd(interval95: Interval | None) -> float | None:
+    return None if interval95 is None else abs(interval95[1] - interval95[0]) / 2 / TWO_SIDED
+
+
+def _told_sd(sd: float | None) -> float:
+    return TOLD_SD if sd is None else sd
 
 
 def _covariance(value: float, sd: float, slope_sd: float = 0.0, more: float = 0.0) -> Array:
@@ -265,29 +258,6 @@ def _fitted(seen: Array) -> KnownBall:
         "the tuning does not show how the restitution falls with speed: it is taken as the same"
     )
     return KnownBall(law, covariance, 1, (remark,), "assumed")
-
-
-def _value_and_sd(record: Record) -> tuple[float, float]:
-    """Return the restitution at the first impact, and its standard deviation."""
-    known = record.estimate(RESTITUTION.name)
-    if known is None or not isinstance(known.value, float):
-        raise ValueError("holds no restitution; give the tuning of a dropped ball")
-    return _checked(known.value, known.interval95)  # pyright: ignore[reportArgumentType]
-
-
-def _checked(restitution: float, interval95: Interval | None) -> tuple[float, float]:
-    """Return a restitution and its standard deviation."""
-    if not 0 <= restitution <= 1:
-        raise ValueError(f"restitution {restitution:g} is not a number from 0 to 1")
-    if interval95 is None:
-        return restitution, TOLD_SD
-    return restitution, abs(interval95[1] - interval95[0]) / 2 / TWO_SIDED
-
-
-def _checked_speed(speed_m_s: float | None) -> float | None:
-    if speed_m_s is not None and not 0 < speed_m_s < _MAX_SPEED_M_S:
-        raise ValueError(f"impact_speed {speed_m_s} is none")
-    return speed_m_s
 
 
 # ---- Tolerances: ranges of height, restitution and drag in which the ball passes.
@@ -448,59 +418,36 @@ _MIN_DRAG_SD_1_M = 1e-5  # likewise of a drag
 
 @dataclass(frozen=True)
 class BestShot:
-    """Shot with the largest margin.
+    """Shot with the largest margin."""
 
-    Attributes:
-        index: Of its height among those that were tried.
-        height_m: Release height of the ball above its contact with the plane.
-        miss_m: From the hoop's centre to where the ball passes its plane.
-        clearance_m: Least distance between ball and rim.
-        impact_m_s: Speed along the plane's normal.
-        restitution: At that speed.
-        restitution_sd: Its standard deviation.
-        restitutions: Least and greatest with which the ball passes without touching the rim.
-        heights_m: Least and greatest height from which it does.
-        drags_1_m: Least and greatest drag with which it does; None if the user states it.
-        margin: To the nearest of these ends, in standard deviations.
-    """
-
-    index: int
-    height_m: float
-    miss_m: float
-    clearance_m: float
-    impact_m_s: float
-    restitution: float
-    restitution_sd: float
-    restitutions: Range
-    heights_m: Range
+    index: int  # of its height among those that were tried
+    height_m: float  # release height of the ball above its contact with the plane
+    miss_m: float  # from the hoop's centre to where the ball passes its plane
+    clearance_m: float  # least distance between ball and rim
+    impact_m_s: float  # speed along the plane's normal
+    restitution: float  # at that speed
+    restitution_sd: float  # its standard deviation
+    restitutions: Range  # least and greatest with which the ball passes without touching the rim
+    heights_m: Range  # least and greatest height from which it does
+    # Least and greatest drag with which it does; None if the user states it
     drags_1_m: Range | None
-    margin: float
+    margin: float  # to the nearest of these ends, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Heights that were tried, and the best.
+    """Heights that were tried, and the best."""
 
-    Attributes:
-        rig: Plane, hoop and reach; its ball has the tuned drag, if any.
-        ball: With its uncertainty.
-        heights_m: That were tried, ascending, shape (N,).
-        offset_m: Where each would pass the hoop's plane, forward and left of its centre, (N, 2);
-            NaN for one that never comes down there.
-        clearance_m: See `signed_gap_m`, shape (N,).
-        flights: With the rim in the way, and the paths.
-        best: None if no height passes.
-        seconds: Wall time of planning.
-    """
-
-    rig: ShotRig
-    ball: KnownBall
-    heights_m: Array
+    rig: ShotRig  # plane, hoop and reach; its ball has the tuned drag, if any
+    ball: KnownBall  # with its uncertainty
+    heights_m: Array  # that were tried, ascending, shape (N,)
+    # Where each would pass the hoop's plane, forward and left of its centre, (N, 2); NaN for one
+    # that never comes down there
     offset_m: Array
-    clearance_m: Array
-    flights: Flights
-    best: BestShot | None
-    seconds: float
+    clearance_m: Array  # see `signed_gap_m`, shape (N,)
+    flights: Flights  # with the rim in the way, and the paths
+    best: BestShot | None  # None if no height passes
+    seconds: float  # wall time of planning
 
     @property
     def miss_m(self) -> Array:
@@ -632,17 +579,11 @@ def _drag_margin(ball: KnownBall, drags_1_m: Range | None) -> float:
 
 @dataclass(frozen=True)
 class Replay:
-    """The engine's rollout of the shot.
+    """The engine's rollout of the shot."""
 
-    Attributes:
-        engine: With its version.
-        is_through: Whether the ball fell through the hoop.
-        miss_m: From the hoop's centre to where it passed; NaN if it never came down there.
-    """
-
-    engine: str
-    is_through: bool
-    miss_m: float
+    engine: str  # with its version
+    is_through: bool  # whether the ball fell through the hoop
+    miss_m: float  # from the hoop's centre to where it passed; NaN if it never came down there
 
     @property
     def words(self) -> str:

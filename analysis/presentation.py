@@ -1,19 +1,23 @@
-"""Format tunings and comparisons: tables for the terminal, texts for report pages and reviews."""
+"""Tunings and comparisons in words: blocks that terminal, review (Markdown) and page (HTML) render.
+
+A record becomes blocks once. What a terminal shows of many logs is one table, whose columns leave
+where it is narrow.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from textwrap import fill, wrap
-from typing import Any
+from textwrap import TextWrapper, fill, wrap
+from typing import Any, ClassVar
 
 import numpy as np
 
 from tunenet_logs.addresses import Address
-from tunenet_logs.analysis.checks import Check, CrossCheck
+from tunenet_logs.analysis.checks import CrossCheck
 from tunenet_logs.analysis.compare import (
     TEST_WORDS,
     ComparedGroup,
@@ -24,61 +28,145 @@ from tunenet_logs.analysis.compare import (
     restitution_value,
 )
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.record import Estimate, Rebound, Record
+from tunenet_logs.analysis.record import Estimate, Record
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.terminal import one_line, short_name
 
-# ---- Layout: columns as text, all of them or what fits a narrow terminal.
+# ---- Blocks, and their Markdown.
+
+Cells = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Heading:
+    """Heading of a level from 1."""
+
+    kind: ClassVar = "heading"
+    text: str
+    level: int = 3
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """One paragraph."""
+
+    kind: ClassVar = "paragraph"
+    text: str
+
+
+@dataclass(frozen=True)
+class Items:
+    """List of lines; `notes` stand below them, "" for none."""
+
+    kind: ClassVar = "items"
+    lines: Sequence[str]
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Table of text."""
+
+    kind: ClassVar = "table"
+    heads: Cells  # of the columns; none for rows of a name and a value
+    rows: Sequence[Cells]
+    notes: Sequence[Sequence[str]] = ()  # lines below each row; none for no row
+    title: str = ""  # what it is, in a word or two; also the name of its style on a page
+    anchors: Sequence[str] = ()  # where the second cell of each row leads on a page; "" for nowhere
+    # what a page shows of it until a reader opens it; "" for all. No terminal shows it
+    folded: str = ""
+
+
+Block = Heading | Paragraph | Items | TextTable
+
+
+def markdown(blocks: Iterable[Block]) -> str:
+    """Format blocks as Markdown; of a table's notes, a list below it."""
+    parts: list[str] = []
+    for block in blocks:
+        match block:
+            case Heading():
+                parts.append(f"{'#' * block.level} {block.text}")
+            case Paragraph():
+                parts.append(block.text)
+            case Items():
+                notes = block.notes or [""] * len(block.lines)
+                parts.append(
+                    "\n".join(
+                        f"- {one_line(line)}" + (f"\n    - {one_line(note)}" if note else "")
+                        for line, note in zip(block.lines, notes, strict=True)
+                    )
+                )
+            case TextTable():
+                parts.append(markdown_table(block.heads, block.rows))
+    return "\n\n".join(parts)
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Format a Markdown table of text cells."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+# ---- Terminal: a table as text, all of its columns or what fits a narrow one.
 
 _BETWEEN = "  "
 
-# Which columns leave last, in this order; log, verdict and value never do.
-_LAST = ("fits", "95 % interval")
-
-# Of a log in a table that is too wide: so many while columns can leave, so few when none can.
-_NAME_CHARACTERS = 28, 10
-
-# Of a column's name in a table that is too wide: longer ones take several lines.
-_HEAD_CHARACTERS = 20
+_LAST = ("fits", "95 % interval")  # columns that leave last; log, verdict and value never do
+_NAME_CHARACTERS = 28, 10  # of a log where it is too wide: while columns can leave, and when none
+_HEAD_CHARACTERS = 20  # of a column's name where it is too wide: longer ones take several lines
 
 # Where a name goes on in the next line: `joint/`, `elbow`, `.damping `, `[N·m]`; within `left_arm`
 # where it has to.
 _MARKS, _WEAK_MARKS = re.compile(r"(?<=[/ ])|(?=[.(])"), re.compile(r"(?<=_)")
 
+_UNFOLDED_CHARACTERS = 10**9  # of a line where nothing is folded
 _MIN_LINE_CHARACTERS = 20  # a narrower terminal is taken for one of these
 
 
-def laid_out(
-    columns: Mapping[str, Sequence[str]], below: Sequence[Sequence[str]], most: int | None
-) -> str:
-    """Format a table: a header, a line per row, and lines indented below each row.
+Columns = Mapping[str, Sequence[str]]  # cells by the column's name
+
+
+def laid_out(shown: TextTable, most: int | None = None) -> str:
+    """Format a table: a header, a line per row, and its notes indented below.
 
     If it is wider than the terminal, a single row is transposed, a line per column; of several,
     long heads are wrapped, then the least important columns are left out, and named.
-
-    Args:
-        columns: Cells by the column's name, N each; the most important columns come first.
-        below: Of each row, N.
-        most: Characters of a line; None for any number.
     """
-    if most is None:
-        return _lines(columns, below, None)
-    most = max(most, _MIN_LINE_CHARACTERS)
-    if _width(columns) <= most:
-        return _lines(columns, below, most)
-    if len(below) == 1:
-        return _upright(columns, below[0], most)
+    columns = dict(zip(shown.heads, zip(*shown.rows, strict=True), strict=True))
+    most = None if most is None else max(most, _MIN_LINE_CHARACTERS)
+    folds = TextWrapper(
+        most or _UNFOLDED_CHARACTERS,
+        initial_indent="  ",
+        subsequent_indent="    ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    notes = [
+        [part for line in lines for part in folds.wrap(line)]
+        for lines in shown.notes or [()] * len(shown.rows)
+    ]
+    if most is None or _width(columns) <= most:
+        return _lines(columns, notes)
+    if len(shown.rows) == 1:  # only the log's path is shortened
+        _, *cells = shown.rows[0]
+        room = max(most - len(_BETWEEN) - max(map(len, cells), default=0), _MIN_LINE_CHARACTERS)
+        names = [short_name(name, room) for name in shown.heads]
+        width = max(map(len, names))
+        lines = [
+            f"{name.ljust(width)}{_BETWEEN}{cell}"
+            for name, cell in zip(names, shown.rows[0], strict=True)
+        ]
+        return "\n".join([*lines, *notes[0]])
     kept, left_out = _fitted(columns, most)
-    text = _lines(kept, below, most)
+    text = _lines(kept, notes)
     if left_out:
         words = f"(left out, too wide for this terminal: {', '.join(left_out)}; | cat shows all)"
         text += "\n" + "\n".join(wrap(words, most))
     return text
 
 
-def _lines(
-    columns: Mapping[str, Sequence[str]], below: Sequence[Sequence[str]], most: int | None
-) -> str:
+def _lines(columns: Columns, notes: Sequence[Sequence[str]]) -> str:
     heads = [name.split("\n") for name in columns]
     height = max(map(len, heads))
     standing = [[""] * (height - len(head)) + head for head in heads]
@@ -91,48 +179,19 @@ def _lines(
         )
     ]
     out = lines[:height]
-    for line, words in zip(lines[height:], below, strict=True):
-        out += [line, *_indented(words, most)]
+    for line, words in zip(lines[height:], notes, strict=True):
+        out += [line, *words]
     return "\n".join(out)
 
 
-def _upright(columns: Mapping[str, Sequence[str]], below: Sequence[str], most: int) -> str:
-    """Format one row transposed; only the log's path is shortened."""
-    _, *cells = (cell for cell, *_ in columns.values())
-    room = max(most - len(_BETWEEN) - max(map(len, cells), default=0), _MIN_LINE_CHARACTERS)
-    names = [short_name(name, room) for name in columns]
-    width = max(map(len, names))
-    lines = [
-        f"{name.ljust(width)}{_BETWEEN}{cell}"
-        for name, (cell, *_) in zip(names, columns.values(), strict=True)
-    ]
-    return "\n".join([*lines, *_indented(below, most)])
-
-
-def _indented(lines: Sequence[str], most: int | None) -> list[str]:
-    if most is None:
-        return [f"  {line}" for line in lines]
-    return [
-        part
-        for line in lines
-        for part in wrap(
-            line,
-            most,
-            initial_indent="  ",
-            subsequent_indent="    ",
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-    ]
-
-
-def _fitted(
-    columns: Mapping[str, Sequence[str]], most: int
-) -> tuple[dict[str, Sequence[str]], list[str]]:
+def _fitted(columns: Columns, most: int) -> tuple[dict[str, Sequence[str]], list[str]]:
     """Return the columns that fit, and the names of the others in their order."""
     log, *_ = never = list(columns)[:3]
     many, few = _NAME_CHARACTERS
-    kept = {**columns, log: [short_name(cell, many) for cell in columns[log]]}
+    kept: dict[str, Sequence[str]] = {
+        **columns,
+        log: [short_name(cell, many) for cell in columns[log]],
+    }
     heads = {name: "\n".join(_head(name)) for name in columns}
     order = [name for name in reversed(list(columns)) if name not in (*_LAST, *never)]
     order += [name for name in _LAST if name in columns and name not in never]
@@ -158,175 +217,24 @@ def _head(name: str) -> list[str]:
     return [line.rstrip() for line in lines]
 
 
-def _widths(columns: Mapping[str, Sequence[str]]) -> list[int]:
+def _widths(columns: Columns) -> list[int]:
     return [max(*map(len, name.split("\n")), *map(len, cells)) for name, cells in columns.items()]
 
 
-def _width(columns: Mapping[str, Sequence[str]]) -> int:
+def _width(columns: Columns) -> int:
     return sum(_widths(columns)) + len(_BETWEEN) * (len(columns) - 1)
 
 
-# ---- Tunings for the terminal: a table, and phrases that reports and reviews share.
+# ---- Phrases: numbers, intervals and second estimates.
 
 _MIN_DECIMALS, _MAX_DECIMALS = 4, 6  # of an interval's ends
 _MAX_WRITTEN_OUT = 1e9  # no quantity is larger, but a stranger's file may say so
+_SAME = 0.001  # of a restitution: with a ball that differs by less, a simulator needs no air
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """Table row of a tuning: small, so that it travels between processes.
-
-    Attributes:
-        is_read: Whether the log could be read at all.
-        parameter: Name and unit of what was tuned; "" if unknown.
-        extent: See `Detection.extent`; None if nothing was found.
-        truth: Ground truth of a simulator, if the log has it; shown, never used.
-    """
-
-    log: Path | Address
-    record: Record
-    is_read: bool
-    parameter: str
-    extent: tuple[str, str] | None
-    preset: str
-    truth: float | None
-
-
-def row_of(tuning: Tuning, record: Record) -> Row:
-    """Build the row of a tuning and its record."""
-    presets = tuning.experiment.presets if tuning.experiment else {}
-    parameter = presets[tuning.preset].parameters[0] if tuning.preset in presets else None
-    truth = None
-    if tuning.episode is not None and parameter is not None:
-        truth = tuning.episode.info.truth.get(parameter.name)
-    return Row(
-        log=tuning.log,
-        record=record,
-        is_read=tuning.episode is not None,
-        parameter=quantity(parameter.name, parameter.unit) if parameter else "",
-        extent=tuning.detection.extent if tuning.detection else None,
-        preset=tuning.preset,
-        truth=truth,
-    )
-
-
-def table(rows: Sequence[Row], most: int | None = None) -> str:
-    """Format a line per log, with indented lines below it; a table for each parameter.
-
-    Args:
-        rows: Of the logs.
-        most: Width of the terminal, to which it is fitted; None for all of it.
-    """
-    parameters = list(dict.fromkeys(row.parameter for row in rows if row.parameter)) or [""]
-    parts = [
-        [row for row in rows if (row.parameter or parameters[0]) == parameter]
-        for parameter in parameters
-    ]
-    tables = [
-        laid_out(_columns(parameter, its), [_lines_below(row) for row in its], most)
-        for parameter, its in zip(parameters, parts, strict=True)
-    ]
-    return "\n\n".join(tables)
-
-
-def _columns(parameter: str, rows: Sequence[Row]) -> dict[str, list[str]]:
-    """Return the cells of each column, by its name."""
-    records = [row.record for row in rows]
-    crosses = [record.cross_check for record in records]
-    extents = [row.extent[0] for row in rows if row.extent is not None]
-    columns = {
-        "log": [one_line(row.log) for row in rows],
-        "verdict": [record.verdict for record in records],
-        parameter: [_value(record.estimates[:1]) for record in records],
-        "95 % interval": [_interval(record) for record in records],
-        **_other_parameters(records),
-        "cross-check (tolerance)": [_cross(cross) for cross in crosses],
-        (extents or [""])[0]: ["-" if row.extent is None else row.extent[1] for row in rows],
-        "fits": [_fits(record) for record in records],
-        "rollouts": [str(record.rollouts) for record in records],
-        "time": [f"{record.seconds.get('total', 0.0):.2f} s" for record in records],
-        "truth": ["-" if row.truth is None else f"{row.truth:.4f}" for row in rows],
-    }
-    for optional in ("truth", "95 % interval", "fits"):
-        if set(columns[optional]) == {"-"}:
-            del columns[optional]
-    return {name: cells for name, cells in columns.items() if name}
-
-
-def _cross(cross: CrossCheck | None) -> str:
-    """Format a second estimate, and its tolerance."""
-    if cross is None:
-        return "-"
-    return f"{cross.value:.4f}" + ("" if cross.tolerance is None else f" ({cross.tolerance:.4f})")
-
-
-def cross_words(cross: CrossCheck) -> str:
-    """Format a second estimate with its noise, its method, and its tolerance."""
-    noise = "" if cross.noise95 is None else f" ± {cross.noise95:.4f} by its noise alone"
-    allowed = (
-        "" if cross.tolerance is None else f"; up to {cross.tolerance:.4f} off counts as agreed"
-    )
-    return f"{cross.value:.4f}{noise}, by {cross.method}{allowed}"
-
-
-def _lines_below(row: Row) -> list[str]:
-    """List what a table's line has no room for."""
-    record = row.record
-    lines = [extra_words(known) for known in record.estimates[1:] if isinstance(known.value, tuple)]
-    if record.estimates:
-        lines += [*filter(None, [equivalent_words(record)]), *record.motion.unidentifiable]
-        lines += filter(None, [sound_words(record)])
-    if record.reason:
-        lines.append(one_line(f"{record.verdict}: {record.reason}"))
-    if record.estimates and not record.physical:
-        lines.append(f"{row.preset}: the engine's number under the paper's settings")
-    return lines
-
-
-_SHORT = {"restitution_slope": "slope"}  # what a table calls a parameter whose name is long
-
-
-def _other_parameters(records: Sequence[Record]) -> dict[str, list[str]]:
-    """Build a column for each further scalar parameter, with half its interval."""
-    others = [known for record in records for known in record.estimates[1:]]
-    names = dict.fromkeys(
-        (known.name, known.unit) for known in others if isinstance(known.value, float)
-    )
-    return {
-        quantity(_SHORT.get(name, name), unit): [_other(record, name) for record in records]
-        for name, unit in names
-    }
-
-
-def _other(record: Record, name: str) -> str:
-    known = record.estimate(name)
-    return "-" if known is None else _numbers(known)
-
-
-def _value(known: Sequence[Estimate]) -> str:
-    return f"{known[0].value:.4f}" if known else "-"
-
-
-def _fits(record: Record) -> str:
-    """Format the RMS residual beyond the noise."""
-    fit = record.motion.fit
-    return "-" if fit is None or not record.estimates else f"{fit.excess_percent:.2f} %"
-
-
-def _interval(record: Record) -> str:
-    """Format the first parameter's interval; a suspect's is marked."""
-    known = record.estimates[0] if record.estimates else None
-    if known is None or known.interval95 is None:
-        return "-"
-    low, high = known.interval95
-    assert isinstance(low, float)
-    assert isinstance(high, float)
-    return interval_words(low, high) + interval_mark(record)
-
-
-def interval_mark(record: Record) -> str:
-    """Return a mark for the interval of a verdict that is not ok."""
-    return "" if record.verdict == "ok" else f" ({record.verdict})"
+def number_words(value: float) -> str:
+    """Format a number with four decimals, and no minus before a zero."""
+    return f"{value:.4g}" if abs(value) > _MAX_WRITTEN_OUT else f"{round(value, 4) + 0.0:.4f}"
 
 
 def interval_words(low: float, high: float) -> str:
@@ -352,6 +260,11 @@ def quantity(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} [{unit}]"
 
 
+def interval_mark(record: Record) -> str:
+    """Return a mark for the interval of a verdict that is not ok."""
+    return "" if record.verdict == "ok" else f" ({record.verdict})"
+
+
 def extra_words(known: Estimate) -> str:
     """Format a quantity of several numbers, each with half its interval if it has one."""
     return f"{quantity(known.name, known.unit)} {_numbers(known)}"
@@ -366,7 +279,13 @@ def _numbers(known: Estimate) -> str:
     return ", ".join(f"{value:.4f}{half}" for value, half in zip(values, halves, strict=True))
 
 
-_SAME = 0.001  # of a restitution: with a ball that differs by less, a simulator needs no air
+def cross_words(cross: CrossCheck) -> str:
+    """Format a second estimate with its noise, its method, and its tolerance."""
+    noise = "" if cross.noise95 is None else f" ± {cross.noise95:.4f} by its noise alone"
+    allowed = (
+        "" if cross.tolerance is None else f"; up to {cross.tolerance:.4f} off counts as agreed"
+    )
+    return f"{cross.value:.4f}{noise}, by {cross.method}{allowed}"
 
 
 def equivalent_words(record: Record) -> str:
@@ -400,82 +319,6 @@ def sound_words(record: Record) -> str:
     )
 
 
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Format a Markdown table of text cells."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-
-
-# ---- Comparison for the terminal: a table for each group, and its tests.
-
-# Of one quantity, printed with their figures: more are only named, and the CSV has all.
-_MAX_PAIRS = 10
-
-_MAX_NAMED = 40  # pairs that are named
-_PROSE_CHARACTERS = 100  # of a line of prose
-_CELL_CHARACTERS = 48  # of a cell of a table: a value with its interval, or a log's name
-_MIN_PROBABILITY = 1e-4  # nobody needs to know how far under it one is
-
-
-def comparison_text(comparison: Comparison) -> str:
-    """Format tables, tests and what could not be compared."""
-    numbers = {label: str(k) for k, label in enumerate(comparison.labels, 1)}
-    verdicts = {
-        label: record.verdict
-        for label, record in zip(comparison.labels, comparison.records, strict=True)
-    }
-    parts = [_group(group, numbers, verdicts) for group in comparison.groups]
-    if without := comparison.without_values:
-        lines = ["without a value:"]
-        for label, record in without:
-            why = one_line(record.reason or "no reason is given")
-            lines.append(
-                f"  {numbers[label]} {short_name(label, _CELL_CHARACTERS)}  {record.verdict}: {why}"
-            )
-        parts.append("\n".join(lines))
-    if len(comparison.groups) > 1:
-        parts.append("Logs of different tasks, presets or engines' numbers are never compared.")
-    if any(quantity.tests for group in comparison.groups for quantity in group.quantities):
-        parts.append(fill(TEST_WORDS, _PROSE_CHARACTERS))
-    return "\n\n".join(parts)
-
-
-def _group(group: ComparedGroup, numbers: Mapping[str, str], verdicts: Mapping[str, str]) -> str:
-    rows: dict[str, dict[str, str]] = {
-        label: {
-            "": numbers[label],
-            "log": label,
-            "verdict": verdicts[label],
-        }
-        for label in group.labels
-    }
-    heads = ["", "log", "verdict"]
-    for one in group.quantities:
-        name = quantity(one.name, one.unit)
-        heads.append(name)
-        for value in one.values:
-            rows[value.label][name] = value_words(value)
-        speeds = {value.label: value.speed_m_s for value in one.values if value.is_restitution}
-        if any(speed is not None for speed in speeds.values()):
-            heads.append("at [m/s]")
-            for label, speed in speeds.items():
-                rows[label]["at [m/s]"] = "?" if speed is None else f"{speed:.2f}"
-    lines = [one_line(group.title), *_table(heads, list(rows.values()))]
-    for one in group.quantities:
-        lines += quantity_lines(one, numbers)
-    return "\n".join(lines)
-
-
-def _table(heads: Sequence[str], rows: Sequence[Mapping[str, str]]) -> list[str]:
-    shown = [list(heads), *([row.get(head, "-") for head in heads] for row in rows)]
-    cells = [[short_name(cell, _CELL_CHARACTERS) for cell in row] for row in shown]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in cells
-    ]
-
-
 def value_words(value: ComparedValue) -> str:
     """Format a value with its interval, and a verdict that is not ok."""
     mark = "" if value.verdict == "ok" else f" ({value.verdict})"
@@ -484,47 +327,273 @@ def value_words(value: ComparedValue) -> str:
     return f"{number_words(value.value)} ({interval_words(*value.interval95)}){mark}"
 
 
-def number_words(value: float) -> str:
-    """Format a number with four decimals, and no minus before a zero."""
-    return f"{value:.4g}" if abs(value) > _MAX_WRITTEN_OUT else f"{round(value, 4) + 0.0:.4f}"
+# ---- Tunings for the terminal: one table.
+
+_SHORT = {"restitution_slope": "slope"}  # what a table calls a parameter whose name is long
 
 
-def summary_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """Summarise the tests of a quantity in a sentence, and list what could not be tested."""
-    name = one_line(one.name)
-    bare = [numbers[value.label] for value in one.values if value.interval95 is None]
-    lines = [f"{name}: no interval, not compared: {', '.join(bare)}"] if bare else []
-    tests = _tested(one)
-    if tests:
-        lines.append(f"{name}: {_summary(tests)}")
-    elif not bare:
-        lines.append(f"{name}: nothing to compare with")
+@dataclass(frozen=True, eq=False)
+class Row:
+    """Table row of a tuning: small, so that it travels between processes."""
+
+    log: Path | Address
+    record: Record
+    is_read: bool  # whether the log could be read at all
+    parameter: str  # name and unit of what was tuned; "" if unknown
+    extent: tuple[str, str] | None  # see `Detection.extent`; None if nothing was found
+    preset: str
+    truth: float | None  # ground truth of a simulator, if the log has it; shown, never used
+
+
+def row_of(tuning: Tuning, record: Record) -> Row:
+    """Build the row of a tuning and its record."""
+    presets = tuning.experiment.presets if tuning.experiment else {}
+    parameter = presets[tuning.preset].parameters[0] if tuning.preset in presets else None
+    truth = None
+    if tuning.episode is not None and parameter is not None:
+        truth = tuning.episode.info.truth.get(parameter.name)
+    return Row(
+        log=tuning.log,
+        record=record,
+        is_read=tuning.episode is not None,
+        parameter=quantity(parameter.name, parameter.unit) if parameter else "",
+        extent=tuning.detection.extent if tuning.detection else None,
+        preset=tuning.preset,
+        truth=truth,
+    )
+
+
+def table(rows: Sequence[Row], most: int | None = None) -> str:
+    """Format a line per log, with indented lines below it; a table for each parameter."""
+    parameters = list(dict.fromkeys(row.parameter for row in rows if row.parameter)) or [""]
+    return "\n\n".join(
+        laid_out(
+            _tunings(one, [row for row in rows if (row.parameter or parameters[0]) == one]), most
+        )
+        for one in parameters
+    )
+
+
+def _tunings(parameter: str, rows: Sequence[Row]) -> TextTable:
+    """Build the table of logs with the same first parameter."""
+    records = [row.record for row in rows]
+    firsts = [one.estimates[0].components[0] if one.estimates else None for one in records]
+    extents = [row.extent[0] for row in rows if row.extent is not None]
+    others = dict.fromkeys(
+        (known.name, known.unit)
+        for record in records
+        for known in record.estimates[1:]
+        if isinstance(known.value, float)
+    )
+    columns = {
+        "log": [one_line(row.log) for row in rows],
+        "verdict": [record.verdict for record in records],
+        parameter: ["-" if one is None else f"{one.value:.4f}" for one in firsts],
+        "95 % interval": [
+            "-"
+            if one is None or one.interval95 is None
+            else interval_words(*one.interval95) + interval_mark(record)
+            for one, record in zip(firsts, records, strict=True)
+        ],
+        **{
+            quantity(_SHORT.get(name, name), unit): [
+                "-" if (known := record.estimate(name)) is None else _numbers(known)
+                for record in records
+            ]
+            for name, unit in others
+        },
+        "cross-check (tolerance)": [
+            "-"
+            if one is None
+            else f"{one.value:.4f}" + ("" if one.tolerance is None else f" ({one.tolerance:.4f})")
+            for one in (record.cross_check for record in records)
+        ],
+        (extents or [""])[0]: ["-" if row.extent is None else row.extent[1] for row in rows],
+        "fits": [
+            "-"
+            if one.motion.fit is None or not one.estimates
+            else f"{one.motion.fit.excess_percent:.2f} %"
+            for one in records
+        ],
+        "rollouts": [str(record.rollouts) for record in records],
+        "time": [f"{record.seconds.get('total', 0.0):.2f} s" for record in records],
+        "truth": ["-" if row.truth is None else f"{row.truth:.4f}" for row in rows],
+    }
+    for optional in ("truth", "95 % interval", "fits"):
+        if set(columns[optional]) == {"-"}:
+            del columns[optional]
+    columns.pop("", None)
+    cells = tuple(zip(*columns.values(), strict=True))
+    return TextTable(tuple(columns), cells, [_lines_below(row) for row in rows])
+
+
+def _lines_below(row: Row) -> list[str]:
+    """List what a table's line has no room for."""
+    record = row.record
+    lines = [extra_words(known) for known in record.estimates[1:] if isinstance(known.value, tuple)]
+    if record.estimates:
+        lines += [*filter(None, [equivalent_words(record)]), *record.motion.unidentifiable]
+        lines += filter(None, [sound_words(record)])
+    if record.reason:
+        lines.append(one_line(f"{record.verdict}: {record.reason}"))
+    if record.estimates and not record.physical:
+        lines.append(f"{row.preset}: the engine's number under the paper's settings")
     return lines
 
 
-def _tested(one: ComparedQuantity) -> list[PairTest]:
-    return [test for test in one.tests if test.probability is not None]
+# ---- Comparison: the blocks of each group, on a page as in a terminal.
+
+_MAX_PAIRS = 10  # tests that are shown with their figures: of more, a terminal only names them
+_MAX_NAMED = 40  # pairs that are named
+_MAX_TESTS = 300  # of one group on a page, those that differ first; the CSV has all
+_PROSE_CHARACTERS = 100  # of a line of prose
+_CELL_CHARACTERS = 48  # of a cell of a table: a value with its interval, or a log's name
+_MIN_PROBABILITY = 1e-4  # nobody needs to know how far under it one is
+_TEST_HEADS = ("parameter", "pair", "difference", "95 % interval", "at [m/s]", "p", "")
+_TEST_HEADS += ("to bear in mind",)
 
 
-def named_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """List which pairs differ and which do not; nothing if all are alike."""
-    tests = _tested(one)
+def comparison_text(comparison: Comparison) -> str:
+    """Format tables, tests and what could not be compared, for a terminal."""
+    parts: list[str] = []
+    for block in comparison_blocks(comparison):
+        match block:
+            case Heading():
+                parts.append(one_line(block.text))
+                continue
+            case Paragraph():
+                parts.append(fill(block.text, _PROSE_CHARACTERS))
+                continue
+            case Items():
+                text = "\n".join(map(one_line, block.lines))
+            case TextTable(folded="", rows=rows):
+                cells = [
+                    (*(short_name(one, _CELL_CHARACTERS) for one in row[:-1]), one_line(row[-1]))
+                    for row in rows
+                ]
+                text = laid_out(TextTable(tuple(map(one_line, block.heads)), cells))
+            case _:
+                continue
+        parts[-1] += "\n" + text  # below its heading
+    return "\n\n".join(parts)
+
+
+def comparison_blocks(comparison: Comparison) -> list[Block]:
+    """Make the blocks of a comparison."""
+    numbers = {label: str(number) for number, label in enumerate(comparison.labels, 1)}
+    pairs = zip(comparison.labels, comparison.records, strict=True)
+    verdicts = {label: record.verdict for label, record in pairs}
+    blocks: list[Block] = []
+    for group in comparison.groups:
+        blocks += _group_blocks(group, numbers, verdicts)
+    if without := comparison.without_values:
+        rows = [
+            (numbers[label], label, record.verdict, record.reason or "no reason is given")
+            for label, record in without
+        ]
+        blocks.append(Heading("Without a value"))
+        blocks.append(TextTable(("", "log", "verdict", "why"), rows, title="logs without a value"))
+    if len(comparison.groups) > 1:
+        said = "Logs of different tasks, presets or engines' numbers are never compared."
+        blocks.append(Paragraph(said))
+    if any(quantity.tests for group in comparison.groups for quantity in group.quantities):
+        blocks.append(Paragraph(TEST_WORDS))
+    return blocks
+
+
+def _group_blocks(
+    group: ComparedGroup, numbers: Mapping[str, str], verdicts: Mapping[str, str]
+) -> list[Block]:
+    heads = ["", "log", "verdict"]
+    rows = {label: [numbers[label], label, verdicts[label]] for label in group.labels}
+    lines: list[str] = []
+    tests: list[tuple[str, PairTest]] = []
+    are_few = sum(len(one.tests) for one in group.quantities) <= _MAX_PAIRS
+    for one in group.quantities:
+        heads.append(quantity(one.name, one.unit))
+        values = {value.label: value for value in one.values}
+        has_speed = any(value.speed_m_s is not None for value in one.values)
+        heads += ["at [m/s]"] if has_speed else []
+        for label, row in rows.items():
+            value = values.get(label)
+            row.append("-" if value is None else value_words(value))
+            if has_speed:
+                speed_m_s = None if value is None else value.speed_m_s
+                row.append("?" if speed_m_s is None else f"{speed_m_s:.2f}")
+        lines += _summary_lines(one, numbers)
+        if not are_few:
+            lines += _named_lines(one, numbers)
+        tests += [(one.name, test) for test in one.tests]
+    if not are_few:
+        tests.sort(key=lambda pair: not pair[1].differs)
+    shown = tests[:_MAX_TESTS]
+    blocks = [
+        Heading(group.title),
+        TextTable(tuple(heads), [tuple(row) for row in rows.values()], title=group.title),
+        Items(lines),
+    ]
+    if shown:
+        counted = f"{len(shown)} of {len(tests)}" if len(tests) > len(shown) else str(len(shown))
+        cells = [_test_row(name, test, numbers) for name, test in shown]
+        count = len(_TEST_HEADS) - (not any(test.caution for _, test in shown))
+        cells = [row[:count] for row in cells]
+        folded = "" if are_few else f"Each test ({counted})"
+        blocks.append(TextTable(_TEST_HEADS[:count], cells, title="tests", folded=folded))
+    return blocks
+
+
+def _test_row(name: str, test: PairTest, numbers: Mapping[str, str]) -> Cells:
+    said = "differs" if test.differs else "not distinguishable"
+    chance = "-"
+    if test.corrected is not None:
+        is_tiny = test.corrected < _MIN_PROBABILITY
+        chance = f"p < {_MIN_PROBABILITY:g}" if is_tiny else f"p = {test.corrected:.2g}"
+    return (
+        name,
+        _pair(test, numbers),
+        f"{round(test.difference, 4) + 0.0:+.4f}",
+        interval_words(*test.interval95),
+        "-" if test.speed_m_s is None else f"{test.speed_m_s:.2f}",
+        chance,
+        "not compared" if test.corrected is None else said,
+        test.caution,
+    )
+
+
+def _summary_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """Summarise the tests of a quantity in a sentence, and list what could not be tested."""
+    bare = [numbers[value.label] for value in one.values if value.interval95 is None]
+    lines = [f"{one.name}: no interval, not compared: {', '.join(bare)}"] if bare else []
+    tests = [test for test in one.tests if test.probability is not None]
+    differing = sum(test.differs for test in tests)
+    if len(tests) == 1:
+        said = "they differ" if differing else "no difference beyond the intervals"
+        return [*lines, f"{one.name}: {said}"]
+    if tests:
+        said = f"{differing} of {len(tests)} pairs differ"
+        if not differing:
+            said = f"no difference beyond the intervals in {len(tests)} pairs"
+        lines.append(f"{one.name}: {said}")
+    elif not bare:
+        lines.append(f"{one.name}: nothing to compare with")
+    return lines
+
+
+def _named_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
+    """List which pairs differ and which do not, unless all are alike; cautions with their pairs."""
+    tests = [test for test in one.tests if test.probability is not None]
     different = [_pair(test, numbers) for test in tests if test.differs]
     alike = [_pair(test, numbers) for test in tests if not test.differs]
-    if not (different and alike):
-        return []
-    return [f"differ: {_some(different)}", f"not distinguishable: {_some(alike)}"]
-
-
-def caution_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """List the cautions, each once with its pairs."""
+    lines: list[str] = []
+    if different and alike:
+        lines = [f"differ: {_some(different)}", f"not distinguishable: {_some(alike)}"]
     pairs: dict[str, list[str]] = {}
     for test in one.tests:
         if test.caution:
             pairs.setdefault(test.caution, []).append(_pair(test, numbers))
-    found = [f"{_some(some)}: {one_line(caution)}" for caution, some in pairs.items()]
+    found = [f"{_some(some)}: {caution}" for caution, some in pairs.items()]
     more = [f"{len(found) - _MAX_PAIRS} more cautions"] if len(found) > _MAX_PAIRS else []
-    return [*found[:_MAX_PAIRS], *more]
+    return [f"{one.name}, {line}" for line in (*lines, *found[:_MAX_PAIRS], *more)]
 
 
 def _some(pairs: Sequence[str]) -> str:
@@ -532,52 +601,11 @@ def _some(pairs: Sequence[str]) -> str:
     return ", ".join(pairs[:_MAX_NAMED]) + more
 
 
-def quantity_lines(one: ComparedQuantity, numbers: Mapping[str, str]) -> list[str]:
-    """Summarise a quantity, then list its tests; of many pairs only their numbers."""
-    lines = [*named_lines(one, numbers), *caution_lines(one, numbers)]
-    if len(one.tests) <= _MAX_PAIRS:
-        lines = [test_words(test, numbers) for test in one.tests]
-    return [*summary_lines(one, numbers), *(f"  {line}" for line in lines)]
-
-
 def _pair(test: PairTest, numbers: Mapping[str, str]) -> str:
     return f"{numbers[test.first]} - {numbers[test.second]}"
 
 
-def _summary(tests: Sequence[PairTest]) -> str:
-    differing = sum(test.differs for test in tests)
-    if len(tests) == 1:
-        return "they differ" if differing else "no difference beyond the intervals"
-    if not differing:
-        return f"no difference beyond the intervals in {len(tests)} pairs"
-    return f"{differing} of {len(tests)} pairs differ"
-
-
-def test_words(test: PairTest, numbers: Mapping[str, str]) -> str:
-    """Format one test in a line."""
-    difference = f"{_pair(test, numbers)}: {round(test.difference, 4) + 0.0:+.4f}"
-    caution = f"; {one_line(test.caution)}" if test.caution else ""
-    if test.corrected is None:
-        return difference + caution
-    speed = "" if test.speed_m_s is None else f", at {test.speed_m_s:.2f} m/s"
-    ends, chance = interval_words(*test.interval95), probability_words(test.corrected)
-    said = "differs" if test.differs else "not distinguishable"
-    return f"{difference} ({ends}){speed}, {chance}: {said}{caution}"
-
-
-def probability_words(probability: float) -> str:
-    """Format a corrected p-value."""
-    if probability < _MIN_PROBABILITY:
-        return f"p < {_MIN_PROBABILITY:g}"
-    return f"p = {probability:.2g}"
-
-
 # ---- Meanings: a tuning's figures in plain sentences.
-
-_FIXED = {
-    "payload_mass": "what the gripper holds",
-    "payload_com": "centre of mass of what is held, in the frame of the tool's link",
-}
 
 # What to do, by verdict.
 NEXT = {
@@ -591,150 +619,137 @@ def meaning(record: Record, known: Estimate) -> str:
     """Explain one estimate in a sentence; "" if there is no explanation."""
     if not record.physical:
         return "a number of this engine's settings under the paper's presets, not the ball's own"
-    if known.name in _FIXED:
-        return _FIXED[known.name]
-    if not isinstance(known.value, float):
-        return ""
-    speed_m_s = first_speed_m_s(record)
-    sentences = {
-        "restitution": _restitution(known.value, speed_m_s),
-        "restitution_slope": _slope(record, known.value, speed_m_s),
-        "drag": _drag(known.value, speed_m_s),
-    }
-    return sentences.get(known.name, "")
-
-
-def first_speed_m_s(record: Record) -> float | None:
-    """Return the impact speed that the restitution holds for, or None."""
+    value = known.value if isinstance(known.value, float) else math.nan
+    # The impact speed that the restitution holds for.
     blank = ComparedValue("", 0.0, None, record.verdict)
-    return restitution_value(blank, record).speed_m_s
+    speed_m_s = restitution_value(blank, record).speed_m_s
+    words = {
+        "payload_mass": "what the gripper holds",
+        "payload_com": "centre of mass of what is held, in the frame of the tool's link",
+        "restitution_slope": "p: at speed v the ball keeps e (v / v first)^-p of it",
+        "drag": "k: the air slows the ball by k v²",
+    }.get(known.name, "")
+    if known.name == "restitution":
+        at = "" if speed_m_s is None else f", at {speed_m_s:.2f} m/s"
+        words = f"at its first impact{at}, the ball keeps {100 * value:.1f} % of its speed"
+    first = record.estimate("restitution")
+    if known.name == "restitution_slope" and first is not None and isinstance(first.value, float):
+        half = min(first.value * math.exp(min(value, 1.0) * math.log(2)), 1.0)
+        at = "" if speed_m_s is None else f", {speed_m_s / 2:.2f} m/s"
+        words += f"; at half the speed{at}, {100 * half:.1f} %"
+    if known.name == "drag" and speed_m_s is not None and speed_m_s <= 1e3:
+        percent = 100 * value * speed_m_s**2 / GRAVITY_M_S2
+        words += f"; at {speed_m_s:.2f} m/s that is {percent:.1f} % of gravity"
+    return words
 
 
-def _restitution(value: float, speed_m_s: float | None) -> str:
-    at = "" if speed_m_s is None else f", at {speed_m_s:.2f} m/s"
-    return f"at its first impact{at}, the ball keeps {100 * value:.1f} % of its speed"
-
-
-def _slope(record: Record, slope: float, speed_m_s: float | None) -> str:
-    restitution = record.estimate("restitution")
-    if restitution is None or not isinstance(restitution.value, float):
-        return "p: at speed v the ball keeps e (v / v first)^-p of it"
-    half = min(restitution.value * math.exp(min(slope, 1.0) * math.log(2)), 1.0)
-    at = "half the speed" if speed_m_s is None else f"half the speed, {speed_m_s / 2:.2f} m/s"
-    return f"p: at speed v the ball keeps e (v / v first)^-p of it; at {at}, {100 * half:.1f} %"
-
-
-def _drag(drag_1_m: float, speed_m_s: float | None) -> str:
-    words = "k: the air slows the ball by k v²"
-    if speed_m_s is None or speed_m_s > 1e3:
-        return words
-    slowed = drag_1_m * speed_m_s**2
-    return f"{words}; at {speed_m_s:.2f} m/s that is {100 * slowed / GRAVITY_M_S2:.1f} % of gravity"
-
-
-# ---- Report page: the section of one tuning, from its record alone.
+# ---- A record's blocks, for its review and its page.
 
 _MAX_ROWS = 100  # of one table; what a file beyond any of ours holds is counted
-# How a check says what it saw: the figure, its limit in brackets, perhaps more.
-_FIGURE_LIMIT = re.compile(
-    r"(?P<figure>.*?) \((?P<limit>(?:wanted|at most|less than|over|[\d.]+ or more)[^()]*)\)"
-    r"(?P<rest>.*)",
-    re.DOTALL,
-)
-
+_MAX_BOUNCES = 6  # rows of a review; the JSON has all
+_SHOWN, _FEW_SHOWN = 5, 3  # iterations of a review: the last ones; fewer where names are long
+# Characters of a name that a review's table has room for: beside five values, and beside three.
+_LONG_NAME_CHARACTERS, _MAX_NAME_CHARACTERS = 24, 32
+_MAX_WARNINGS = 50  # lines of a review that a reader still looks through; the JSON has all
 _TASKS = {"drop": "ball drop", "payload": "payload of an arm"}
-
 _OCCASIONS = {"drop": "drop", "payload": "recording"}
 
 
-@dataclass(frozen=True)
-class CheckRow:
-    """Table row of a check.
-
-    Attributes:
-        limit: "" if it is in the figure's own words.
-        advice: How to make it pass; "" if it passed.
-    """
-
-    name: str
-    passed: bool
-    figure: str
-    limit: str
-    advice: str
-
-
-@dataclass(frozen=True)
-class TuningSection:
-    """Texts and tables of one tuning.
-
-    Attributes:
-        anchor: Of links to it.
-        label: Of the log.
-        facts: Short, in the head: task, ball, date.
-        lead: The verdict in a sentence.
-        todo: What to do, first things first.
-        parameters: Rows of name, value, 95 % interval, meaning.
-        notes: Remarks on these.
-        bounces: Rows of number, time, restitution, 95 % interval, impact speed.
-        checks: Failed ones first.
-        iterations: Rows of k and values, below `iteration_names`.
-        settings: Name and value, of the simulator.
-        origin: Name and value, of the provenance.
-        left_out: Tables that are longer in the JSON, in words.
-    """
-
-    anchor: str
-    label: str
-    verdict: str
-    facts: tuple[str, ...]
-    lead: str
-    todo: tuple[str, ...]
-    parameters: tuple[tuple[str, str, str, str], ...]
-    notes: tuple[str, ...]
-    bounces: tuple[tuple[str, ...], ...]
-    checks: tuple[CheckRow, ...]
-    iteration_names: tuple[str, ...]
-    iterations: tuple[tuple[str, ...], ...]
-    settings: tuple[tuple[str, str], ...]
-    origin: tuple[tuple[str, str], ...]
-    warnings: tuple[str, ...]
-    left_out: tuple[str, ...]
-
-
-def section_of(record: Record, label: str, tuning: Path, number: int) -> TuningSection:
-    """Build the section of a tuning; `number` is its position on the page, from 1."""
-    counts = {
-        "bounces": len(record.rebounds),
-        "checks": len(record.checks),
-        "iterations": len(record.iterations),
-        "warnings": len(record.warnings),
-    }
-    names = tuple(record.iterations[0])[:_MAX_ROWS] if record.iterations else ()
-    return TuningSection(
-        anchor=f"log-{number}",
-        label=label,
-        verdict=record.verdict,
-        facts=_facts(record),
-        lead=NEXT[record.verdict],
-        todo=_todo(record, tuning),
-        parameters=_parameter_rows(record),
-        notes=_notes(record),
-        bounces=_bounce_rows(record),
-        checks=check_rows(record.checks),
-        iteration_names=names,
-        iterations=_iteration_rows(record, names),
-        settings=_settings(record),
-        origin=_origin(record, tuning),
-        warnings=record.warnings[:_MAX_ROWS],
-        left_out=tuple(
-            f"{count - _MAX_ROWS} more {what}"
-            for what, count in counts.items()
-            if count > _MAX_ROWS
-        ),
+def failures(record: Record, occasion: str | None) -> Items:
+    """List each failed check with figure, limit and remedy; the reason if none failed."""
+    failed = [check for check in record.checks if not check.passed][:_MAX_ROWS]
+    if not failed:
+        return Items((record.reason,) if record.reason else ())
+    failed.sort(key=lambda check: (not check.fatal, check.secondary))
+    again = f"at the next {occasion}: " if occasion else ""
+    return Items(
+        [f"failed: {check.name}: {check.detail}" for check in failed],
+        [f"{again}{check.advice}" if check.advice else "" for check in failed],
     )
 
 
-def _facts(record: Record) -> tuple[str, ...]:
+def parameters_table(record: Record, names: Mapping[str, str] | None = None) -> TextTable:
+    """Build rows of name, value and 95 % interval; the notes say what each parameter is."""
+    rows: list[Cells] = []
+    notes: list[Cells] = []
+    for known in record.estimates[:_MAX_ROWS]:
+        parts = known.components
+        ends = [
+            "no reliable interval" if one.interval95 is None else interval_words(*one.interval95)
+            for one in parts
+        ]
+        name = (names or {}).get(known.name, known.name)
+        values = ", ".join(number_words(one.value) for one in parts)
+        said = ends[0] if known.interval95 is None else "; ".join(ends)
+        rows.append((quantity(name, known.unit), values, said))
+        text = meaning(record, known)
+        notes.append((text,) if text else ())
+    for name in record.motion.unknown[:_MAX_ROWS] if rows else ():
+        rows.append((name, "not known", "-"))
+        notes.append(("needs units that the log does not state",))
+    heads = ("parameter", "value", f"95 % interval{interval_mark(record)}")
+    return TextTable(heads, rows, notes, title="parameters")
+
+
+def remarks(record: Record) -> Items:
+    """List what is to be said of the values: cross-check, fit, air, sound, what is not known."""
+    if not record.estimates:
+        return Items(())
+    lines: list[str] = []
+    if record.verdict == "suspect" and any(known.interval95 for known in record.estimates):
+        lines.append("The intervals hold as far as the doubts above are unfounded.")
+    lines += record.motion.unidentifiable
+    cross, fit, same = record.cross_check, record.motion.fit, record.motion.equivalents
+    if cross is not None:
+        agrees = "agrees" if cross.agrees else "disagrees"
+        lines.append(f"A second estimate {agrees}: {cross_words(cross)}.")
+    if fit is not None:
+        left = f", {fit.left_out} left out" if fit.left_out else ""
+        lines.append(
+            f"Simulation against {fit.samples} samples{left}: {fit.rms_percent:.2f} % of the drop "
+            f"height apart, rms, of which noise {fit.noise_percent:.2f}; at worst "
+            f"{fit.worst_percent:.2f}."
+        )
+    if same is not None:
+        lines.append(
+            "For a simulator without air and with one restitution for all speeds: "
+            f"{same.first.restitution:.4f} makes the first rebound as high "
+            f"({same.first.rms_percent:.2f} % of the drop height off, rms), "
+            f"{same.all.restitution:.4f} is best over all bounces ({same.all.rms_percent:.2f} %)."
+        )
+    lines += filter(None, [sound_words(record)])
+    return Items(lines[:_MAX_ROWS])
+
+
+def bounces_table(record: Record) -> TextTable:
+    """Build a row per impact."""
+    heads = ("bounce", "time [s]", "restitution", "95 % interval", "at [m/s]")
+    rows: list[Cells] = []
+    for number, bounce in enumerate(record.rebounds[:_MAX_ROWS], 1):
+        ends = "-" if bounce.interval95 is None else interval_words(*bounce.interval95)
+        speed_m_s = bounce.impact_speed_m_s
+        speed = "not known" if speed_m_s is None else f"{speed_m_s:.3f}"
+        rows.append(
+            (str(number), f"{bounce.impact_s:.4f}", f"{bounce.restitution:.4f}", ends, speed)
+        )
+    return TextTable(heads, rows, title="bounces")
+
+
+def iterations_table(record: Record) -> TextTable:
+    """Build a row per iterate; the last may be the exact fit's."""
+    steps = record.iterations
+    names = tuple(steps[0])[:_MAX_ROWS] if steps else ()
+    rows = [
+        (str(k), *(number_words(step[name]) if name in step else "-" for name in names))
+        for k, step in enumerate(steps[:_MAX_ROWS])
+    ]
+    if record.is_fitted and 0 < len(steps) <= _MAX_ROWS:
+        rows[-1] = ("refined", *rows[-1][1:])
+    return TextTable(("k", *names), rows, title="iterations")
+
+
+def page_facts(record: Record) -> tuple[str, ...]:
+    """List what stands in the head of a tuning's page."""
     facts = [_TASKS.get(record.task or "", record.task or "a log that could not be read")]
     if record.ball:
         facts.append(f"ball: {record.ball}")
@@ -743,124 +758,63 @@ def _facts(record: Record) -> tuple[str, ...]:
     return tuple(facts)
 
 
-def _todo(record: Record, tuning: Path) -> tuple[str, ...]:
-    """List failed checks' remedies, or what the values are for."""
-    failed = [check for check in record.checks if not check.passed]
-    lines: list[str] = [record.reason] if record.reason else []
-    occasion = _OCCASIONS.get(record.task or "", "recording")
-    advice = list(dict.fromkeys(check.advice for check in failed if check.advice))
-    said = record.reason or ""
-    lines += [f"At the next {occasion}: {one}." for one in advice if one not in said]
+def page_todo(record: Record, tuning: Path) -> Items:
+    """List what failed and its remedies, or what the values are for."""
     if record.verdict == "ok":
-        lines.append(f"As a file of your engine: tunenet-export {tuning.name} --to ENGINE")
-    return tuple(lines[:_MAX_ROWS])
+        return Items([f"As a file of your engine: tunenet-export {tuning.name} --to ENGINE"])
+    return failures(record, _OCCASIONS.get(record.task or "", "recording"))
 
 
-def _parameter_rows(record: Record) -> tuple[tuple[str, str, str, str], ...]:
-    rows: list[tuple[str, str, str, str]] = []
-    for known in record.estimates[:_MAX_ROWS]:
-        values = known.value if isinstance(known.value, tuple) else (known.value,)
-        ends: Any = known.interval95
-        intervals = ends if isinstance(known.value, tuple) else (ends,)
-        said = [
-            interval_words(*one) if one is not None else "no reliable interval"
-            for one in intervals or (None,)
-        ]
-        numbers = ", ".join(map(number_words, values))
-        name = quantity(known.name, known.unit)
-        rows.append((name, numbers, "; ".join(said), meaning(record, known)))
-    unknown = record.motion.unknown[:_MAX_ROWS] if rows else ()
-    needs = "needs units that the log does not state"
-    return (*rows, *((name, "not known", "-", needs) for name in unknown))
+def page_values(record: Record) -> list[Block]:
+    """Make the blocks of a page above its figures."""
+    shown = parameters_table(record)
+    blocks: list[Block] = [Heading("Parameters"), shown] if shown.rows else []
+    return [*blocks, remarks(record)]
 
 
-def _notes(record: Record) -> tuple[str, ...]:
-    if not record.estimates:
-        return ()
-    notes: list[str] = []
-    if record.verdict == "suspect" and any(known.interval95 for known in record.estimates):
-        notes.append("The intervals hold as far as the doubts above are unfounded.")
-    notes += record.motion.unidentifiable
-    cross, same = record.cross_check, record.motion.equivalents
-    if cross is not None:
-        agrees = "agrees" if cross.agrees else "disagrees"
-        notes.append(f"A second estimate {agrees}: {cross_words(cross)}.")
-    if same is not None:
-        notes.append(
-            "For a simulator without air and with one restitution for all speeds: "
-            f"{same.first.restitution:.4f} makes the first rebound as high "
-            f"({same.first.rms_percent:.2f} % of the drop height off, rms), "
-            f"{same.all.restitution:.4f} is best over all bounces ({same.all.rms_percent:.2f} %)."
-        )
-    return tuple(notes[:_MAX_ROWS])
-
-
-def _bounce_rows(record: Record) -> tuple[tuple[str, ...], ...]:
-    rows: list[tuple[str, ...]] = []
-    for number, bounce in enumerate(record.rebounds[:_MAX_ROWS], 1):
-        ends = "-" if bounce.interval95 is None else interval_words(*bounce.interval95)
-        speed = bounce.impact_speed_m_s
-        rows.append(
+def page_details(record: Record, tuning: Path) -> list[Block]:
+    """Make the blocks of a page below its figures."""
+    checks = TextTable(
+        ("", "check", "what was seen", "limit"),
+        [
             (
-                str(number),
-                f"{bounce.impact_s:.4f}",
-                f"{bounce.restitution:.4f}",
-                ends,
-                "not known" if speed is None else f"{speed:.3f}",
+                "✓ passed" if one.passed else "✕ failed",
+                one.name,
+                one.figure,
+                one.wanted.removeprefix("wanted: "),
             )
-        )
-    return tuple(rows)
-
-
-def check_rows(checks: Sequence[Check]) -> tuple[CheckRow, ...]:
-    """Build the rows of checks, failed ones first, figure and limit apart if separable."""
-    rows: list[CheckRow] = []
-    for check in sorted(checks, key=lambda check: check.passed)[:_MAX_ROWS]:
-        found = _FIGURE_LIMIT.fullmatch(check.detail[:2000])
-        figure, limit = check.detail, ""
-        if found is not None:
-            figure = f"{found['figure']}{found['rest']}"
-            limit = found["limit"].removeprefix("wanted: ")
-        rows.append(CheckRow(check.name, check.passed, figure, limit, check.advice))
-    return tuple(rows)
-
-
-def _iteration_rows(record: Record, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    steps = record.iterations
-    rows: list[tuple[str, ...]] = []
-    for k, step in enumerate(steps[:_MAX_ROWS]):
-        head = "fit" if record.is_fitted and k == len(steps) - 1 else str(k)
-        rows.append((head, *(number_words(step[name]) if name in step else "-" for name in names)))
-    return tuple(rows)
-
-
-def _pairs(fields: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    return [(str(name), str(value)) for name, value in list((fields or {}).items())[:_MAX_ROWS]]
-
-
-def _settings(record: Record) -> tuple[tuple[str, str], ...]:
+            for one in sorted(record.checks, key=lambda check: check.passed)[:_MAX_ROWS]
+        ],
+        title="checks",
+    )
+    without = ", without a result" if record.verdict == "rejected" else ""
+    tables = {
+        "Bounces": bounces_table(record),
+        "Checks": checks,
+        f"Iterations{without}": iterations_table(record),
+    }
+    blocks: list[Block] = []
+    for title, shown in tables.items():
+        blocks += [Heading(title), shown] if shown.rows else []
+    if record.warnings:
+        blocks += [Heading("Warnings"), Items(record.warnings[:_MAX_ROWS])]
+    # How it was simulated.
     pairs = [
         (name.replace("step_hz", "steps a second"), one) for name, one in _pairs(record.simulator)
     ]
-    if record.method:
-        pairs.append(("method", record.method))
-    if record.rollouts:
-        pairs.append(("simulator runs", str(record.rollouts)))
+    pairs += [("method", record.method)] if record.method else []
+    pairs += [("simulator runs", str(record.rollouts))] if record.rollouts else []
     pairs += [(f"weights {name}", value) for name, value in _pairs(record.weights)]
-    return tuple(pairs)
-
-
-def _origin(record: Record, tuning: Path) -> tuple[tuple[str, str], ...]:
+    if pairs:
+        blocks += [Heading("Simulator"), TextTable((), pairs, title="simulator")]
+    # Where it comes from.
     pairs = [("log", record.log), ("JSON", tuning.name)]
-    if record.topic:
-        pairs.append(("topic", record.topic))
+    pairs += [("topic", record.topic)] if record.topic else []
     window = [
         f"{name.removesuffix('_s')} {at_s:.3f} s" for name, at_s in (record.window or {}).items()
     ]
-    if window:
-        pairs.append(("window", ", ".join(window[:_MAX_ROWS])))
-    known = record.provenance
-    if known is not None:
+    pairs += [("window", ", ".join(window[:_MAX_ROWS]))] if window else []
+    if (known := record.provenance) is not None:
         options = ", ".join(f"{name}={value}" for name, value in _pairs(known.options))
         pairs += [
             ("SHA-256 of the log", known.log_sha256 or "not read"),
@@ -871,7 +825,72 @@ def _origin(record: Record, tuning: Path) -> tuple[tuple[str, str], ...]:
         ]
         pairs += [("tare", " ".join(map(str, tare.values()))) for tare in known.tares]
     seconds = ", ".join(f"{name} {value:.2f} s" for name, value in record.seconds.items())
-    return (*pairs, ("time", seconds)) if seconds else tuple(pairs)
+    pairs += [("time", seconds)] if seconds else []
+    blocks += [Heading("Where this comes from"), TextTable((), pairs, title="provenance")]
+    counts = {
+        "bounces": len(record.rebounds),
+        "checks": len(record.checks),
+        "iterations": len(record.iterations),
+        "warnings": len(record.warnings),
+    }
+    more = [f"{n - _MAX_ROWS} more {what}" for what, n in counts.items() if n > _MAX_ROWS]
+    return [*blocks, Paragraph(f"In the JSON: {', '.join(more)}.")] if more else blocks
+
+
+def _pairs(known: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    return [(str(name), str(value)) for name, value in list((known or {}).items())[:_MAX_ROWS]]
+
+
+def result_words(record: Record, preset: str, occasion: str | None) -> str:
+    """Format a review's text: verdict, failures with remedies, values, iterations, checks."""
+    failed = failures(record, occasion)
+    blocks: list[Block] = [Heading(record.verdict, 1), *([failed] if failed.lines else [])]
+    said = said_names(known.name for known in record.estimates)
+    shown = parameters_table(record, said)
+    if any(len(name) > _LONG_NAME_CHARACTERS for name, *_ in shown.rows):  # a list's lines wrap
+        blocks.append(Items([f"{name}: {value}, 95 %: {ends}" for name, value, ends in shown.rows]))
+    elif shown.rows:
+        blocks.append(shown)
+    meanings = [
+        f"{name}: {note}"
+        for (name, *_), notes in zip(shown.rows, shown.notes, strict=True)
+        for note in notes
+    ]
+    blocks += [Items(meanings)] if meanings and record.physical else []
+    notes = remarks(record)
+    blocks += [notes] if notes.lines else []
+    bounces = bounces_table(record)
+    if len(bounces.rows) > 1:
+        blocks.append(TextTable(bounces.heads, bounces.rows[:_MAX_BOUNCES]))
+        more = len(record.rebounds) - _MAX_BOUNCES
+        blocks += [Paragraph(f"{more} more in the JSON")] if more > 0 else []
+    if record.iterations:
+        blocks += _iteration_blocks(record, preset)
+    passed = [f"{check.name}: {check.detail}" for check in record.checks if check.passed]
+    blocks += [Paragraph("passed checks:"), Items(passed)] if passed else []
+    warnings = list(record.warnings[:_MAX_WARNINGS])
+    if len(record.warnings) > _MAX_WARNINGS:
+        warnings.append(f"{len(record.warnings) - _MAX_WARNINGS} more warnings")
+    blocks += [Items(warnings)] if warnings else []
+    return markdown(blocks)
+
+
+def _iteration_blocks(record: Record, preset: str) -> list[Block]:
+    """Turn the last iterates into columns: a review is narrow, and parameters may be many."""
+    said = f"{record.method}, preset {preset}, {record.rollouts} rollouts"
+    if not record.physical:
+        said += "; the engine's number under the paper's settings"
+    whole = iterations_table(record)
+    names = said_names(whole.heads[1:])
+    units = {known.name: known.unit for known in record.estimates}
+    titles = [quantity(names[name], units.get(name, "1")) for name in whole.heads[1:]]
+    shown = whole.rows[-_SHOWN:]
+    if any(len(title) > _LONG_NAME_CHARACTERS for title in titles):  # the list above has the units
+        titles = [short_name(names[name], _MAX_NAME_CHARACTERS) for name in whole.heads[1:]]
+        shown = whole.rows[-_FEW_SHOWN:]
+    heads, *columns = zip(*shown, strict=True)
+    rows = [(title, *cells) for title, cells in zip(titles, columns, strict=True)]
+    return [Paragraph(said), TextTable(("k", *heads), rows)]
 
 
 # ---- Short names: of parameters in a review, as long as they stay distinct.
@@ -897,160 +916,3 @@ def _end(name: str) -> str:
     if kind:
         return rest if "." in rest else name
     return name.replace("_", " ")
-
-
-# ---- Review: a tuning in Markdown, the most important first.
-
-_SHOWN, _FEW_SHOWN = 5, 3  # iterations in the table: the last ones; fewer where names are long
-# Characters of a parameter's name that a table on a laptop's screen has room for: beside five
-# values, and beside three.
-_LONG_NAME_CHARACTERS, _MAX_NAME_CHARACTERS = 24, 32
-_MAX_BOUNCES = 6  # rows; the JSON has all
-_MAX_WARNINGS = 50  # rows and lines that a reader still looks through; the JSON has all
-
-
-def result_words(record: Record, preset: str, occasion: str | None) -> str:
-    """Format verdict, failures with remedies, parameters, bounces, iterations, checks.
-
-    Args:
-        record: Of the tuning.
-        preset: That it was tuned with.
-        occasion: What a user repeats, e.g. "drop"; None if unknown.
-    """
-    lines = [f"# {record.verdict}", *_failures(record, occasion), *_parameter_words(record)]
-    cross = record.cross_check
-    if cross is not None and record.estimates:
-        agrees = "agrees" if cross.agrees else "**disagrees**"
-        lines.append(f"cross-check {agrees}: {cross_words(cross)}")
-    lines += [
-        *_motion_words(record),
-        *_bounce_words(record.rebounds),
-        *_iteration_words(record, preset),
-    ]
-    passed = [check for check in record.checks if check.passed]
-    if passed:
-        listed = [f"- {one_line(check.name)}: {one_line(check.detail)}" for check in passed]
-        lines.append("passed checks:\n\n" + "\n".join(listed))  # what a table holds does not wrap
-    lines += [f"- {one_line(warning)}" for warning in record.warnings[:_MAX_WARNINGS]]
-    if len(record.warnings) > _MAX_WARNINGS:
-        lines.append(f"- {len(record.warnings) - _MAX_WARNINGS} more warnings")
-    return "\n\n".join(lines)
-
-
-def _failures(record: Record, occasion: str | None) -> list[str]:
-    """List each failed check with figure, limit and remedy; the reason if none failed."""
-    failed = [check for check in record.checks if not check.passed]
-    if not failed:
-        return [one_line(record.reason)] if record.reason else []
-    again = f"at the next {occasion}: " if occasion else ""
-    lines: list[str] = []
-    for check in sorted(failed, key=lambda check: not check.fatal):
-        remedy = f"\n    - {again}{one_line(check.advice)}" if check.advice else ""
-        lines.append(f"- **failed: {one_line(check.name)}**: {one_line(check.detail)}{remedy}")
-    return ["\n".join(lines)]
-
-
-# What a parameter is, shortly: a table's cells do not wrap.
-_MEANINGS = {
-    "restitution": "e, the share of its speed that the ball keeps at the first impact",
-    "restitution_slope": "p: at speed v it keeps e (v / v first)^-p",
-    "drag": "k: the air slows it by k v²",
-    "payload_mass": "held by the gripper",
-}
-
-
-def _parameter_words(record: Record) -> list[str]:
-    """Format a table of the scalars, and lines of the vectors."""
-    single = [known for known in record.estimates if not isinstance(known.value, tuple)]
-    several = [known for known in record.estimates if isinstance(known.value, tuple)]
-    said = said_names(known.name for known in record.estimates)
-    rows: list[tuple[str, str, str]] = []
-    for known in single:
-        ends = "-"
-        if known.interval95 is not None:
-            low, high = known.interval95
-            ends = interval_words(low, high)  # pyright: ignore[reportArgumentType]
-        rows.append((quantity(said[known.name], known.unit), f"{known.value:.4f}", ends))
-    head = ("parameter", "value", f"95 %{interval_mark(record)}")
-    is_long = _are_long(name for name, *_ in rows)
-    lines = [_listed(head, rows) if is_long else markdown_table(head, rows)]
-    meanings = [
-        f"- {said[known.name]}: {_MEANINGS[known.name]}"
-        + (_at(record) if known is single[0] else "")
-        for known in single
-        if known.name in _MEANINGS and record.physical
-    ]
-    lines += ["\n".join(meanings)] if meanings else []
-    return [
-        *(lines if rows else []),
-        *(extra_words(replace(known, name=said[known.name])) for known in several),
-    ]
-
-
-def _are_long(names: Iterable[str]) -> bool:
-    return any(len(name) > _LONG_NAME_CHARACTERS for name in names)
-
-
-def _listed(head: tuple[str, str, str], rows: Sequence[tuple[str, str, str]]) -> str:
-    """List parameters whose names are too long for a table: a list's lines wrap."""
-    *_, interval = head
-    return "\n".join(f"- {name}: **{value}**, {interval}: {ends}" for name, value, ends in rows)
-
-
-def _at(record: Record) -> str:
-    """Return the speed that the first parameter holds for, if known."""
-    first = record.rebounds[0].impact_speed_m_s if record.rebounds else None
-    return "" if first is None else f", {first:.2f} m/s"
-
-
-def _motion_words(record: Record) -> list[str]:
-    """Describe the residual of the tuned simulator, and what the log leaves undetermined."""
-    if not record.estimates:
-        return []
-    lines = list(record.motion.unidentifiable)
-    fit = record.motion.fit
-    if fit is not None:
-        left = f", {fit.left_out} left out" if fit.left_out else ""
-        lines.append(
-            f"simulation against {fit.samples} samples{left}: {fit.rms_percent:.2f} % of the drop "
-            f"height apart, rms, of which noise {fit.noise_percent:.2f}; "
-            f"at worst {fit.worst_percent:.2f}"
-        )
-    return [*lines, *filter(None, [equivalent_words(record), sound_words(record)])]
-
-
-def _bounce_words(bounces: Sequence[Rebound]) -> list[str]:
-    if len(bounces) < 2:
-        return []
-    rows = []
-    for number, bounce in enumerate(bounces[:_MAX_BOUNCES], start=1):
-        ends = "-" if bounce.interval95 is None else interval_words(*bounce.interval95)
-        speed_m_s = bounce.impact_speed_m_s
-        speed = "-" if speed_m_s is None else f"{speed_m_s:.2f} m/s"
-        rows.append((str(number), f"{bounce.restitution:.3f}", ends, speed))
-    shown = markdown_table(("bounce", "restitution", "95 %", "impact at"), rows)
-    more = len(bounces) - _MAX_BOUNCES
-    return [shown, f"{more} more in the JSON"] if more > 0 else [shown]
-
-
-def _iteration_words(record: Record, preset: str) -> list[str]:
-    if not record.iterations:
-        return []
-    said = f"{record.method}, preset {preset}, {record.rollouts} rollouts"
-    if not record.physical:
-        said += "; the engine's number under the paper's settings"
-    spoken = said_names(record.iterations[0])
-    units = {known.name: known.unit for known in record.estimates}
-    titles = {name: quantity(spoken[name], units.get(name, "1")) for name in spoken}
-    is_long = _are_long(titles.values())
-    if is_long:  # the list above has the units
-        titles = {name: short_name(spoken[name], _MAX_NAME_CHARACTERS) for name in spoken}
-    shown = list(enumerate(record.iterations))[-(_FEW_SHOWN if is_long else _SHOWN) :]
-    heads = [str(k) for k, _ in shown]
-    if record.is_fitted:
-        heads[-1] = "refined"
-    rows = [
-        (titles[name], *(f"{values[name]:.4f}" for _, values in shown))
-        for name in record.iterations[0]
-    ]
-    return [said, markdown_table(("k", *heads), rows)]

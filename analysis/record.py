@@ -1,6 +1,9 @@
 """Record of a tuning: its verdict, values, checks and provenance, written and read as JSON.
 
-The keys of the JSON are a contract; new ones may be added. A file is untrusted: values are checked.
+A field is declared once: the codec writes and reads dataclasses by their fields and annotations.
+`metadata["key"]` is its key in the JSON if that is not its name; None for a field that is not
+written, `BESIDE` for one whose own keys stand beside the others. The keys are a contract; new ones
+may be added. A file is untrusted: every value is checked.
 """
 
 from __future__ import annotations
@@ -8,10 +11,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from functools import partial
+from contextlib import suppress
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -23,6 +28,12 @@ from tunenet_logs.terminal import short_name
 
 if TYPE_CHECKING:
     import pandas as pd
+
+BESIDE = ""  # key of a field whose own keys stand beside the others
+
+
+def _key(key: str | None) -> dict[str, str | None]:
+    return {"key": key}
 
 
 # ---- Motion: the tuned simulator's beside the observed one, and the units of a log.
@@ -135,8 +146,8 @@ class Units:
     length_by: str | None
     rate_hz: float | None
     rate_by: str | None
-    doubt: str = ""
-    remedy: str = ""
+    doubt: str = field(default="", metadata=_key(None))
+    remedy: str = field(default="", metadata=_key(None))
 
     @property
     def tell_speed(self) -> bool:
@@ -185,11 +196,11 @@ class Motion:
         sound: Contribution of sound; None if there is no sound.
     """
 
-    curves: Curves | None = None
-    fit: SimulationFit | None = None
-    equivalents: Equivalents | None = None
+    curves: Curves | None = field(default=None, metadata=_key(None))  # is written last
+    fit: SimulationFit | None = field(default=None, metadata=_key("simulation_fit"))
+    equivalents: Equivalents | None = field(default=None, metadata=_key("equivalent"))
     unidentifiable: tuple[str, ...] = ()
-    unknown: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = field(default=(), metadata=_key(None))  # a parameter that is null
     units: Units | None = None
     sound: SoundShare | None = None
 
@@ -213,7 +224,7 @@ class Provenance:
     version: str
     log_sha256: str
     options: Mapping[str, Any]
-    tares: tuple[Mapping[str, str], ...]
+    tares: tuple[Mapping[str, str], ...] = field(metadata=_key("tare"))
     date: str
     engine: str | None
 
@@ -254,15 +265,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Component:
-    """Scalar of an estimate.
-
-    Attributes:
-        interval95: None if no valid one exists.
-    """
+    """Scalar of an estimate."""
 
     name: str
     value: float
-    interval95: Interval | None
+    interval95: Interval | None  # None if no valid one exists
 
 
 _AXES = ("x", "y", "z")
@@ -279,10 +286,10 @@ class Rebound:
         impact_speed_m_s: None if the scale cannot be determined.
     """
 
-    impact_s: float
+    impact_s: float = field(metadata=_key("time_s"))
     restitution: float
     interval95: Interval | None
-    impact_speed_m_s: float | None
+    impact_speed_m_s: float | None = field(metadata=_key("impact_speed"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,13 +318,14 @@ class Record:
     task: str | None
     verdict: Verdict
     reason: str | None
-    estimates: tuple[Estimate, ...] = ()
+    estimates: tuple[Estimate, ...] = field(default=(), metadata=_key("parameters"))  # by name
     physical: bool = True
     method: str | None = None
     rollouts: int = 0
     iterations: tuple[Mapping[str, float], ...] = ()
-    is_fitted: bool = False
-    rebounds: tuple[Rebound, ...] = ()
+    is_fitted: bool = field(default=False, metadata=_key(None))  # in the last iteration
+    rebounds: tuple[Rebound, ...] = field(default=(), metadata=_key("bounces"))
+    motion: Motion = field(default_factory=Motion, metadata=_key(BESIDE))
     cross_check: CrossCheck | None = None
     checks: tuple[Check, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -328,7 +336,6 @@ class Record:
     window: Mapping[str, float] | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     provenance: Provenance | None = None
-    motion: Motion = field(default_factory=Motion)
 
     def estimate(self, name: str) -> Estimate | None:
         """Return the quantity of that name, or None."""
@@ -351,120 +358,159 @@ class Record:
         return pd.DataFrame(rows, columns=columns).set_index("parameter")
 
 
-# ---- Sound: its contribution as JSON.
+# ---- Codec: dataclasses by their fields.
 
+_TIME_DECIMALS, _HEIGHT_DECIMALS = 5, 4  # of [s] and [m]: 0.1 mm, and the time to fall so far
+MAX_RECORD_BYTES = 4_000_000  # of a file that may be one: several times that of the longest curves
+_MAX_REASON_CHARACTERS = 200  # of what is wrong with a file, in the message
+_FARTHEST = 1e6  # [m] and [s] from zero: no curve of an experiment goes farther
 
-def sound_fields(sound: SoundShare) -> dict[str, Any]:
-    """Return the key `sound` of a record."""
-    return {
-        "impacts": sound.impacts,
-        "heard": sound.heard,
-        "offset_s": sound.offset_s,
+# What is written beside, or in place of, what the fields say; `...` for nothing.
+_WRITTEN: Mapping[type, Callable[[Any], dict[str, Any]]] = {
+    Check: lambda check: {} if check.advice and not check.passed else {"advice": ...},
+    Rebound: lambda _: {"unit": "m/s"},
+    SimulationFit: lambda fit: {"excess_percent": fit.excess_percent},
+    Equivalents: lambda both: {"speeds": both.first.speeds_m_s},
+    SoundShare: lambda sound: {
         "used": sound.used,
         "reason": sound.reason or None,
         "without": {"restitution": sound.restitution, "interval95": sound.interval95},
-    }
+        "restitution": ...,
+        "interval95": ...,
+    },
+    # null, one, or a list of several
+    Provenance: lambda one: {"tare": one.tares if len(one.tares) > 1 else (*one.tares, None)[0]},
+}
 
 
-def read_sound(fields: Mapping[str, Any]) -> SoundShare:
-    """Parse what `sound_fields` wrote.
+def _read_sound(known: Mapping[str, Any]) -> dict[str, Any]:
+    if known["used"] != (known["offset_s"] is not None) or bool(known["reason"]) == known["used"]:
+        raise ValueError("its sound is used and is not")
+    return {**known, **known["without"], "reason": known["reason"] or ""}
+
+
+def _read_tares(known: Mapping[str, Any]) -> dict[str, Any]:
+    tare = known.get("tare")
+    return {**known, "tare": tare if isinstance(tare, list) else [tare] if tare else []}
+
+
+# The fields' own keys, of what `_WRITTEN` says otherwise.
+_READ: Mapping[type, Callable[[Mapping[str, Any]], Mapping[str, Any]]] = {
+    Rebound: lambda known: {"time_s": 0.0, **known},  # a record of before has none
+    SoundShare: _read_sound,
+    Provenance: _read_tares,
+}
+
+
+def encode(value: Any) -> Any:
+    """Return dataclasses as objects, tuples as lists, and all else as it is."""
+    if isinstance(value, tuple):
+        return [encode(one) for one in value]
+    if isinstance(value, Mapping):
+        return {name: encode(one) for name, one in value.items()}
+    if not is_dataclass(value):
+        return value
+    found: dict[str, Any] = {}
+    for one in fields(value):
+        key = one.metadata.get("key", one.name)
+        if key == BESIDE:
+            found |= encode(getattr(value, one.name))
+        elif key is not None:
+            found[key] = encode(getattr(value, one.name))
+    found |= encode(_WRITTEN.get(type(value), lambda _: {})(value))
+    return {key: one for key, one in found.items() if one is not ...}
+
+
+def decode(kind: Any, value: Any, name: str) -> Any:
+    """Return a JSON's value as an annotation says it.
+
+    Args:
+        kind: A class, or what is made of classes by `|`, tuples, mappings and `Literal`.
+        value: Of a stranger.
+        name: Of what it is, for the message.
 
     Raises:
-        ValueError, TypeError, LookupError: A value is invalid.
+        ValueError, TypeError, LookupError, AttributeError: It is something else.
     """
-    offset_s, without = fields["offset_s"], fields["without"]
-    low, high = without["interval95"]
-    numbers = [float(without["restitution"]), float(low), float(high)]
-    numbers += [] if offset_s is None else [float(offset_s)]
-    if not all(map(math.isfinite, numbers)):
-        raise ValueError("a number of its sound is not finite")
-    reason = str(fields["reason"] or "")
-    if bool(fields["used"]) != (offset_s is not None) or bool(reason) == bool(fields["used"]):
-        raise ValueError("its sound is used and is not")
-    return SoundShare(
-        int(fields["impacts"]),
-        int(fields["heard"]),
-        None if offset_s is None else numbers[3],
-        reason,
-        numbers[0],
-        (numbers[1], numbers[2]),
-    )
+    origin, kinds = get_origin(kind), get_args(kind)
+    found = value
+    if origin is UnionType:  # the first of several that it fits
+        if value is None and NoneType in kinds:
+            return None
+        *others, last = [one for one in kinds if one is not NoneType]
+        for one in others:
+            with suppress(ValueError, TypeError):
+                return decode(one, value, name)
+        found = decode(last, value, name)
+    elif kind is float:
+        found = _number(name, value)
+    elif isinstance(kind, type) and is_dataclass(kind):
+        found = _decoded(kind, value)
+    elif origin is tuple and isinstance(value, list):
+        of_each = kinds[:1] * len(value) if kinds[1:] == (...,) else kinds
+        found = tuple(decode(of, one, name) for of, one in zip(of_each, value, strict=True))
+    elif origin is Mapping and isinstance(value, dict):
+        found = {one: decode(kinds[1], of, one) for one, of in value.items()}
+    elif not (kind is Any or type(value) is kind or (origin is Literal and value in kinds)):
+        what = {str: "text", int: "whole number", bool: "truth value"}.get(kind, "such value")
+        raise ValueError(f"{short_name(name)} {short_name(value)} is no {what}")
+    return found
 
 
-# ---- JSON: format a record, and parse one.
+_hints = cache(get_type_hints)
 
-Value = TypeVar("Value")
 
-# Of a time [s] and a height [m]: a tenth of a millimetre, and the time it takes to fall so far.
-_TIME_DECIMALS, _HEIGHT_DECIMALS = 5, 4
+def _decoded(kind: type, value: Any) -> Any:
+    """Return a dataclass from an object; keys that are missing or null have their defaults."""
+    if not isinstance(value, dict):
+        raise TypeError(f"{short_name(value)} is no object")
+    value = _READ.get(kind, lambda known: known)(value)
+    given: dict[str, Any] = {}
+    for one in fields(kind):
+        key, hint = one.metadata.get("key", one.name), _hints(kind)[one.name]
+        if key is None:
+            continue
+        found = value if key == BESIDE else value.get(key)
+        has_default = one.default is not MISSING or one.default_factory is not MISSING
+        if found is None and has_default:
+            continue
+        if key not in value and key != BESIDE and NoneType not in get_args(hint):
+            raise KeyError(key)
+        given[one.name] = decode(hint, found, key)
+    return kind(**given)
 
-# Of a file that may be a record: several times one with the longest curves.
-MAX_RECORD_BYTES = 4_000_000
 
-_MAX_REASON_CHARACTERS = 200  # of what is wrong with a file, in the message
-_FARTHEST = 1e6  # [m] and [s] from zero: no curve of an experiment goes farther
+def _number(name: str, value: Any) -> float:
+    """Return a finite number; anything else is a ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{short_name(name)} {short_name(value)} is no finite number")
+    return float(value)
+
+
+# ---- Record: as JSON.
 
 
 def record_fields(record: Record) -> dict[str, Any]:
     """Return the fields of the record's JSON, without the curves."""
     last = len(record.iterations) - 1
-    cross, motion = record.cross_check, record.motion
-    return {
-        "log": record.log,
-        "task": record.task,
-        "verdict": record.verdict,
-        "reason": record.reason,
-        "parameters": _parameter_fields(record) or None,
-        "physical": record.physical,
-        "method": record.method,
-        "rollouts": record.rollouts,
-        "iterations": [
-            {"k": k, **values, **({"refined": True} if record.is_fitted and k == last else {})}
-            for k, values in enumerate(record.iterations)
-        ],
-        "bounces": [
-            {
-                "restitution": bounce.restitution,
-                "interval95": bounce.interval95,
-                "impact_speed": bounce.impact_speed_m_s,
-                "unit": "m/s",
-                "time_s": bounce.impact_s,
-            }
-            for bounce in record.rebounds
-        ],
-        "simulation_fit": motion.fit
-        and {**asdict(motion.fit), "excess_percent": motion.fit.excess_percent},
-        "equivalent": motion.equivalents
-        and {**asdict(motion.equivalents), "speeds": motion.equivalents.first.speeds_m_s},
-        "unidentifiable": motion.unidentifiable,
-        "units": motion.units and _unit_fields(motion.units),
-        "sound": motion.sound and sound_fields(motion.sound),
-        "cross_check": cross
-        and {name: value for name, value in asdict(cross).items() if name != "advice"},
-        "checks": [
-            {
-                "name": check.name,
-                "passed": check.passed,
-                "detail": check.detail,
-                **({"advice": check.advice} if check.advice and not check.passed else {}),
-            }
-            for check in record.checks
-        ],
-        "warnings": record.warnings,
-        "simulator": record.simulator,
-        "weights": record.weights,
-        "ball": record.ball,
-        "topic": record.topic,
-        "window": record.window,
-        "seconds": {name: round(value, 4) for name, value in record.seconds.items()},
-        "provenance": record.provenance and _provenance_fields(record.provenance),
+    found = encode(record)
+    parameters: dict[str, Any] = {
+        one.pop("name"): one | {"unit": one.pop("unit")} for one in found["parameters"]
     }
+    for name in record.motion.unknown if parameters else ():  # its units cannot be determined
+        parameters[name] = {"value": None, "interval95": None}
+    found["parameters"] = parameters or None
+    found["iterations"] = [
+        {"k": k, **values, **({"refined": True} if record.is_fitted and k == last else {})}
+        for k, values in enumerate(record.iterations)
+    ]
+    found["seconds"] = {name: round(value, 4) for name, value in record.seconds.items()}
+    return found
 
 
 def to_json(record: Record) -> str:
     """Format the record as one JSON object."""
-    fields = record_fields(record)
-    text = json.dumps(fields, indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(record_fields(record), indent=1, ensure_ascii=False, allow_nan=False)
     if record.motion.curves is not None:  # on one line: it is for programs
         curves = {
             "start_ns": record.motion.curves.start_ns,
@@ -475,21 +521,6 @@ def to_json(record: Record) -> str:
         line = json.dumps(curves, allow_nan=False)
         text = f'{text.removesuffix("}").rstrip()},\n "curves": {line}\n}}'
     return text + "\n"
-
-
-def _parameter_fields(record: Record) -> dict[str, Any]:
-    """Return the estimates; null if one's units cannot be determined."""
-    found: dict[str, Any] = {
-        known.name: {"value": known.value, "interval95": known.interval95, "unit": known.unit}
-        for known in record.estimates
-    }
-    unknown = record.motion.unknown if found else ()
-    return found | {name: {"value": None, "interval95": None} for name in unknown}
-
-
-def _unit_fields(units: Units) -> dict[str, Any]:
-    """Return a log's units, and their sources."""
-    return {name: getattr(units, name) for name in ("length_m", "length_by", "rate_hz", "rate_by")}
 
 
 def _rounded(heights_m: Array) -> list[float | None]:
@@ -505,7 +536,7 @@ def read_record(path: Path) -> Record:
         LogError: It cannot be read, is something else, or has an invalid value.
     """
     try:
-        fields = parse_json(read_small_file(path, MAX_RECORD_BYTES))
+        known = parse_json(read_small_file(path, MAX_RECORD_BYTES))
     except OSError as error:
         raise LogError(
             f"{path}: cannot be read ({error.strerror}); give a tuning's .json"
@@ -514,10 +545,10 @@ def read_record(path: Path) -> Record:
         why = short_name(error, _MAX_REASON_CHARACTERS)
         message = f"{path}: is no JSON of a tuning ({why}); give the .json that tunenet-tune wrote"
         raise LogError(message) from error
-    if not isinstance(fields, dict) or not {"verdict", "parameters"} <= fields.keys():
+    if not isinstance(known, dict) or not {"verdict", "parameters"} <= known.keys():
         raise LogError(f"{path}: is no tuning; give the .json that tunenet-tune wrote")
     try:
-        return record_from(fields)
+        return record_from(known)
     except LookupError as error:
         why = f"{short_name(error)} is missing in it"
         raise LogError(f"{path}: {why}; tune the log again") from error
@@ -533,189 +564,56 @@ def record_in(data: bytes) -> Record:
         ValueError: They are no tuning.
     """
     try:
-        fields = parse_json(data)
-        if not isinstance(fields, dict):
-            raise TypeError("is no object")
-        return record_from(fields)
+        return record_from(parse_json(data))
     except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise ValueError(str(error)) from error
 
 
-def _provenance_fields(provenance: Provenance) -> dict[str, Any]:
-    """Return its JSON fields; `tare` is null, one, or a list of several."""
-    fields = asdict(provenance)
-    tares = fields.pop("tares")
-    fields["tare"] = list(tares) if len(tares) > 1 else next(iter(tares), None)
-    return fields
-
-
-def _provenance(fields: Mapping[str, Any]) -> Provenance:
-    """Parse what `_provenance_fields` wrote."""
-    known = dict(fields)
-    tare = known.pop("tare", None)
-    tares = tare if isinstance(tare, list) else [tare] if tare else []
-    return Provenance(**known, tares=tuple(map(dict, tares)))
-
-
-def record_from(fields: Mapping[str, Any]) -> Record:
+def record_from(known: Mapping[str, Any]) -> Record:
     """Parse a record from a JSON's object; missing keys have their defaults.
 
     Raises:
         ValueError, TypeError, LookupError, AttributeError: A value is invalid.
     """
-    if fields["verdict"] not in get_args(Verdict):
-        raise ValueError(f"verdict {short_name(fields['verdict'])} is none")
-    cross, provenance = fields.get("cross_check"), fields.get("provenance")
-    iterations = [dict(step) for step in fields.get("iterations") or ()]
-    return Record(
-        log=str(fields.get("log", "")),
-        task=_optional(str, fields.get("task")),
-        verdict=fields["verdict"],
-        reason=_optional(str, fields.get("reason")),
-        estimates=tuple(
-            _estimate(str(name), known)
-            for name, known in (fields["parameters"] or {}).items()
-            if known["value"] is not None
-        ),
-        physical=bool(fields.get("physical", True)),
-        method=_optional(str, fields.get("method")),
-        rollouts=int(fields.get("rollouts", 0)),
-        iterations=tuple(
-            {name: _number(name, value) for name, value in step.items() if name not in _OF_STEPS}
-            for step in iterations
-        ),
-        is_fitted=bool(iterations and iterations[-1].get("refined")),
-        rebounds=tuple(_rebound(bounce) for bounce in fields.get("bounces") or ()),
-        cross_check=cross
-        and CrossCheck(
-            str(cross["method"]),
-            _number("value", cross["value"]),
-            cross["agrees"],
-            tolerance=_optional(partial(_number, "tolerance"), cross.get("tolerance")),
-            noise95=_optional(partial(_number, "noise95"), cross.get("noise95")),
-        ),
-        checks=tuple(
-            Check(
-                str(check["name"]),
-                check["passed"],
-                str(check["detail"]),
-                advice=str(check.get("advice", "")),
-            )
-            for check in fields.get("checks") or ()
-        ),
-        warnings=tuple(map(str, fields.get("warnings") or ())),
-        simulator=_optional(dict, fields.get("simulator")),
-        weights=_optional(dict, fields.get("weights")),
-        ball=_optional(str, fields.get("ball")),
-        topic=_optional(str, fields.get("topic")),
-        window=_numbers(fields.get("window")) or None,
-        seconds=_numbers(fields.get("seconds")),
-        provenance=provenance and _provenance(provenance),
-        motion=Motion(
-            _optional(_curves, fields.get("curves")),
-            _optional(_simulation_fit, fields.get("simulation_fit")),
-            _optional(_equivalents, fields.get("equivalent")),
-            tuple(map(str, fields.get("unidentifiable") or ())),
-            tuple(
-                str(name)
-                for name, known in (fields["parameters"] or {}).items()
-                if known["value"] is None
-            ),
-            _optional(_units, fields.get("units")),
-            _optional(read_sound, fields.get("sound")),
-        ),
+    ours = {"log": "", **known, "parameters": None, "iterations": None}
+    record: Record = decode(Record, ours, "a tuning")
+    parameters = known["parameters"] or {}
+    estimates = tuple(
+        decode(Estimate, {"unit": "1", **one, "name": name}, name)
+        for name, one in parameters.items()
+        if one["value"] is not None
+    )
+    for one in estimates:
+        if one.interval95 is not None and np.shape(one.interval95) != (*np.shape(one.value), 2):
+            raise ValueError(f"the interval of {short_name(one.name)} is none of its value")
+    unknown = tuple(name for name, one in parameters.items() if one["value"] is None)
+    steps = [dict(step) for step in known.get("iterations") or ()]
+    of_steps = ("k", "refined")  # what an iteration has beside its parameters
+    iterations = tuple(
+        {name: _number(name, value) for name, value in step.items() if name not in of_steps}
+        for step in steps
+    )
+    curves = known.get("curves")
+    motion = replace(
+        record.motion, unknown=unknown, curves=None if curves is None else _curves(curves)
+    )
+    return replace(
+        record,
+        estimates=estimates,
+        iterations=iterations,
+        is_fitted=bool(steps and steps[-1].get("refined")),
+        motion=motion,
     )
 
 
-_OF_STEPS = ("k", "refined")  # what an iteration has beside its parameters
-
-
-def _interval(ends: Any) -> Interval:
-    low, high = ends
-    return _number("interval95", low), _number("interval95", high)
-
-
-def _optional(make: Callable[[Any], Value], given: Any) -> Value | None:
-    return None if given is None else make(given)
-
-
-def _number(name: str, value: Any) -> float:
-    """Return a finite number; anything else is a ValueError."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{short_name(name)} {short_name(value)} is no finite number")
-    return float(value)
-
-
-def _numbers(given: Mapping[str, Any] | None) -> dict[str, float]:
-    return {str(name): _number(str(name), value) for name, value in (given or {}).items()}
-
-
-def _estimate(name: str, fields: Mapping[str, Any]) -> Estimate:
-    value, ends = fields["value"], fields["interval95"]
-    if isinstance(value, list):
-        values = tuple(_number(name, part) for part in value)
-        return Estimate(name, str(fields["unit"]), values, ends and tuple(map(_interval, ends)))
-    unit = str(fields.get("unit", "1"))
-    return Estimate(name, unit, _number(name, value), _optional(_interval, ends))
-
-
-def _rebound(fields: Mapping[str, Any]) -> Rebound:
-    speed_m_s = fields["impact_speed"]
-    return Rebound(
-        _number("time_s", fields.get("time_s", 0.0)),
-        _number("restitution", fields["restitution"]),
-        _optional(_interval, fields["interval95"]),
-        None if speed_m_s is None else _number("impact_speed", speed_m_s),
-    )
-
-
-def _simulation_fit(fields: Mapping[str, Any]) -> SimulationFit:
-    held_out = _optional(lambda value: _number("held_out", value), fields["held_out_percent"])
-    rms, worst, noise_percent, noise = (
-        _number(name, fields[name])
-        for name in ("rms_percent", "worst_percent", "noise_percent", "noise")
-    )
-    return SimulationFit(
-        rms,
-        worst,
-        noise_percent,
-        held_out,
-        int(fields["samples"]),
-        int(fields["left_out"]),
-        noise,
-        str(fields["unit"]),
-    )
-
-
-def _equivalents(fields: Mapping[str, Any]) -> Equivalents:
-    return Equivalents(*(_equivalent(fields[name]) for name in ("first", "all")))
-
-
-def _equivalent(fields: Mapping[str, Any]) -> Equivalent:
-    return Equivalent(
-        _number("restitution", fields["restitution"]),
-        _number("rms_percent", fields["rms_percent"]),
-        tuple(_number("speed", speed) for speed in fields["speeds_m_s"]),
-    )
-
-
-def _units(fields: Mapping[str, Any]) -> Units:
-    length_m, rate_hz = (
-        _optional(lambda value, name=name: _number(name, value), fields[name])
-        for name in ("length_m", "rate_hz")
-    )
-    length_by, rate_by = (_optional(str, fields[name]) for name in ("length_by", "rate_by"))
-    return Units(length_m, length_by, rate_hz, rate_by)
-
-
-def _curves(fields: Mapping[str, Any]) -> Curves:
+def _curves(known: Mapping[str, Any]) -> Curves:
     """Parse the curves that `to_json` wrote."""
     names = ("seconds", "observed_m", "simulated_m")
-    seconds, observed_m, simulated_m = (np.array(fields[name], np.float64) for name in names)
+    seconds, observed_m, simulated_m = (np.array(known[name], np.float64) for name in names)
     shapes = {seconds.shape, observed_m.shape, simulated_m.shape}
     if shapes != {(len(seconds),)} or not 2 <= len(seconds) <= MAX_SAMPLES:
         raise ValueError("its curves have different lengths")
     far = [np.nanmax(np.abs(curve)) for curve in (seconds, observed_m, simulated_m)]
     if not all(reach < _FARTHEST for reach in far) or np.any(np.diff(seconds) <= 0):
         raise ValueError("its curves make no sense")
-    return Curves(int(fields["start_ns"]), seconds, observed_m, simulated_m)
+    return Curves(int(known["start_ns"]), seconds, observed_m, simulated_m)

@@ -21,17 +21,11 @@ _TAILS = (0.025, 0.975)  # probabilities at the ends of a 95 % interval
 
 @dataclass(frozen=True)
 class ModelEstimate:
-    """Estimate of one model.
+    """Estimate of one model."""
 
-    Attributes:
-        middle: The value.
-        sds: Standard deviations to below and above.
-        weight: Of the model, relative to those of the others.
-    """
-
-    middle: float
-    sds: tuple[float, float]
-    weight: float
+    middle: float  # the value
+    sds: tuple[float, float]  # standard deviations to below and above
+    weight: float  # of the model, relative to those of the others
 
 
 def average(
@@ -39,34 +33,19 @@ def average(
 ) -> tuple[float, tuple[float, float]]:
     """Average normal distributions by Bayesian model averaging (Hoeting et al. 1999).
 
-    Args:
-        estimates: One per model.
-        least: Lower physical bound.
-        most: Upper physical bound.
-
     Returns:
         The mean, and the 95 % interval of the mixture, both within `least` and `most`.
     """
-    from scipy.optimize import brentq
-    from scipy.special import ndtr
-
     weights = np.array([estimate.weight for estimate in estimates])
     weights /= weights.sum()
     middles = np.array([estimate.middle for estimate in estimates])
     total = sum(estimate.weight for estimate in estimates)
     mean = sum(estimate.weight * estimate.middle for estimate in estimates) / total
     mean = float(np.clip(mean, least, most))
-    ends: list[float] = []
-    for side, tail in enumerate(_TAILS):
-        sds = np.array([estimate.sds[side] for estimate in estimates])
-        low, high = float(np.min(middles - 9 * sds)), float(np.max(middles + 9 * sds))
-        end: Any = brentq(
-            lambda value, sds=sds, tail=tail: float(weights @ ndtr((value - middles) / sds)) - tail,
-            low,
-            high,
-            xtol=1e-9,
-        )
-        ends.append(float(end))
+    ends = [
+        _quantile(tail, middles, np.array([one.sds[side] for one in estimates]), weights)
+        for side, tail in enumerate(_TAILS)
+    ]
     return mean, (min(max(ends[0], least), mean), max(min(ends[1], most), mean))
 
 
@@ -114,19 +93,17 @@ def surer_noise_of(heights: Array) -> float:
 
 
 def mixture_quantile(probability: float, middles: Array, sds: Array, weights: Array) -> float:
-    """Return a quantile of a Gaussian mixture (Brent's method).
+    """Return a quantile of a Gaussian mixture, without the components that move none."""
+    heavy = weights > _NOTHING
+    shares = weights[heavy] / weights[heavy].sum()
+    return _quantile(probability, middles[heavy], sds[heavy], shares)
 
-    Args:
-        probability: From 0 to 1.
-        middles: Shape (M,).
-        sds: Standard deviations, shape (M,).
-        weights: Adding up to 1, shape (M,).
-    """
+
+def _quantile(probability: float, middles: Array, sds: Array, weights: Array) -> float:
+    """Return a quantile of a Gaussian mixture (Brent's method)."""
     from scipy.optimize import brentq
     from scipy.special import ndtr
 
-    heavy = weights > _NOTHING
-    middles, sds, weights = middles[heavy], sds[heavy], weights[heavy] / weights[heavy].sum()
     low, high = float((middles - 9 * sds).min()), float((middles + 9 * sds).max())
     end: Any = brentq(
         lambda value: float(weights @ ndtr((value - middles) / sds)) - probability,

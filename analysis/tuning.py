@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from tunenet_logs.analysis.checks import judge, log_checks
 from tunenet_logs.analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
 from tunenet_logs.analysis.experiment import Experiment, Preset, Tuning, drop_invalid_samples
+from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.record import Provenance
 from tunenet_logs.analysis.registry import experiments_of, kinds, kinds_in, method_named
 from tunenet_logs.analysis.result_files import log_sha256
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tunenet.weights import load_model, shipped_model
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
@@ -29,13 +29,13 @@ from tunenet_logs.timing.stamps import trim_clock_jumps
 # ---- Provenance: SHA-256 of log and tares, options, versions.
 
 
-def provenance_of(tuning: Tuning, sha256: str, options: Options) -> Provenance:
+def provenance_of(tuning: Tuning, sha256: str, options: TuneOptions) -> Provenance:
     """Build the provenance of a tuning; `sha256` of its log is "" if it could not be read."""
     return Provenance(
         version=version("tunenet-logs"),
         log_sha256=sha256,
-        options={**_given(options, Options()), **_given(options.selection, Selection())},
-        tares=tuple(_named(tare) for tare in options.selection.tares if isinstance(tare, Path)),
+        options=options.provenance,
+        tares=tuple(_named(tare) for tare in options.tares if isinstance(tare, Path)),
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         engine=None if tuning.simulator is None else tuning.simulator["engine"],
     )
@@ -49,32 +49,11 @@ def _named(tare: Path) -> dict[str, str]:
         return {"log": tare.name, "sha256": ""}
 
 
-def _given(options: Options | Selection, defaults: Options | Selection) -> dict[str, Any]:
-    """Return non-default options as JSON values; files by their names."""
-    found: dict[str, Any] = {}
-    for field in fields(options):
-        value = getattr(options, field.name)
-        if value == getattr(defaults, field.name) or field.name in ("selection", "tares"):
-            continue
-        if isinstance(value, Path):
-            value = value.name
-        elif field.name in ("hints", "ball"):
-            value = {part.name: getattr(value, part.name) for part in fields(value)}
-        elif field.name == "arm" and isinstance(value, tuple):
-            value = {"urdf": value[0].name, "tool_link": value[1]}
-        elif field.name == "source":
-            value = value.told_as()
-        elif field.name == "arm_card":
-            value = {"file": value.file, "logs": [run["log"] for run in value.runs]}
-        found[field.name] = value
-    return found
-
-
 # ---- Unused options: those that have no effect on a log.
 
 
 def unused_options(
-    options: Options,
+    options: TuneOptions,
     experiment: Experiment,
     method: type[Estimator],
     episode: Episode | None,
@@ -89,15 +68,19 @@ def unused_options(
         episode: The log as read; None for a detection that was made without one.
         detection: Of it; None if nothing was found.
     """
-    selection = options.selection
     found: list[str] = []
     of_its_kind = {
         about for way in experiments_of(experiment.kind) for about in way.accepted_options
     }
     said = episode.warnings if episode else ()
-    for about, given in selection.given.items():
-        names = [name for name in given if not said_unused(name, said)]
-        if about in experiment.accepted_options or not names:
+    of_methods: Mapping[Subject, tuple[bool, str]] = {
+        "network": (method.uses_network, "has no network"),
+        "start": (method.takes_steps, "needs no start"),
+        "rollouts": (method.takes_steps, "spends none"),
+    }
+    for about in get_args(Subject):
+        names = [name for name in options.given(about) if not said_unused(name, said)]
+        if about in experiment.accepted_options or about in of_methods or not names:
             continue
         why = f"it is tuned by {experiment.observed}"
         if about not in of_its_kind:
@@ -105,7 +88,7 @@ def unused_options(
         elif about == "pictures" and episode and episode.picture_topics:
             why += f" (to use its pictures: --topic {episode.picture_topics[0]})"
         found.append(f"{', '.join(names)} not used: {why}")
-    ball = selection.ball
+    ball = options.told_ball
     only_size = ball.diameter_m is not None and ball.mass_kg is None
     if (
         detection
@@ -116,12 +99,9 @@ def unused_options(
         found.append(
             "--ball-diameter not used: without --ball-mass it does not say what the air does"
         )
-    if options.weights and not method.uses_network:
-        found.append(f"--weights not used: the method {method.name} has no network")
-    if options.initial is not None and not method.takes_steps:
-        found.append(f"--initial not used: the method {method.name} needs no start")
-    if options.iterations != Options.iterations and not method.takes_steps:
-        found.append(f"--iterations not used: the method {method.name} spends none")
+    for about, (uses_it, why) in of_methods.items():
+        names = () if uses_it else options.given(about)
+        found += [f"{name} not used: the method {method.name} {why}" for name in names]
     return found
 
 
@@ -143,7 +123,7 @@ class Stopwatch:
         self._last = now
 
 
-def tune_log(path: Path, options: Options) -> Tuning:
+def tune_log(path: Path, options: TuneOptions) -> Tuning:
     """Tune from one log; one that cannot be tuned is returned as "rejected", with the reason.
 
     Raises:
@@ -151,7 +131,7 @@ def tune_log(path: Path, options: Options) -> Tuning:
     """
     watch = Stopwatch()
     try:
-        episode = read_episode(path, options.selection.reading)
+        episode = read_episode(path, options.reading)
         # What a simulator is driven by is what others must not take for a motion.
         episode = drop_invalid_samples(
             episode if options.source is not None else without_commands(episode)
@@ -165,7 +145,7 @@ def tune_log(path: Path, options: Options) -> Tuning:
 
 
 def tune_episode(
-    episode: Episode, options: Options, path: Path = Path(), watch: Stopwatch | None = None
+    episode: Episode, options: TuneOptions, path: Path = Path(), watch: Stopwatch | None = None
 ) -> Tuning:
     """Tune from an episode in memory, as `tune_log` does from a file."""
     if options.source is not None:
@@ -174,7 +154,7 @@ def tune_episode(
         experiment = SimulatorExperiment(options.source)
         return _tuned_as(experiment, trim_clock_jumps(episode), options, path, watch)
     episode = trim_clock_jumps(without_commands(episode))
-    topic = options.selection.topic
+    topic = options.topic
     kind = options.task or episode.info.kind
     if not kind:
         shown = kinds_in(episode, topic)
@@ -196,14 +176,14 @@ def tune_episode(
 def _tuned_as(
     experiment: Experiment,
     episode: Episode,
-    options: Options,
+    options: TuneOptions,
     path: Path,
     watch: Stopwatch | None,
 ) -> Tuning:
     """Tune to what an experiment finds in an episode."""
     return tune_detected(
         experiment,
-        lambda: experiment.detect(episode, options.selection, options.preset),
+        lambda: experiment.detect(episode, options, options.preset),
         options,
         watch or Stopwatch(),
         path,
@@ -214,7 +194,7 @@ def _tuned_as(
 def tune_detected(
     experiment: Experiment,
     detect: Callable[[], Any],
-    options: Options,
+    options: TuneOptions,
     watch: Stopwatch,
     path: Path = Path(),
     episode: Episode | None = None,
@@ -296,7 +276,7 @@ def tune_detected(
     )
 
 
-def _initial(preset: Preset, method: type[Estimator], options: Options) -> Array:
+def _initial(preset: Preset, method: type[Estimator], options: TuneOptions) -> Array:
     """Return the user's initial values, completed by the defaults, shape (P,)."""
     parameters = preset.parameters[:1] if method.takes_one_parameter else preset.parameters
     given = list(options.initial or ())
@@ -312,7 +292,7 @@ def _initial(preset: Preset, method: type[Estimator], options: Options) -> Array
     return np.array([*given, *usual[len(given) :]])
 
 
-def _setup(preset: Preset, method: type[Estimator], options: Options) -> Setup:
+def _setup(preset: Preset, method: type[Estimator], options: TuneOptions) -> Setup:
     """Build the method's setup; weights are read only if it uses them."""
     if not method.uses_network:
         return Setup()

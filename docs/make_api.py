@@ -1,16 +1,44 @@
-"""Write docs/api.md from the docstrings of `tunenet_logs`: `python docs/make_api.py`."""
+"""Write docs/api.md, docs/options.md and the tables of docs/checks.md: `python docs/make_api.py`.
+
+The first is made of the docstrings of `tunenet_logs`, the second of the options that it declares,
+the last of its tables of checks.
+"""
 
 from __future__ import annotations
 
+import argparse
+import re
 import sys
 from collections.abc import Iterator
+from dataclasses import is_dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import griffe
 
+from tunenet_logs.analysis.checks import LOG, CheckSpec
+from tunenet_logs.analysis.drop.checks import DROP, FILM, PAPER, POSITIONS, TIMES
+from tunenet_logs.analysis.options import TuneOptions
+from tunenet_logs.analysis.payload.checks import PAYLOAD
+from tunenet_logs.analysis.sysid.checks import SYSID
+from tunenet_logs.console import Option, Parser, options_in
+from tunenet_logs.recorders.orders import DropOrder, FilmOrder, PayloadOrder, ShotOrder
+
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "api.md"
+PAGE, OPTIONS, CHECKS = (ROOT / "docs" / f"{name}.md" for name in ("api", "options", "checks"))
+
+SECTIONS = {
+    "Any log": LOG,
+    "A drop from positions or a film": DROP,
+    "A drop from positions": POSITIONS,
+    "A film": FILM,
+    "Under the preset `paper`": PAPER,
+    "Impact times": TIMES,
+    "A simulator of your own": SYSID,
+    "A payload": PAYLOAD,
+}
+"""Tables of checks, by the section of docs/checks.md."""
 
 _PARSING = {"returns_multiple_items": False, "returns_named_value": False}
 
@@ -119,9 +147,17 @@ def _sections(entry: Any) -> Iterator[str]:
         elif kind == "returns":
             yield "Returns: " + " ".join(_one_line(one.description) for one in section.value)
     if entry.is_class:
-        known = _inherited(entry) | known
+        known = (
+            _inherited(entry) | known | {name: one.words for name, one in _declared(entry).items()}
+        )
         rows = [_field(name, str(kind), known.get(name, "")) for name, kind in _fields(entry)]
         yield "\n".join(rows)
+
+
+def _declared(entry: Any) -> dict[str, Option]:
+    """The options that a class's fields are."""
+    kind = getattr(import_module("tunenet_logs"), entry.name, None)
+    return dict(options_in(kind)) if isinstance(kind, type) and is_dataclass(kind) else {}
 
 
 def _inherited(entry: Any) -> dict[str, str]:
@@ -156,7 +192,83 @@ def _text(docstring: Any) -> str:
     return "" if docstring is None else str(docstring.value)
 
 
+# ---- The options of the commands that have many, by the topics of their help
+
+_KINDS = (TuneOptions, DropOrder, FilmOrder, PayloadOrder, ShotOrder)
+_COMMANDS = ("tunenet_logs.analysis.cli.tune", "tunenet_logs.recorders.cli")
+_OPTIONS_HEAD = """\
+# Options
+
+<!-- made by `python docs/make_api.py` from the options as they are declared; change those -->
+
+Each option once, by the topics of `--help TOPIC`. In [Python](api.md) those of `tunenet-tune` are
+arguments of `tunenet_logs.tune`, and those of a simulation fields of an order. All other commands
+have few: see their `--help`.
+"""
+
+
+def options_page() -> str:
+    """The text of the page of options."""
+    parts = [_OPTIONS_HEAD]
+    for name in _COMMANDS:
+        parser: Parser = import_module(name).build_parser()
+        for group in parser._action_groups:
+            rows = [_row(action) for action in group._group_actions if action.option_strings]
+            if rows:
+                title = group.title if group.title != "options" else "what everybody needs"
+                head = "| option | in Python | does |\n| --- | --- | --- |\n"
+                parts += [f"## {parser.prog}: {title}", head + "\n".join(rows)]
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _row(action: argparse.Action) -> str:
+    choices = ",".join(map(str, action.choices or ()))
+    value = action.metavar or (choices and f"{{{choices}}}")
+    shown = " ".join(filter(None, (", ".join(action.option_strings), str(value))))
+    text = _one_line(str(action.help)).replace("%(prog)s", "the program").replace("%%", "%")
+    known = any(action.dest in options_in(kind) for kind in _KINDS)
+    return f"| `{shown}` | {f'`{action.dest}`' if known else ''} | {text} |"
+
+
+# ---- The tables of checks
+
+
+def checks_page(text: str) -> str:
+    """The text of docs/checks.md, with the tables as the checks are."""
+    parts = re.split(r"(?m)^## (.*)$", text)
+    for at in range(1, len(parts), 2):
+        if specs := SECTIONS.get(parts[at]):
+            rows = "".join(_check_row(spec) + "\n" for spec in specs.values())
+            head = r"(\| check \|[^\n]*\n\|[- |]*\n)(?:\|[^\n]*\n)*"
+            parts[at + 1] = re.sub(head, lambda found, rows=rows: found[1] + rows, parts[at + 1])
+        parts[at] = f"## {parts[at]}"
+    return "".join(parts)
+
+
+def _check_row(spec: CheckSpec) -> str:
+    """One check: name, what it measures, what passes, what if not, usual cause, what to do."""
+    sense, value, unit, _, worst = spec.limit
+    limit = f"{value:g} {unit}".rstrip()
+    usual = {"at least": "{} or more", "within": "at most {} either way"}.get(sense, "at most {}")
+    passes = spec.passes.format(limit=f"{value:g}") or usual.format(limit)
+    doubt = "s" if spec.invalidates_interval else "i"
+    beyond = "under" if sense == "at least" else "over"
+    if worst is not None:
+        doubt = "r" if worst == value else f"{doubt}; r {beyond} {worst:g}"
+    advice = re.sub(r"<?--[a-z-]+>?", lambda option: f"`{option[0]}`", spec.advice)
+    advice = re.sub(r"tunenet-\w+ .*", lambda command: f"`{command[0].replace('`', '')}`", advice)
+    cells = spec.name, spec.measures, passes, spec.if_not or doubt, spec.cause, advice
+    return f"| {' | '.join(cells)} |"
+
+
 if __name__ == "__main__":
-    if "--check" in sys.argv:
-        sys.exit(PAGE.read_text("utf-8") != page() and "docs/api.md is old: run this without it")
-    PAGE.write_text(page(), "utf-8")
+    pages = {
+        PAGE: page(),
+        OPTIONS: options_page(),
+        CHECKS: checks_page(CHECKS.read_text("utf-8")),
+    }
+    for path, text in pages.items():
+        if "--check" not in sys.argv:
+            path.write_text(text, "utf-8")
+        elif path.read_text("utf-8") != text:
+            sys.exit(f"{path.relative_to(ROOT)} is old: run this without --check")

@@ -37,9 +37,6 @@ from tunenet_logs.video import Packet, decoded
 # Of compressed pictures; where more wait, what waits is skipped up to the next key frame.
 _MAX_WAITING_BYTES = 8 * 1024 * 1024
 
-_MIN_PERIOD_S = 0.2  # between two pictures that are shown: enough to aim by
-_NICENESS = 10  # of the thread that decodes: recording comes first
-
 
 class PreviewVideo(threading.Thread):
     """A thread that decodes video and shows some of its frames as JPEGs."""
@@ -75,14 +72,14 @@ class PreviewVideo(threading.Thread):
 
     def run(self) -> None:
         """Decode queued pictures until closed."""
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)  # recording comes first
         due = 0.0
         while not self._closed:
             try:
                 for picture in decoded(self._in_a_row()):
                     if time.monotonic() >= due:
                         self._show(compressed(picture))
-                        due = time.monotonic() + _MIN_PERIOD_S
+                        due = time.monotonic() + 0.2  # [s] between two: enough to aim by
             except LogError:  # nothing here decodes it; the log holds it all the same
                 return
 
@@ -106,14 +103,9 @@ class PreviewVideo(threading.Thread):
 
 # ---- Loopback page: a server of any site on 127.0.0.1, its address a secret
 
-_MAX_BODY_BYTES = 1024  # of a request: the page sends a few numbers
 # Read of a body that is too long: with less read, the sender might not hear the answer.
-_MAX_DRAINED_BYTES = 64 * 1024
 
 _MAX_REQUEST_S = 10.0  # for all of a request, and for a viewer to take what it is sent
-_MAX_VIEWERS = 32  # at once; a page needs three. Others are turned away: no threads pile up
-_SECRET_BYTES = 16  # of the address: other users of this machine can connect, but cannot guess it
-_LOOK_S = 0.1  # between two looks whether the server is to end: closing it waits for the next one
 
 # Headers of every answer: nothing is kept, and no other page can show, load or feed this one.
 _HEADERS = {
@@ -128,19 +120,12 @@ _HEADERS = {
 
 @dataclass(frozen=True)
 class Answer:
-    """A response to a request.
+    """A response to a request."""
 
-    Attributes:
-        code: HTTP status.
-        kind: content type; "" for an answer without a body.
-        body: whole, or part after part for as long as the viewer stays.
-        then: called once the answer is sent: an end of the process takes the page with it.
-    """
-
-    code: int = 204
-    kind: str = ""
-    body: bytes | Iterator[bytes] = b""
-    then: Callable[[], object] | None = None
+    code: int = 204  # HTTP status
+    kind: str = ""  # content type; "" for an answer without a body
+    body: bytes | Iterator[bytes] = b""  # whole, or part after part for as long as the viewer stays
+    then: Callable[[], object] | None = None  # called once it is sent: an end takes the page along
 
 
 _NO_PAGE = Answer(404, "text/plain", b"no such page\n")
@@ -159,21 +144,17 @@ class Site(Protocol):
 
 
 class LoopbackPage:
-    """A server of a site on 127.0.0.1 alone, at a free port, until `close`.
-
-    Attributes:
-        url: contains a secret that others on this machine cannot guess.
-    """
+    """A server of a site on 127.0.0.1 alone, at a free port, until `close`."""
 
     def __init__(self, site: Site) -> None:
-        secret = secrets.token_urlsafe(_SECRET_BYTES)
+        secret = secrets.token_urlsafe(16)  # other users of this machine can connect, not guess it
         handler = type("_BoundHandler", (_Handler,), {"site": site, "secret": secret})
         self._server = _Server(("127.0.0.1", 0), handler)
         port = self._server.server_port
-        self.url = f"http://127.0.0.1:{port}/{secret}/"
+        self.url = f"http://127.0.0.1:{port}/{secret}/"  # others on this machine cannot guess it
         handler.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
         serve = self._server.serve_forever
-        threading.Thread(target=serve, args=(_LOOK_S,), daemon=True).start()
+        threading.Thread(target=serve, args=(0.1,), daemon=True).start()  # [s] closing waits for
 
     def close(self) -> None:
         """Stop serving."""
@@ -199,7 +180,7 @@ class _Server(ThreadingHTTPServer):
 
     def __init__(self, place: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(place, handler)
-        self._free = threading.BoundedSemaphore(_MAX_VIEWERS)
+        self._free = threading.BoundedSemaphore(32)  # a page needs three; more are turned away
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Accept a connection, with a deadline for the whole request."""
@@ -208,7 +189,6 @@ class _Server(ThreadingHTTPServer):
         return kind(fileno=caller.detach()), place
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread, unless there are too many."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
@@ -234,12 +214,10 @@ class _Handler(BaseHTTPRequestHandler):
         """Print nothing: standard error is the command's."""
 
     def do_GET(self) -> None:
-        """Answer a GET."""
         if (path := self._path()) is not None:
             self._send(self.site.get(path) or _NO_PAGE)
 
     def do_POST(self) -> None:
-        """Answer a POST."""
         if (path := self._path()) is not None:
             nothing = Answer(400, "text/plain", b"that is nothing that can be done here\n")
             body = self._body()
@@ -267,9 +245,10 @@ class _Handler(BaseHTTPRequestHandler):
         length = self.headers.get("Content-Length", "0")
         if not (length.isascii() and length.isdecimal()):
             return None
-        if int(length[:9]) > _MAX_BODY_BYTES or len(length) > 9:
+        if int(length[:9]) > 1024 or len(length) > 9:  # the page sends a few numbers
             with suppress(OSError):
-                self.rfile.read(min(int(length[:9]), _MAX_DRAINED_BYTES))
+                # With less read, the sender might not hear the answer.
+                self.rfile.read(min(int(length[:9]), 64 * 1024))
             return None
         with suppress(OSError, ValueError, RecursionError):
             data = self.rfile.read(int(length))
@@ -295,46 +274,32 @@ class _Handler(BaseHTTPRequestHandler):
 
 # ---- Preview: aim, exposure, ball position, record
 
-_RATE_FRAMES = 60  # frames over which the shown rate is measured: one or two seconds
-_MIN_BLOWN_OUT = 250  # grey level of an overexposed pixel, of 255: JPEG blurs the 255 a little
-_PAUSE_S = 0.03  # between two pictures of the page: an eye needs no more, and recording comes first
 _WATCHED_S = 3.0  # somebody still watches so long after a request: the page asks every second
 
 
 @dataclass(frozen=True)
 class Click:
-    """A user's click on the ball.
+    """A user's click on the ball."""
 
-    Attributes:
-        x_px, y_px: in the recorded picture, from its upper left corner.
-        stamp_ns: of the newest frame then.
-    """
-
-    x_px: float
+    x_px: float  # in the recorded picture, from its upper left corner
     y_px: float
-    stamp_ns: int
+    stamp_ns: int  # of the newest frame then
 
 
 class Preview:
-    """The preview page and its state, served on 127.0.0.1 alone, until `close`.
-
-    Attributes:
-        record: set once "record" is pressed.
-        stop: set once "stop" is pressed.
-        click: the last one on the ball; None before that.
-    """
+    """The preview page and its state, served on 127.0.0.1 alone, until `close`."""
 
     def __init__(self) -> None:
-        self.record = threading.Event()
-        self.stop = threading.Event()
-        self.click: Click | None = None
+        self.record = threading.Event()  # set once "record" is pressed
+        self.stop = threading.Event()  # set once "stop" is pressed
+        self.click: Click | None = None  # the last one on the ball; None before that
         self._frame: Frame | None = None
         self._pictured = 0
         self._count = 0
         self._dropped = 0
         self._video: PreviewVideo | None = None
         self._looked_at = -_WATCHED_S
-        self._stamps_ns: deque[int] = deque(maxlen=_RATE_FRAMES)
+        self._stamps_ns: deque[int] = deque(maxlen=60)  # to measure the rate that is shown
         self._changed = threading.Condition()
         self._is_closed = False
         self._page = LoopbackPage(self)
@@ -408,7 +373,7 @@ class Preview:
         for data in self.pictures():
             head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
             yield head.encode() + data + b"\r\n"
-            time.sleep(_PAUSE_S)
+            time.sleep(0.03)  # [s]; an eye needs no more, and recording comes first
 
     def state(self) -> dict[str, Any]:
         """Return what the page shows beside the picture."""
@@ -451,6 +416,7 @@ def _light(data: bytes) -> dict[str, Any]:
                 return {
                     "size_px": [width, height],
                     "brightness": round(float(grey.mean()) / 255, 3),
-                    "blown_out": round(float(np.mean(np.asarray(grey) >= _MIN_BLOWN_OUT)), 4),
+                    # An overexposed pixel has 255, which JPEG blurs a little.
+                    "blown_out": round(float(np.mean(np.asarray(grey) >= 250)), 4),
                 }
     return {}

@@ -46,21 +46,14 @@ _PIECE_S = 0.02  # of sound in one block, where the source may choose
 
 
 class SoundPiece(NamedTuple):
-    """A block of samples as it came.
+    """A block of samples as it came."""
 
-    Attributes:
-        first: number of its first sample since the start; samples lost on the way from the device
-            are not counted, since nobody knows how many they were.
-        begin_ns: capture time of that sample as reported by the device, on the clock of
-            `tunenet_logs.timing.stamps`. It jitters; `SampleClock` finds the uniform clock.
-        pcm: 16-bit samples of all channels together, shape (N,).
-        follows_loss: whether the device reports samples lost before it.
-    """
-
+    # Number of its first sample since the start; samples lost on the way from the device are not
+    # counted, since nobody knows how many they were.
     first: int
-    begin_ns: int
-    pcm: NDArray[np.int16]
-    follows_loss: bool = False
+    begin_ns: int  # that sample's capture time as the device reports it, with jitter, on our clock
+    pcm: NDArray[np.int16]  # 16-bit samples of all channels together, shape (N,)
+    follows_loss: bool = False  # whether the device reports samples lost before it
 
 
 # Called with each block, from a thread of the source; it never waits.
@@ -68,15 +61,10 @@ Take = Callable[[SoundPiece], object]
 
 
 class SoundSource(Protocol):
-    """An open microphone, or a file played in its place.
+    """An open microphone, or a file played in its place."""
 
-    Attributes:
-        name: what is recorded, in words.
-        rate_hz: nominal sample rate.
-    """
-
-    name: str
-    rate_hz: float
+    name: str  # what is recorded, in words
+    rate_hz: float  # nominal sample rate
 
     @property
     def ended(self) -> str:
@@ -99,35 +87,13 @@ class SoundSource(Protocol):
 # ---- Sample clock: sample numbers mapped to our clock
 
 _HOLD_S = 0.5  # of sound held back to align the clocks, at first and after a leap
-_MIN_LEAP_NS = 30_000_000  # a reported time that is further off is no jitter, if it lasts
-_MIN_LOSS_NS = 2_000_000  # a shorter loss cannot be told from jitter, even if the device reports it
-_MAX_OVERLAP_NS = 5_000_000  # of blocks: the clock has to follow a device that runs fast
-
-# Each window of sound is one measurement of the offset, the median of its blocks'. The clock
-# follows that part of it, by so much a window at most: 200 ppm.
-_WINDOW_S, _GAIN, _MAX_STEP_NS = 1.0, 0.1, 200_000
-
-# The measured rate is known by so many windows, to that relative standard error; no sound card's
-# crystal is further off its rate than the last.
-_MIN_WINDOWS, _MAX_RATE_ERROR, _MAX_RATE_OFFSET = 10, 10e-6, 1e-3
 
 
 class TimedPiece(NamedTuple):
-    """A block of samples with its time.
+    """A block of samples with its time."""
 
-    Attributes:
-        stamp_ns: capture time of the first sample.
-        pcm: shape (N,).
-    """
-
-    stamp_ns: int
-    pcm: NDArray[np.int16]
-    arrived_ns: int
-
-
-class _Held(NamedTuple):
-    piece: SoundPiece
-    offset_ns: int
+    stamp_ns: int  # capture time of the first sample
+    pcm: NDArray[np.int16]  # shape (N,)
     arrived_ns: int
 
 
@@ -141,21 +107,13 @@ class SampleClock:
     Where samples are lost, the offset jumps: at once where the device reports it, else where
     reported times are 30 ms off for half a second. Sound that would overlap earlier sound is left
     out, so that times never run backwards.
-
-    Args:
-        rate_hz: nominal sample rate.
-
-    Attributes:
-        losses: how often samples were lost.
-        lost_s: total duration of the losses.
-        left_out_s: total duration of sound left out.
     """
 
     def __init__(self, rate_hz: float) -> None:
-        self.losses = 0
-        self.lost_s = self.left_out_s = 0.0
-        self._rate_hz = rate_hz
-        self._held: list[_Held] = []
+        self.losses = 0  # how often samples were lost
+        self.lost_s = self.left_out_s = 0.0  # total duration of the losses
+        self._rate_hz = rate_hz  # nominal sample rate
+        self._held: list[tuple[SoundPiece, int, int]] = []  # and its offset, and when it came [ns]
         self._held_samples = 0
         self._is_told_lost = False
         self._offset_ns: int | None = None
@@ -172,74 +130,71 @@ class SampleClock:
             self._is_told_lost = True
         offset_ns = piece.begin_ns - self._length_ns(piece.first)
         at_ns = self._offset_ns
-        if at_ns is None or self._is_told_lost or abs(offset_ns - at_ns) > _MIN_LEAP_NS:
-            self._held.append(_Held(piece, offset_ns, arrived_ns))
+        # A reported time that is 30 ms off is no jitter, if it lasts.
+        if at_ns is None or self._is_told_lost or abs(offset_ns - at_ns) > 30_000_000:
+            self._held.append((piece, offset_ns, arrived_ns))
             self._held_samples += len(piece.pcm)
             if self._held_samples >= _HOLD_S * self._rate_hz:
                 yield from self.rest()
             return
         yield from self._released()  # what was held came merely at an odd time
         yield from self._placed(piece, arrived_ns)
-        self._follow(piece, offset_ns)
+        self._window.append(offset_ns)
+        self._window_samples += len(piece.pcm)
+        # A second of sound is one measurement of the offset, the median of its blocks'. The clock
+        # follows a tenth of it, by 200 ppm at most.
+        if self._window_samples < self._rate_hz or self._offset_ns is None:
+            return
+        measured_ns = round(median(self._window))
+        self._drift.add(piece.first / self._rate_hz, measured_ns)
+        step_ns = round(0.1 * (measured_ns - self._offset_ns))
+        self._offset_ns += max(-200_000, min(step_ns, 200_000))
+        self._window, self._window_samples = [], 0
 
     def rest(self) -> Iterator[TimedPiece]:
         """Yield all blocks still held back, aligning the clock to them where needed."""
         is_enough = self._held_samples >= _HOLD_S * self._rate_hz
         if self._held and (self._offset_ns is None or self._is_told_lost or is_enough):
-            self._place(round(median(one.offset_ns for one in self._held)))
+            offset_ns = round(median(offset_ns for _, offset_ns, _ in self._held))
+            before_ns, is_told, self._is_told_lost = self._offset_ns, self._is_told_lost, False
+            step_ns = 0 if before_ns is None else offset_ns - before_ns
+            # A shorter loss cannot be told from jitter, even if the device reports it.
+            if before_ns is None or not is_told or step_ns >= 2_000_000:
+                if step_ns > 0:
+                    self.losses += 1
+                    self.lost_s += step_ns * 1e-9
+                self._offset_ns = offset_ns
+                self._window, self._window_samples = [], 0
+                self._longest = max(self._longest, self._drift, key=lambda one: one.count)
+                self._drift = _Line()
         yield from self._released()
 
     def measured_hz(self) -> float | None:
         """Return the sample rate on our clock; None where it is not yet known."""
         line = max(self._longest, self._drift, key=lambda one: one.count)
-        if line.count < _MIN_WINDOWS:
-            return None
         slope, known_to = line.slope()
-        if known_to > _MAX_RATE_ERROR or abs(slope) > _MAX_RATE_OFFSET:
+        # To a standard error of 10 ppm; no sound card's crystal is a thousandth off its rate.
+        if line.count < 10 or known_to > 10e-6 or abs(slope) > 1e-3:
             return None
         return self._rate_hz / (1 + slope)
 
     def _length_ns(self, samples: int) -> int:
         return round(samples * 1_000_000_000 / self._rate_hz)
 
-    def _place(self, offset_ns: int) -> None:
-        before_ns, is_told, self._is_told_lost = self._offset_ns, self._is_told_lost, False
-        if before_ns is not None:
-            step_ns = offset_ns - before_ns
-            if is_told and step_ns < _MIN_LOSS_NS:
-                return
-            if step_ns > 0:
-                self.losses += 1
-                self.lost_s += step_ns * 1e-9
-        self._offset_ns = offset_ns
-        self._window, self._window_samples = [], 0
-        self._longest = max(self._longest, self._drift, key=lambda one: one.count)
-        self._drift = _Line()
-
     def _released(self) -> Iterator[TimedPiece]:
         held, self._held, self._held_samples = self._held, [], 0
-        for one in held:
-            yield from self._placed(one.piece, one.arrived_ns)
+        for piece, _, arrived_ns in held:
+            yield from self._placed(piece, arrived_ns)
 
     def _placed(self, piece: SoundPiece, arrived_ns: int) -> Iterator[TimedPiece]:
         assert self._offset_ns is not None
         stamp_ns = self._offset_ns + self._length_ns(piece.first)
-        if self._end_ns is not None and stamp_ns < self._end_ns - _MAX_OVERLAP_NS:
+        # Blocks may overlap by 5 ms: the clock has to follow a device that runs fast.
+        if self._end_ns is not None and stamp_ns < self._end_ns - 5_000_000:
             self.left_out_s += len(piece.pcm) / self._rate_hz
             return
         self._end_ns = stamp_ns + self._length_ns(len(piece.pcm))
         yield TimedPiece(stamp_ns, piece.pcm, arrived_ns)
-
-    def _follow(self, piece: SoundPiece, offset_ns: int) -> None:
-        self._window.append(offset_ns)
-        self._window_samples += len(piece.pcm)
-        if self._window_samples < _WINDOW_S * self._rate_hz or self._offset_ns is None:
-            return
-        measured_ns = round(median(self._window))
-        self._drift.add(piece.first / self._rate_hz, measured_ns)
-        step_ns = round(_GAIN * (measured_ns - self._offset_ns))
-        self._offset_ns += max(-_MAX_STEP_NS, min(step_ns, _MAX_STEP_NS))
-        self._window, self._window_samples = [], 0
 
 
 class _Line:
@@ -274,34 +229,22 @@ class _Line:
 
 # ---- Live sound: blocks that are stamped and written as they come
 
-_MAX_QUEUE_BYTES = 8 * 1024 * 1024  # of sound that is not yet stamped: over a minute of it
-_MAX_WAITING_S = 10.0  # of sound before the first picture, which was taken a while before it came
 _SILENT_S = 3.0  # a microphone that delivers nothing for so long is reported
-_MAX_JOINT_NS = 1_000_000  # between two pieces of sound that one message may hold
-
-# Samples that come by more than this factor too fast, and this far ahead, are of no clock.
-_MAX_SPEED, _MAX_AHEAD_S = 1.1, 5.0
 
 
 class LiveSound:
     """Takes blocks from a source, stamps them, and writes them as they come.
 
     What ends the sound never ends the recording: it is reported at once, and noted in the log.
-
-    Args:
-        source: opened, not started.
-        say: reports to the user that no more sound comes.
-
-    Attributes:
-        written: number of messages.
     """
 
     def __init__(self, source: SoundSource, say: Callable[[str], None]) -> None:
-        self.written = 0
-        self._source = source
-        self._say = say
+        self.written = 0  # number of messages
+        self._source = source  # opened, not started
+        self._say = say  # reports to the user that no more sound comes
         self._clock = SampleClock(source.rate_hz)
-        self._queue: TopicQueue[SoundPiece] = TopicQueue(_MAX_QUEUE_BYTES, drops=True)
+        # Over a minute of sound that is not yet stamped.
+        self._queue: TopicQueue[SoundPiece] = TopicQueue(8 * 1024 * 1024, drops=True)
         self._waiting: deque[TimedPiece] = deque()
         self._waiting_samples = 0
         self._begin_ns: int | None = None
@@ -319,11 +262,7 @@ class LiveSound:
         return rate_notes(f"{self._source.name}, {rate_hz:g} Hz, mono", rate_hz, rate_hz)
 
     def start(self) -> None:
-        """Start the source.
-
-        Raises:
-            MicrophoneError: it does not start.
-        """
+        """Start the source."""
         self._heard_at = time.monotonic()
         self._source.start(self._take)
 
@@ -340,7 +279,11 @@ class LiveSound:
         """Process the blocks that came; call it often."""
         while (item := self._queue.take()) is not None:
             self._heard_at = time.monotonic()
-            if self._is_too_fast(item.payload, item.received_ns):
+            if self._first_ns is None:
+                self._first_ns = item.received_ns
+            passed_s = (item.received_ns - self._first_ns) * 1e-9
+            # Samples that come a tenth too fast, and 5 s ahead, are of no clock.
+            if item.payload.first > self._source.rate_hz * (1.1 * passed_s + 5.0):
                 self._end(writer, f"it delivers far more than {self._source.rate_hz:g} samples/s")
             else:
                 for piece in self._clock.timed(item.payload, item.received_ns):
@@ -395,12 +338,6 @@ class LiveSound:
     def _take(self, piece: SoundPiece) -> None:
         self._queue.put(AUDIO_TOPIC, piece.begin_ns, piece, piece.pcm.nbytes)
 
-    def _is_too_fast(self, piece: SoundPiece, arrived_ns: int) -> bool:
-        if self._first_ns is None:
-            self._first_ns = arrived_ns
-        passed_s = (arrived_ns - self._first_ns) * 1e-9
-        return piece.first > self._source.rate_hz * (_MAX_SPEED * passed_s + _MAX_AHEAD_S)
-
     def _end(self, writer: EpisodeWriter, why: str) -> None:
         if self._why_ended:
             return
@@ -420,13 +357,15 @@ class LiveSound:
             return
         self._waiting.append(piece)
         self._waiting_samples += len(piece.pcm)
-        while self._waiting_samples > _MAX_WAITING_S * self._source.rate_hz:
+        # Ten seconds are kept for the first picture, which was taken a while before it came.
+        while self._waiting_samples > 10.0 * self._source.rate_hz:
             self._waiting_samples -= len(self._waiting.popleft().pcm)
 
     def _write(self, writer: EpisodeWriter, piece: TimedPiece) -> None:
         if self._begin_ns is None or self._end_of([piece]) <= self._begin_ns:
             return
-        if self._block and abs(piece.stamp_ns - self._end_of(self._block)) > _MAX_JOINT_NS:
+        # A message may hold pieces of sound with a millisecond between them.
+        if self._block and abs(piece.stamp_ns - self._end_of(self._block)) > 1_000_000:
             self._write_block(writer)
         self._block.append(piece)
         self._block_samples += len(piece.pcm)
@@ -450,25 +389,12 @@ class LiveSound:
 
 # ---- Opening: what `--microphone` names
 
-_MAX_OPENING_S = 15.0  # for a driver, or the sound server of a desktop, to open a microphone
-
 
 @contextmanager
 def opened_microphone(
     wanted: str | None, camera: str, say: Callable[[str], None]
 ) -> Iterator[LiveSound | None]:
-    """Open a microphone for the time of a recording; None where none is asked for.
-
-    Args:
-        wanted: a device's number or a part of its name, or a sound file; "" for the default device.
-        camera: the source it is recorded beside.
-        say: reports to the user that no more sound comes.
-
-    Raises:
-        UsageError: the camera is not live, or the microphone library is not installed.
-        MicrophoneError: it is not there, or cannot be opened.
-        LogError: a file that holds no sound.
-    """
+    """Open a microphone for the time of a recording; None where none is asked for."""
     if wanted is None:
         yield None
         return
@@ -488,7 +414,10 @@ def _source(wanted: str) -> SoundSource:
     shown = f"--microphone {wanted!r}" if wanted else "--microphone"
     try:
         return opened_within(
-            _MAX_OPENING_S, shown, lambda: PortAudioMicrophone(wanted), what="microphone"
+            15.0,  # [s] for a driver, or the sound server of a desktop
+            shown,
+            lambda: PortAudioMicrophone(wanted),
+            what="microphone",
         )
     except CameraAwayError as error:
         raise MicrophoneError(error.what, error.remedy) from error
@@ -502,9 +431,6 @@ class PlayedFile:
 
     It plays from when it is started, to rehearse a recording and check its sound without a
     microphone.
-
-    Raises:
-        LogError: it holds no sound.
     """
 
     def __init__(self, path: Path) -> None:
@@ -545,25 +471,15 @@ class PlayedFile:
 
 # ---- PortAudio: the system's microphones
 
-_MAX_AGE_S = 5.0  # of a sample when it is delivered: an older one has the time of another clock
-_MAX_CHANNELS = 8  # of a device that has neither one nor two
-_MAX_CLOSING_S = 1.0  # for a driver: a recording's end shall be quick though it hangs
-
 
 @dataclass(frozen=True)
 class InputDevice:
-    """A microphone, or what the system offers as one.
+    """A microphone, or what the system offers as one."""
 
-    Attributes:
-        number: PortAudio's.
-        channels: at most.
-        rate_hz: its default.
-    """
-
-    number: int
+    number: int  # PortAudio's
     name: str
-    channels: int
-    rate_hz: float
+    channels: int  # at most
+    rate_hz: float  # its default
 
 
 class PortAudioMicrophone:
@@ -571,18 +487,11 @@ class PortAudioMicrophone:
 
     A sample's time is PortAudio's `inputBufferAdcTime`, as an age on the stream's clock; where that
     is missing, the block's arrival less its length.
-
-    Args:
-        wanted: a device's number, or a part of its name; "" for the default.
-
-    Raises:
-        UsageError: the library is not installed, or the name is ambiguous.
-        MicrophoneError: there is none, or it cannot be opened.
     """
 
     def __init__(self, wanted: str) -> None:
         self._library = _library()
-        device = chosen(wanted, _inputs(self._library), _default(self._library))
+        device = chosen(wanted, *_inputs(self._library))
         self.name = f"microphone {short_name(device.name)}"
         self.rate_hz = device.rate_hz
         self.ended = ""
@@ -592,11 +501,7 @@ class PortAudioMicrophone:
         self._stream = self._opened(device)
 
     def start(self, take: Take) -> None:
-        """Begin to deliver blocks.
-
-        Raises:
-            MicrophoneError: it does not start.
-        """
+        """Begin to deliver blocks."""
         self._take = take
         try:
             self._stream.start()
@@ -610,15 +515,15 @@ class PortAudioMicrophone:
         if self._is_closed:
             return
         self._is_closed = True
-        closing = threading.Thread(target=self._close, name="microphone closing", daemon=True)
-        closing.start()
-        closing.join(_MAX_CLOSING_S)
 
-    def _close(self) -> None:
-        with suppress(self._library.PortAudioError):
-            self._stream.abort()
-        with suppress(self._library.PortAudioError):
-            self._stream.close()
+        def close() -> None:
+            for end in (self._stream.abort, self._stream.close):
+                with suppress(self._library.PortAudioError):
+                    end()
+
+        closing = threading.Thread(target=close, name="microphone closing", daemon=True)
+        closing.start()
+        closing.join(1.0)  # [s]; a recording's end shall be quick though a driver hangs
 
     def _opened(self, device: InputDevice) -> Any:
         low_hz, high_hz = RATES_HZ
@@ -627,7 +532,7 @@ class PortAudioMicrophone:
                 f"{self.name}: has {device.rate_hz:g} samples a second", "choose another"
             )
         why = ""
-        for channels in sorted({1, min(2, device.channels), min(_MAX_CHANNELS, device.channels)}):
+        for channels in sorted({1, min(2, device.channels), min(8, device.channels)}):
             try:
                 with _silent_libraries():
                     return self._library.InputStream(
@@ -650,9 +555,10 @@ class PortAudioMicrophone:
         """Copy a block: PortAudio's callback."""
         at_ns, stream_s = now_ns(), self._stream.time  # side by side: they are the same moment
         age_s = stream_s - times.inputBufferAdcTime
-        if not (times.inputBufferAdcTime and 0 <= age_s < _MAX_AGE_S):
+        # A sample of over 5 s has the time of another clock.
+        if not (times.inputBufferAdcTime and 0 <= age_s < 5.0):
             age_s = frames / self.rate_hz
-        pcm = data[:, 0].copy() if data.shape[1] == 1 else _mixed(data)
+        pcm = np.round(data.mean(axis=1)).astype(np.int16)
         if self._take is not None:
             is_lost = bool(status.input_overflow)
             self._take(SoundPiece(self._heard, at_ns - round(age_s * 1e9), pcm, is_lost))
@@ -664,17 +570,7 @@ class PortAudioMicrophone:
 
 
 def chosen(wanted: str, devices: Sequence[InputDevice], default: int) -> InputDevice:
-    """Select the device that the user names.
-
-    Args:
-        wanted: its number, its name or a part of it, in any case; "" for the default.
-        devices: those available.
-        default: the number of the system's.
-
-    Raises:
-        UsageError: the name is ambiguous.
-        MicrophoneError: there is none.
-    """
+    """Select the device that the user names."""
     if not devices:
         raise MicrophoneError(
             "--microphone: no microphone is plugged in (PortAudio finds no input)",
@@ -718,7 +614,8 @@ def _library() -> ModuleType:
     return sounddevice
 
 
-def _inputs(library: ModuleType) -> list[InputDevice]:
+def _inputs(library: ModuleType) -> tuple[list[InputDevice], int]:
+    """Return the devices that record, and the number of the default one; -1 for none."""
     try:
         devices = library.query_devices()
     except library.PortAudioError as error:
@@ -726,7 +623,7 @@ def _inputs(library: ModuleType) -> list[InputDevice]:
             f"--microphone: the system's devices cannot be listed ({_short(error)})",
             "plug a microphone in again",
         ) from error
-    return [
+    found = [
         InputDevice(
             number,
             str(one["name"]),
@@ -736,18 +633,9 @@ def _inputs(library: ModuleType) -> list[InputDevice]:
         for number, one in enumerate(devices)
         if one["max_input_channels"] > 0
     ]
-
-
-def _default(library: ModuleType) -> int:
-    try:
-        return int(library.default.device[0])
-    except (TypeError, ValueError):
-        return -1
-
-
-def _mixed(data: np.ndarray) -> np.ndarray:
-    """Return the mean of all channels, shape (N,)."""
-    return np.round(data.mean(axis=1)).astype(np.int16)
+    with suppress(TypeError, ValueError):
+        return found, int(library.default.device[0])
+    return found, -1
 
 
 def _short(error: Exception) -> str:

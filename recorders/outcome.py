@@ -1,4 +1,4 @@
-"""Command-line options of `tunenet-record --outcome`, and the recording they ask for."""
+"""Options of `tunenet-record --outcome`, and the recording they ask for."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tunenet_logs.console import number, whole
+from tunenet_logs.console import given, option, printable
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import parse_json, read_small_file, real_path
+from tunenet_logs.recorders.orders import OfBall
 from tunenet_logs.terminal import one_line, short_name
 
 if TYPE_CHECKING:
@@ -27,46 +29,63 @@ _MAX_LOCK_S = 10.0  # for other recorders to write their outcomes: each takes a 
 _LOOK_S = 0.02  # between two tries to be the one that writes
 
 
-def outcome_options(group: argparse._ArgumentGroup) -> list[argparse.Action]:
-    """Add the options of outcomes; None where they are not given."""
-    add = group.add_argument
-    return [
-        add("--task", type=_text, metavar="NAME", help=f"what was tried (default: {_TASK})"),
-        add(
-            "--attempt",
-            type=whole(1, 1_000_000),
-            metavar="N",
-            help="of this ball (default: the next one in the campaign)",
-        ),
-        add(
-            "--shot-height",
-            type=number(0, 100, "m"),
-            metavar="M",
-            help="what the ball was let go from, above the impact point [m]",
-        ),
-        add(
-            "--miss",
-            type=number(-100, 100, "m"),
-            metavar="M",
-            help="how far from the goal's centre it came down; short of it is negative, beyond it "
-            "positive [m]",
-        ),
-        add("--reason", type=_text, metavar="WORDS", help="why it failed, such as short or rim"),
-        add("--note", type=_text, metavar="TEXT", help="anything else"),
-        add("--drop-log", type=Path, metavar="LOG", help="the drop that it was tuned from"),
-        add(
-            "--tuning",
-            type=Path,
-            metavar="JSON",
-            help="what tunenet-tune wrote of that drop; says the restitution and the log, too",
-        ),
-        add(
-            "--at",
-            type=_time,
-            metavar="TIME",
-            help="when it was, such as '2026-11-22 14:30' (default: now)",
-        ),
-    ]
+_text = printable(_MAX_LETTERS, "a line")
+
+
+def _time(text: str) -> int:
+    from tunenet_logs.outcomes import LAST_NS, stamp_ns
+
+    try:
+        if (stamp := stamp_ns(text)) <= LAST_NS:
+            return stamp
+    except ValueError as error:
+        now = time.strftime("%Y-%m-%d %H:%M")
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is no time, such as '{now}'") from error
+    raise argparse.ArgumentTypeError(f"{text[:40]!r} is beyond 2038, the last year of a ROS time")
+
+
+_of_outcome = partial(option, group="outcome")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutcomeOptions(OfBall):
+    """What became of an attempt."""
+
+    task: str | None = _of_outcome(
+        f"what was tried (default: {_TASK})", metavar="NAME", parse=_text
+    )
+    attempt: int | None = _of_outcome(
+        "of this ball (default: the next one in the campaign)",
+        metavar="N",
+        limits=(1, 1_000_000, ""),
+        is_whole=True,
+    )
+    shot_height_m: float | None = _of_outcome(
+        "what the ball was let go from, above the impact point [m]", limits=(0, 100, "m")
+    )
+    miss_m: float | None = _of_outcome(
+        "how far from the goal's centre it came down; short of it is negative, beyond it "
+        "positive [m]",
+        limits=(-100, 100, "m"),
+    )
+    reason: str = _of_outcome(
+        "why it failed, such as short or rim", "", metavar="WORDS", parse=_text
+    )
+    note: str = _of_outcome("anything else", "", metavar="TEXT", parse=_text)
+    drop_log: Path | None = _of_outcome(
+        "the drop that it was tuned from", metavar="LOG", parse=Path
+    )
+    tuning: Path | None = _of_outcome(
+        "what tunenet-tune wrote of that drop; says the restitution and the log, too",
+        metavar="JSON",
+        parse=Path,
+    )
+    at_ns: int | None = _of_outcome(
+        "when it was, such as '2026-11-22 14:30' (default: now)",
+        flag="--at",
+        metavar="TIME",
+        parse=_time,
+    )
 
 
 def record_outcome_as_asked(arguments: argparse.Namespace) -> str:
@@ -78,9 +97,21 @@ def record_outcome_as_asked(arguments: argparse.Namespace) -> str:
     from tunenet_logs.outcomes import write_outcome
     from tunenet_logs.timing.stamps import now_ns
 
-    _check(arguments)
-    folder = arguments.output or Path()
-    outcome = _outcome(arguments, folder)
+    asked = OutcomeOptions(**given(arguments, OutcomeOptions))
+    if asked.ball is None:
+        raise UsageError("--outcome needs --ball NAME: which ball it was")
+    if arguments.overwrite:
+        raise UsageError("--overwrite does not go with --outcome: no outcome replaces another")
+    output = arguments.output
+    if output is not None and (output.is_file() or output.suffix == ".mcap"):
+        raise UsageError(f"{output}: give -o the folder of the campaign; it names its files")
+    if asked.drop_log is not None and not _is_there(asked.drop_log):
+        raise UsageError(
+            f"{short_name(asked.drop_log)}: no such file; name the drop's log, or leave "
+            "--drop-log out"
+        )
+    folder = output or Path()
+    outcome = _outcome(asked, folder, success=arguments.outcome == "success")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -88,35 +119,49 @@ def record_outcome_as_asked(arguments: argparse.Namespace) -> str:
             f"{folder}: cannot be made ({error.strerror}); name another folder"
         ) from error
     with _alone_in(folder):
-        if arguments.at is None:  # only now: later attempts have later times
+        if asked.at_ns is None:  # only now: later attempts have later times
             outcome = replace(outcome, stamp_ns=now_ns())
         earlier = _earlier(folder, outcome)
-        if arguments.attempt is None:
+        if asked.attempt is None:
             outcome = replace(outcome, attempt=_next(outcome.ball, earlier))
         path = write_outcome(folder, outcome)
-    return f"{path}: {outcome.word} of {outcome.name}{_which_counts(outcome, earlier)}"
+    # Of an attempt's outcomes that of the latest time counts in reviews.
+    times = [
+        other.stamp_ns
+        for other in earlier
+        if other.attempt == outcome.attempt and not other.is_counted
+    ]
+    which = ""
+    if times and outcome.stamp_ns >= max(times):
+        which = "; it had an outcome, and the later one counts"
+    elif times:
+        which = (
+            "; it has an outcome of a later time, and that counts: say a later --at to correct it"
+        )
+    return f"{path}: {outcome.word} of {outcome.name}{which}"
 
 
-def _outcome(arguments: argparse.Namespace, folder: Path) -> Outcome:
-    """Make the outcome from the arguments; the first attempt where none is given."""
+def _outcome(asked: OutcomeOptions, folder: Path, *, success: bool) -> Outcome:
+    """Make the outcome; of the first attempt where none is given."""
     from tunenet_logs.outcomes import Outcome
     from tunenet_logs.timing.stamps import now_ns
 
-    told, log = _told_by(arguments.tuning)
+    told, log = _told_by(asked.tuning)
+    assert asked.ball is not None
     try:
         return Outcome(
-            task=arguments.task or _TASK,
-            ball=arguments.ball,
-            attempt=arguments.attempt or 1,
-            success=arguments.outcome == "success",
-            stamp_ns=now_ns() if arguments.at is None else arguments.at,
-            shot_height_m=arguments.shot_height,
-            miss_m=arguments.miss,
+            task=asked.task or _TASK,
+            ball=asked.ball,
+            attempt=asked.attempt or 1,
+            success=success,
+            stamp_ns=now_ns() if asked.at_ns is None else asked.at_ns,
+            shot_height_m=asked.shot_height_m,
+            miss_m=asked.miss_m,
             tuned_parameter=told,
-            drop_log=_place(arguments.drop_log or log, folder),
-            tuning=_place(arguments.tuning, folder),
-            reason=arguments.reason or "",
-            note=arguments.note or "",
+            drop_log=_place(asked.drop_log or log, folder),
+            tuning=_place(asked.tuning, folder),
+            reason=asked.reason,
+            note=asked.note,
         )
     except ValueError as error:
         raise UsageError(f"{error}; an outcome cannot hold that") from error
@@ -129,20 +174,6 @@ def _next(ball: str, earlier: list[Outcome]) -> int:
     if number > MAX_ATTEMPTS:
         raise UsageError(f"{ball}: has an attempt {MAX_ATTEMPTS}, the last; say --attempt N")
     return number
-
-
-def _which_counts(outcome: Outcome, earlier: list[Outcome]) -> str:
-    """Say which of an attempt's outcomes counts in reviews: that of the latest time."""
-    times = [
-        other.stamp_ns
-        for other in earlier
-        if other.attempt == outcome.attempt and not other.is_counted
-    ]
-    if not times:
-        return ""
-    if outcome.stamp_ns >= max(times):
-        return "; it had an outcome, and the later one counts"
-    return "; it has an outcome of a later time, and that counts: say a later --at to correct it"
 
 
 @contextmanager
@@ -171,25 +202,6 @@ def _alone_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(opened)
-
-
-def _check(arguments: argparse.Namespace) -> None:
-    """Check that no needed option is missing and none conflicts."""
-    if arguments.ball is None:
-        raise UsageError("--outcome needs --ball NAME: which ball it was")
-    for option in ("rate", "seconds", "size"):
-        if getattr(arguments, option) is not None:
-            raise UsageError(f"--{option} does not go with --outcome; leave it out")
-    if arguments.overwrite:
-        raise UsageError("--overwrite does not go with --outcome: no outcome replaces another")
-    output = arguments.output
-    if output is not None and (output.is_file() or output.suffix == ".mcap"):
-        raise UsageError(f"{output}: give -o the folder of the campaign; it names its files")
-    log = arguments.drop_log
-    if log is not None and not _is_there(log):
-        raise UsageError(
-            f"{short_name(log)}: no such file; name the drop's log, or leave --drop-log out"
-        )
 
 
 def _is_there(path: Path) -> bool:
@@ -262,23 +274,3 @@ def _place(path: Path | None, folder: Path) -> str:
             "campaign's folder"
         )
     return text
-
-
-def _text(text: str) -> str:
-    if not text.strip() or not text.isprintable() or len(text) > _MAX_LETTERS:
-        raise argparse.ArgumentTypeError(
-            f"{text[:40]!r} is not a line of 1 to {_MAX_LETTERS} printable characters"
-        )
-    return text
-
-
-def _time(text: str) -> int:
-    from tunenet_logs.outcomes import LAST_NS, stamp_ns
-
-    try:
-        if (stamp := stamp_ns(text)) <= LAST_NS:
-            return stamp
-    except ValueError as error:
-        now = time.strftime("%Y-%m-%d %H:%M")
-        raise argparse.ArgumentTypeError(f"{text[:40]!r} is no time, such as '{now}'") from error
-    raise argparse.ArgumentTypeError(f"{text[:40]!r} is beyond 2038, the last year of a ROS time")

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from types import FrameType, TracebackType
 from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 from numpy.typing import ArrayLike
@@ -32,12 +32,16 @@ from tunenet_logs.writing.writer import EpisodeWriter
 # ---- Start and end: half-made objects, signals to stop, the summary
 
 
-class _Closable(Protocol):
-    def close(self) -> None: ...
+class Closable(Protocol):
+    """What can be closed."""
+
+    def close(self) -> None:
+        """Close it."""
+        ...
 
 
 @contextmanager
-def closed_on_failure(thing: _Closable) -> Iterator[None]:
+def closed_on_failure(thing: Closable) -> Iterator[None]:
     """Close `thing` if the block raises; else leave it open."""
     with ExitStack() as failed:
         failed.callback(thing.close)
@@ -47,28 +51,18 @@ def closed_on_failure(thing: _Closable) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Summary:
-    """Counts of a recording.
-
-    Attributes:
-        ended: why it ended before its source did; "" if it did not.
-        damaged: incomplete pictures; not in `captured`.
-        rate_hz: measured, of a camera.
-        gaps: in which the camera was away.
-        lag_s: longest lag of the writer, where it is worth mentioning.
-        stamps: which clock they come from, where it had to be fitted.
-        sound: what was recorded beside them, in words.
-    """
+    """Counts of a recording."""
 
     captured: int
     written: int
     dropped: int
-    ended: str = ""
-    damaged: int = 0
-    rate_hz: float = 0.0
-    gaps: tuple[Gap, ...] = ()
-    lag_s: float = 0.0
-    stamps: str = ""
-    sound: str = ""
+    ended: str = ""  # why it ended before its source did; "" if it did not
+    damaged: int = 0  # incomplete pictures; not in `captured`
+    rate_hz: float = 0.0  # measured, of a camera
+    gaps: tuple[Gap, ...] = ()  # in which the camera was away
+    lag_s: float = 0.0  # longest lag of the writer, where it is worth mentioning
+    stamps: str = ""  # which clock they come from, where it had to be fitted
+    sound: str = ""  # what was recorded beside them, in words
 
     def in_words(self, unit: str) -> str:
         """Summarize the recording for the recorder's last line."""
@@ -92,19 +86,13 @@ class Summary:
 
 @contextmanager
 def stop_flag() -> Iterator[threading.Event]:
-    """Yield an event that SIGINT, SIGTERM and SIGHUP set: raising would leave a torn log.
-
-    SIGHUP, which a closed terminal or a lost connection sends, stays ignored under `nohup`.
-    """
+    """Yield an event that SIGINT, SIGTERM and SIGHUP set: raising would leave a torn log."""
+    # SIGHUP, which a closed terminal or a lost connection sends, stays ignored under `nohup`.
     event = threading.Event()
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        event.set()
-
     numbers = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
-    previous = {number: signal.signal(number, stop) for number in numbers}
+    previous = {number: signal.signal(number, lambda *_: event.set()) for number in numbers}
     try:
         yield event
     finally:
@@ -118,12 +106,7 @@ def stop_flag() -> Iterator[threading.Event]:
 def record_episode(
     episode: Episode, path: Path, *, overwrite: bool, progress: Progress, min_free_bytes: int = 0
 ) -> Summary:
-    """Record positions, joints and pictures of a simulated episode as if from sensors.
-
-    Raises:
-        LogError: `path` exists or cannot be written, or its disk has less than `min_free_bytes`
-            left; what was written before is kept.
-    """
+    """Record positions, joints and pictures of a simulated episode as if from sensors."""
     samples = list(_samples(episode))
     total = len(samples) + sum(channel.messages for channel in episode.channels)
     with (
@@ -133,15 +116,14 @@ def record_episode(
         ) as writer,
         progress.bar(total, "recording", "sample") as bar,
     ):
-        for write in samples:
+        frames = (
+            partial(EpisodeWriter.write_frame, topic=CAMERA_TOPIC, frame=frame)
+            for frame in episode.frames()
+        )
+        for write in chain(samples, frames):
             if stop.is_set():
                 break
             write(writer)
-            bar.update(1)
-        for frame in episode.frames():
-            if stop.is_set():
-                break
-            writer.write_frame(CAMERA_TOPIC, frame)
             bar.update(1)
         ended = "stopped by a signal" if stop.is_set() else ""
         writer.close(ended)
@@ -158,10 +140,7 @@ def _samples(episode: Episode) -> Iterator[Callable[[EpisodeWriter], None]]:
                 positions.stamps_ns.tolist(), positions.values, strict=True
             ):
                 yield partial(
-                    EpisodeWriter.write_pose,
-                    topic=topic,
-                    stamp_ns=stamp_ns,
-                    position_m=position_m,
+                    EpisodeWriter.write_pose, topic=topic, stamp_ns=stamp_ns, position_m=position_m
                 )
     for topic, parts in joints.items():
         position, velocity, effort = (parts.get(part) for part in JOINT_PARTS)
@@ -185,47 +164,26 @@ Payload = TypeVar("Payload")
 # For messages to gather before they are written in one go: a small part of the 0.25 s that may be
 # lost with the process, and long enough that waking up costs nothing.
 _PAUSE_S = 0.03
-_MAX_STAMPS = 100_000  # kept of each topic, to measure its rate: half an hour of a camera
 
 
 class Item(NamedTuple, Generic[Payload]):
-    """A queued message.
-
-    Attributes:
-        stamp_ns: of its acquisition.
-        received_ns: when it came, on the clock of `tunenet_logs.timing.stamps`; never decreasing.
-        size_bytes: of the payload.
-        follows_drop: whether the one before it on its topic was dropped.
-    """
+    """A queued message."""
 
     topic: str
-    stamp_ns: int
-    received_ns: int
+    stamp_ns: int  # of its acquisition
+    received_ns: int  # when it came, on the clock of `tunenet_logs.timing.stamps`; never decreasing
     payload: Payload
-    size_bytes: int
-    follows_drop: bool = False
+    size_bytes: int  # of the payload
+    follows_drop: bool = False  # whether the one before it on its topic was dropped
 
 
 @dataclass
 class Tally:
-    """Counts of one topic.
+    """Counts of one topic."""
 
-    Attributes:
-        captured: messages put in, including those dropped.
-        dropped: messages that found the queue full.
-        stamps_ns: of the captured ones, the first 100,000.
-    """
-
-    captured: int = 0
-    dropped: int = 0
-    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-
-    def add(self, stamp_ns: int, *, is_dropped: bool) -> None:
-        """Count one message."""
-        self.captured += 1
-        self.dropped += is_dropped
-        if len(self.stamps_ns) < _MAX_STAMPS:
-            self.stamps_ns.append(stamp_ns)
+    captured: int = 0  # messages put in, including those dropped
+    dropped: int = 0  # messages that found the queue full
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))  # the first 100,000
 
 
 class TopicQueue(Generic[Payload]):
@@ -233,18 +191,13 @@ class TopicQueue(Generic[Payload]):
 
     Bounded in bytes, not in messages: a picture is a thousand times larger than a joint state. A
     message that is larger than the bound alone passes through an empty queue.
-
-    Args:
-        limit_bytes: of all messages that wait.
-        drops: whether the newest message is dropped when the queue is full; else `put` waits.
-        counts: whether messages count from the beginning; else from `start` on.
     """
 
     def __init__(self, limit_bytes: int, *, drops: bool, counts: bool = True) -> None:
         self._tallies: dict[str, Tally] = {}
-        self._limit_bytes = limit_bytes
-        self._drops = drops
-        self._counts = counts
+        self._limit_bytes = limit_bytes  # of all messages that wait
+        self._drops = drops  # the newest message where the queue is full; else `put` waits
+        self._counts = counts  # whether messages count from the beginning; else from `start` on
         self._items: deque[Item[Payload]] = deque()
         self._held_bytes = 0
         self._closed = False
@@ -262,10 +215,8 @@ class TopicQueue(Generic[Payload]):
         *,
         stands_alone: bool = True,
     ) -> bool:
-        """Add a message; False once the queue is closed: it is not counted then.
-
-        One that does not stand alone is dropped where the one before it on its topic was.
-        """
+        """Add a message; False once the queue is closed: it is not counted then."""
+        # One that does not stand alone is dropped where the one before it on its topic was.
         with self._changed:
             while not self._drops and self._is_full(size_bytes) and not self._closed:
                 self._changed.wait()
@@ -277,7 +228,10 @@ class TopicQueue(Generic[Payload]):
                 tally = self._tallies.get(topic)
                 if tally is None:
                     tally = self._tallies[topic] = Tally()
-                tally.add(stamp_ns, is_dropped=is_full)
+                tally.captured += 1
+                tally.dropped += is_full
+                if len(tally.stamps_ns) < 100_000:  # half an hour of a camera, to measure its rate
+                    tally.stamps_ns.append(stamp_ns)
             if is_full:
                 self._broken.add(topic)
             else:
@@ -303,10 +257,8 @@ class TopicQueue(Generic[Payload]):
             return item
 
     def pause(self) -> None:
-        """Let messages gather for a moment; return at once when the queue is closed.
-
-        Messages do not end it: at a thousand a second, waking up for each is most of the work.
-        """
+        """Let messages gather for a moment; return at once when the queue is closed."""
+        # Messages do not end it: at a thousand a second, waking up for each is most of the work.
         with self._changed:
             self._changed.wait_for(lambda: self._closed, _PAUSE_S)
 
@@ -325,12 +277,7 @@ class TopicQueue(Generic[Payload]):
             self._changed.notify_all()
 
     def cut(self, topic: str, taken: int) -> None:
-        """Accept no more messages; those inside count as if they had never come.
-
-        Args:
-            topic: the only one in use.
-            taken: messages that were taken and do not count either.
-        """
+        """Accept no more messages; those inside count as if they had never come."""
         with self._changed:
             if topic in self._tallies:
                 self._tallies[topic].captured -= len(self._items) + taken
@@ -388,21 +335,6 @@ class LiveRecording:
             ...  # threads that put
             recording.wait()
         print(recording.summary.in_words("messages"))
-
-    Args:
-        path: the finished log.
-        info: metadata beside the samples.
-        stop: ends the recording once it is set, as `stop_flag` does.
-        overwrite: replace an existing log.
-        queue_bytes: messages received and not yet written.
-        min_free_bytes: space to leave free on the disk; 0 for no such bound.
-
-    Attributes:
-        error: what ended the recording early; None if nothing did.
-        summary: counts, once it is over.
-
-    Raises:
-        LogError: `path` exists or cannot be written, or its disk has too little space.
     """
 
     def __init__(
@@ -415,11 +347,12 @@ class LiveRecording:
         queue_bytes: int = 64 * 1024 * 1024,
         min_free_bytes: int = 0,
     ) -> None:
-        self.error: LogError | None = None
-        self.summary = Summary(0, 0, 0)
+        self.error: LogError | None = None  # what ended the recording early; None if nothing did
+        self.summary = Summary(0, 0, 0)  # counts, once it is over
         self._writer = EpisodeWriter(path, info, overwrite=overwrite, min_free_bytes=min_free_bytes)
         self._writer.tally = self._count
         self._queue: TopicQueue[_Encoded] = TopicQueue(queue_bytes, drops=True)
+        # Ends the recording once it is set, as `stop_flag` does.
         self._stop = stop or threading.Event()
         self._types: dict[str, str] = {}
         self._ended = ""
@@ -443,23 +376,14 @@ class LiveRecording:
         velocity_rad_s: ArrayLike = (),
         effort_nm: ArrayLike = (),
     ) -> bool:
-        """Put a JointState; False once the recording is over.
-
-        The quantities have shape (joints,) [rad, rad/s, N·m]; one that is not known is empty.
-
-        Raises:
-            ValueError: a quantity is neither empty nor one number a joint.
-        """
+        """Put a JointState; False once the recording is over."""
+        # The quantities have shape (joints,) [rad, rad/s, N·m]; one that is not known is empty.
         state = messages.joint_state(stamp_ns, names, position_rad, velocity_rad_s, effort_nm)
         data = messages.encode(state, messages.JOINT_STATE)
         return self.put_message(topic, messages.JOINT_STATE, stamp_ns, data)
 
     def put_message(self, topic: str, type_name: str, stamp_ns: int, cdr: bytes) -> bool:
-        """Put a message already encoded as CDR; False once the recording is over.
-
-        Raises:
-            ValueError: the type is unknown, or differs from the topic's.
-        """
+        """Put a message already encoded as CDR; False once the recording is over."""
         known = self._types.get(topic)
         if known is None:
             messages.definition(type_name)
@@ -481,14 +405,7 @@ class LiveRecording:
         return self._is_over.wait(seconds)
 
     def close(self, ended: str = "") -> Summary:
-        """End the recording, and wait until the log is complete. Safe to call twice.
-
-        Args:
-            ended: why, where that is not its usual end.
-
-        Raises:
-            LogError: writing failed, or the disk is nearly full; it says how much is kept, where.
-        """
+        """End the recording, and wait until the log is complete. Safe to call twice."""
         self._ended = ended
         self._queue.close()
         self._thread.join()
@@ -504,12 +421,7 @@ class LiveRecording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_more: object) -> None:
         self.close("" if kind is None else f"broke off ({kind.__name__})")
 
     @property
@@ -531,7 +443,21 @@ class LiveRecording:
         ended = ""
         try:
             with self._writer:
-                ended = self._write()
+                queue, writer = self._queue, self._writer
+                while not queue.is_done:
+                    if not ended and self._stop.is_set():
+                        ended = "stopped by a signal"
+                        queue.close()
+                    item = queue.take()
+                    if item is None:
+                        writer.tick()
+                        queue.pause()
+                    else:
+                        kind, data = item.payload
+                        writer.write_message(
+                            item.topic, kind, item.stamp_ns, data, item.received_ns
+                        )
+                ended = ended or self._ended
                 if self._is_discarded:
                     self._writer.discard()
                 else:
@@ -551,23 +477,6 @@ class LiveRecording:
                 ended if self.error is None else str(self.error),
             )
             self._is_over.set()
-
-    def _write(self) -> str:
-        """Write until the queue is done; return why, "" for the usual end."""
-        queue, writer = self._queue, self._writer
-        ended = ""
-        while not queue.is_done:
-            if not ended and self._stop.is_set():
-                ended = "stopped by a signal"
-                queue.close()
-            item = queue.take()
-            if item is None:
-                writer.tick()
-                queue.pause()
-            else:
-                type_name, data = item.payload
-                writer.write_message(item.topic, type_name, item.stamp_ns, data, item.received_ns)
-        return ended or self._ended
 
     def _count(self) -> dict[str, int]:
         """Close the queue; return the counts."""

@@ -1,14 +1,13 @@
 """Simulate a drop, filmed or not, a payload or a bounce shot as ordered; the seed draws the rest.
 
-Each order holds what `tunenet-record --simulate` may be asked for. The same order gives the same
-bits.
+`orders` says what may be asked for. The same order gives the same bits.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import Array, Channel, Episode, Frame, Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.messages import CAMERA_TOPIC, COMPRESSED_IMAGE
+from tunenet_logs.recorders.orders import DropOrder, FilmOrder, PayloadOrder, ShotOrder
 from tunenet_logs.recorders.simulators.arm.description import Arm, Payload, jaco, read_arm
 from tunenet_logs.recorders.simulators.arm.known import DEFAULT, known_arm, name_alone
 from tunenet_logs.recorders.simulators.arm.path import (
@@ -49,7 +49,7 @@ from tunenet_logs.recorders.simulators.ball import (
 )
 from tunenet_logs.recorders.simulators.base import PRESETS
 from tunenet_logs.recorders.simulators.camera import BallScene, PinholeCamera, random_camera
-from tunenet_logs.recorders.simulators.shot import BounceShot, ShotRig
+from tunenet_logs.recorders.simulators.shot import BounceShot, ShotRig, read_rig
 
 # ---- Drop
 
@@ -57,33 +57,6 @@ _PAPER_RATE_HZ, _PAPER_SAMPLES = 60.0, 400  # the paper's recordings of a drop
 _RADIUS_M = {"default": 0.05, "paper": 0.5}  # of the ball, by preset; the paper's is its authors'
 # Ranges of what is not ordered: several impacts are then in the usual 6.7 s.
 _DROP_RESTITUTION, _DROP_HEIGHT_M = (0.1, 0.95), (0.3, 5.0)
-
-
-@dataclass(frozen=True)
-class DropOrder:
-    """A drop to simulate; None is drawn from the seed or left to the preset.
-
-    Attributes:
-        restitution: coefficient of restitution at the first impact's speed.
-        slope: its exponent over speed; see `SpeedLaw`.
-        drag_1_m: air drag on the ball.
-        height_m: the ball's underside over the table.
-        seconds: recorded after the release.
-        hold_s: recorded before it.
-        noise_m: standard deviation added to each coordinate.
-    """
-
-    restitution: float | None = None
-    slope: float = 0.0
-    drag_1_m: float = 0.0
-    height_m: float | None = None
-    radius_m: float | None = None
-    rate_hz: float | None = None
-    seconds: float | None = None
-    hold_s: float = 0.0
-    noise_m: float = 0.0
-    preset: str = "default"
-    seed: int = 0
 
 
 def simulate_drop(order: DropOrder) -> Episode:
@@ -123,31 +96,9 @@ def simulate_drop(order: DropOrder) -> Episode:
 # ---- Filmed drop
 
 # The camera is drawn from a stream of its own: a seed gives one drop, filmed or not.
-_CAMERA_SEED = 0xCA3E
 _FILMED_HEIGHT_M = (0.4, 2.0)  # range of drop heights before a camera: those of a table or a person
 _JPEG_QUALITY = 92  # of 100; webcams are near it: artefacts as in a real recording
 _SUBFRAMES = 8  # positions of the ball while the shutter is open, whose mean is its blur
-
-
-@dataclass(frozen=True)
-class FilmOrder:
-    """How to film a drop; None is drawn from the seed.
-
-    Attributes:
-        camera: the paper's random camera if None.
-        size_px: (width, height) of a random camera's picture.
-        fov_deg: vertical field of view of a random camera.
-        exposure_s: how long the shutter is open, centred on a frame's stamp; 0 for no blur.
-        noise: standard deviation of a pixel, of 255.
-        lost_share: share of the frames that are missing.
-    """
-
-    camera: PinholeCamera | None = None
-    size_px: tuple[int, int] = (320, 240)
-    fov_deg: float = 60.0
-    exposure_s: float = 0.0
-    noise: float = 2.0
-    lost_share: float = 0.0
 
 
 def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
@@ -156,13 +107,14 @@ def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
     Raises:
         UsageError: a value is out of range, or no random camera sees the whole drop.
     """
-    rng = np.random.default_rng([order.seed, _CAMERA_SEED])
+    rng = np.random.default_rng([order.seed, 0xCA3E])
+    camera = _placed_camera(order, film)
     if order.height_m is None:
         order = replace(order, height_m=float(rng.uniform(*_FILMED_HEIGHT_M)))
     drop = simulate_drop(order)
     rig = drop.info.rig
     radius_m = rig["ball_diameter_m"] / 2
-    camera = film.camera or random_camera(
+    camera = camera or random_camera(
         rng, rig["drop_height_m"], radius_m, film.size_px, film.fov_deg
     )
     centers_m = _shutter_centers(drop, order, film)
@@ -193,6 +145,20 @@ def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
         pictures=True,
     )
     return Episode(info, {}, (channel,), open_frames=frames)
+
+
+def _placed_camera(order: DropOrder, film: FilmOrder) -> PinholeCamera | None:
+    """Return the camera whose place is given; None if it is to be drawn."""
+    if film.camera_at is None:
+        if film.look_at is not None:
+            raise UsageError("--look-at needs --camera-at: where does the camera stand?")
+        return film.camera
+    target = film.look_at
+    if target is None:
+        if order.height_m is None:
+            raise UsageError("--camera-at needs --look-at or --height: where is the drop?")
+        target = (0.0, 0.0, 0.44 * order.height_m)
+    return PinholeCamera(film.camera_at, target, film.size_px, film.fov_deg)
 
 
 def _shutter_centers(drop: Episode, order: DropOrder, film: FilmOrder) -> Array:
@@ -242,46 +208,8 @@ _CIRCLE, _RANDOM = "circle", "random"
 _PAYLOAD_MASS_KG = (0.1, 1.5)  # range of a payload that is not ordered: what a Jaco can lift
 _IDEAL_RATE_HZ = 60.0  # of an ideal log: the paper's
 _DRIVER_RATE_HZ = 65.0  # messages of a Kinova driver, as measured in a log of one
-_COMMAND_RATE_HZ = 100.0  # rows of a path for a real arm: what its position interface takes
 _FINE_RATE_HZ = 240.0  # of the motion that a driver's messages sample by interpolation
 _MOTION_S = 5.0  # of a motion: about one turn of the circle, 5.2 s
-_EASED_S = 1.0  # in which a real arm gets to its speed, and to rest
-
-
-@dataclass(frozen=True)
-class PayloadOrder:
-    """An arm's run to simulate; None is drawn from the seed or left to other fields.
-
-    Attributes:
-        com_m: the payload's centre of mass in the tool frame.
-        is_empty: nothing is held (a tare); all else is as the seed draws it for a payload.
-        path: "circle" (the paper's), "random", or a CSV's name; the Jaco's circle if None.
-        arm: a known arm's name; None for the Jaco, or the URDF's.
-        urdf: the user's arm, whose payload is in the frame of `tool_link`.
-        is_driver: all disturbances, in the messages of a real driver. Each of the following
-            overrides its part.
-        torque_noise_nm: standard deviation, as `friction_nm`, `offset_nm` and `gain_error` are.
-        lag_s: of the torques.
-        preset: "default", or "paper": the paper's rollout, at 240 Hz.
-    """
-
-    mass_kg: float | None = None
-    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    is_empty: bool = False
-    path: str | None = None
-    arm: str | None = None
-    urdf: Path | None = None
-    tool_link: str | None = None
-    rate_hz: float | None = None
-    seconds: float | None = None
-    is_driver: bool = False
-    torque_noise_nm: float | None = None
-    friction_nm: float | None = None
-    offset_nm: float | None = None
-    gain_error: float | None = None
-    lag_s: float | None = None
-    preset: str = "default"
-    seed: int = 0
 
 
 def simulate_payload(order: PayloadOrder) -> Episode:
@@ -294,11 +222,20 @@ def simulate_payload(order: PayloadOrder) -> Episode:
     drawn_kg = float(np.random.default_rng(order.seed).uniform(*_PAYLOAD_MASS_KG))
     mass_kg = drawn_kg if order.mass_kg is None else order.mass_kg
     payload = Payload(0.0 if order.is_empty else PAYLOAD_MASS.checked(mass_kg), order.com_m)
-    notes = {"seed": str(order.seed), "arm": arm.name, "path": order.path or _usual_path(order)}
+    notes = {"seed": str(order.seed), "arm": arm.name, "path": _wanted_path(order)}
     if order.is_empty:
         notes["payload"] = "none (tare)"
     if order.preset == "paper":
-        episode = _papers_rollout(arm, payload, order)
+        asked = (order.torque_noise_nm, order.friction_nm, order.offset_nm, order.gain_error)
+        if order.is_driver or any(value is not None for value in (*asked, order.lag_s)):
+            raise UsageError("preset paper is a rollout without errors; leave those options out")
+        if order.rate_hz not in (None, PAPER.step_hz):
+            raise UsageError(f"preset paper is simulated at 240 Hz, not at {order.rate_hz:g} Hz")
+        samples = round((order.seconds or _MOTION_S) * PAPER.step_hz)
+        settings = replace(PAPER, samples=samples)
+        path = _path(arm, order, PAPER.step_hz, len(settings.times()) / PAPER.step_hz)
+        simulator = PayloadRollout(arm, path, payload.com_m, settings, keep_every=1)
+        episode = simulator.rollout({PAYLOAD_MASS.name: payload.mass_kg})
     else:
         disturbances = _disturbances(arm, order)
         seconds = order.seconds
@@ -312,26 +249,19 @@ def simulate_payload(order: PayloadOrder) -> Episode:
 
 
 def command_path(order: PayloadOrder) -> tuple[Arm, JointPath]:
-    """Plan the path for a real arm, from rest to rest; one turn where it is the circle.
-
-    Raises:
-        UsageError: as `simulate_payload`.
-    """
+    """Plan the path for a real arm, from rest to rest; one turn where it is the circle."""
     arm = ordered_arm(order)
-    is_circle = (order.path or _usual_path(order)) == _CIRCLE
+    is_circle = _wanted_path(order) == _CIRCLE
     seconds = order.seconds
     if is_circle:
         seconds = (seconds or 2 * math.pi / CIRCLE_RAD_S) + 1 / _FINE_RATE_HZ
-    rate_hz = order.rate_hz or _COMMAND_RATE_HZ
-    return arm, eased(_path(arm, order, _FINE_RATE_HZ, seconds), _EASED_S, rate_hz)
+    rate_hz = order.rate_hz or 100.0  # what a real arm's position interface takes
+    # In one second the arm gets to its speed, and to rest.
+    return arm, eased(_path(arm, order, _FINE_RATE_HZ, seconds), 1.0, rate_hz)
 
 
 def ordered_arm(order: PayloadOrder) -> Arm:
-    """Load the ordered arm: the Jaco, a known arm, or a file's.
-
-    Raises:
-        UsageError: no such arm.
-    """
+    """Load the ordered arm: the Jaco, a known arm, or a file's."""
     if order.arm is not None:
         return known_arm(name_alone(order.arm, order.urdf, order.tool_link)).arm()
     if order.urdf is None:
@@ -343,8 +273,8 @@ def ordered_arm(order: PayloadOrder) -> Arm:
     return read_arm(order.urdf, order.tool_link)
 
 
-def _usual_path(order: PayloadOrder) -> str:
-    return _CIRCLE if _is_on_circle(order) else _RANDOM
+def _wanted_path(order: PayloadOrder) -> str:
+    return order.path or (_CIRCLE if _is_on_circle(order) else _RANDOM)
 
 
 def _is_on_circle(order: PayloadOrder) -> bool:
@@ -358,7 +288,7 @@ def _rate_hz(order: PayloadOrder) -> float:
 
 def _path(arm: Arm, order: PayloadOrder, rate_hz: float, seconds: float | None) -> JointPath:
     """Make the ordered path; a file's whole length if `seconds` is None."""
-    wanted = order.path or _usual_path(order)
+    wanted = _wanted_path(order)
     if wanted == _CIRCLE:
         if not _is_on_circle(order):
             raise UsageError(
@@ -395,43 +325,10 @@ def _disturbances(arm: Arm, order: PayloadOrder) -> Disturbances:
     return disturbances.another_run() if order.is_empty else disturbances
 
 
-def _papers_rollout(arm: Arm, payload: Payload, order: PayloadOrder) -> Episode:
-    asked = (order.torque_noise_nm, order.friction_nm, order.offset_nm, order.gain_error)
-    if order.is_driver or any(value is not None for value in (*asked, order.lag_s)):
-        raise UsageError("preset paper is a rollout without errors; leave those options out")
-    if order.rate_hz not in (None, PAPER.step_hz):
-        raise UsageError(f"preset paper is simulated at 240 Hz, not at {order.rate_hz:g} Hz")
-    samples = round((order.seconds or _MOTION_S) * PAPER.step_hz)
-    settings = replace(PAPER, samples=samples)
-    path = _path(arm, order, PAPER.step_hz, len(settings.times()) / PAPER.step_hz)
-    simulator = PayloadRollout(arm, path, payload.com_m, settings, keep_every=1)
-    return simulator.rollout({PAYLOAD_MASS.name: payload.mass_kg})
-
-
 # ---- Bounce shot
 
 # Range of what is not ordered, of balls that bounce well: table tennis, squash, tennis, golf.
 _SHOT_RESTITUTION = (0.5, 0.85)
-
-
-@dataclass(frozen=True)
-class ShotOrder:
-    """A shot to simulate; None is drawn from the seed.
-
-    Attributes:
-        restitution: coefficient of restitution at 3 m/s along the plane's normal.
-        slope: its exponent over speed; see `SpeedLaw`.
-        drag_1_m: air drag on the ball; by the rig's ball if None.
-        height_m: how far the ball falls; drawn from what the rig reaches.
-    """
-
-    rig: ShotRig = field(default_factory=ShotRig)
-    restitution: float | None = None
-    slope: float = 0.0
-    drag_1_m: float | None = None
-    height_m: float | None = None
-    rate_hz: float = 240.0
-    seed: int = 0
 
 
 def simulate_shot(order: ShotOrder) -> Episode:
@@ -441,7 +338,8 @@ def simulate_shot(order: ShotOrder) -> Episode:
         UsageError: a value is out of range.
     """
     rng = np.random.default_rng(order.seed)
-    rig = order.rig if order.drag_1_m is None else order.rig.with_drag(order.drag_1_m)
+    rig = read_rig(order.rig) if isinstance(order.rig, Path) else order.rig or ShotRig()
+    rig = rig if order.drag_1_m is None else rig.with_drag(order.drag_1_m)
     reach = rig.release
     restitution = float(rng.uniform(*_SHOT_RESTITUTION))
     height_m = float(rng.uniform(reach.lowest_m, reach.highest_m))

@@ -20,8 +20,9 @@ from hypothesis import settings
 
 from tests.wheel import install_wheel
 from tunenet_logs.analysis.batch.logs import find_logs
-from tunenet_logs.analysis.batch.run import Also, Order, Result, Writing, run_batch
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.batch.run import Order, Result, Writing, run_batch
+from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.recorders.session import record_episode
 from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop, simulate_drop
 from tunenet_logs.recorders.simulators.known import ENGINES, simulated_by
@@ -41,18 +42,18 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # and `nohup`, which what
 
 def tune_all(
     logs: Sequence[Path],
-    options: Options,
+    options: TuneOptions,
     folder: Path | None,
     jobs: int,
     progress: Progress,
     *,
     overwrite: bool = False,
-    also: Also | None = None,
+    also: Callable[[Tuning], None] | None = None,
 ) -> list[Result]:
     """A few logs tuned without a ledger; the results in their order."""
     writing = Writing(overwrite=overwrite, also=also)
     found = find_logs(logs).logs
-    return run_batch(Order(found, options, writing, folder), progress, jobs=jobs).results
+    return run_batch(Order(found, options, writing, folder, jobs=jobs), progress).results
 
 
 settings.register_profile("suite", max_examples=50, deadline=None, derandomize=True)

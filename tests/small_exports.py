@@ -17,7 +17,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from tests import export_writers, export_writers_video
+from tests import export_writers, export_writers_video, library_writers
 from tests.export_writers_video import FilmedTrack, phyphox_xlsx, write_xlsx
 
 SECONDS = np.arange(24) / 60
@@ -178,6 +178,12 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "level5.mat": _mat,
     "packed.mat": partial(_mat, packed=True),
     "a.jsonl": _json_lines,
+    "plain.h5": library_writers.plain_hdf5,
+    "demos.hdf5": library_writers.robomimic,
+    "a.feather": library_writers.feather,
+    "a.arrows": library_writers.arrow_stream,
+    "a.rrd": library_writers.rerun_points,
+    "a.ulg": library_writers.ulog,
     "pngs.zip": partial(_pictures, ".png"),
     "tiffs.zip": partial(_pictures, ".tiff"),
     "bmps.zip": partial(_pictures, ".bmp"),
@@ -194,7 +200,11 @@ KINDS: dict[str, Callable[[Path], object]] = {
 }  # fmt: skip
 
 # Kinds that are read in a process of their own.
-SLOW = ("track.xlsx", "phyphox.xlsx", "phyphox.zip", "book.xlsx", "a.parquet")
+SLOW = (
+    "track.xlsx", "phyphox.xlsx", "phyphox.zip", "book.xlsx", "a.parquet", "track.parquet",
+    "track.mat", "level4.mat", "level5.mat", "packed.mat", "plain.h5", "demos.hdf5", "a.feather",
+    "a.arrows", "a.rrd", "a.ulg",
+)  # fmt: skip
 
 
 @cache

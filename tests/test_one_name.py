@@ -89,7 +89,7 @@ def test_a_script_beside_folders_of_the_same_names(site: Path, project: Path):
     assert Path(place) == site / PACKAGE / "__init__.py"
     assert modules.split() == [
         "tunenet_logs.analysis.api",
-        "tunenet_logs.recorders.simulated",
+        "tunenet_logs.recorders.orders",
         "tunenet_logs.episode",
     ]
 

@@ -13,7 +13,7 @@ from tests.conftest import BIN, ROOT, Command
 from tests.engines import needs_pybullet
 from tests.same_log import assert_same_log
 from tunenet_logs.analysis.campaign import campaign_of, overall_rates
-from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.terminal import Progress
 
@@ -39,7 +39,7 @@ def test_the_readme_names_every_checksum():
 
 @pytest.mark.parametrize("path", DROPS, ids=lambda path: path.stem)
 def test_tunes_to_its_truth(path: Path):
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     assert tuning.verdict == "ok"
     assert tuning.estimate is not None
     assert tuning.episode is not None
@@ -47,8 +47,8 @@ def test_tunes_to_its_truth(path: Path):
 
 
 def test_the_payload_is_weighed_with_its_tare():
-    selection = Selection(tares=(FOLDER / "payload_empty.mcap",))
-    tuning = tune_log(FOLDER / "payload.mcap", Options(selection=selection))
+    selection = TuneOptions(tares=(FOLDER / "payload_empty.mcap",))
+    tuning = tune_log(FOLDER / "payload.mcap", selection)
     assert tuning.verdict == "ok"
     assert tuning.estimate is not None
     assert tuning.interval95 is not None

@@ -3,29 +3,44 @@
 from __future__ import annotations
 
 import json
+import lzma
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 import tunenet_logs as tn
+from docs import make_api
 from tests.recorders.films import film
-from tunenet_logs.analysis import registry
-from tunenet_logs.analysis.checks import Check
+from tunenet_logs.analysis import options, registry
+from tunenet_logs.analysis.batch.ledger import options_digest
+from tunenet_logs.analysis.checks import Check, CheckSpec, at_most, table
+from tunenet_logs.analysis.cli.tune import build_parser
 from tunenet_logs.analysis.drop.experiments import DropFromPositions
 from tunenet_logs.analysis.estimators.base import Estimator, FitResult, Problem, Step, Trace
 from tunenet_logs.analysis.experiment import Claim
+from tunenet_logs.analysis.presentation import result_words
+from tunenet_logs.console import given, option
+from tunenet_logs.formats import decoders
 from tunenet_logs.formats import registry as formats
+from tunenet_logs.formats.base import AnyType, Plain, RawChannel, RawMessage, Record, Structure
+from tunenet_logs.formats.compressed import COMPRESSIONS, Compression
 from tunenet_logs.formats.kinds import Start
+from tunenet_logs.formats.message_types import TYPES, PositionType
 from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.recorders import cli as recording
 from tunenet_logs.recorders.camera import sources
 from tunenet_logs.recorders.camera.base import CapturedFrame, Source
 from tunenet_logs.recorders.camera.device import VideoFile
 from tunenet_logs.recorders.camera.sources import SourceOptions
+from tunenet_logs.recorders.orders import DropOrder, FilmOrder
 
+SAMPLES = Path(__file__).parents[1] / "sample_logs"
 RESTITUTION, GRAVITY_M_S2 = 0.8, 9.81
 
 
@@ -70,6 +85,90 @@ def test_a_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert restitution(tuning) == pytest.approx(RESTITUTION, abs=0.002)
 
 
+TOY_TYPE = "lab_msgs/msg/Height"
+
+
+def write_toys(path: Path, encoding: str, heights: np.ndarray) -> None:
+    """Heights as JSON, or as texts of the encoding."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(TOY_TYPE, "", b"")
+        channel = writer.register_channel("/ball", encoding, schema)
+        for stamp_ns, height in enumerate(heights.tolist()):
+            data = json.dumps({"up": height}) if encoding == "json" else str(height)
+            writer.add_message(channel, stamp_ns, data.encode(), stamp_ns)
+        writer.finish()
+
+
+def read_height(message) -> list[tuple]:
+    return [(0, "", "", 0.0, 0.0, message.up)]
+
+
+@pytest.fixture
+def toy_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = Structure("", {"up": Plain.NUMBER})
+    monkeypatch.setitem(TYPES, TOY_TYPE, PositionType(read_height, wanted))
+
+
+@pytest.mark.usefixtures("toy_type")
+def test_a_type_of_messages(tmp_path: Path):
+    """What reads it and the fields that it must have: one row of `formats.message_types.TYPES`."""
+    heights = np.linspace(1, 2, 50)
+    write_toys(tmp_path / "a.mcap", "json", heights)
+    (signal,) = tn.read_episode(tmp_path / "a.mcap").signals.values()
+    assert np.array_equal(signal.values[:, 2], heights)
+
+
+def text_type(_channel: RawChannel, _listed: object) -> AnyType:
+    return AnyType(None, lambda data: SimpleNamespace(up=float(bytes(data).decode())))
+
+
+@pytest.mark.usefixtures("toy_type")
+def test_an_encoding_of_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A function from a channel to an `AnyType`: one row of `formats.decoders.ENCODINGS`."""
+    heights = np.linspace(1, 2, 50)
+    write_toys(tmp_path / "a.mcap", "text", heights)
+    assert "'text' is not read" in str(tn.read_episode(tmp_path / "a.mcap").channels[0].skipped)
+    monkeypatch.setitem(decoders.ENCODINGS, "text", text_type)
+    (signal,) = tn.read_episode(tmp_path / "a.mcap").signals.values()
+    assert np.array_equal(signal.values[:, 2], heights)
+
+
+def test_a_compression(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """How it begins and what unpacks it: one row of `formats.compressed.COMPRESSIONS`."""
+    path = tmp_path / "noisy.mcap.xz"
+    path.write_bytes(lzma.compress((SAMPLES / "noisy.mcap").read_bytes()))
+    with pytest.raises(tn.LogError, match="xz"):
+        tn.read_episode(path)
+    xz = Compression(b"\xfd7zXZ\x00", (".xz",), "xz -d", lzma.LZMADecompressor)
+    monkeypatch.setitem(COMPRESSIONS, "xz", xz)
+    usual, found = tn.read_episode(SAMPLES / "noisy.mcap"), tn.read_episode(path)
+    assert list(found.signals) == list(usual.signals)
+    for one, other in zip(found.signals.values(), usual.signals.values(), strict=True):
+        assert np.array_equal(one.values, other.values, equal_nan=True)
+
+
+def read_toy_messages(path: Path, losses: list, topics=None, budget=None) -> Iterator[Record]:
+    del losses, topics, budget  # it is whole, small, and of one topic
+    channel = RawChannel("/ball", TOY_TYPE, "json")
+    yield channel
+    for stamp_ns, line in enumerate(path.read_bytes().splitlines()[1:]):
+        yield RawMessage(channel, stamp_ns, line)
+
+
+@pytest.mark.usefixtures("toy_type")
+def test_a_container_of_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A `Container`: one row of `formats.registry.MESSAGES`."""
+    heights = np.linspace(1, 2, 50)
+    lines = [json.dumps({"up": height}) for height in heights.tolist()]
+    (tmp_path / "a.toys").write_text("\n".join(["TOYS", *lines]))
+    toys = formats.Messages(b"TOYS\n", ".toys", read_toy_messages)
+    monkeypatch.setattr(formats, "MESSAGES", (*formats.MESSAGES, toys))
+    (signal,) = tn.read_episode(tmp_path / "a.toys").signals.values()
+    assert np.array_equal(signal.values[:, 2], heights)
+
+
 class Guess(Estimator):
     """The first guess, unchanged."""
 
@@ -108,27 +207,112 @@ def test_an_experiment(monkeypatch: pytest.MonkeyPatch):
     assert restitution(tuning) == pytest.approx(RESTITUTION, abs=0.002)
 
 
+DAYS = table(
+    CheckSpec(
+        "it is nearly Friday",
+        at_most(1, "days"),
+        seen="{value} days to go",
+        measures="the days until Friday",
+        cause="it is Monday",
+        advice="wait a few days",
+    )
+)
+
+
 class CheckedDrop(DropFromPositions):
     """Drops with a check more."""
 
     def checks(self, detection, last: Step, fit: FitResult | None) -> tuple[Check, ...]:
-        wanted = Check("it is Friday", False, "it is Saturday", advice="wait six days")
+        wanted = DAYS["it is nearly Friday"].measured(4)
         return (*super().checks(detection, last, fit), wanted)
 
 
 def test_a_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """One `Check` more of an experiment: verdict, table, JSON and page follow."""
+    """One spec and one measured number: verdict, review, JSON, page and glossary follow."""
     assert tn.tune(drop()).verdict == "ok"
     monkeypatch.setitem(registry.EXPERIMENTS, "drop", f"{__name__}:CheckedDrop")
     tuning = tn.tune(drop())
     assert tuning.verdict == "suspect"
-    assert tuning.reason
-    assert "it is Friday" in tuning.reason
+    sentence = "it is nearly Friday: 4 days to go (at most 1)"
+    assert tuning.reason == f"{sentence}; at the next drop: wait a few days"
+    assert f"- failed: {sentence}" in result_words(tuning.record, tuning.preset, "drop")
     tn.save_tuning(tuning, tmp_path / "drop.json")
-    checks = json.loads((tmp_path / "drop.json").read_text())["checks"]
-    assert {"name": "it is Friday", "passed": False} in [
-        {"name": one["name"], "passed": one["passed"]} for one in checks
-    ]
+    assert json.loads((tmp_path / "drop.json").read_text())["checks"][-1] == {
+        "name": "it is nearly Friday",
+        "passed": False,
+        "detail": "4 days to go (at most 1)",
+        "wanted": "at most 1",
+        "value": 4.0,
+        "limit": 1.0,
+        "unit": "days",
+        "advice": "wait a few days",
+    }
+    monkeypatch.setattr(make_api, "SECTIONS", {"Any log": DAYS})
+    row = "| it is nearly Friday | the days until Friday | at most 1 days | s | it is Monday | "
+    assert row + "wait a few days |" in make_api.checks_page(make_api.CHECKS.read_text("utf-8"))
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("jinja2")
+    tn.report(tmp_path / "drop.json", tmp_path / "drop.html")
+    assert (
+        '4 days to go</td><td class="number">at most 1</td>' in (tmp_path / "drop.html").read_text()
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MoreOptions(options.TuneOptions):
+    """Options of a tuning, and one more."""
+
+    spin_1_s: float | None = option(
+        "spin of the ball when it is let go [1/s]",
+        flag="--spin",
+        group="drop",
+        subject="ball",
+        metavar="HZ",
+        limits=(0, 100, "1/s"),
+    )
+
+
+def test_an_option_of_tuning(monkeypatch: pytest.MonkeyPatch):
+    """A field of `analysis.options.TuneOptions`: help, API, digest, provenance, "not used"."""
+    monkeypatch.setattr(options, "TuneOptions", MoreOptions)
+    parser = build_parser()
+    for topic in ("drop", "all"):
+        assert "--spin HZ" in parser.help_on(topic)
+        assert "spin of the ball when it is let go [1/s]" in " ".join(parser.help_on(topic).split())
+    assert "--spin" not in parser.help_on(None)
+    said = given(parser.parse_args(["a.mcap", "--spin", "3"]), MoreOptions)
+    assert said == {"spin_1_s": 3.0}
+    with pytest.raises(tn.UsageError, match="argument --spin: '300' is not a number from 0 to 100"):
+        parser.parse_args(["a.mcap", "--spin", "300"])
+    with pytest.raises(tn.UsageError, match="spin_1_s 300 is not a number from 0 to 100 1/s"):
+        tn.tune(drop(), spin_1_s=300)
+    assert options_digest(MoreOptions(spin_1_s=3.0)) != options_digest(MoreOptions())
+    held = tn.simulate(tn.PayloadOrder(seconds=1.0))
+    tuning = tn.tune(held, spin_1_s=3.0)
+    assert "--spin not used: this is a payload" in tuning.warnings
+    assert tuning.record.provenance is not None
+    assert tuning.record.provenance.options == {"spin_1_s": 3.0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpunDrop(DropOrder):
+    """A drop to simulate that has one option more."""
+
+    spin_1_s: float = option("its spin [1/s]", 0.0, group="simulate", limits=(0, 9, "1/s"))
+
+
+def test_an_option_of_recording(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """A field of a source's dataclass: help, arguments, and refused of all other sources."""
+    spun = replace(recording._SOURCES["drop"], kinds=(SpunDrop, FilmOrder))
+    monkeypatch.setitem(recording._SOURCES, "drop", spun)
+    parser = recording.build_parser()
+    assert "--spin 1/S" in parser.help_on("simulate")
+    asked = given(parser.parse_args(["--simulate", "drop", "--spin", "3"]), SpunDrop)
+    assert SpunDrop(**asked).spin_1_s == 3.0
+    assert recording.main(["--simulate", "payload", "--spin", "3"]) == 2
+    assert "--spin does not go with --simulate payload" in capsys.readouterr().err
 
 
 class Looped(VideoFile):

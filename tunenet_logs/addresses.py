@@ -87,24 +87,16 @@ def scheme_of(text: str) -> str:
 
 @dataclass(frozen=True)
 class Address:
-    """Address of a log or a network camera; equality ignores credentials.
+    """Address of a log or a network camera; equality ignores credentials."""
 
-    Attributes:
-        identity: without login and signature; it is the address's `str()`. A parameter of the query
-            that picks what is sent stays, as a digest where it could be a secret.
-        shown: scheme, host, port and path alone.
-        url: with the query as it was given, without user and password: to ask with.
-        full_url: as it was given.
-        user: "" for none.
-        password: None where the address names none.
-    """
-
+    # Without login and signature; it is the address's `str()`. A parameter of the query that picks
+    # what is sent stays, as a digest where it could be a secret.
     identity: str
-    shown: str = field(compare=False)
-    url: str = field(repr=False, compare=False)
-    full_url: str = field(repr=False, compare=False)
-    user: str = field(default="", repr=False, compare=False)
-    password: str | None = field(default=None, repr=False, compare=False)
+    shown: str = field(compare=False)  # scheme, host, port and path alone
+    url: str = field(repr=False, compare=False)  # to ask with: as given, but for the login
+    full_url: str = field(repr=False, compare=False)  # as it was given
+    user: str = field(default="", repr=False, compare=False)  # "" for none
+    password: str | None = field(default=None, repr=False, compare=False)  # None: there is none
 
     def __str__(self) -> str:
         """Return what may be shown."""
@@ -112,11 +104,7 @@ class Address:
 
     @classmethod
     def of(cls, text: str) -> Address:
-        """Parse an address.
-
-        Raises:
-            UsageError: it has no host, or an invalid port.
-        """
+        """Parse an address."""
         scheme = scheme_of(text)
         rest = text[len(scheme) + 3 :]
         found = _LOGIN.match(rest)
@@ -142,7 +130,9 @@ class Address:
             url, place, query = (one.partition("#")[0] for one in (url, place, query))
         elif not any(_is_secret(name) for name, _ in _parameters(query)):
             place, mark, query = rest, "", ""  # all of it is a key
-        place = re.sub(r";([^;=/]+)=[^;/]*", _path_parameter, place)
+        place = re.sub(
+            r";([^;=/]+)=[^;/]*", lambda one: "" if _is_secret(one[1]) else one[0], place
+        )
         picked = "&".join(_picking(query))
         shown = f"{scheme}://{place}"
         user, colon, password = login.partition(":")
@@ -183,10 +173,8 @@ class Address:
 
 
 def without_secrets(text: str) -> str:
-    """Replace each login and signature in the addresses of a text by `…`.
-
-    For what libraries say: they quote the addresses that they were given.
-    """
+    """Replace each login and signature in the addresses of a text by `…`."""
+    # For what libraries say: they quote the addresses that they were given.
     if "@" in text:
         text = _LOGIN_IN_TEXT.sub(_without_login, text)
         text = _BARE_LOGIN.sub("…@", text)
@@ -273,10 +261,6 @@ def _is_plain(value: str) -> bool:
         if len(word) >= (_MAX_MIXED if is_mixed else _MAX_WORD):
             return False
     return True
-
-
-def _path_parameter(found: re.Match[str]) -> str:
-    return "" if _is_secret(found[1]) else found[0]
 
 
 def _without_login(found: re.Match[str]) -> str:

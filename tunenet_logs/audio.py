@@ -39,7 +39,6 @@ RATES_HZ = (1_000.0, 2_000_000.0)
 _SAME_S = 0.03
 
 _MAX_SIZE = 8.0  # of a sample; decoders give a little more than 1 where a sound was clipped
-_SILENT = 2e-5  # a sound that is nowhere louder is silent: less than the last of 16 bits
 _MAX_PIECES = 1_000_000  # packets that are joined
 # Full scale of integer samples, by NumPy's name of their type.
 _FULL_SCALE = {"u1": 2.0**7, "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
@@ -47,32 +46,19 @@ _FULL_SCALE = {"u1": 2.0**7, "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
 
 @dataclass(frozen=True, eq=False)
 class GatheredSound:
-    """Assembled audio.
+    """Assembled audio."""
 
-    Attributes:
-        samples: mean of all channels, full scale 1, shape (N,).
-        start_s: time of the first sample, on the clock of the packets [s].
-        rate_hz: samples in a second of that clock.
-        warnings: what was repaired, left out or is doubtful, in words.
-    """
-
-    samples: NDArray[np.float32]
-    start_s: float
-    rate_hz: float
-    warnings: tuple[str, ...]
+    samples: NDArray[np.float32]  # mean of all channels, full scale 1, shape (N,)
+    start_s: float  # time of the first sample, on the clock of the packets [s]
+    rate_hz: float  # samples in a second of that clock
+    warnings: tuple[str, ...]  # what was repaired, left out or is doubtful, in words
 
 
 class SoundGatherer:
-    """Assembler of audio packets.
+    """Assembler of audio packets, of `rate_hz` samples in a second.
 
     A gap between two is filled with silence of its length, so that what follows keeps its time.
-
-    Args:
-        rate_hz: of the packets' samples.
-        heard_hz: the same as a microphone heard it, where the clock is that of a slow-motion video.
-
-    Raises:
-        ValueError: no sound has such a rate.
+    `heard_hz` is the rate at a microphone, where the clock is that of a slow-motion video.
     """
 
     def __init__(self, rate_hz: float, heard_hz: float = 0.0) -> None:
@@ -98,11 +84,9 @@ class SoundGatherer:
         return bool(self._why_full)
 
     def add(self, piece: NDArray[Any], at_s: float | None) -> None:
-        """Append a packet.
+        """Append a packet of whole numbers or floats as a file has them, shape (N, channels).
 
-        Args:
-            piece: whole numbers or floats as a file has them, shape (N, channels).
-            at_s: time of its first sample [s]; None where it follows upon the last.
+        `at_s` is the time of its first sample [s]; None where it follows upon the last.
         """
         self._calls += 1
         self._values += piece.size
@@ -132,7 +116,7 @@ class SoundGatherer:
         said: list[str] = []
         if not len(samples):
             said.append("the sound track holds no sound")
-        elif float(np.abs(samples).max()) < _SILENT:
+        elif float(np.abs(samples).max()) < 2e-5:  # less than the last of 16 bits
             said.append("the sound track is silent")
         if self._why_full:
             used_s = len(samples) * self._every / self._file_hz
@@ -215,27 +199,16 @@ _MAX_DAMAGED = 1000  # packets that cannot be decoded, after which a track is gi
 
 @dataclass(frozen=True, eq=False)
 class SoundTrack:
-    """Sound track of a file, as the file describes it.
-
-    Attributes:
-        path: of the file.
-        formats: allowed ones; see `opened_media`.
-        index: of the stream among those of sound.
-        codec: as FFmpeg calls it.
-        channels: stated by the file.
-        rate_hz: stated by the file, which need not be what its decoder gives.
-        packets_s: begin of each packet, on the file's clock, shape (P,) [s].
-        lasts_s: to the end of the last packet [s].
-    """
+    """Sound track of a file, as the file describes it."""
 
     path: Path
-    formats: str
-    index: int
-    codec: str
-    channels: int
-    rate_hz: float
-    packets_s: NDArray[np.float64]
-    lasts_s: float
+    formats: str  # allowed ones; see `opened_media`
+    index: int  # of the stream among those of sound
+    codec: str  # as FFmpeg calls it
+    channels: int  # stated by the file
+    rate_hz: float  # stated by the file, which need not be what its decoder gives
+    packets_s: NDArray[np.float64]  # begin of each packet, on the file's clock, shape (P,) [s]
+    lasts_s: float  # to the end of the last packet [s]
 
     def sound(
         self,
@@ -246,11 +219,8 @@ class SoundTrack:
     ) -> Sound:
         """Decode the samples; a damaged track ends at the damage.
 
-        Args:
-            start_ns: the log's stamp of the file's time `origin_s`.
-            origin_s: see there [s]; the first sample's if None.
-            slow: seconds of the log's clock in one of the file's.
-            warnings: known before.
+        `start_ns` is the log's stamp of the file's time `origin_s` [s], the first sample's if None;
+        `slow` the seconds of the log's clock in one of the file's.
         """
         said: list[str] = []
         gathered, file_hz, channels = self._decoded(said)
@@ -267,6 +237,17 @@ class SoundTrack:
             warnings=(*warnings, *gathered.warnings, *said),
         )
 
+    def channel(self, start_ns: int, origin_s: float, slow: float = 1.0) -> Channel:
+        """Return the sound as a channel, each packet a message; the arguments as of `sound`."""
+        after_s = (self.packets_s - origin_s) * slow
+        return Channel(
+            topic=AUDIO_TOPIC,
+            type_name=self.codec,
+            encoding="audio",
+            log_ns=start_ns + np.round(after_s * 1e9).astype(np.int64),
+            sounds=True,
+        )
+
     def _decoded(self, said: list[str]) -> tuple[GatheredSound, float, int]:
         """Return the samples, their rate in the file [Hz], and the number of channels."""
         gatherer: SoundGatherer | None = None
@@ -281,14 +262,16 @@ class SoundTrack:
                     break
                 time_base = frame.time_base
                 at_s = None if frame.pts is None or not time_base else float(frame.pts * time_base)
-                gatherer.add(_piece(frame), at_s)
+                piece = frame.to_ndarray()
+                is_planar = frame.format.is_planar
+                gatherer.add(piece.T if is_planar else piece.reshape(frame.samples, -1), at_s)
                 if gatherer.is_full:
                     break
         except LogError as error:
             said.append(f"the sound is damaged: {error.what.removeprefix(f'{self.path}: ')}")
         except ValueError as error:
             said.append(f"the sound cannot be used: it {error}")
-        found = gatherer.result() if gatherer else _nothing()
+        found = gatherer.result() if gatherer else SoundGatherer(48_000).result()
         return found, rate_hz, channels
 
     def _frames(self, said: list[str]) -> Iterator[AudioFrame]:
@@ -360,55 +343,34 @@ def sound_stream(container: InputContainer) -> Any | None:
     return None
 
 
-def _nothing() -> GatheredSound:
-    return SoundGatherer(48_000).result()
+def film_streams(container: InputContainer) -> list[Any]:
+    """Return the video streams; cover art of a sound file is none."""
+    from av.stream import Disposition
 
-
-def _piece(frame: AudioFrame) -> NDArray[Any]:
-    """Return a frame's samples, shape (N, channels)."""
-    values = frame.to_ndarray()
-    if frame.format.is_planar:
-        return values.T
-    return values.reshape(frame.samples, -1)
+    cover = Disposition.attached_pic
+    return [stream for stream in container.streams.video if not stream.disposition & cover]
 
 
 # ---- Sound of a video: on the clock of its frames, whether or not it was slowed down with them
 
 _SAME_RATE = 1.05  # a film that is slowed down less is not called slow motion
-_SHORT_S = 0.2  # of a film or a sound that is too short to compare the two
-_ROUNDING = 1e-6  # of stamps in whole ns, over a film
-_UNEVEN_S = 0.005  # a larger offset between a picture's stamp and its sound is reported
 
 
 @dataclass(frozen=True, eq=False)
 class FilmSound:
-    """Sound of a video on the clock of its frames.
+    """Sound of a video on the clock of its frames."""
 
-    Attributes:
-        track: in its file.
-        start_ns: stamp of the first frame shown.
-        origin_s: time of that frame in the file [s].
-        slow: seconds of the log's clock in one of the file's: below 1 for sound that was slowed
-            down with its video, 1 for sound that was not.
-        warnings: what is doubtful, in words.
-    """
-
-    track: SoundTrack
-    start_ns: int
-    origin_s: float
+    track: SoundTrack  # in its file
+    start_ns: int  # stamp of the first frame shown
+    origin_s: float  # time of that frame in the file [s]
+    # seconds of the log's clock in one of the file's: below 1 for sound that was slowed down with
+    # its video, 1 for sound that was not
     slow: float
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # what is doubtful, in words
 
     def channel(self) -> Channel:
-        """Return the sound as a channel of the video, each packet a message."""
-        after_s = (self.track.packets_s - self.origin_s) * self.slow
-        return Channel(
-            topic=AUDIO_TOPIC,
-            type_name=self.track.codec,
-            encoding="audio",
-            log_ns=self.start_ns + np.round(after_s * 1e9).astype(np.int64),
-            sounds=True,
-        )
+        """Return the sound as a channel of the video."""
+        return self.track.channel(self.start_ns, self.origin_s, self.slow)
 
     def sound(self, _topic: str = AUDIO_TOPIC) -> Sound:
         """Decode the samples."""
@@ -418,15 +380,9 @@ class FilmSound:
 def film_sound(
     track: SoundTrack, ticks: Sequence[int] | None, base_s: Fraction, clock: VideoClock
 ) -> FilmSound:
-    """Align a sound with its video's frames.
+    """Align a sound with its video's frames: their increasing `ticks`, of `base_s` [s] each.
 
     Sound as long as the video was slowed down with it; sound as long as the filming was not.
-
-    Args:
-        track: the sound.
-        ticks: of the frames shown, increasing; None where they have no times.
-        base_s: one tick [s].
-        clock: of the frames.
     """
     log_s = (clock.stamps_ns - clock.stamps_ns[0]) * 1e-9
     if ticks is None:
@@ -436,29 +392,30 @@ def film_sound(
         file_s = (np.array(ticks, np.int64) - ticks[0]) * float(base_s)
         origin_s = float(ticks[0] * base_s)
     slow = float(log_s[-1] / file_s[-1]) if file_s[-1] > 0 and log_s[-1] > 0 else 1.0
-    slow = 1.0 if abs(slow - 1) < _ROUNDING else slow
+    slow = 1.0 if abs(slow - 1) < 1e-6 else slow  # stamps are in whole ns
     warnings: list[str] = []
-    if max(slow, 1 / slow) >= _SAME_RATE and _is_true(track.lasts_s, float(file_s[-1]), slow):
+    sound_s, film_s = track.lasts_s, float(file_s[-1])
+    is_slowed = max(slow, 1 / slow) >= _SAME_RATE
+    is_long = min(sound_s, film_s, film_s * slow) >= 0.2  # enough to compare them
+    # As long as the filming, rather than as the film: the sound kept its speed.
+    if (
+        is_slowed
+        and is_long
+        and abs(math.log(sound_s / (film_s * slow))) < abs(math.log(sound_s / film_s))
+    ):
         warnings.append(
             f"the film was slowed down {1 / slow:.3g} times, its sound was not: it lasts "
             f"{track.lasts_s:.2f} s, the film {file_s[-1]:.2f} s"
         )
         slow = 1.0
-    elif max(slow, 1 / slow) >= _SAME_RATE:
+    elif is_slowed:
         warnings.append(f"the sound was slowed down {1 / slow:.3g} times with its film")
     off_s = float(np.abs(log_s - file_s * slow).max()) if not warnings or slow != 1.0 else 0.0
-    if off_s > _UNEVEN_S:
+    if off_s > 0.005:
         warnings.append(
             f"the pictures' stamps are up to {off_s * 1e3:.0f} ms off the times of the sound"
         )
     return FilmSound(track, int(clock.stamps_ns[0]), origin_s, slow, tuple(warnings))
-
-
-def _is_true(sound_s: float, film_s: float, slow: float) -> bool:
-    """Return whether a sound lasts as long as the filming, rather than as the video."""
-    if min(sound_s, film_s, film_s * slow) < _SHORT_S:
-        return False
-    return abs(math.log(sound_s / (film_s * slow))) < abs(math.log(sound_s / film_s))
 
 
 # ---- Sound files, as voice recorders write them: .wav, .m4a, .mp3, .flac, .ogg
@@ -478,17 +435,13 @@ def is_sound_alone(path: Path) -> bool:
     """Return whether a file holds sound and no video."""
     try:
         with opened_media(path, SOUNDS, "sound") as container:
-            return sound_stream(container) is not None and not _has_film(container)
+            return sound_stream(container) is not None and not film_streams(container)
     except LogError:
         return False
 
 
 def read_sound(path: Path, _options: ReadOptions = AS_IT_SAYS) -> Episode:
-    """Read a sound file as an episode without signals, beginning at its creation time, or 0.
-
-    Raises:
-        LogError: no sound is in it, or it is damaged from its beginning on.
-    """
+    """Read a sound file as an episode without signals, beginning at its creation time, or 0."""
     try:
         return _read(path)
     except LogError as error:
@@ -512,13 +465,7 @@ def _read(path: Path) -> Episode:
         track = times.track(path, SOUNDS)
     if not len(track.packets_s):
         raise LogError(f"{path}: holds no sound", COPY_AGAIN)
-    channel = Channel(
-        topic=AUDIO_TOPIC,
-        type_name=track.codec,
-        encoding="audio",
-        log_ns=start_ns + np.round((track.packets_s - track.packets_s[0]) * 1e9).astype(np.int64),
-        sounds=True,
-    )
+    channel = track.channel(start_ns, track.packets_s[0])
     info = EpisodeInfo(source=f"sound file {path.name}", notes=sound_notes(track))
 
     def opened(_topic: str) -> Sound:
@@ -529,22 +476,12 @@ def _read(path: Path) -> Episode:
 
 def sound_notes(track: SoundTrack) -> dict[str, str]:
     """Describe a sound track for the notes of a log."""
-    return {"sound": f"{track.codec}, {track.rate_hz:g} Hz, {_channels(track.channels)}"}
+    return {"sound": _about(track.codec, track.rate_hz, track.channels)}
 
 
-def _channels(count: int) -> str:
-    return {1: "mono", 2: "stereo"}.get(count, f"{count} channels")
-
-
-def _has_film(container: object) -> bool:
-    """Return whether a container holds video other than cover art."""
-    from av.container import InputContainer
-    from av.stream import Disposition
-
-    assert isinstance(container, InputContainer)
-    return any(
-        not stream.disposition & Disposition.attached_pic for stream in container.streams.video
-    )
+def _about(codec: str, file_hz: float, channels: int) -> str:
+    width = {1: "mono", 2: "stereo"}.get(channels, f"{channels} channels")
+    return f"{codec}, {file_hz:g} Hz, {width}"
 
 
 # ---- Sound in a log: short blocks of PCM, and notes on what their messages cannot say
@@ -558,7 +495,7 @@ BLOCK_S = 0.1  # of the log's clock, in each message
 
 def sound_notes_of(sound: Sound) -> dict[str, str]:
     """Return the notes on a sound that is written to a log."""
-    about = f"{sound.codec}, {sound.file_rate_hz:g} Hz, {_channels(sound.channels)}"
+    about = _about(sound.codec, sound.file_rate_hz, sound.channels)
     notes = rate_notes(about, sound.rate_hz, sound.file_rate_hz)
     return notes | ({WARNINGS_NOTE: "; ".join(sound.warnings)} if sound.warnings else {})
 

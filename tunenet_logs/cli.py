@@ -17,25 +17,8 @@ from tunenet_logs.terminal import Progress, one_line
 if TYPE_CHECKING:
     from tunenet_logs.episode import Episode
 
-# The texts of --help.
 _DESCRIPTION = """\
 Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos."""
-
-_VERBS = {
-    "info": "what recorded it, its channels with types, counts, rates and gaps, which of them can "
-    "be used and why not the others, what is damaged",
-    "check": "is it whole: every checksum, record, message and picture",
-    "recover": "copy what is whole of a damaged log, as it is, to a new MCAP file",
-    "import": "bring a bag, a CSV table or a video into a log of our own format",
-}
-
-# What exit code 1 means, by the verb.
-_FAILED = {
-    "info": "a log could not be read",
-    "check": "a log is damaged or could not be read",
-    "recover": "nothing could be saved",
-    "import": "nothing was imported",
-}
 
 _EXAMPLES = """\
   tunenet-logs info drop.mcap
@@ -43,100 +26,105 @@ _EXAMPLES = """\
   tunenet-logs recover drop.mcap.active -o drop.mcap   (what a killed recording left)
   tunenet-logs import arm.bag -o arm.mcap"""
 
-_INFO = """\
+
+def _verbs() -> Mapping[str, dict[str, Any]]:
+    """Return what is done with logs: its help, what exit code 1 means, and what does it."""
+    return {
+        "info": {
+            "help": (
+                "what recorded it, its channels with types, counts, rates and gaps, which of them "
+                "can be used and why not the others, what is damaged"
+            ),
+            "description": """\
 Show what is in a log: what recorded it, its channels with their types, counts, rates
 and gaps, which of them can be used and why not the others, what is damaged, and a
-timeline of when each was heard (# as often as usual, . less, blank not at all)."""
-
-_INFO_EXAMPLES = """\
+timeline of when each was heard (# as often as usual, . less, blank not at all).""",
+            "examples": """\
   tunenet-logs info drop.mcap
   tunenet-logs info arm.bag rosbag2_2026_11_02/
   tunenet-logs info drop.mcap.active     (what a killed recording left)
-  tunenet-logs info *.bag --json | jq -r .channels[].topic"""
-
-_CHECK = """\
+  tunenet-logs info *.bag --json | jq -r .channels[].topic""",
+            "failed": "a log could not be read",
+            "body": _info,
+        },
+        "check": {
+            "help": "is it whole: every checksum, record, message and picture",
+            "description": """\
 Read all of a log: every checksum, record, message and picture. Says what is damaged
 and where. Most bags, and logs by other recorders, carry no checksum of their data:
-then damage may go unseen, and a line says so."""
-
-_CHECK_EXAMPLES = """\
+then damage may go unseen, and a line says so.""",
+            "examples": """\
   tunenet-logs check drop.mcap
   tunenet-logs check logs/*.mcap
-  tunenet-logs check logs/*.mcap --json | jq -r 'select(.whole | not) | .log'"""
-
-_RECOVER = """\
+  tunenet-logs check logs/*.mcap --json | jq -r 'select(.whole | not) | .log'""",
+            "failed": "a log is damaged or could not be read",
+            "body": _check,
+        },
+        "recover": {
+            "help": "copy what is whole of a damaged log, as it is, to a new MCAP file",
+            "description": """\
 Copy every whole message of a damaged log, as it is, to a new MCAP file with an index
 and all checksums, which opens in every reader of MCAP. The log itself is never
 changed. What was lost is listed.
 
 Messages of ROS 1 stay what they are, so readers that know ROS 2 alone refuse the copy
-of a ROS 1 bag. `tunenet-logs import` makes a log of ROS 2 messages of it."""
-
-_RECOVER_EXAMPLES = """\
+of a ROS 1 bag. `tunenet-logs import` makes a log of ROS 2 messages of it.""",
+            "examples": """\
   tunenet-logs recover drop.mcap.active -o drop.mcap
-  tunenet-logs recover broken.bag -o saved.mcap"""
-
-_IMPORT = """\
+  tunenet-logs recover broken.bag -o saved.mcap""",
+            "failed": "nothing could be saved",
+            "body": _recover,
+        },
+        "import": {
+            "help": "bring a bag, a CSV table or a video into a log of our own format",
+            "description": """\
 Write the positions, joints, pictures and sound of a bag, CSV table, video, sound or log
 of others to a log of our own format. Pictures that are compressed stay as they are. What no
 task uses is left out, and named. So are topics that get another name, for ROS or
-because two would have the same. One that is broken off leaves nothing."""
-
-_IMPORT_EXAMPLES = """\
+because two would have the same. One that is broken off leaves nothing.""",
+            "examples": """\
   tunenet-logs import arm.bag                  (writes arm.mcap beside it)
   tunenet-logs import torques.csv -o arm.mcap
   tunenet-logs import bounce.wav -o bounce.mcap
-  tunenet-logs import rosbag2_2026_11_02/ -o drop.mcap"""
+  tunenet-logs import rosbag2_2026_11_02/ -o drop.mcap""",
+            "failed": "nothing was imported",
+            "body": _import,
+        },
+    }
 
 
 _MAX_LINES = 100  # of what is said of one kind; a log of thousands is no reason to scroll
-_UNSAID = "what a file does not say itself"
-
-_JSON_HELP = "for scripts: one JSON object a log, each on a line of its own (docs/logs.md)"
 
 
 def build_parser() -> Parser:
     """Build the parser of the command's arguments."""
-    parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES, failed=_FAILED["check"])
-    verbs = parser.add_subparsers(
-        dest="verb", title="what to do", metavar=f"{{{','.join(_VERBS)}}}", required=True
+    verbs = _verbs()
+    parser = Parser("tunenet-logs", _DESCRIPTION, _EXAMPLES, failed=verbs["check"]["failed"])
+    below = parser.add_subparsers(
+        dest="verb", title="what to do", metavar=f"{{{','.join(verbs)}}}", required=True
     )
-
-    def verb(name: str, description: str, examples: str, body: Callable) -> argparse.ArgumentParser:
-        made = verbs.add_parser(
-            name,
-            prog=f"tunenet-logs {name}",
-            help=_VERBS[name],
-            description=description,
-            examples=examples,
-            failed=_FAILED[name],
-        )
+    for name, verb in verbs.items():
+        body = verb.pop("body")
+        made = below.add_parser(name, prog=f"tunenet-logs {name}", **verb)
         made.set_defaults(body=body)
-        return made
-
-    info = verb("info", _INFO, _INFO_EXAMPLES, _info)
-    info.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    info.add_argument("--json", action="store_true", help=_JSON_HELP)
-    reading_options(info.add_argument_group(_UNSAID))
-    check = verb("check", _CHECK, _CHECK_EXAMPLES, _check)
-    check.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    check.add_argument("--json", action="store_true", help=_JSON_HELP)
-    check.add_argument("--quiet", action="store_true", help="no progress bar")
-    reading_options(check.add_argument_group(_UNSAID))
-    for name, description, examples, body in (
-        ("recover", _RECOVER, _RECOVER_EXAMPLES, _recover),
-        ("import", _IMPORT, _IMPORT_EXAMPLES, _import),
-    ):
-        copying = verb(name, description, examples, body)
-        add = copying.add_argument
-        add("log", type=Path, metavar="LOG")
-        required = name == "recover"
-        where = "log to write" if required else "log to write (default: NAME.mcap beside it)"
-        add("-o", "--output", type=Path, metavar="OUT", required=required, help=where)
-        add("--overwrite", action="store_true", help="replace an existing log")
-        add("--quiet", action="store_true", help="no progress bar")
-        if not required:
-            reading_options(copying.add_argument_group(_UNSAID))
+        add = made.add_argument
+        if name in ("info", "check"):
+            add("logs", nargs="+", type=Path, metavar="LOG")
+            add(
+                "--json",
+                action="store_true",
+                help="for scripts: one JSON object a log, each on a line of its own (docs/logs.md)",
+            )
+        else:
+            is_needed = name == "recover"
+            where = "log to write" if is_needed else "log to write (default: NAME.mcap beside it)"
+            add("log", type=Path, metavar="LOG")
+            add("-o", "--output", type=Path, metavar="OUT", required=is_needed, help=where)
+            add("--overwrite", action="store_true", help="replace an existing log")
+        if name != "info":
+            add("--quiet", action="store_true", help="no progress bar")
+        if name != "recover":
+            reading_options(made)
     return parser
 
 

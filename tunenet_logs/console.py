@@ -1,7 +1,9 @@
-"""Command line that all commands share: one-line errors, exit codes, shell completion.
+"""Command line that all commands share: options, help in topics, one-line errors, exit codes.
 
-`Parser` refuses what is wrong in one line; `run` turns known errors and signals into exit codes;
-`number` and those after it are argparse types. Help starts at once: nothing heavy is imported.
+An option is declared once, as a field of a dataclass (`option`): its argument of a command, its
+check in Python and all that is said of it follow. `Parser` refuses what is wrong in one line; `run`
+turns known errors and signals into exit codes; `number` and those after it are argparse types.
+Help starts at once: nothing heavy is imported.
 """
 
 from __future__ import annotations
@@ -10,33 +12,226 @@ import argparse
 import errno
 import io
 import os
+import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, field, fields
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from textwrap import fill
-from typing import Any, NoReturn
+from types import FunctionType
+from typing import Any, NoReturn, TypeVar
 
 from tunenet_logs import __version__
 from tunenet_logs.addresses import scheme_of, without_secrets
 from tunenet_logs.errors import CHECK_DISK, LogError, TuneNetError, UsageError
 from tunenet_logs.process import WORDS, lost_output, stoppable
-from tunenet_logs.terminal import one_line
+from tunenet_logs.terminal import one_line, short_name
+
+Kind = TypeVar("Kind")
+_UNIT = re.compile("_(m|s|kg|ms|hz|k|nm|deg|1_m|1_s)$")  # at the end of a field's name
+
+# ---- Options, each declared once, as a field of a dataclass: `start_s: float | None = option(...)`
+
+
+class Option:
+    """An option: of a command, and of Python by the name of its field.
+
+    This and `Topic` are no dataclasses: making these costs each start of a command a millisecond.
+    """
+
+    help: str  # what it does, for `--help` and docs/options.md; "{choices}" in it lists these
+    flag: str = ""  # as the command spells it; "" for the field's name with dashes, less its unit
+    # The topic of the help in which it stands, with "TOPIC:TITLE" under a title of its own; "" for
+    # those that everybody needs
+    group: str = ""
+    subject: str = ""  # what it is about; who has no use for that says that it is not used
+    metavar: str | None = None  # its value in the help; None for its unit
+    # Least and greatest number, and their unit on the command line, "" for none
+    limits: tuple[float, float, str] | None = None
+    factor: float = 1.0  # from the command's unit to the field's
+    is_whole: bool = False  # whether the number is whole
+    is_many: bool = False  # whether it may be given several times
+    choices: Sequence[str] | str = ()  # its values, or where they are to be found, "module:name"
+    offered: Iterable[str] = ()  # values that a shell completes; others are valid, too
+    alone: Any = None  # its value when it is given without one; None if it needs one
+    parse: Callable[[str], Any] | None = None  # reads its value from a text
+
+    def __init__(self, help: str, **more: Any) -> None:  # noqa: A002 (as argparse has it)
+        assert more.keys() <= Option.__annotations__.keys(), more
+        vars(self).update(more, help=help)
+
+    @property
+    def values(self) -> tuple[str, ...]:
+        """Its choices."""
+        choices = self.choices
+        if not isinstance(choices, str):
+            return tuple(choices)
+        module, _, name = choices.partition(":")
+        found: Any = getattr(import_module(module), name)
+        return tuple(found()) if isinstance(found, FunctionType) else tuple(found)
+
+    @property
+    def words(self) -> str:
+        """What it does, with its choices."""
+        return self.help.replace("{choices}", ", ".join(self.values))
+
+    def checked(self, name: str, value: Any) -> Any:
+        """Return a value that Python gave, as the field has it.
+
+        Raises:
+            UsageError: it is none of this option's.
+        """
+        if self.is_many and not isinstance(value, Mapping):
+            values = (value,) if isinstance(value, str | os.PathLike) else value
+            return tuple(self._one(name, one) for one in values)
+        return self._one(name, value)
+
+    def _one(self, name: str, value: Any) -> Any:
+        if self.limits is not None:
+            low, high = (self.factor * limit for limit in self.limits[:2])
+            kind = int if self.is_whole else int | float
+            if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high:
+                what = "a whole number" if self.is_whole else "a number"
+                unit = f" {self.limits[2]}" if self.limits[2] and self.factor == 1 else ""
+                raise UsageError(f"{name} {value!r} is not {what} {_range(low, high)}{unit}")
+            return value if self.is_whole else float(value)
+        if self.choices and value not in self.values:
+            known = ", ".join(self.values)
+            raise UsageError(f"{name} {short_name(value)!r} is not known; choose one of: {known}")
+        if self.parse is Path:
+            return Path(value) if isinstance(value, str | os.PathLike) else value
+        if self.parse is not None and isinstance(value, str):
+            try:
+                return self.parse(value)
+            except argparse.ArgumentTypeError as error:
+                raise UsageError(str(error)) from error
+        return value
+
+    def flag_of(self, name: str) -> str:
+        """Return how a command spells the option that Python calls `name`."""
+        plain = _UNIT.sub("", name) if self.limits else name.removeprefix("is_")
+        return self.flag or f"--{plain.replace('_', '-')}"
+
+    def add_to(self, group: argparse._ActionsContainer, name: str, *, is_switch: bool) -> None:
+        """Add its argument to a parser; None where it is not given."""
+        more: dict[str, Any] = {"help": self.words.replace("%", "%%"), "dest": name}
+        if is_switch:
+            more |= {"action": "store_const", "const": True}
+        else:
+            more |= {"type": self.parse, "metavar": self.metavar}
+        if self.limits is not None:
+            low, high, unit = self.limits
+            parse, factor = number(low, high, unit), self.factor
+            more["type"] = parse if factor == 1 else lambda text: factor * parse(text)
+            if self.is_whole:
+                more["type"] = whole(int(low), int(high))
+            more["metavar"] = self.metavar or unit.replace("·", "").upper() or None
+        if self.is_many:
+            more["action"] = "append"
+        if self.choices:
+            more["choices"] = self.values
+        if self.alone is not None:
+            more |= {"nargs": "?", "const": self.alone}
+        action = group.add_argument(self.flag_of(name), **more)
+        if self.offered:
+            vars(action)[_OFFERED] = tuple(self.offered)
+
+
+def option(help: str, default: Any = None, **more: Any) -> Any:  # noqa: A002 (as argparse has it)
+    """Declare a field of a dataclass that is an option; see `Option`."""
+    about = {"option": Option(help=help, **more)}
+    if isinstance(default, type):
+        return field(default_factory=default, metadata=about)
+    return field(default=default, metadata=about)
+
+
+@cache
+def options_in(kind: type) -> Mapping[str, Option]:
+    """Return the options of a dataclass by its fields, with those that it inherits.
+
+    A field that is declared again, for another default, remains the option that it was.
+    """
+    found: dict[str, Option] = {}
+    for one in fields(kind):
+        for base in kind.__mro__:
+            known = getattr(base, "__dataclass_fields__", {}).get(one.name)
+            if known is not None and "option" in known.metadata:
+                found[one.name] = known.metadata["option"]
+                break
+    return found
+
+
+def add_options(
+    kind: type, group: Callable[[str], argparse._ActionsContainer], names: Iterable[str] = ()
+) -> None:
+    """Add the options of a dataclass to a parser, but those that it has already.
+
+    Args:
+        kind: the dataclass.
+        group: returns the place of those with this `Option.group`.
+        names: which of them; all if empty.
+    """
+    usual = {one.name: one.default for one in fields(kind)}
+    for name, known in options_in(kind).items():
+        place = group(known.group)
+        is_new = all(action.dest != name for action in place._actions)
+        if is_new and (not names or name in names):
+            known.add_to(place, name, is_switch=usual[name] is False)
+
+
+def given(arguments: argparse.Namespace, kind: type) -> dict[str, Any]:
+    """Return the options of a dataclass that a command was given, by their names in Python."""
+    values = {name: getattr(arguments, name, None) for name in options_in(kind)}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def made_of(kind: type[Kind], given: Mapping[str, Any]) -> Kind:
+    """Make a dataclass of named options; None counts as not given.
+
+    Raises:
+        UsageError: there is no such option, or a value is invalid.
+    """
+    known = options_in(kind)
+    if unknown := [name for name in given if name not in known]:
+        raise UsageError(f"there is no option {unknown[0]!r}; there is: {', '.join(known)}")
+    return kind(**{name: value for name, value in given.items() if value is not None})
+
+
+class CheckedOptions:
+    """Base of a dataclass whose options are checked when it is made, for Python and commands."""
+
+    def __post_init__(self) -> None:
+        for name, known in options_in(type(self)).items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, known.checked(name, value))
+
+    def given(self, subject: str | None = None) -> dict[str, str]:
+        """Return the names of options with another value than usual, by their commands' spelling.
+
+        Args:
+            subject: what they are about; None for all.
+        """
+        usual = {
+            one.name: one.default if one.default_factory is MISSING else one.default_factory()
+            for one in fields(self)  # pyright: ignore[reportArgumentType] (it is a dataclass)
+        }
+        return {
+            known.flag_of(name): name
+            for name, known in options_in(type(self)).items()
+            if subject in (None, known.subject) and getattr(self, name) not in (usual[name], None)
+        }
+
 
 # ---- Shell completion: `--print-completion bash`, of every command
 
 SHELLS = ("bash", "zsh", "tcsh")
 _PATHS = ("LOG", "SOURCE")  # metavars of what may be a file, or an address, a camera's number
-_OFFERED = "offered"
-
-
-def offering(action: argparse.Action, words: Iterable[str]) -> None:
-    """Let a shell complete `words` for an option without restricting its values to them.
-
-    `choices` would refuse all others in argparse's words.
-    """
-    vars(action)[_OFFERED] = tuple(words)
+_OFFERED = "offered"  # words for a shell to complete, where `choices` would refuse all others
 
 
 class PrintCompletion(argparse.Action):
@@ -46,15 +241,12 @@ class PrintCompletion(argparse.Action):
         self, parser: argparse.ArgumentParser, _namespace: object, values: Any, _option: object = ""
     ) -> None:
         """Print the script and exit."""
-        print(_script(parser, str(values)), flush=True)
+        shell = str(values)
+        import shtab  # only here: nothing else needs it
+
+        _annotate(parser, shtab.FILE, shtab.DIRECTORY)
+        print(shtab.complete(parser, shell), flush=True)
         sys.exit(0)
-
-
-def _script(parser: argparse.ArgumentParser, shell: str) -> str:
-    import shtab  # only here: nothing else needs it
-
-    _annotate(parser, shtab.FILE, shtab.DIRECTORY)
-    return shtab.complete(parser, shell)
 
 
 def _annotate(parser: argparse.ArgumentParser, file: Any, folder: Any) -> None:
@@ -74,10 +266,21 @@ def _annotate(parser: argparse.ArgumentParser, file: Any, folder: Any) -> None:
 # ---- Parser and runner
 
 _HELP_COLUMNS = 80
+_ALL = "all"
+
+
+class Topic:
+    """Part of a command's options that not everybody needs."""
+
+    def __init__(self, title: str, examples: str = "") -> None:
+        self.title = title  # what they are for, in a few words
+        self.examples = examples  # of them
 
 
 class Parser(argparse.ArgumentParser):
     """Argument parser whose errors are one line, with exit code 2.
+
+    `--help` tells what everybody needs, and names the topics; `--help TOPIC` tells the rest.
 
     Args:
         prog: the command, with its verb where it has some.
@@ -85,6 +288,8 @@ class Parser(argparse.ArgumentParser):
         examples: of how it is called.
         failed: what exit code 1 means.
         ended: what exit code 0 means.
+        called: how it is called, in short.
+        topics: by name; none for a command that tells all at once.
     """
 
     def __init__(
@@ -95,25 +300,93 @@ class Parser(argparse.ArgumentParser):
         *,
         failed: str = "a log failed or was rejected",
         ended: str = "done",
+        called: str = "",
+        topics: Mapping[str, Topic] | None = None,
     ) -> None:
         codes = f"exit codes: 0~{ended}, 1~{failed}, 2~wrong usage, 130~Ctrl-C"
-        lines = fill(codes, _HELP_COLUMNS, subsequent_indent="  ").replace("~", " ")
+        self._codes = fill(codes, _HELP_COLUMNS, subsequent_indent="  ").replace("~", " ")
+        self._topics, self._called, self._examples = topics or {}, called, examples
+        self._groups_of: dict[str, list[argparse._ArgumentGroup]] = {}
         super().__init__(
             prog=prog,
             description=description,
-            epilog=f"examples:\n{examples}\n\n{lines}",
+            epilog=f"examples:\n{examples}\n\n{self._codes}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
+            add_help=not self._topics,
         )
-        self.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-        self.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        if self._topics:
+            about = self.add_argument(
+                "-h",
+                "--help",
+                nargs="?",
+                action=_Help,
+                metavar="TOPIC",
+                help="show this, or the options of a topic below",
+            )
+            vars(about)[_OFFERED] = (*self._topics, _ALL)
+        place = self if not self._topics else self.topic("", "of every command")
+        place.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+        place.add_argument("--debug", action="store_true", help="show the traceback of an error")
         if " " not in prog:  # one script completes a command with its verbs
-            self.add_argument(
+            place.add_argument(
                 "--print-completion",
                 action=PrintCompletion,
                 choices=SHELLS,
                 help="print a script that has a shell complete this command (docs/commands.md)",
             )
+
+    def topic(self, name: str, title: str = "") -> argparse._ArgumentGroup:
+        """Return the group of this title of a topic, made when it is first asked for."""
+        title = title or self._topics[name].title
+        groups = self._groups_of.setdefault(name, [])
+        if not any(group.title == title for group in groups):
+            groups.append(self.add_argument_group(title))
+        return next(group for group in groups if group.title == title)
+
+    def place(self, group: str) -> argparse._ActionsContainer:
+        """Return where options of an `Option.group` go."""
+        name, _, title = group.partition(":")
+        return self.topic(name, title) if name else self
+
+    def help_on(self, name: str | None) -> str:
+        """Format the help: what everybody needs (None), a topic, or all.
+
+        Raises:
+            UsageError: there is no such topic.
+        """
+        if name == _ALL or not self._topics:
+            every = [self._examples, *(one.examples for one in self._topics.values())]
+            self.epilog = f"examples:\n{_joined(every)}\n\n{self._codes}"
+            return super().format_help()
+        if name is not None and name not in self._topics:
+            known = ", ".join((*self._topics, _ALL))
+            raise UsageError(f"--help {short_name(name)}: is no topic; choose one of: {known}")
+        formatter = self._get_formatter()
+        examples = self._examples
+        if name is None:
+            formatter.add_usage(f"%(prog)s {self._called}", self._actions, [])
+            formatter.add_text(self.description)
+            hidden = [group for groups in self._groups_of.values() for group in groups]
+            own = [self._positionals, self._optionals]
+            groups = [one for one in self._action_groups if one not in (*hidden, *own)]
+            shown = [(one.title, one._group_actions) for one in groups]
+            shown.append(("options", [action for one in own for action in one._group_actions]))
+        else:
+            examples = self._topics[name].examples
+            shown = [(one.title, one._group_actions) for one in self._groups_of.get(name, [])]
+        for title, actions in shown:
+            formatter.start_section(title)
+            formatter.add_arguments(actions)
+            formatter.end_section()
+        if name is None:
+            rows = "\n".join(f"  {one:12}{topic.title}" for one, topic in self._topics.items())
+            formatter.add_text(f"topics, for --help TOPIC (or {_ALL}):\n{rows}")
+        if examples:
+            formatter.add_text(f"examples:\n{examples}")
+        if name is None:
+            formatter.add_text(self._codes)
+        return formatter.format_help()
 
     def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
         """Refuse an address where a file is meant: a folder would be called like all of it."""
@@ -129,6 +402,21 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise UsageError with one line."""
         raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+class _Help(argparse.Action):
+    """Print the help, or that of a topic, and exit."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, _namespace: object, values: Any, _option: object = ""
+    ) -> None:
+        assert isinstance(parser, Parser)
+        print(parser.help_on(values), end="")
+        sys.exit(0)
+
+
+def _joined(texts: Iterable[str]) -> str:
+    return "\n".join(dict.fromkeys(line for text in texts for line in text.splitlines()))
 
 
 # Where NumPy looks, when it is loaded, for how many threads to use. Our matrices are small: a
@@ -208,8 +496,8 @@ def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:
         except ValueError:
             value = float("nan")
         if not low <= value <= high:
-            between = f"a number from {low:.15g} to {high:.15g}{' ' + unit if unit else ''}"
-            raise argparse.ArgumentTypeError(f"{text!r} is not {between}")
+            between = f"{_range(low, high)}{' ' + unit if unit else ''}"
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number {between}")
         return value
 
     return parse
@@ -228,6 +516,38 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         return value
 
     return parse
+
+
+def numbers(count: int, low: float, high: float, what: str) -> Callable[[str], tuple[float, ...]]:
+    """Return an argparse type: `count` numbers within [low, high], with commas; any number if 0."""
+
+    def parse(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        is_right = len(values) == (count or max(len(values), 1))
+        if not is_right or not all(low <= value <= high for value in values):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        return values
+
+    return parse
+
+
+def printable(most: int, what: str) -> Callable[[str], str]:
+    """Return an argparse type: a line of 1 to `most` printable characters."""
+
+    def parse(text: str) -> str:
+        if not text.strip() or not text.isprintable() or len(text) > most:
+            said = f"{short_name(text)!r} is not {what} of 1 to {most} printable characters"
+            raise argparse.ArgumentTypeError(said)
+        return text
+
+    return parse
+
+
+def _range(low: float, high: float) -> str:
+    return f"from {low:.15g} to {high:.15g}"
 
 
 def is_stdout(path: Path) -> bool:

@@ -11,6 +11,7 @@ import heapq
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,8 @@ from tunenet_logs import __version__, messages
 from tunenet_logs.audio import sound_blocks, sound_notes_of, why_not_kept
 from tunenet_logs.episode import (
     SHARE_NOTE,
-    Channel,
     Episode,
     EpisodeInfo,
-    Frame,
     LeftOut,
     Signal,
     Sound,
@@ -41,16 +40,15 @@ from tunenet_logs.formats.base import (
     Record,
     lost_share,
     one_by_one,
+    ros_name,
 )
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.formats.registry import file_bytes, open_log
-from tunenet_logs.formats.ros import ros_name
 from tunenet_logs.messages import INFO_RECORD, RECOVERY_RECORD, compressed
 from tunenet_logs.reader import (
     is_impacts,
     notes_of,
     notes_of_channels,
-    notes_of_frames,
     read_episode,
     without_commands,
 )
@@ -69,17 +67,12 @@ from tunenet_logs.writing.writer import EpisodeWriter
 
 @dataclass(frozen=True, eq=False)
 class Health:
-    """Result of an integrity check.
-
-    Attributes:
-        damage: what is wrong and where, one a line; empty for a whole log.
-        doubts: what is no damage but should be known.
-        left_out: of which so much is left out that the log is not whole, though not damaged.
-    """
+    """Result of an integrity check."""
 
     episode: Episode
-    damage: tuple[str, ...]
-    doubts: tuple[str, ...]
+    damage: tuple[str, ...]  # what is wrong and where, one a line; empty for a whole log
+    doubts: tuple[str, ...]  # what is no damage but should be known
+    # of which so much is left out that the log is not whole, though not damaged
     left_out: tuple[LeftOut, ...] = ()
 
     @property
@@ -89,11 +82,7 @@ class Health:
 
 
 def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> Health:
-    """Check a log by reading all of it and decoding all of its pictures and sound.
-
-    Raises:
-        LogError: nothing of it can be read.
-    """
+    """Check a log by reading all of it and decoding all of its pictures and sound."""
     with progress.stages(one_line(path)):
         episode = read_episode(path, options)
     damage = list(episode.losses)
@@ -101,17 +90,12 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
         damage += _picture_damage(episode, topic, progress)
     heard: list[str] = []
     for topic in episode.sound_topics:
-        heard += [f"{topic}: {said}" for said in _heard(episode, topic)]
+        if sound := episode.sounds(topic):
+            heard += [f"{topic}: {said}" for said in sound.warnings]
     lost = set(episode.losses)
     doubts = tuple(warning for warning in episode.warnings if warning not in lost)
     left_out = tuple(one for one in left_out_of(trim_clock_jumps(episode)) if one.is_much)
     return Health(episode, tuple(damage), (*doubts, *heard), left_out)
-
-
-def _heard(episode: Episode, topic: str) -> tuple[str, ...]:
-    """Return the warnings on the sound of a topic."""
-    sound = episode.sounds(topic)
-    return () if sound is None else sound.warnings
 
 
 def _picture_damage(episode: Episode, topic: str, progress: Progress) -> list[str]:
@@ -144,7 +128,8 @@ _MAX_REASONS = 3  # losses that are named where nothing was left to import: what
 # Samples of sound after which no further topic is imported: two of ten minutes at 48 kHz.
 _MAX_SAMPLES = 57_600_000
 
-Write = Callable[[EpisodeWriter], None]  # writes one message
+# Messages of one topic in order: stamp, topic, and what writes it.
+_TopicMessages = Iterator[tuple[int, str, Callable[[EpisodeWriter], None]]]
 _DRIVES = "a command or a force, which stays in the log that is imported: tune a model from that"
 
 _AT_ONCE = 10_000  # samples of joints that are prepared at a time
@@ -153,19 +138,14 @@ _NAME_ANOTHER = "name a log that does, or say which column is which with --colum
 
 @dataclass(frozen=True)
 class Imported:
-    """Result of an import.
+    """Result of an import."""
 
-    Attributes:
-        messages: how many were written.
-        left_out: channels that hold nothing that is used, with the reason; and samples of others.
-        renamed: what the log called otherwise than its topic is called now, and that topic.
-        warnings: what was lost or is doubtful in the log that was read.
-    """
-
-    messages: int
+    messages: int  # how many were written
+    # channels that hold nothing that is used, with the reason; and samples of others
     left_out: tuple[str, ...]
+    # what the log called otherwise than its topic is called now, and that topic
     renamed: tuple[str, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # what was lost or is doubtful in the log that was read
 
 
 def import_log(
@@ -180,17 +160,17 @@ def import_log(
 
     Pictures that are compressed stay as they are; bare pixels of a video become JPEG. A failed
     import leaves nothing.
-
-    Raises:
-        UsageError: the output is the log itself.
-        LogError: the log cannot be read, holds nothing that is used, or `output` not written.
     """
+    _check_output(path, output)
+    with (progress or Progress(quiet=True)).stages(one_line(path)):
+        return _imported(path, output, overwrite=overwrite, options=options)
+
+
+def _check_output(path: Path, output: Path) -> None:
     if output.suffix != ".mcap":
         raise UsageError(f"{output}: name a .mcap file with -o")
     if output.exists() and path.exists() and output.samefile(path):
         raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
-    with (progress or Progress(quiet=True)).stages(one_line(path)):
-        return _imported(path, output, overwrite=overwrite, options=options)
 
 
 def _imported(path: Path, output: Path, *, overwrite: bool, options: ReadOptions) -> Imported:
@@ -198,13 +178,13 @@ def _imported(path: Path, output: Path, *, overwrite: bool, options: ReadOptions
     episode = without_commands(everything)  # a command would become a state
     named = {*episode.signals, *episode.picture_topics, *episode.sound_topics}
     topics = _Topics({*named, *joint_topics(episode)})
-    said = notes_of_frames(episode) | notes_of_channels(episode, ros_topic)
+    said = notes_of_channels(episode, ros_topic)
     heard, unheard = _sounds(episode)
     for sound in heard:
         said |= sound_notes_of(sound)
     streams = [
         *_signal_streams(episode, topics, said),
-        *_picture_streams(episode, topics),
+        *(_pictures(episode, topic, topics) for topic in dict.fromkeys(episode.picture_topics)),
         *(_blocks(sound, topics.claim(sound.name)) for sound in heard),
     ]
     if not streams:
@@ -239,9 +219,6 @@ class _Topics:
     """Unique topics for the names of a log.
 
     A name that is a topic already keeps it; others that come to the same get a number.
-
-    Attributes:
-        renamed: names that became another topic, with that topic.
     """
 
     def __init__(self, names: Iterable[str]) -> None:
@@ -264,22 +241,20 @@ class _Topics:
 
 def _why_nothing(path: Path, episode: Episode, unheard: list[str]) -> str:
     """Say that nothing can be imported, with what each channel is and what the reader said."""
-    seen = ", ".join(map(_described, episode.channels)) or "none"
+    seen = ", ".join(
+        f"{one.topic} ({one.type_name}{f': {one.skipped}' if one.skipped else ''})"
+        for one in episode.channels
+    )
     has_reason = any(channel.skipped for channel in episode.channels)
     known = (*episode.losses, *unheard) or (() if has_reason else episode.warnings)
     said = "; ".join(known[:_MAX_REASONS])
     why = f" that can be used ({said})" if said else ""
-    return f"{path}: holds no positions, joints, pictures or sound{why}; channels: {seen}"
-
-
-def _described(channel: Channel) -> str:
-    reason = f": {channel.skipped}" if channel.skipped else ""
-    return f"{channel.topic} ({channel.type_name}{reason})"
+    return f"{path}: holds no positions, joints, pictures or sound{why}; channels: {seen or 'none'}"
 
 
 def _signal_streams(
     episode: Episode, topics: _Topics, said: dict[str, str]
-) -> Iterator[Iterator[tuple[int, str, Write]]]:
+) -> Iterator[_TopicMessages]:
     """Yield the messages of each signal; `said` gets the notes on what they cannot say."""
     for name, signal in episode.signals.items():
         if signal.is_position or is_impacts(signal):
@@ -304,43 +279,32 @@ def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
     return joints
 
 
-def _poses(topic: str, signal: Signal, turns: Signal | None) -> Iterator[tuple[int, str, Write]]:
+def _poses(topic: str, signal: Signal, turns: Signal | None) -> _TopicMessages:
     frame = signal.frame or "world"
-    quaternions = np.tile(messages.NOT_TURNED, (len(signal.values), 1))
-    if turns is not None:
-        quaternions = turns.values
+    still = np.tile(messages.NOT_TURNED, (len(signal.values), 1))
+    quaternions = still if turns is None else turns.values
     rows = zip(signal.stamps_ns.tolist(), signal.values, quaternions, strict=True)
-    for stamp_ns, position_m, quaternion in rows:
-
-        def write(
-            writer: EpisodeWriter,
-            stamp: int = stamp_ns,
-            at: np.ndarray = position_m,
-            turn: np.ndarray = quaternion,
-        ) -> None:
-            writer.write_pose(topic, stamp, at, turn, frame)
-
-        yield stamp_ns, topic, write
+    write = partial(EpisodeWriter.write_pose, topic=topic, frame=frame)
+    for stamp_ns, position_m, turn in rows:
+        yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, position_m=position_m, turn=turn)
 
 
-def _impacts(topic: str, signal: Signal) -> Iterator[tuple[int, str, Write]]:
+def _impacts(topic: str, signal: Signal) -> _TopicMessages:
     """Yield a header for each: nothing is known of an impact but its time."""
+    write = partial(EpisodeWriter.write_message, topic=topic, type_name=messages.HEADER)
     for stamp_ns in signal.stamps_ns.tolist():
-
-        def write(writer: EpisodeWriter, stamp: int = stamp_ns) -> None:
-            data = messages.encode(messages.header(stamp, ""), messages.HEADER)
-            writer.write_message(topic, messages.HEADER, stamp, data)
-
-        yield stamp_ns, topic, write
+        data = messages.encode(messages.header(stamp_ns, ""), messages.HEADER)
+        yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, data=data)
 
 
-def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, str, Write]]:
+def _joint_states(topic: str, parts: dict[str, Signal]) -> _TopicMessages:
     """Yield messages of every joint that a part has, at every stamp of a part.
 
     Parts that came in the same messages have the same stamps and joints; those of a table need not.
     """
     names = list(dict.fromkeys(name for part in parts.values() for name in part.columns))
     places = {part: [names.index(name) for name in parts[part].columns] for part in parts}
+    write = partial(EpisodeWriter.write_joints, topic=topic, names=names)
     every = [signal.stamps_ns for signal in parts.values()]
     stamps_ns = every[0]
     if any(one is not stamps_ns for one in every):
@@ -352,14 +316,11 @@ def _joint_states(topic: str, parts: dict[str, Signal]) -> Iterator[tuple[int, s
             for part in JOINT_PARTS
         ]
         for row, stamp_ns in enumerate(some_ns.tolist()):
-
-            def write(
-                writer: EpisodeWriter, stamp: int = stamp_ns, row: int = row, of: Any = columns
-            ) -> None:
-                quantities = [() if one is None or not one[1][row] else one[0][row] for one in of]
-                writer.write_joints(topic, stamp, names, *quantities)
-
-            yield stamp_ns, topic, write
+            given = [() if one is None or not one[1][row] else one[0][row] for one in columns]
+            state: dict[str, Any] = dict(
+                zip(("position_rad", "velocity_rad_s", "effort_nm"), given, strict=True)
+            )
+            yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, **state)
 
 
 def _values_at(
@@ -388,23 +349,13 @@ def _sounds(episode: Episode) -> tuple[list[Sound], list[str]]:
     return heard, unheard
 
 
-def _blocks(sound: Sound, topic: str) -> Iterator[tuple[int, str, Write]]:
+def _blocks(sound: Sound, topic: str) -> _TopicMessages:
+    write = partial(EpisodeWriter.write_sound, topic=topic, rate_hz=round(sound.rate_hz))
     for stamp_ns, pcm in sound_blocks(sound):
-
-        def write(writer: EpisodeWriter, stamp: int = stamp_ns, block: Any = pcm) -> None:
-            writer.write_sound(topic, stamp, block, round(sound.rate_hz))
-
-        yield stamp_ns, topic, write
+        yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, pcm=pcm)
 
 
-def _picture_streams(
-    episode: Episode, topics: _Topics
-) -> Iterator[Iterator[tuple[int, str, Write]]]:
-    for topic in dict.fromkeys(episode.picture_topics):
-        yield _pictures(episode, topic, topics)
-
-
-def _pictures(episode: Episode, topic: str, topics: _Topics) -> Iterator[tuple[int, str, Write]]:
+def _pictures(episode: Episode, topic: str, topics: _Topics) -> _TopicMessages:
     """Yield the pictures of one topic; bare and compressed ones are messages of two types."""
     encodings = {channel.topic: channel.encoding for channel in episode.channels}
     targets: dict[bool, str] = {}
@@ -413,13 +364,8 @@ def _pictures(episode: Episode, topic: str, topics: _Topics) -> Iterator[tuple[i
         is_bare = kept.size is not None
         if is_bare not in targets:
             targets[is_bare] = topics.claim(topic)
-
-        def write(
-            writer: EpisodeWriter, target: str = targets[is_bare], picture: Frame = kept
-        ) -> None:
-            writer.write_frame(target, picture)
-
-        yield frame.stamp_ns, targets[is_bare], write
+        target = targets[is_bare]
+        yield frame.stamp_ns, target, partial(EpisodeWriter.write_frame, topic=target, frame=kept)
 
 
 # ---- Recovery: copy what is whole of a damaged log
@@ -430,27 +376,21 @@ _PROFILES = {"cdr": "ros2", "ros1": "ros1"}  # of an MCAP file, by the encoding 
 
 @dataclass(frozen=True)
 class Recovered:
-    """Result of a recovery.
+    """Result of a recovery."""
 
-    Attributes:
-        messages: how many were saved.
-        losses: what was not, in words.
-        holds_ros1: whether there are messages of ROS 1 among them, which stay what they are.
-    """
-
-    messages: int
-    losses: tuple[str, ...]
+    messages: int  # how many were saved
+    losses: tuple[str, ...]  # what was not, in words
+    # whether there are messages of ROS 1 among them, which stay what they are
     holds_ros1: bool = False
 
 
 def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
-    """Copy all whole messages of a log, as they are, into a new MCAP file with all checksums.
-
-    Raises:
-        UsageError: the output is the log itself, exists, or is no .mcap.
-        LogError: nothing of the log can be read, or the output cannot be written.
-    """
-    _check_output(path, output, overwrite=overwrite)
+    """Copy all whole messages of a log, as they are, into a new MCAP file with all checksums."""
+    _check_output(path, output)
+    try:
+        check_log_name(output, overwrite=overwrite)
+    except LogError as error:
+        raise UsageError(str(error)) from error
     container = open_log(path)
     if isinstance(container, Episode):
         raise LogError(
@@ -458,7 +398,7 @@ def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
         )
     try:
         place = OutputPlace(output, "log", own_log if overwrite else nothing)
-        with place.replacing() as partial, partial.open("wb") as file:
+        with place.replacing() as unfinished, unfinished.open("wb") as file:
             recovered = _Copy(Writer(file, enable_data_crcs=True), path.name).of(path, container)
             file.flush()
             os.fsync(file.fileno())
@@ -468,17 +408,6 @@ def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
     except OSError as error:
         raise not_writable(output, error) from error
     return recovered
-
-
-def _check_output(path: Path, output: Path, *, overwrite: bool) -> None:
-    if output.suffix != ".mcap":
-        raise UsageError(f"{output}: name a .mcap file with -o")
-    if output.exists() and path.exists() and output.samefile(path):
-        raise UsageError(f"{output}: is the log itself, which is never changed; choose another -o")
-    try:
-        check_log_name(output, overwrite=overwrite)
-    except LogError as error:
-        raise UsageError(str(error)) from error
 
 
 def _records(path: Path, container: Container, losses: list[Loss]) -> Iterator[Record]:
@@ -538,7 +467,9 @@ class _Copy:
     def _register(self, channel: RawChannel) -> None:
         text, encoding = channel.schema, channel.schema_encoding
         if not encoding and channel.encoding == "cdr":  # a .db3 need not hold definitions
-            text, encoding = _known_definition(channel.type_name)
+            name, text = ros_name(channel.type_name), b""
+            if name in messages.typestore().types:
+                text, encoding = messages.definition(name).encode(), "ros2msg"
         schema = 0
         if channel.type_name:
             key = (channel.type_name, encoding, text)
@@ -574,10 +505,3 @@ class _Copy:
         words[SHARE_NOTE] = f"{share:.6f}"
         words |= {f"lost.{number}": text for number, text in enumerate(lost[:100])}
         self._writer.add_metadata(RECOVERY_RECORD, words)
-
-
-def _known_definition(type_name: str) -> tuple[bytes, str]:
-    name = ros_name(type_name)
-    if name not in messages.typestore().types:
-        return b"", ""
-    return messages.definition(name).encode(), "ros2msg"

@@ -133,13 +133,11 @@ class Frame:
         """
         if self.pixels is not None:
             return self.pixels(scale)
-        from tunenet_logs.images import decode_pixels, mean_of_blocks
+        from tunenet_logs.images import decode_image, decode_pixels, mean_of_blocks
 
         if self.size is not None:
             picture = decode_pixels(self.data, self.encoding, self.size)
         else:
-            from tunenet_logs.images import decode_image
-
             picture = decode_image(self.data, self.encoding)
         return mean_of_blocks(picture, scale)
 
@@ -232,25 +230,18 @@ class EpisodeInfo:
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Channel of a log, as `tunenet-logs info` shows it.
-
-    Attributes:
-        log_ns: the log's own stamps of its messages [ns], int64, shape (T,), in file order.
-        skipped: why its messages are not used; None where they are.
-        pictures: whether its messages are images that `Episode.frames` gives.
-        drives: whether they are commands or forces; see `Signal.drives`.
-        sounds: whether they are sound that `Episode.sounds` gives.
-        left_out: pictures or pieces of sound that it had besides, by the reason; see `left_out`.
-    """
+    """Channel of a log, as `tunenet-logs info` shows it."""
 
     topic: str
     type_name: str
     encoding: str
+    # the log's own stamps of its messages [ns], int64, shape (T,), in file order
     log_ns: NDArray[np.int64]
-    skipped: str | None = None
-    pictures: bool = False
-    drives: bool = False
-    sounds: bool = False
+    skipped: str | None = None  # why its messages are not used; None where they are
+    pictures: bool = False  # whether its messages are images that `Episode.frames` gives
+    drives: bool = False  # whether they are commands or forces; see `Signal.drives`
+    sounds: bool = False  # whether they are sound that `Episode.sounds` gives
+    # pictures or pieces of sound that it had besides, by the reason; see `left_out`
     left_out: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -360,17 +351,11 @@ NOT_LATER = "not later than the one before"
 
 
 class LeftOut(NamedTuple):
-    """Number of samples left out of a signal or topic, by reason.
+    """Number of samples left out of a signal or topic, by reason."""
 
-    Attributes:
-        name: of a signal, or of a topic of pictures or sound.
-        used: samples that remain.
-        by_reason: the others.
-    """
-
-    name: str
-    used: int
-    by_reason: Mapping[str, int]
+    name: str  # of a signal, or of a topic of pictures or sound
+    used: int  # samples that remain
+    by_reason: Mapping[str, int]  # the others
 
     @classmethod
     def of_signal(cls, signal: Signal) -> LeftOut:
@@ -451,13 +436,9 @@ def share_of_note(values: Mapping[str, str]) -> float:
 
 @dataclass
 class OneFrame:
-    """Common coordinate frame of a topic's messages.
+    """Common coordinate frame of a topic's messages."""
 
-    Attributes:
-        name: of the one that all had; "" where they differ, or none was named.
-    """
-
-    name: str = ""
+    name: str = ""  # of the one that all had; "" where they differ, or none was named
     _is_told: bool = False
 
     def add(self, name: str) -> None:
@@ -473,28 +454,18 @@ class OneFrame:
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """Sound track.
+    """Sound track."""
 
-    Attributes:
-        name: of its topic.
-        start_ns: stamp of the first sample, on the log's clock.
-        rate_hz: samples in a second of the log's clock: that of the pictures, so that sound which
-            was slowed down with its video has more than its file says.
-        samples: of all channels together, full scale 1, shape (N,).
-        file_rate_hz: as the file says.
-        channels: that there were.
-        codec: as the file names it.
-        warnings: what a user should know, in words.
-    """
-
-    name: str
-    start_ns: int
+    name: str  # of its topic
+    start_ns: int  # stamp of the first sample, on the log's clock
+    # samples in a second of the log's clock: that of the pictures, so that sound which was slowed
+    # down with its video has more than its file says
     rate_hz: float
-    samples: NDArray[np.float32]
-    file_rate_hz: float
-    channels: int = 1
-    codec: str = ""
-    warnings: tuple[str, ...] = ()
+    samples: NDArray[np.float32]  # of all channels together, full scale 1, shape (N,)
+    file_rate_hz: float  # as the file says
+    channels: int = 1  # that there were
+    codec: str = ""  # as the file names it
+    warnings: tuple[str, ...] = ()  # what a user should know, in words
 
     @property
     def lasts_s(self) -> float:

@@ -13,6 +13,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from io import BufferedReader
 from numbers import Integral
 from pathlib import Path
@@ -29,16 +30,9 @@ MAX_XML_BYTES, _MAX_XML_TAGS, _MAX_XML_DEPTH = 4_000_000, 100_000, 200
 
 
 def parse_xml(data: bytes, path: Path, kind: str, wanted: str) -> ET.Element:
-    """Parse a file's XML; return the root element.
+    """Parse at most `MAX_XML_BYTES` of XML; return the root element.
 
-    Args:
-        data: its bytes, at most `MAX_XML_BYTES`.
-        path: its name in errors.
-        kind: what it should be, such as "URDF".
-        wanted: a remedy, such as "--urdf takes a robot's URDF".
-
-    Raises:
-        UsageError: it is not XML, or has more or deeper elements than any robot.
+    UsageError names `path`, the `kind` it should be, such as "URDF", and `wanted`, a remedy.
     """
     import xml.etree.ElementTree as ET
 
@@ -63,11 +57,7 @@ def parse_xml(data: bytes, path: Path, kind: str, wanted: str) -> ET.Element:
 
 
 def check_depth(root: ET.Element, path: Path) -> None:
-    """Refuse deeply nested elements.
-
-    Raises:
-        UsageError: they are over 200 deep.
-    """
+    """Refuse elements that are over 200 deep."""
     level, depth = [root], 1
     while level := [child for element in level for child in element]:
         depth += 1
@@ -79,11 +69,7 @@ def check_depth(root: ET.Element, path: Path) -> None:
 
 
 def refuse_xacro(root: ET.Element, path: Path) -> None:
-    """Refuse an unexpanded xacro file.
-
-    Raises:
-        UsageError: it contains xacro.
-    """
+    """Refuse an unexpanded xacro file."""
     is_xacro = any(
         "xacro" in element.tag or any("${" in value for value in element.attrib.values())
         for element in root.iter()
@@ -108,11 +94,9 @@ _QUOTED = re.compile(r'[,;|"\s]')
 
 
 def csv_line(cells: Iterable[object]) -> str:
-    """Write cells as one line of CSV, with its end.
+    """Write cells as one line of CSV, with its end; None and NaN are empty.
 
-    Args:
-        cells: numbers as they are; None and NaN are empty. A text that a spreadsheet would run has
-            an apostrophe before it, which shows that it is text.
+    A text that a spreadsheet would run has an apostrophe before it, which shows that it is text.
     """
     return ",".join(map(_cell, cells)) + "\n"
 
@@ -168,24 +152,16 @@ _FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
 def open_regular(path: Path | str, *, follows: bool = True) -> BufferedReader:
     """Open a regular file, or a link to one where it `follows`, for reading bytes.
 
-    A file that states a size of 0 is read as empty: those under /proc state it too, and reading
-    one may wait for ever.
-
-    Raises:
-        LogError: it is a pipe, a socket or a device.
-        OSError: it is a folder, a circle of links, or cannot be opened.
+    A file that states a size of 0 is read as empty: those under /proc state it too, and reading one
+    may wait for ever, as a pipe or a device (LogError).
     """
-    return open(path, "rb", opener=_opened if follows else _opened_itself)
+    return open(path, "rb", opener=_opened if follows else partial(_opened, flag=os.O_NOFOLLOW))
 
 
 def open_regular_text(
     path: Path | str, encoding: str, *, errors: str = "strict", newline: str | None = None
 ) -> TextIO:
-    """Open a regular file as `open_regular` does, for reading text, with `open`'s arguments.
-
-    Raises:
-        LogError, OSError: as `open_regular`.
-    """
+    """Open a regular file as `open_regular` does, for reading text, with `open`'s arguments."""
     return open(path, encoding=encoding, errors=errors, newline=newline, opener=_opened)
 
 
@@ -200,14 +176,10 @@ def real_path(path: Path | str) -> Path:
         return Path(path)
 
 
-def _opened_itself(path: str, flags: int) -> int:
-    return _opened(path, flags, os.O_NOFOLLOW)
-
-
-def _opened(path: str, _flags: int, more_flags: int = 0) -> int:
+def _opened(path: str, _flags: int, flag: int = 0) -> int:
     """Open a descriptor; its own state is asked, so that nobody exchanges the file in between."""
     _check(path, Path(path).stat().st_mode)  # before it is opened: that alone starts some devices
-    descriptor = os.open(path, _FLAGS | more_flags)
+    descriptor = os.open(path, _FLAGS | flag)
     try:
         state = os.fstat(descriptor)
         _check(path, state.st_mode)
@@ -238,44 +210,20 @@ _BRACKETS = re.compile(r'"(?:[^"\\]++|\\.)*+"?|([\[{])|[\]}]', re.DOTALL)
 
 
 def read_small_file(path: Path, most_bytes: int) -> bytes:
-    """Read a file of at most `most_bytes`.
-
-    Raises:
-        LogError: it is no regular file: a pipe could wait for ever.
-        OSError: it cannot be read.
-        ValueError: it is larger.
-    """
+    """Read a regular file of at most `most_bytes`; ValueError where it is larger."""
     with open_regular(path) as file:
         known_bytes = os.fstat(file.fileno()).st_size
         if known_bytes > most_bytes:
-            raise ValueError(f"is larger than {_size(most_bytes)}")
+            size = f"{most_bytes / 1e3:g} kB" if most_bytes < 1e6 else f"{most_bytes / 1e6:g} MB"
+            raise ValueError(f"is larger than {size}")
         return file.read(known_bytes)
 
 
 def parse_json(data: bytes | str) -> Any:
-    """Parse JSON with finite numbers, integers of 64 bits, and each key once.
-
-    Raises:
-        ValueError: it is no JSON, or holds what ours do not; in one short line.
-    """
+    """Parse JSON with finite numbers, integers of 64 bits, and each key once; else ValueError."""
     import json
 
     text = data.decode("utf-8") if isinstance(data, bytes) else data
-    _check_json_depth(text)
-    return json.loads(
-        text,
-        parse_int=_whole,
-        parse_float=_finite,
-        parse_constant=_refuse,
-        object_pairs_hook=_object,
-    )
-
-
-def _size(count: int) -> str:
-    return f"{count / 1e6:g} MB" if count >= 1_000_000 else f"{count / 1e3:g} kB"
-
-
-def _check_json_depth(text: str) -> None:
     depth = 0
     for found in _BRACKETS.finditer(text):
         if found.group(1):
@@ -284,6 +232,13 @@ def _check_json_depth(text: str) -> None:
                 raise ValueError(f"has brackets in brackets, over {_MAX_JSON_DEPTH} deep")
         elif not found.group().startswith('"'):
             depth -= 1
+    return json.loads(
+        text,
+        parse_int=_whole,
+        parse_float=_finite,
+        parse_constant=_refuse,
+        object_pairs_hook=_object,
+    )
 
 
 def _whole(text: str) -> int:

@@ -23,21 +23,16 @@ FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE = 100_000_000, 20_000
 # A blank JPEG has some 300 pixels for each of its bytes, a blank PNG 1000. What claims more is cut,
 # or forged.
 _MAX_PIXELS_A_BYTE = 2000
-
-# JPEG markers with the picture's size, of all ways of coding (SOF0 to SOF15).
+# JPEG markers with the picture's size, of all ways of coding (SOF0 to SOF15), and those that may
+# precede it: tables, comments, what applications add.
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-
-# JPEG markers that may precede it: tables, comments, what applications add.
 _BEFORE_FRAME = frozenset({0xC4, 0xCC, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)})
-
 # PNG's signature and the head of its first chunk, which must be that with the size.
 _PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
-
 _MAX_MARKERS = 1000  # of a JPEG before its size; cameras write a few tens
 _SCAN = b"\xff\xda"  # JPEG's marker of a scan, which coded pixels never hold
 # JPEG encoders write ten scans, the most thorough some twenty; each goes over the picture.
 _MAX_SCANS = 50
-
 _TYPICAL_SCANS = 10  # of a JPEG; with more of them it counts as a larger picture
 # PNG chunks beside the picture that a decoder unpacks, to megabytes each; programs write a few.
 _PACKED_WORDS, _MAX_PACKED_WORDS = (b"zTXt", b"iTXt", b"iCCP"), 16
@@ -85,11 +80,7 @@ def image_size(data: bytes) -> tuple[int, int]:
 
 
 def image_work_px(data: bytes) -> int:
-    """Return the pixels that decoding passes over: of a JPEG of many scans, more than it shows.
-
-    Raises:
-        LogError: see `image_size`.
-    """
+    """Return the pixels that decoding passes over: of a JPEG of many scans, more than it shows."""
     width, height = image_size(data)
     if image_format(data) != "jpeg":
         return width * height
@@ -106,43 +97,42 @@ def decode_image(data: bytes, encoding: str) -> NDArray[np.uint8]:
         LogError: damaged, or of a size that cannot be true.
     """
     width, height = image_size(data)
-    import cv2
-
-    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION  # RGB without a second copy
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        pixels = None
-    if pixels is None or pixels.shape != (height, width, 3) or pixels.dtype != np.uint8:
-        raise LogError(
-            f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded", COPY_AGAIN
-        )
-    return np.asarray(pixels, np.uint8)
+    return _decoded(data, encoding, 1, (height, width, 3))
 
 
 def decode_small(data: bytes, encoding: str, least_px: int) -> NDArray[np.uint8]:
-    """Decode as `decode_image`, but a JPEG at 1/2, 1/4 or 1/8, not below `least_px` in length.
-
-    Raises:
-        LogError: damaged, or of a size that cannot be true.
-    """
+    """Decode as `decode_image`, but a JPEG at 1/2, 1/4 or 1/8, not below `least_px` in length."""
     longer = max(image_size(data))
-    parts = [part for part in (8, 4, 2) if longer >= part * least_px]
-    if not parts or image_format(data) != "jpeg":
+    part = next((part for part in (8, 4, 2) if longer >= part * least_px), 1)
+    if part == 1 or image_format(data) != "jpeg":
         return decode_image(data, encoding)
+    return _decoded(data, encoding, part)
+
+
+def _decoded(
+    data: bytes, encoding: str, part: int, shape: tuple[int, ...] | None = None
+) -> NDArray[np.uint8]:
+    """Decode at 1/`part` of the size; raise LogError for damage or another than the known shape."""
     import cv2
 
-    flags = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4}
-    flag = flags.get(parts[0], cv2.IMREAD_REDUCED_COLOR_8) | cv2.IMREAD_IGNORE_ORIENTATION
+    flags = {
+        1: cv2.IMREAD_COLOR_RGB,  # without a second copy
+        2: cv2.IMREAD_REDUCED_COLOR_2,
+        4: cv2.IMREAD_REDUCED_COLOR_4,
+        8: cv2.IMREAD_REDUCED_COLOR_8,
+    }
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+        pixels = cv2.imdecode(
+            np.frombuffer(data, np.uint8), flags[part] | cv2.IMREAD_IGNORE_ORIENTATION
+        )
     except cv2.error:
         pixels = None
-    if pixels is None or pixels.ndim != 3:
+    if pixels is None or pixels.ndim != 3 or (shape is not None and pixels.shape != shape):
         raise LogError(
             f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded", COPY_AGAIN
         )
-    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)
+    pixels = pixels if part == 1 else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+    return np.asarray(pixels, np.uint8)
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
@@ -193,27 +183,18 @@ _SIZES = {"jpeg": _jpeg_size, "png": _png_size, "webp": _webp_size}
 # ---- Bare pixels, in the encodings of sensor_msgs/Image
 
 _DEPTH = ("32F", "64F", "16S", "32S", "8S")  # how encodings of numbers begin that are no brightness
-_RECORD_COLOUR = "record the camera's colour or grey pictures"
 
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """Memory layout of an encoding's pixels.
+    """Memory layout of an encoding's pixels."""
 
-    Attributes:
-        channels: samples of a pixel in a row.
-        conversion: OpenCV's name of the way to RGB; None where the pixels are RGB.
-        sample_bytes: 2 for samples of 16 bits, of which the upper 8 are shown.
-        color_block_px: the pixels across and down that share a colour; the picture's size is a
-            multiple of it.
-        is_planar: whether the colours follow the brightness, in half as many rows again.
-    """
-
-    channels: int
-    conversion: str | None = None
-    sample_bytes: int = 1
+    channels: int  # samples of a pixel in a row
+    conversion: str | None = None  # OpenCV's name of the way to RGB; None where the pixels are RGB
+    sample_bytes: int = 1  # 2 for samples of 16 bits, of which the upper 8 are shown
+    # the pixels across and down that share a colour; the picture's size is a multiple of it
     color_block_px: tuple[int, int] = (1, 1)
-    is_planar: bool = False
+    is_planar: bool = False  # whether the colours follow the brightness, in half as many rows again
 
     def row_bytes(self, width: int) -> int:
         """Return the bytes of one row without padding."""
@@ -254,22 +235,15 @@ for _pattern in ("RGGB", "BGGR", "GBRG", "GRBG"):
 
 
 def pixel_format_of(encoding: str) -> PixelFormat:
-    """Return the pixel format of an encoding.
-
-    Raises:
-        LogError: it is not read; the message says why.
-    """
+    """Return the pixel format of an encoding; raise LogError for one that is not read."""
     found = _FORMATS.get(encoding)
     if found is None:
-        name = encoding[:24]
-        if name.startswith(_DEPTH):
-            raise LogError(
-                f"pictures of encoding {name!r} are distances, not what a camera sees",
-                _RECORD_COLOUR,
-            )
+        why = f"not read (only {', '.join(_FORMATS)})"
+        if encoding.startswith(_DEPTH):
+            why = "distances, not what a camera sees"
         raise LogError(
-            f"pictures of encoding {name!r} are not read (only {', '.join(_FORMATS)})",
-            _RECORD_COLOUR,
+            f"pictures of encoding {encoding[:24]!r} are {why}",
+            "record the camera's colour or grey pictures",
         )
     return found
 

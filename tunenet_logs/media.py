@@ -47,8 +47,7 @@ _SAMPLES_A_BYTE = 1 / 16  # further ones, for each byte that came
 class Mp4Claims:
     """Running count of the samples that an MP4 claims while it is read.
 
-    Args:
-        file_bytes: its size, where that is known; else each byte counts as it comes.
+    Its size is `file_bytes`; where that is not known, each byte counts as it comes.
     """
 
     def __init__(self, file_bytes: int = 0) -> None:
@@ -58,11 +57,7 @@ class Mp4Claims:
         self._bytes = file_bytes
 
     def check(self, data: bytes) -> None:
-        """Count the samples claimed in the next bytes.
-
-        Raises:
-            LogError: it claims more samples than bytes can hold.
-        """
+        """Count the samples claimed in the next bytes; raise LogError for more than they hold."""
         seen = self._tail + data
         end = 0
         if any(name in seen for name in _TABLES):  # far quicker than the pattern
@@ -84,13 +79,7 @@ class Mp4Claims:
 class CheckedFile:
     """File object for FFmpeg that ends where the file claims too much.
 
-    An exception would be lost on its way through FFmpeg, or printed.
-
-    Args:
-        file: open; its name may tell FFmpeg its format.
-
-    Attributes:
-        refused: why it ended; None while it has not.
+    An exception would be lost on its way through FFmpeg, or printed: `refused` says why it ended.
     """
 
     def __init__(self, file: BufferedReader) -> None:
@@ -135,12 +124,7 @@ _JPEG_START = b"\xff\xd8\xff"  # of a stream of JPEGs, which FFmpeg takes for a 
 
 @contextmanager
 def opened_media(path: Path, formats: str, what: str) -> Iterator[InputContainer]:
-    """Open a file with FFmpeg.
-
-    Args:
-        path: the file.
-        formats: allowed ones, by FFmpeg's names.
-        what: expected kind, in words.
+    """Open a file with FFmpeg, as one of `formats` by FFmpeg's names; `what` is that in words.
 
     Raises:
         LogError: it is of another kind, is damaged, or claims more than it can hold.
@@ -181,71 +165,48 @@ _SAME_RATE = 1.05  # a slow-motion tag below so many times the file's own rate s
 
 @dataclass(frozen=True)
 class StoredTimes:
-    """Times stored in a video file.
+    """Times stored in a video file."""
 
-    Attributes:
-        ticks: of the frames shown, increasing; None where they have no times, and are in
-            display order.
-        count: number of frames shown.
-        base_s: one tick [s].
-        rate_hz: stated by the file, for frames without times; None where it is unstated.
-        tags: of the file.
-    """
-
+    # of the frames shown, increasing; None where they have no times, and are in display order
     ticks: Sequence[int] | None
-    count: int
-    base_s: Fraction
-    rate_hz: float | None
+    count: int  # of the frames shown
+    base_s: Fraction  # one tick [s]
+    rate_hz: float | None  # stated by the file, for frames without times; None where it is unstated
     tags: dict[str, str]
 
 
 @dataclass(frozen=True, eq=False)
 class VideoClock:
-    """Acquisition stamps of a video file's frames.
+    """Acquisition stamps of a video file's frames."""
 
-    Attributes:
-        stamps_ns: of all frames shown, int64, shape (T,), strictly increasing; from the file's
-            creation tag on, else from 0.
-        stored_hz: playback rate; 0 where it is unstated.
-        filmed_hz: the user's, else that of a slow-motion tag, else the playback rate.
-        is_timed: whether the stamps are times; else they count frames, `FRAME_NS` each.
-        warnings: what was repaired or is doubtful, in words.
-    """
-
+    # of all frames shown, int64, shape (T,), strictly increasing; from the file's creation tag on,
+    # else from 0
     stamps_ns: NDArray[np.int64]
-    stored_hz: float
-    filmed_hz: float
-    is_timed: bool
-    warnings: tuple[str, ...]
+    stored_hz: float  # playback rate; 0 where it is unstated
+    filmed_hz: float  # the user's, else that of a slow-motion tag, else the playback rate
+    is_timed: bool  # whether the stamps are times; else they count frames, `FRAME_NS` each
+    warnings: tuple[str, ...]  # what was repaired or is doubtful, in words
 
 
 def clock_of(times: StoredTimes, said_hz: float | None) -> VideoClock:
-    """Build the clock from the user's frame rate, else from the file.
+    """Build the clock from `said_hz`, the user's frame rate, else from the file.
 
-    Args:
-        times: of the file.
-        said_hz: true frame rate, where the user knows better: frames are then counted,
-            regardless of their times.
+    Frames are counted, regardless of their times, where the user knows better.
     """
     start_ns = creation_ns(times.tags.get("creation_time", ""))
     stored_hz = _stored_rate(times)
     counts = np.arange(times.count)
-    if said_hz is not None:
-        stamps_ns = start_ns + np.round(counts * (1e9 / said_hz)).astype(np.int64)
-        plays = f"it plays at {stored_hz:.4g}" if stored_hz else "it states none"
-        said = f"{said_hz:g} pictures a second were said; {plays}"
-        return VideoClock(stamps_ns, stored_hz, said_hz, is_timed=True, warnings=(said,))
-    if times.ticks is None:
-        rate_hz = times.rate_hz or 1e9 / FRAME_NS
-        stamps_ns = start_ns + np.round(counts * (1e9 / rate_hz)).astype(np.int64)
-        said = "nothing says how many pictures a second there are; say it with --fps"
-        return VideoClock(
-            stamps_ns,
-            stored_hz,
-            stored_hz,
-            is_timed=times.rate_hz is not None,
-            warnings=() if times.rate_hz else (said,),
-        )
+    if said_hz is not None or times.ticks is None:
+        rate_hz = said_hz or times.rate_hz
+        step_ns = 1e9 / rate_hz if rate_hz else FRAME_NS
+        stamps_ns = start_ns + np.round(counts * step_ns).astype(np.int64)
+        said: tuple[str, ...] = ()
+        if said_hz is not None:
+            plays = f"it plays at {stored_hz:.4g}" if stored_hz else "it states none"
+            said = (f"{said_hz:g} pictures a second were said; {plays}",)
+        elif not rate_hz:
+            said = ("nothing says how many pictures a second there are; say it with --fps",)
+        return VideoClock(stamps_ns, stored_hz, said_hz or stored_hz, rate_hz is not None, said)
     doubled = times.count - len(set(times.ticks))
     warnings = (f"{doubled} frames have a stamp of another",) if doubled else ()
     rate_hz = _tagged_rate(times.tags.get(_SLOW_MOTION_TAG, ""), stored_hz) or stored_hz

@@ -129,15 +129,21 @@ RECOVERY_RECORD = "tunenet/recovery"
 
 INFO_RECORD = "tunenet/episode"  # the metadata record of a log that holds its EpisodeInfo
 
+# The types that no distribution of ROS defines.
+_DEFINITIONS = {
+    JOINT_ANGLES: SEVEN_JOINTS,
+    TASK_OUTCOME: OUTCOME_FIELDS,
+    COMPRESSED_VIDEO: VIDEO_FIELDS,
+    RAW_AUDIO: AUDIO_FIELDS,
+}
+
 
 @cache
 def typestore() -> Typestore:
     """Return the store of message types that this project writes."""
     store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(SEVEN_JOINTS, JOINT_ANGLES))
-    store.register(get_types_from_msg(OUTCOME_FIELDS, TASK_OUTCOME))
-    store.register(get_types_from_msg(VIDEO_FIELDS, COMPRESSED_VIDEO))
-    store.register(get_types_from_msg(AUDIO_FIELDS, RAW_AUDIO))
+    for name, text in _DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
     return store
 
 

@@ -12,7 +12,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NoReturn
@@ -36,6 +36,7 @@ from tunenet_logs.formats.base import (
     UnusableError,
     described,
     one_by_one,
+    type_key,
 )
 from tunenet_logs.formats.columns.cells import (
     SEPARATORS,
@@ -45,9 +46,9 @@ from tunenet_logs.formats.columns.cells import (
     is_table,
     lines_of,
 )
+from tunenet_logs.formats.decoders import decoder_for
 from tunenet_logs.formats.mcap import MAGIC, channels_of_summary
-from tunenet_logs.formats.message_types import type_key
-from tunenet_logs.formats.registry import decoder_for, is_folder, open_log
+from tunenet_logs.formats.registry import is_folder, open_log
 from tunenet_logs.messages import INFO_RECORD, OUTCOME_TOPIC, TASK_OUTCOME
 from tunenet_logs.terminal import listed, short_name
 from tunenet_logs.writing.owned_path import not_writable, write_new
@@ -59,56 +60,58 @@ _MAX_FILES = 1000  # outcomes of one ball, attempt and millisecond; so many name
 LAST_NS = 2**31 * 1_000_000_000 - 1  # the last time that a ROS header holds: in the year 2038
 
 
+def _named(*columns: str, message: str = "") -> dict[str, Any]:
+    """Say what a field is called in tables, any case, and in messages, where not as here."""
+    return {"columns": columns, "message": message}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One attempt; None and "" where something is not known.
+    """One attempt; None and "" where something is not known."""
 
-    Attributes:
-        task: such as "bounce-shot".
-        ball: its name; what is counted together.
-        attempt: of this ball, from 1.
-        success: whether the task was done.
-        stamp_ns: when [ns since 1970]; 0 where not known.
-        shot_height_m: release height above the impact point [m].
-        miss_m: how far from the goal's centre it came down; negative where it was short of it,
-            positive beyond it [m].
-        tuned_parameter: coefficient of restitution that the shot was planned with.
-        drop_log: the log of the drop that it was tuned from, as a path or a name.
-        tuning: the JSON of that tuning, as a path or a name.
-        reason: why it failed, in a word or two.
-        note: anything else.
-        is_counted: no number of the attempt was written; it was counted in its table.
-
-    Raises:
-        ValueError: a number or a text is none that an outcome may have.
-    """
-
-    task: str
-    ball: str
-    attempt: int
-    success: bool
-    stamp_ns: int = 0
-    shot_height_m: float | None = None
-    miss_m: float | None = None
-    tuned_parameter: float | None = None
-    drop_log: str = ""
-    tuning: str = ""
-    reason: str = ""
-    note: str = ""
+    task: str  # such as "bounce-shot"
+    ball: str  # its name; what is counted together
+    attempt: int = field(metadata=_named("attempt", "trial"))  # of this ball, from 1
+    # whether the task was done
+    success: bool = field(metadata=_named("success", "outcome", "result"))
+    # when [ns since 1970]; 0 where not known
+    stamp_ns: int = field(default=0, metadata=_named("time", "date", "stamp"))
+    # release height above the impact point [m]
+    shot_height_m: float | None = field(
+        default=None, metadata=_named("shot_height_m", "shot_height", message="shot_height")
+    )
+    # how far from the goal's centre it came down; negative where it was short of it, positive
+    # beyond it [m]
+    miss_m: float | None = field(
+        default=None,
+        metadata=_named(
+            "miss_m", "miss", "miss_distance_m", "miss_distance", message="miss_distance"
+        ),
+    )
+    # coefficient of restitution that the shot was planned with
+    tuned_parameter: float | None = field(
+        default=None, metadata=_named("tuned_parameter", "restitution")
+    )
+    # the log of the drop that it was tuned from, as a path or a name
+    drop_log: str = field(default="", metadata=_named("drop_log", "log"))
+    tuning: str = ""  # the JSON of that tuning, as a path or a name
+    reason: str = ""  # why it failed, in a word or two
+    note: str = field(default="", metadata=_named("note", "notes", "comment"))  # anything else
+    # no number of the attempt was written; it was counted in its table
     is_counted: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("task", "ball"):
             if not getattr(self, name).strip():
                 raise ValueError(f"{name} is empty")
-        for name in ("task", "ball", "drop_log", "tuning", "reason", "note"):
+        for name in _TEXTS:
             if len(getattr(self, name)) > MAX_LETTERS:
                 raise ValueError(f"{name} is over {MAX_LETTERS} letters long")
         if not 1 <= self.attempt <= MAX_ATTEMPTS:
             raise ValueError(f"attempt {self.attempt} is not from 1 to {MAX_ATTEMPTS}")
         if not 0 <= self.stamp_ns <= LAST_NS:
             raise ValueError(f"its time, {self.stamp_ns} ns, lies outside 1970 to 2038")
-        for name in ("shot_height_m", "miss_m", "tuned_parameter"):
+        for name in _NUMBERS:
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
                 raise ValueError(f"{name} is {value}")
@@ -124,53 +127,34 @@ class Outcome:
         return f"{self.ball}, attempt {self.attempt}"
 
 
+_SAID = tuple(one for one in fields(Outcome) if one.name != "is_counted")
+_TEXTS = tuple(one.name for one in _SAID if one.type == "str")
+_NUMBERS = tuple(one.name for one in _SAID if one.type == "float | None")  # NaN in messages
+# Each field's columns in a table; and its name in messages, beside their header's stamp.
+_NAMES = {one.name: one.metadata.get("columns", (one.name,)) for one in _SAID}
+_IN_MESSAGE = {one.name: one.metadata.get("message") or one.name for one in _SAID}
+del _IN_MESSAGE["stamp_ns"]
+
+
 def to_message(outcome: Outcome) -> Any:
     """Convert an outcome to a TaskOutcome message."""
-    return messages.typestore().types[TASK_OUTCOME](
-        header=messages.header(outcome.stamp_ns, ""),
-        task=outcome.task,
-        ball=outcome.ball,
-        attempt=outcome.attempt,
-        success=outcome.success,
-        shot_height=_or_nan(outcome.shot_height_m),
-        miss_distance=_or_nan(outcome.miss_m),
-        tuned_parameter=_or_nan(outcome.tuned_parameter),
-        drop_log=outcome.drop_log,
-        tuning=outcome.tuning,
-        reason=outcome.reason,
-        note=outcome.note,
-    )
+    values = {said: getattr(outcome, name) for name, said in _IN_MESSAGE.items()}
+    for name in _NUMBERS:
+        value = values[_IN_MESSAGE[name]]
+        values[_IN_MESSAGE[name]] = math.nan if value is None else float(value)
+    header = messages.header(outcome.stamp_ns, "")
+    return messages.typestore().types[TASK_OUTCOME](header=header, **values)
 
 
 def from_message(message: Any) -> Outcome:
-    """Convert a TaskOutcome of any encoding to an outcome.
-
-    Raises:
-        ValueError: it holds something that no outcome does.
-    """
+    """Convert a TaskOutcome of any encoding to an outcome."""
     stamp = message.header.stamp
-    return Outcome(
-        task=message.task,
-        ball=message.ball,
-        attempt=int(message.attempt),
-        success=bool(message.success),
-        stamp_ns=int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec),
-        shot_height_m=_or_none(message.shot_height),
-        miss_m=_or_none(message.miss_distance),
-        tuned_parameter=_or_none(message.tuned_parameter),
-        drop_log=message.drop_log,
-        tuning=message.tuning,
-        reason=message.reason,
-        note=message.note,
-    )
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
-def _or_none(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)
+    values = {name: getattr(message, said) for name, said in _IN_MESSAGE.items()}
+    values["attempt"], values["success"] = int(values["attempt"]), bool(values["success"])
+    for name in _NUMBERS:
+        value = values[name]
+        values[name] = None if value is None or not math.isfinite(value) else float(value)
+    return Outcome(stamp_ns=int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec), **values)
 
 
 def write_outcome(folder: Path, outcome: Outcome) -> Path:
@@ -179,12 +163,13 @@ def write_outcome(folder: Path, outcome: Outcome) -> Path:
     The file is there whole, and on the disk, or not at all, even if this is killed at any moment.
     Names (`outcome_TIME_BALL_ATTEMPT.mcap`) sort by time; none that is there is ever written over,
     so several may record at once.
-
-    Raises:
-        LogError: it cannot be written; nothing of it is left.
     """
     data = outcome_bytes(outcome)
-    stem = _stem(outcome)
+    # By time, ball and attempt, in letters that any file system takes.
+    when = datetime.fromtimestamp(outcome.stamp_ns // 1_000_000_000, UTC)
+    milliseconds = outcome.stamp_ns // 1_000_000 % 1000
+    ball = re.sub(r"[^a-z0-9]+", "-", outcome.ball.lower()).strip("-")[:40] or "ball"
+    stem = f"outcome_{when:%Y%m%dT%H%M%S}.{milliseconds:03d}Z_{ball}_{outcome.attempt:03d}"
     path = folder / f"{stem}.mcap"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -221,31 +206,7 @@ def outcome_bytes(outcome: Outcome) -> bytes:
     return file.getvalue()
 
 
-def _stem(outcome: Outcome) -> str:
-    """Return a file name by time, ball and attempt that any file system takes."""
-    when = datetime.fromtimestamp(outcome.stamp_ns // 1_000_000_000, UTC)
-    milliseconds = outcome.stamp_ns // 1_000_000 % 1000
-    ball = re.sub(r"[^a-z0-9]+", "-", outcome.ball.lower()).strip("-")[:40] or "ball"
-    return f"outcome_{when:%Y%m%dT%H%M%S}.{milliseconds:03d}Z_{ball}_{outcome.attempt:03d}"
-
-
 # ---- Table: a line each, the columns by their names
-
-# The columns of a table, by what they become; any case.
-_NAMES = {
-    "task": ("task",),
-    "ball": ("ball",),
-    "attempt": ("attempt", "trial"),
-    "success": ("success", "outcome", "result"),
-    "stamp_ns": ("time", "date", "stamp"),
-    "shot_height_m": ("shot_height_m", "shot_height"),
-    "miss_m": ("miss_m", "miss", "miss_distance_m", "miss_distance"),
-    "tuned_parameter": ("tuned_parameter", "restitution"),
-    "drop_log": ("drop_log", "log"),
-    "tuning": ("tuning",),
-    "reason": ("reason",),
-    "note": ("note", "notes", "comment"),
-}
 
 _NEEDED = ("ball", "success")  # columns without which a table holds no outcomes
 # How people write that an attempt succeeded, in small letters.
@@ -255,33 +216,27 @@ _WORDS = {
 }
 
 
-def is_outcome_table(path: Path) -> bool:
-    """Check whether a table's first line names a ball and a result.
-
-    Raises:
-        LogError: it is too large.
-        OSError: it cannot be read.
-    """
-    columns = next((_columns(line) for _, line in _lines(path)), None)
-    return columns is not None and all(name in columns.indices for name in _NEEDED)
-
-
 def read_outcome_table(path: Path) -> tuple[Outcome, ...]:
     """Read the outcomes of a table, in its order.
 
     Columns: ball and success must be there; task ("bounce-shot" where there is none), attempt
     (where there is none, counted by task and ball), time, shot_height_m, miss_m, tuned_parameter,
     drop_log, tuning, reason and note may be. Others are passed over.
-
-    Raises:
-        LogError: a column is missing or a cell is wrong; names line, column, value and remedy.
     """
     lines = _lines(path)
     try:
-        header = next(lines, None)
+        _, header = next(lines, (0, None))
         if header is None:
             raise LogError(f"{path}: is empty; put a line with the names of the columns on top")
-        table = _Table(path, _checked(path, header[1]))
+        columns = _columns(header)
+        for name in _NEEDED:
+            if name not in columns.indices:
+                there = listed(map(short_name, columns.names))
+                raise LogError(
+                    f"{path}: has no column {name!r} (there are: {there}); name the columns in the "
+                    f"first line: {','.join(_NAMES)}".replace("stamp_ns", "time")
+                )
+        table = _Table(path, columns)
         return tuple(table.outcome(number, line) for number, line in lines)
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
@@ -309,32 +264,18 @@ class _Columns:
 
 def _columns(line: str) -> _Columns:
     """Parse a header by the separator that yields the most known names."""
-    read = [_named(line, separator) for separator in SEPARATORS if separator]
+    read: list[_Columns] = []
+    for separator in filter(None, SEPARATORS):
+        names = tuple(name.strip() for name in cells_of(line, separator))
+        lowered = [name.lower().replace(" ", "_") for name in names]
+        indices = {
+            field: lowered.index(name)
+            for field, known in _NAMES.items()
+            for name in known[::-1]
+            if name in lowered
+        }
+        read.append(_Columns(indices, separator, names))
     return max(read, key=lambda columns: len(columns.indices))
-
-
-def _named(line: str, separator: str) -> _Columns:
-    names = tuple(name.strip() for name in cells_of(line, separator))
-    lowered = [name.lower().replace(" ", "_") for name in names]
-    indices = {
-        field: lowered.index(name)
-        for field, known in _NAMES.items()
-        for name in known[::-1]
-        if name in lowered
-    }
-    return _Columns(indices, separator, names)
-
-
-def _checked(path: Path, header: str) -> _Columns:
-    columns = _columns(header)
-    for name in _NEEDED:
-        if name not in columns.indices:
-            there = listed(map(short_name, columns.names))
-            raise LogError(
-                f"{path}: has no column {name!r} (there are: {there}); name the columns in the "
-                f"first line: {','.join(_NAMES)}".replace("stamp_ns", "time")
-            )
-    return columns
 
 
 class _Table:
@@ -371,20 +312,23 @@ class _Table:
     def _value(self, number: int, field: str, text: str) -> Any:
         """Convert a cell to its value."""
         if field == "success":
-            return self._success(number, text)
+            found = _WORDS.get(text.lower())
+            if found is None:
+                self._refuse(number, "success", text, "write success or failure")
+            return found
         if field == "stamp_ns":
-            return self._stamp_ns(number, text)
+            try:
+                return stamp_ns(text) if text else 0
+            except ValueError:
+                self._refuse(number, field, text, "write it as 2026-11-22 14:30, or nothing")
         if field == "attempt":
-            return self._attempt(number, text)
-        if field in ("shot_height_m", "miss_m", "tuned_parameter"):
+            value = self._number(number, "attempt", text) or 0
+            if value != int(value) or value < 0:
+                self._refuse(number, "attempt", text, "write 1, 2, 3, ..., or nothing")
+            return int(value)
+        if field in _NUMBERS:
             return self._number(number, field, text)
         return text
-
-    def _success(self, number: int, text: str) -> bool:
-        found = _WORDS.get(text.lower())
-        if found is None:
-            self._refuse(number, "success", text, "write success or failure")
-        return found
 
     def _number(self, number: int, field: str, text: str) -> float | None:
         try:
@@ -392,18 +336,6 @@ class _Table:
         except ValueError as error:
             self._refuse(number, field, text, "write a number, or nothing", str(error))
         return None if math.isnan(value) else value
-
-    def _attempt(self, number: int, text: str) -> int:
-        value = self._number(number, "attempt", text) or 0
-        if value != int(value) or value < 0:
-            self._refuse(number, "attempt", text, "write 1, 2, 3, ..., or nothing")
-        return int(value)
-
-    def _stamp_ns(self, number: int, text: str) -> int:
-        try:
-            return stamp_ns(text) if text else 0
-        except ValueError:
-            self._refuse(number, "stamp_ns", text, "write it as 2026-11-22 14:30, or nothing")
 
     def _refuse(self, number: int, field: str, text: str, remedy: str, why: str = "") -> NoReturn:
         name = self._columns.names[self._columns.indices[field]]
@@ -414,11 +346,7 @@ class _Table:
 
 
 def stamp_ns(text: str) -> int:
-    """Parse a time as people write it (2026-11-22 14:30, local without a zone) [ns since 1970].
-
-    Raises:
-        ValueError: it is no time, or lies before 1970.
-    """
+    """Parse a time as people write it (2026-11-22 14:30, local without a zone) [ns since 1970]."""
     try:
         when = datetime.fromisoformat(text.strip()).astimezone()
     except OverflowError as error:
@@ -441,16 +369,10 @@ def _refuse(text: str) -> NoReturn:
 def read_outcomes(path: Path, warn: Warn = _refuse) -> tuple[Outcome, ...]:
     """Read the outcomes in a log, a folder of logs, or a table, in the order of their times.
 
-    Args:
-        path: an MCAP file with messages of tunenet_msgs/msg/TaskOutcome, in CDR or JSON,
-            one or many; a folder with such files, where others are passed over; or a CSV whose
-            columns are named task, ball, attempt, success, ...
-        warn: called with what is damaged, and with outcomes that make no sense; they are left
-            out.
-
-    Raises:
-        LogError: there is no such file, it holds no outcome, or a line of a table is wrong; and,
-            without `warn`, anything that it would be called with.
+    `path` is an MCAP file with messages of tunenet_msgs/msg/TaskOutcome, in CDR or JSON, one or
+    many; a folder with such files, where others are passed over; or a CSV whose columns are named
+    task, ball, attempt, success, ... `warn` is told what is damaged, and outcomes that make no
+    sense, which are left out; without it they are a LogError.
     """
     if is_folder(path) and not (path / "metadata.yaml").exists():
         files = outcome_files(path, warn)
@@ -463,11 +385,7 @@ def read_outcomes(path: Path, warn: Warn = _refuse) -> tuple[Outcome, ...]:
 
 
 def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
-    """Give outcomes without a written number one that no other of task and ball has.
-
-    Raises:
-        LogError: there is none left.
-    """
+    """Give outcomes without a written number one that no other of task and ball has."""
     every = list(outcomes)
     taken = {
         (outcome.task, outcome.ball, outcome.attempt) for outcome in every if not outcome.is_counted
@@ -490,15 +408,7 @@ def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
 
 
 def outcome_files(folder: Path, warn: Warn = _refuse) -> list[Path]:
-    """List the files of a folder that hold outcomes, by their first and last bytes.
-
-    Args:
-        folder: those in it are not gone through.
-        warn: called with what cannot be read.
-
-    Raises:
-        LogError: without `warn`, anything that it would be called with.
-    """
+    """List the files of a folder, not of those in it, that hold outcomes."""
     found: list[Path] = []
     for file in sorted(folder.iterdir()):
         if file.suffix.lower() not in (".mcap", *SUFFIXES) or not file.is_file():
@@ -514,13 +424,11 @@ def holds_outcomes(file: Path) -> bool:
     """Check whether a file holds outcomes, without reading its messages.
 
     A log whose end is damaged may hold some; it has to be read to know.
-
-    Raises:
-        LogError: it cannot be read.
     """
     try:
         if is_table(file):
-            return is_outcome_table(file)
+            header = next((_columns(line) for _, line in _lines(file)), None)
+            return header is not None and all(name in header.indices for name in _NEEDED)
         with open_regular(file) as opened:
             if opened.read(len(MAGIC)) != MAGIC:
                 return False
@@ -556,11 +464,18 @@ def _of_log(path: Path, container: Container, warn: Warn) -> Iterator[Outcome]:
             if isinstance(record, RawChannel):
                 channels.append(record)
             elif isinstance(record, RawMessage) and _is_outcome(record.channel):
-                if record.channel not in decoders:
-                    decoders[record.channel] = _decoder(path, record.channel, warn)
-                decode = decoders[record.channel]
-                if decode is not None:
-                    yield from _decoded(path, decode, record.data, warn)
+                channel = record.channel
+                if channel not in decoders:
+                    decoders[channel] = None
+                    try:
+                        decoders[channel] = decoder_for(channel)
+                    except UnusableError as reason:
+                        warn(f"{path}: the outcomes of {channel.topic} are not read: {reason}")
+                if decode := decoders[channel]:
+                    try:
+                        yield from_message(decode(record.data))
+                    except (MessageError, *DAMAGED) as error:
+                        warn(f"{path}: an outcome was left out: {described(error)}")
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
     if channels and not any(map(_is_outcome, channels)):
@@ -568,18 +483,3 @@ def _of_log(path: Path, container: Container, warn: Warn) -> Iterator[Outcome]:
     for loss in losses:
         if not loss.harmless:
             warn(f"{path}: {loss}; save what is whole with tunenet-logs recover")
-
-
-def _decoder(path: Path, channel: RawChannel, warn: Warn) -> Decode | None:
-    try:
-        return decoder_for(channel)
-    except UnusableError as reason:
-        warn(f"{path}: the outcomes of {channel.topic} are not read: {reason}")
-        return None
-
-
-def _decoded(path: Path, decode: Decode, data: bytes | memoryview, warn: Warn) -> Iterator[Outcome]:
-    try:
-        yield from_message(decode(data))
-    except (MessageError, *DAMAGED) as error:
-        warn(f"{path}: an outcome was left out: {described(error)}")

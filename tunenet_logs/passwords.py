@@ -21,28 +21,15 @@ _NETRC_WORD = re.compile(r'"((?:[^"\\]|\\.)*)"(?=\s|$)|\S+')
 
 @dataclass(frozen=True)
 class KnownLogin:
-    """Login for a host.
+    """Login for a host."""
 
-    Attributes:
-        user, password: "" for none.
-        trouble: why what may be written down could not be used, in words; "" where nothing is.
-    """
-
-    user: str = ""
+    user: str = ""  # "" for none
     password: str = field(default="", repr=False)
-    trouble: str = ""
+    trouble: str = ""  # why what may be written down could not be used; "" where nothing is
 
 
 def read_password(file: Path, option: str) -> tuple[str, bool]:
-    """Read the one line of a password's file; also return whether others may read that file.
-
-    Args:
-        file: of at most 4 kB, in UTF-8.
-        option: that named it, for errors.
-
-    Raises:
-        UsageError: there is no such file, or not one line of text in it.
-    """
+    """Read the one line of a password's file; also return whether others may read that file."""
     try:
         data = read_small_file(file, _MAX_PASSWORD)
         text = data.decode("utf-8-sig").removesuffix("\n").removesuffix("\r")
@@ -65,14 +52,8 @@ def read_password(file: Path, option: str) -> tuple[str, bool]:
 
 
 def netrc_login(host: str, user: str = "") -> KnownLogin:
-    """Look a host up in `~/.netrc` (or the file that `NETRC` names).
-
-    Its `default`, which is for any host, is not taken.
-
-    Args:
-        host: by its name or number, as the address has it.
-        user: who asks, where the address says so: another's password is not taken.
-    """
+    """Look a host up in `~/.netrc` (or the file that `NETRC` names)."""
+    # Its `default`, which is for any host, is not taken.
     file = Path(os.environ.get("NETRC") or Path.home() / ".netrc")
     try:
         state = file.stat()
@@ -94,10 +75,8 @@ def netrc_login(host: str, user: str = "") -> KnownLogin:
 
 
 def _netrc_entries(text: str) -> Iterator[dict[str, str]]:
-    """Yield the entries of a netrc file, each with its `machine`; unknown words are skipped.
-
-    Python's own reader gives up the whole file for one such word, and keeps one user of a host.
-    """
+    """Yield the entries of a netrc file, each with its `machine`; unknown words are skipped."""
+    # Python's own reader gives up the whole file for one such word, and keeps one user of a host.
     entry: dict[str, str] = {}
     words = _NETRC_WORD.finditer(_MACRO.sub("", text))
     for word in words:

@@ -56,13 +56,10 @@ def start(prog: str, module: str) -> int:
 
 
 class _Lasting(FileIO):
-    """Standard stream that accepts all that is written, even if nobody reads it.
+    """Standard stream that accepts all that is written, even if nobody reads it."""
 
-    Attributes:
-        failure: why something could not be written: a full disk; not a reader that went away, as
-            `head` does: who closes a pipe wants no more of it.
-    """
-
+    # why something could not be written: a full disk; not a reader that went away, as `head` does:
+    # who closes a pipe wants no more of it
     failure: OSError | None = None
 
     def write(self, data: ReadableBuffer, /) -> int:
@@ -231,7 +228,10 @@ class _Stops:
 
         self.first, self.waits = number, 0
         threading.excepthook = lambda _: None  # a pool's, whose workers are gone
-        _end_workers()
+        # Terminate pool workers, which would else do all the work that waits before the end.
+        pool = sys.modules.get("multiprocessing")
+        for worker in pool.active_children() if pool else ():
+            worker.terminate()
         raise Stopped(number)
 
     def try_again(self, number: int, after_s: float = _AGAIN_S) -> None:
@@ -308,10 +308,3 @@ def _holds(frame: FrameType | None) -> float:
             return _AGAIN_S
         frame = frame.f_back
     return 0.0
-
-
-def _end_workers() -> None:
-    """Terminate pool workers, which would else do all the work that waits before the end."""
-    pool = sys.modules.get("multiprocessing")
-    for worker in pool.active_children() if pool else ():
-        worker.terminate()

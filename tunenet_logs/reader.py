@@ -52,67 +52,53 @@ from tunenet_logs.formats.base import (
     RawMessages,
     RawMetadata,
     Record,
+    StackedDecoder,
     UnusableError,
     described,
     lost_share,
+    plain_type,
 )
-from tunenet_logs.formats.by_shape import (
-    UNUSED,
-    SchemaBudget,
-    ShapeMessages,
-    shape_messages,
-    unit_of,
-)
+from tunenet_logs.formats.by_shape import UNUSED, ShapeMessages, shape_messages, unit_of
+from tunenet_logs.formats.decoders import ENCODINGS, SchemaBudget
 from tunenet_logs.formats.message_types import (
     DriveType,
     JointType,
     NumbersType,
+    OutcomeType,
     PictureType,
     PlanType,
     PositionType,
     SoundType,
     message_type_of,
-    type_key,
 )
-from tunenet_logs.formats.options import AS_IT_SAYS, FIELDS, ReadOptions
-from tunenet_logs.formats.ros import Stacked, known_types, plain_type, ros_name, stacked_decoder
+from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
 from tunenet_logs.media_messages import (
     Decoders,
-    checked_pictures,
-    checked_sound,
+    checked,
     frames_of,
     in_order,
     sound_of,
 )
-from tunenet_logs.messages import HEADER, INFO_RECORD, RECOVERY_RECORD, TASK_OUTCOME
+from tunenet_logs.messages import HEADER, INFO_RECORD, RECOVERY_RECORD
 from tunenet_logs.signals import (
     MAX_NUMBERS,
     JointRows,
+    MediaStamps,
     NumberRows,
-    PictureStamps,
     PlannedRows,
     PointBudget,
     PositionRows,
-    SoundStamps,
     WrenchRows,
 )
 from tunenet_logs.terminal import FEW_NAMES, listed, short_name
 from tunenet_logs.timing.arrivals import BY_ARRIVALS, STAMPS_NOTE
-from tunenet_logs.timing.stamps import jump_warnings, with_jumps_of_pictures
+from tunenet_logs.timing.stamps import LAST_NS, jump_warnings, with_jumps_of_pictures
 from tunenet_logs.user_columns import UserColumnRows, UserColumns
 
 
 def check_start(start_s: float | None, length_s: float) -> None:
-    """Refuse a part that begins after the end of a recording.
-
-    Args:
-        start_s: Start of the part [s since the first sample]; None for that sample.
-        length_s: From the first sample to the last.
-
-    Raises:
-        NotFoundError: It does; the message states the length.
-    """
+    """Refuse a part that begins, in s since the first sample, after the end of a recording."""
     if start_s is not None and start_s > length_s:
         raise NotFoundError(
             f"--start {start_s:g} is past the end: the recording is {length_s:.2f} s long",
@@ -160,14 +146,10 @@ def notes_of(signal: Signal, name: str) -> dict[str, str]:
     return notes
 
 
-def notes_of_frames(episode: Episode) -> dict[str, str]:
-    """Return the note on an episode's pictures, if there is one."""
-    return {_UNTIMED: _YES} if episode.frames_untimed else {}
-
-
 def notes_of_channels(episode: Episode, topic_of: Callable[[str], str]) -> dict[str, str]:
     """Return the notes on what pictures and sounds lack, by their topics after the import."""
-    return {
+    untimed = {_UNTIMED: _YES} if episode.frames_untimed else {}
+    return untimed | {
         _LEFT_OUT + topic_of(one.topic): as_note(one.left_out)
         for one in episode.channels
         if any(one.left_out.values()) and one.skipped is None
@@ -212,14 +194,6 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
             yield replace(frame, stamp_ns=stamp_ns)
 
     return replace(found, open_frames=timed)
-
-
-def rate_is_unused(episode: Episode, options: ReadOptions) -> bool:
-    """Check whether a frame rate was given for messages that all have times of their own."""
-    keys = (_COUNTS, _UNTIMED)
-    return options.rate_hz is not None and not any(
-        key.startswith(keys) for key in episode.info.notes
-    )
 
 
 def _restored(signal: Signal, notes: Mapping[str, str], options: ReadOptions) -> Signal:
@@ -284,26 +258,19 @@ def without_commands(episode: Episode) -> Episode:
 _MIN_STACKED, _MAX_STACKED, _MAX_LAYOUTS = 16, 64 * 1024, 8
 
 _MAX_WAITING = 1024  # messages that came one by one, and wait to be decoded together
-_LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
 DriveRows = PlannedRows | NumberRows | WrenchRows  # what gathers commands and forces
 # What gathers messages.
-_Rows = PositionRows | JointRows | PictureStamps | SoundStamps | DriveRows | UserColumnRows
+_Rows = PositionRows | JointRows | MediaStamps | DriveRows | UserColumnRows
 
 
 class ReadingPlan:
-    """State shared by the topics of a log while it is read.
-
-    Attributes:
-        budget: for definitions of types.
-        decoders: of the types that are known.
-        picks: the fields that are named; None where none is.
-        most_numbers: that are kept of the joints of a topic.
-    """
+    """State shared by the topics of a log while it is read."""
 
     def __init__(self, path: Path, options: ReadOptions, most_numbers: float) -> None:
-        self.most_numbers = most_numbers
-        self.budget = SchemaBudget()
-        self.decoders = Decoders(self.budget)
+        self.most_numbers = most_numbers  # that are kept of the joints of a topic
+        self.budget = SchemaBudget()  # for definitions of types
+        self.decoders = Decoders(self.budget)  # of the types that are known
+        # The fields that are named; None where none is.
         self.picks = UserColumns(path, options, self.budget) if options.columns else None
         self._path = path
         self._options = options
@@ -313,12 +280,6 @@ class ReadingPlan:
         """Budget of trajectory points."""
         return PointBudget(registry.file_bytes(self._path))
 
-    def drive_rows(self, topic: str, kind: DriveType) -> DriveRows:
-        """Return the collector for a type of commands or forces."""
-        if isinstance(kind, PlanType):
-            return PlannedRows(topic, self.points)
-        return NumberRows(topic) if isinstance(kind, NumbersType) else WrenchRows(topic)
-
     def length(self, unit: str) -> tuple[str, float]:
         """Return the unit of positions, and the factor to it from `unit`, the messages' own."""
         said = self._options.length_unit
@@ -326,92 +287,79 @@ class ReadingPlan:
             return unit, 1.0
         return ("px", 1.0) if self._options.length_m is None else ("m", self._options.length_m)
 
-    def named_signals(self) -> tuple[dict[str, Signal], list[str]]:
-        """Return the signals of the user's columns, and notes on what was repaired.
-
-        Raises:
-            LogError: something of it is not there.
-        """
-        found, notes = self.picks.signals() if self.picks else ([], [])
-        return {signal.name: signal for signal in found}, notes
-
 
 class TopicContents:
-    """Messages of one topic, in one type: counted, decoded, gathered.
-
-    Attributes:
-        rows: what they hold, as far as it was read; None where the type or encoding is not.
-        damaged: messages that cannot be read.
-        refused: those that may be whole, but of a kind or size that is not read.
-        used: those that were read.
-    """
+    """Messages of one topic, in one type: counted, decoded, gathered."""
 
     def __init__(self, channel: RawChannel, plan: ReadingPlan) -> None:
         self.channel = channel
-        self.rows: _Rows | None = None
-        self.damaged = 0
-        self.refused = 0
+        self.rows: _Rows | None = None  # None where the type or encoding is not read
+        self.damaged = 0  # messages that cannot be read
+        self.refused = 0  # those that may be whole, but of a kind or size that is not read
+        self.used = 0  # those that were read
         self._log_ns = array("q")
         self._unusable: str | None = None
         self._why = ""  # the first message that was left out was
-        self.used = 0
         self._type = message_type_of(channel)
         self._decode: Decode | None = None
         self._shape: ShapeMessages | None = None
-        self._stacked: Callable[[NDArray[np.uint8]], Stacked] | None = None
+        self._stacked: StackedDecoder | None = None
         self._waiting: list[tuple[int, bytes]] = []
         try:
             if not plan.picks or isinstance(self._type, PictureType | SoundType):
                 self._read_by_type(plan)
-            else:
-                self._read_by_hand(plan)
+                return
+            rows = plan.picks.rows_of(self.channel)
+            if rows is None:
+                raise UnusableError("--columns names none of its fields")
+            self.rows, self._decode, self._gather = rows, rows.decode, rows.add
+            self._read = lambda message: message
         except UnusableError as reason:
             self._unusable = str(reason)
 
     def _read_by_type(self, plan: ReadingPlan) -> None:
         """Read by the channel's type, or by the shape of its messages; else UnusableError."""
         channel, kind = self.channel, self._type
-        if kind is None and channel.encoding in registry.DECODERS:
-            is_outcome = type_key(channel.type_name) == TASK_OUTCOME
-            shape = None if is_outcome else shape_messages(channel, plan.budget)
+        if isinstance(kind, OutcomeType):
+            raise UnusableError("for tunenet-review")
+        if kind is None and channel.encoding in ENCODINGS:
+            shape = shape_messages(channel, plan.budget)
             if shape is None:
-                use = "for tunenet-review" if is_outcome else UNUSED
-                raise UnusableError(use)
+                raise UnusableError(UNUSED)
             self._shape, self._decode, self._read = shape, shape.decode, shape.read
             self.rows = PositionRows(channel.topic, *plan.length(unit_of(channel.type_name)))
             self._gather = self.rows.add
             return
-        self._decode = plan.decoders.of(channel)
+        decoded = plan.decoders.of(channel)
+        self._decode = decoded.decode
         assert kind is not None
         if isinstance(kind, PositionType):
             self.rows = PositionRows(channel.topic, *plan.length("m"), names_one=kind.names_one)
         elif isinstance(kind, JointType):
             self.rows = JointRows(channel.topic, plan.most_numbers)
-            if channel.encoding in ("cdr", "ros1"):
-                is_ros1 = channel.encoding == "ros1"
-                types, name = known_types(is_ros1=is_ros1), ros_name(channel.type_name)
-                self._stacked = stacked_decoder(types, name, is_ros1=is_ros1)
+            self._stacked = decoded.stacked
         elif isinstance(kind, DriveType):
-            self.rows = plan.drive_rows(channel.topic, kind)
-            self._decode = _bounded(self._decode, self.rows.check)
-        elif isinstance(kind, SoundType):
-            self.rows = SoundStamps(channel.topic)
-        else:
-            self.rows = PictureStamps(channel.topic, kind.is_video)
-        self._read: Callable[[Any], Any] = kind.read
-        if isinstance(kind, PictureType):
-            self._read = checked_pictures(kind)
-        elif isinstance(kind, SoundType):
-            self._read = checked_sound(kind)
-        self._gather: Callable[[int, Any], None] = self.rows.add
+            if isinstance(kind, PlanType):
+                rows = PlannedRows(channel.topic, plan.points)
+            elif isinstance(kind, NumbersType):
+                rows = NumberRows(channel.topic)
+            else:
+                rows = WrenchRows(channel.topic)
+            self.rows = rows
 
-    def _read_by_hand(self, plan: ReadingPlan) -> None:
-        """Read the user's columns; UnusableError where none is of this channel."""
-        rows = plan.picks.rows_of(self.channel) if plan.picks else None
-        if rows is None:
-            raise UnusableError("--columns names none of its fields")
-        self.rows, self._decode, self._gather = rows, rows.decode, rows.add
-        self._read = lambda message: message
+            def decode_checked(data: bytes | memoryview) -> Any:
+                rows.check(data)  # before anything of it is decoded
+                return decoded.decode(data)
+
+            self._decode = decode_checked
+        elif isinstance(kind, SoundType):
+            self.rows = MediaStamps(channel.topic, is_sound=True)
+        else:
+            assert isinstance(kind, PictureType)
+            self.rows = MediaStamps(channel.topic, is_video=kind.is_video)
+        is_media = isinstance(kind, PictureType | SoundType)
+        self._read: Callable[[Any], Any] = checked(kind) if is_media else kind.read
+        self._gather: Callable[[int, Any], None] = self.rows.add
 
     @property
     def is_by_shape(self) -> bool:
@@ -443,7 +391,7 @@ class TopicContents:
 
     def add(self, log_ns: int, data: bytes | memoryview) -> None:
         """Add one message, received at `log_ns` [ns]; it may wait for more to be read with."""
-        if self._stacked is None or len(data) > _MAX_STACKED or not 0 <= log_ns <= _LAST_NS:
+        if self._stacked is None or len(data) > _MAX_STACKED or not 0 <= log_ns <= LAST_NS:
             self.finish()
             self._add(log_ns, data)
             return
@@ -464,7 +412,7 @@ class TopicContents:
         self.add_all(RawMessages(plain, {}, heads, begins, ends))
 
     def _add(self, log_ns: int, data: bytes | memoryview) -> None:
-        if not 0 <= log_ns <= _LAST_NS:
+        if not 0 <= log_ns <= LAST_NS:
             self.damaged += 1
             self._why = self._why or "its time lies beyond the year 2262"
             return
@@ -492,13 +440,11 @@ class TopicContents:
         ):
             self._add(log_ns, messages.plain[begin:end])
 
-    def _add_stacked(
-        self, decode: Callable[[NDArray[np.uint8]], Stacked], messages: RawMessages
-    ) -> bool:
+    def _add_stacked(self, decode: StackedDecoder, messages: RawMessages) -> bool:
         """Decode messages of few layouts at once; False if there are more, or one is damaged."""
         log_ns = messages.heads["log_ns"]
         sizes = messages.ends - messages.begins
-        if len(sizes) < _MIN_STACKED or log_ns.max() > _LAST_NS or sizes.max() > _MAX_STACKED:
+        if len(sizes) < _MIN_STACKED or log_ns.max() > LAST_NS or sizes.max() > _MAX_STACKED:
             return False
         log_ns = log_ns.astype(np.int64)
         parts: list[tuple[NDArray[np.intp], NDArray[np.int64], Any]] = []
@@ -546,14 +492,18 @@ class TopicContents:
             number += 1
         return f"{name}{number if number > 1 else ''}"
 
-    def summary(self) -> Channel:
-        """Summarise as a `Channel`."""
+    def summary(self, share: float) -> Channel:
+        """Summarise as a `Channel`; `share` of the whole log is lost."""
         skipped = self._unusable
         if skipped is None and not self.used:
             if not self._log_ns and not self.damaged:
                 skipped = "it holds no message"
             else:
                 skipped = self._why if self.refused else f"all its messages are damaged{self.first}"
+        left_out: Mapping[str, int] = {}
+        if isinstance(self.rows, MediaStamps):  # of others their signals say it
+            cut = {} if self.rows.is_sound else {BY_CLOCK: self.rows.cut}
+            left_out = added(cut, self.lost_of(self.messages, share))
         return Channel(
             topic=self.channel.topic,
             type_name=self.channel.type_name,
@@ -563,22 +513,11 @@ class TopicContents:
             pictures=isinstance(self._type, PictureType),
             drives=self.drives,
             sounds=isinstance(self._type, SoundType),
+            left_out=left_out,
         )
 
 
-def _bounded(decode: Decode, check: Callable[[bytes | memoryview], None]) -> Decode:
-    """Return a decoder that first checks the bytes of a message."""
-
-    def decode_checked(data: bytes | memoryview) -> Any:
-        check(data)
-        return decode(data)
-
-    return decode_checked
-
-
 # ---- Reading options that made no difference
-
-_CHANGED_NOTHING = "not used: the file reads the same without"
 
 _NO_RATE = "--fps not used: its messages have times of their own"
 _NO_CURRENTS = (
@@ -596,8 +535,9 @@ def unused_of_messages(episode: Episode, options: ReadOptions) -> tuple[str, ...
     """Return a line for each option that counts for nothing in a log of messages."""
     reads_currents = any(name.startswith("current") for name in options.columns)
     has_constants = bool(options.torque_constants)
+    has_times = not any(key.startswith((_COUNTS, _UNTIMED)) for key in episode.info.notes)
     lines = {
-        _NO_RATE: rate_is_unused(episode, options),
+        _NO_RATE: options.rate_hz is not None and has_times,
         _NO_CURRENTS: has_constants and not reads_currents,
     }
     return tuple(filter(lines.get, lines))
@@ -617,26 +557,22 @@ def unused_reading(
     is_table = episode.info.source.startswith("table ")
     counts = {"--fps": has_pictures, "--columns": is_table}
     found: list[str] = []
-    for name in options.given:
+    for name, field in options.given().items():
         if counts.get(name):
             continue
         if not has_pictures or episode.signals:
-            field = FIELDS[name]
             without = replace(options, **{field: getattr(AS_IT_SAYS, field)})
             try:
                 other = read(path, without)
             except LogError:
                 continue
-            if not isinstance(other, Episode) or not _is_same(episode, other):
+            if not isinstance(other, Episode) or not (
+                list(episode.signals) == list(other.signals)
+                and all(map(_is_same_signal, episode.signals.values(), other.signals.values()))
+            ):
                 continue
-        found.append(f"{name} {_CHANGED_NOTHING}")
+        found.append(f"{name} not used: the file reads the same without")
     return tuple(found)
-
-
-def _is_same(one: Episode, other: Episode) -> bool:
-    return list(one.signals) == list(other.signals) and all(
-        map(_is_same_signal, one.signals.values(), other.signals.values())
-    )
 
 
 def _is_same_signal(one: Signal, other: Signal) -> bool:
@@ -667,15 +603,9 @@ def read_episode(
 ) -> Episode:
     """Read a log into memory, images aside: `frames()` reads those on demand.
 
-    Signals are named by their topic. What was lost, repaired or is doubtful is in `warnings`.
-
-    Args:
-        path: of the log.
-        options: what its user says of it.
-        most_numbers: that are kept of the joints of a topic; of more messages some are left out.
-
-    Raises:
-        LogError: `path` does not exist, is not a log, or holds nothing readable at all.
+    Signals are named by their topic. What was lost, repaired or is doubtful is in `warnings`. Of
+    the joints of a topic `most_numbers` are kept; of more messages some are left out. LogError:
+    `path` does not exist, is not a log, or holds nothing readable at all.
     """
     container = registry.open_log(path, options)
     if isinstance(container, Episode):
@@ -704,16 +634,11 @@ def read_episode(
 
 
 class _Contents:
-    """Contents that a container delivers.
-
-    Attributes:
-        info: what the log says of itself.
-        share: of it, that was lost before it was recovered.
-    """
+    """Contents that a container delivers."""
 
     def __init__(self, plan: ReadingPlan) -> None:
-        self.info: Mapping[str, str] = {}
-        self.share = 0.0
+        self.info: Mapping[str, str] = {}  # what the log says of itself
+        self.share = 0.0  # of it, that was lost before it was recovered
         self._plan = plan
         self._by_channel: dict[RawChannel, TopicContents] = {}
         self._last: dict[tuple[str, ...], TopicContents] = {}
@@ -756,10 +681,9 @@ def _episode(
     joint_names = tuple(filter(None, info.notes.get("joint_names", "").split(",")))
     damaged: list[str] = []
     refused: list[str] = []
-    notes: list[str] = []
     doubts: list[str] = []
-    signals, repairs = plan.named_signals()
-    notes += repairs
+    named, notes = plan.picks.signals() if plan.picks else ([], [])
+    signals = {signal.name: signal for signal in named}
     size, read = registry.file_bytes(path), sum(topic.messages for topic in topics)
     share = max(share, lost_share(losses, read, size))
     by_log: set[str] = set()  # topics of pictures or sound whose header stamps tell no time
@@ -771,11 +695,11 @@ def _episode(
             damaged.append(f"{name}: {topic.damaged} damaged messages were left out{topic.first}")
         if topic.refused and topic.used:  # where none is used, the channel's summary says why
             refused.append(f"{name}: {topic.refused} messages were left out{topic.first}")
-        if isinstance(rows, PictureStamps | SoundStamps):
+        if isinstance(rows, MediaStamps):
             is_header, reasons = rows.trusts_header()
             doubts += reasons
             is_found = info.notes.get(STAMPS_NOTE, "").startswith(BY_ARRIVALS)  # of pictures alone
-            if not is_header or (is_found and isinstance(rows, PictureStamps)):
+            if not is_header or (is_found and not rows.is_sound):
                 by_log.add(name)
         elif isinstance(rows, PositionRows | JointRows | DriveRows):
             if shaped is None:
@@ -793,9 +717,12 @@ def _episode(
                     "(--topic)"
                 )
             notes += [*repairs, *shaped]
-            signals |= {signal.name: _with_lost(signal, topic, share) for signal in found}
+            for signal in found:
+                missing = topic.lost_of(len(signal.stamps_ns), share)
+                known = added(signal.left_out, missing)
+                signals[signal.name] = replace(signal, left_out=known)
     lost = [loss for loss in losses if not loss.harmless]
-    found = [_summary(topic, share) for topic in topics]
+    found = [topic.summary(share) for topic in topics]
     passed = max(1, sum(one.messages for one in found))
     free = (_FREE_MESSAGES + size // _BYTES_A_MESSAGE) // passed
     cameras = [one for one in found if one.pictures and one.skipped is None]
@@ -807,7 +734,7 @@ def _episode(
     ahead = {
         topic.channel.topic: topic.rows.ahead
         for topic in topics
-        if isinstance(topic.rows, PictureStamps)
+        if isinstance(topic.rows, MediaStamps)
     }
     return Episode(
         info=info,
@@ -832,20 +759,6 @@ def _lost_words(losses: Sequence[Loss]) -> list[str]:
     return words
 
 
-def _with_lost(signal: Signal, topic: TopicContents, share: float) -> Signal:
-    lost = topic.lost_of(len(signal.stamps_ns), share)
-    return replace(signal, left_out=added(signal.left_out, lost))
-
-
-def _summary(topic: TopicContents, share: float) -> Channel:
-    channel = topic.summary()
-    rows = topic.rows
-    if not isinstance(rows, PictureStamps | SoundStamps):
-        return channel  # its signals say it
-    cut = {BY_CLOCK: rows.cut} if isinstance(rows, PictureStamps) else {}
-    return replace(channel, left_out=added(cut, topic.lost_of(channel.messages, share)))
-
-
 def _few(
     channels: Sequence[Channel], those: Sequence[Channel], most: int, what: str
 ) -> tuple[tuple[Channel, ...], list[str]]:
@@ -860,7 +773,7 @@ def _few(
 
 def _most_pixels(path: Path, topics: Sequence[TopicContents]) -> dict[str, int]:
     """Return the pixels each topic's pictures may have: a share of the log's, by their number."""
-    cameras = [topic for topic in topics if isinstance(topic.rows, PictureStamps)]
+    cameras = [one for one in topics if isinstance(one.rows, MediaStamps) and not one.rows.is_sound]
     used = max(1, sum(topic.used for topic in cameras))
     size = registry.file_bytes(path)
     stills = _FREE_PIXELS + _PIXELS_A_BYTE * size
@@ -896,16 +809,9 @@ def _frames(
 ) -> Iterator[Frame]:
     """Yield the frames of one topic, read afresh from the file.
 
-    Args:
-        path: the log.
-        container: how it is read.
-        by_log: topics whose header stamps cannot be trusted.
-        ahead: places by which the pictures of a topic may lie from their own.
-        most_pixels: that the pictures of a topic may have.
-        topic: the channel's.
-
-    Raises:
-        LogError: a small log claims so many pixels that decoding them would take minutes.
+    `by_log` names topics whose header stamps cannot be trusted, `ahead` the places by which the
+    pictures of a topic may lie from their own. A small log that claims so many pixels that decoding
+    them would take minutes is a LogError.
     """
     records = container(path, [], (topic,))
     left = most_pixels.get(topic, 0)

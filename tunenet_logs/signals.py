@@ -31,6 +31,7 @@ from tunenet_logs.formats.message_types import (
 )
 from tunenet_logs.terminal import listed, short_name
 from tunenet_logs.timing.stamps import (
+    LAST_NS,
     distinct,
     filmed_part,
     order_samples,
@@ -61,14 +62,10 @@ _LEVELS = 20.0  # smallest changes; nearer series are two values that one was ro
 
 
 def two_sources(values: Array) -> NDArray[np.bool_] | None:
-    """Separate two interleaved series by nearest neighbour.
+    """Separate two interleaved series by nearest neighbour, of values in order of arrival, (T, C).
 
-    Args:
-        values: in the order of their arrival, shape (T, C); NaN where one is missing.
-
-    Returns:
-        Which samples are of the second series, shape (T,): the one that never moves, else the one
-        that comes later; None where there is but one, or two that are not clearly apart.
+    Returns which samples are of the second, shape (T,): the one that never moves, else the one that
+    comes later; None where there is but one, or two that are not clearly apart.
     """
     first = values[:_FIRST_SAMPLES]
     is_known = np.isfinite(first).all(axis=0)
@@ -80,21 +77,6 @@ def two_sources(values: Array) -> NDArray[np.bool_] | None:
         return found
     values = values[:, is_known]
     return _told_apart(values) if np.isfinite(values).all() else None
-
-
-def two_sources_words(name: str, second: NDArray[np.bool_], other: str) -> str:
-    """Describe two interleaved series.
-
-    Args:
-        name: what both came by.
-        second: which samples are of the second, shape (T,).
-        other: what that goes by.
-    """
-    more = np.count_nonzero(second)
-    return (
-        f"two publishers on {name}, or two objects: its samples are of two series by turns "
-        f"({len(second) - more} and {more}); the second goes by {other} (--topic)"
-    )
 
 
 def take_turns(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> bool:
@@ -111,9 +93,7 @@ def disagree(
 ) -> bool:
     """Check whether two series of one quantity are not of the same motion.
 
-    Args:
-        first: times, in order, shape (T,) [ns], and values, shape (T, C).
-        second: the same.
+    Each has times, in order, shape (T,) [ns], and values, shape (T, C).
     """
     (first_ns, ours), (second_ns, theirs) = first, second
     for column in range(ours.shape[1]):
@@ -164,7 +144,10 @@ def _told_apart(values: Array) -> NDArray[np.bool_] | None:
         return None
     if near.sum() > _CALMER * np.linalg.norm(np.diff(values, axis=0), axis=1).sum():
         return None
-    steps, spans = zip(*(_step_and_span(values[one]) for one in (rows, ~rows)), strict=True)
+    # The mean distance between samples of each, and the largest range along an axis.
+    both = values[rows], values[~rows]
+    steps = [float(np.linalg.norm(np.diff(one, axis=0), axis=1).mean()) for one in both]
+    spans = [float(np.ptp(one, axis=0).max()) for one in both]
     moves = any(span > _MOVES * step for step, span in zip(steps, spans, strict=True))
     changes = np.abs(np.diff(np.sort(values, axis=0), axis=0))
     smallest = float(changes[changes > 0].min(initial=np.inf))
@@ -174,12 +157,6 @@ def _told_apart(values: Array) -> NDArray[np.bool_] | None:
     if spans[0] == 0 or spans[1] == 0:  # what never moves is the second
         return rows if spans[0] == 0 else ~rows
     return rows if not rows[0] else ~rows
-
-
-def _step_and_span(values: Array) -> tuple[float, float]:
-    """Return the mean distance between consecutive samples, and the largest range along an axis."""
-    steps = np.linalg.norm(np.diff(values, axis=0), axis=1)
-    return float(steps.mean()), float(np.ptp(values, axis=0).max())
 
 
 # ---- Joints: states of one topic, by publisher
@@ -207,40 +184,37 @@ _NOTHING = array("d", [float("nan")] * _MAX_NAMES).tobytes()
 
 
 @dataclass(eq=False)
-class _JointBlock:
-    """Samples of the same joints; of very many every second, fourth, eighth ... alone.
+class _Samples:
+    """Samples of one source, flat; of very many every second, fourth, eighth ... alone."""
 
-    A header stamp goes in first: it may not fit, where it lies beyond the year 2262.
-
-    Attributes:
-        width: joints.
-        step: of so many messages the first is kept.
-        count: messages so far.
-        is_mixed: whether two publishers took turns before some were left out.
-    """
-
-    width: int
+    widths: tuple[int, ...]  # values of each quantity in a sample
     header_ns: array[int] = field(default_factory=lambda: array("q"))
     log_ns: array[int] = field(default_factory=lambda: array("q"))
-    quantities: tuple[array[float], ...] = field(
-        default_factory=lambda: (array("d"), array("d"), array("d"))
-    )
-    step: int = 1
-    count: int = 0
-    is_mixed: bool = False
+    quantities: tuple[array[float], ...] = ()
+    step: int = 1  # of so many messages the first is kept
+    count: int = 0  # messages so far
+    is_mixed: bool = False  # whether two publishers took turns before some were left out
+
+    def __post_init__(self) -> None:
+        self.quantities = self.quantities or tuple(array("d") for _ in self.widths)
 
     @property
     def numbers(self) -> int:
         """How many are kept."""
-        return len(self.quantities) * len(self.quantities[0])
+        return sum(map(len, self.quantities))
+
+    @property
+    def stamps(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Header and log stamps [ns], shape (T,) each."""
+        return np.frombuffer(self.header_ns, np.int64), np.frombuffer(self.log_ns, np.int64)
 
     def add(self, header_ns: int, log_ns: int, quantities: Sequence[bytes]) -> None:
-        """Append one message."""
+        """Append one message; OverflowError where a stamp lies beyond the year 2262."""
         if self.count % self.step == 0:
-            self.header_ns.append(header_ns)
+            self.header_ns.append(header_ns)  # first: it may not fit
             self.log_ns.append(log_ns)
-            for store, values in zip(self.quantities, quantities, strict=True):
-                store.frombytes(values or _NOTHING[: 8 * self.width])
+            for store, width, values in zip(self.quantities, self.widths, quantities, strict=True):
+                store.frombytes(values or _NOTHING[: 8 * width])
         self.count += 1
 
     def add_all(self, samples: Sequence[NDArray[Any]]) -> None:
@@ -248,16 +222,17 @@ class _JointBlock:
         stores = (self.header_ns, self.log_ns, *self.quantities)
         rows = slice(-self.count % self.step, None, self.step)
         for store, values in zip(stores, samples, strict=True):
-            store.frombytes(np.ascontiguousarray(values[rows]).data.cast("B"))
+            store.frombytes(np.ascontiguousarray(values[rows]).reshape(-1).view(np.uint8).data)
         self.count += len(samples[0])
 
     def values(self, quantity: int) -> NDArray[np.float64]:
         """Return one quantity, shape (T, width)."""
-        return np.frombuffer(self.quantities[quantity], np.float64).reshape(-1, self.width)
+        width = self.widths[quantity]
+        return np.frombuffer(self.quantities[quantity], np.float64).reshape(-1, width)
 
     @property
     def places(self) -> NDArray[np.float64]:
-        """Positions or, without any, velocities or efforts, shape (T, width)."""
+        """The first quantity with any value: positions or, without, velocities or efforts."""
         for quantity in range(len(self.quantities)):
             if np.isfinite(values := self.values(quantity)).any():
                 return values
@@ -268,11 +243,11 @@ class _JointBlock:
         """Whether it never changes."""
         return not np.any(np.nan_to_num(self.places - self.places[:1]))
 
-    def part(self, rows: NDArray[np.bool_]) -> _JointBlock:
+    def part(self, rows: NDArray[np.bool_]) -> _Samples:
         """Return the samples in a mask `rows`, shape (T,)."""
-        stamps = [np.frombuffer(own, np.int64)[rows] for own in (self.header_ns, self.log_ns)]
-        part = _JointBlock(self.width)
-        part.add_all([*stamps, *(self.values(k)[rows] for k in range(len(self.quantities)))])
+        part = _Samples(self.widths)
+        every = (*self.stamps, *map(self.values, range(len(self.widths))))
+        part.add_all([one[rows] if len(one) else one for one in every])
         part.step, part.count, part.is_mixed = self.step, self.count, self.is_mixed
         return part
 
@@ -282,39 +257,28 @@ class _JointBlock:
             self.is_mixed = two_sources(self.places[:_FIRST_SAMPLES]) is not None
         self.step *= 2
         self.header_ns, self.log_ns = self.header_ns[::2], self.log_ns[::2]
-        thinned = []
-        for store in self.quantities:
-            half = np.frombuffer(store).reshape(-1, self.width)[::2]
-            thinned.append(array("d", half.tobytes()))
-        self.quantities = tuple(thinned)
+        self.quantities = tuple(
+            array("d", self.values(k)[::2].tobytes()) for k in range(len(self.widths))
+        )
 
 
 # Names of joints, and what messages with these say.
-_Blocks = list[tuple[tuple[str, ...], _JointBlock]]
+_Blocks = list[tuple[tuple[str, ...], _Samples]]
 
 
 @dataclass(eq=False)
 class JointRows:
-    """Joint states of one topic: positions [rad], velocities [rad/s] and efforts [N·m].
-
-    Attributes:
-        topic: its name.
-        most_numbers: that are kept; of more messages some are left out, evenly.
-    """
+    """Joint states of one topic: positions [rad], velocities [rad/s] and efforts [N·m]."""
 
     topic: str
-    most_numbers: float = MAX_NUMBERS
-    _blocks: dict[tuple[str, ...], _JointBlock] = field(default_factory=dict, init=False)
+    most_numbers: float = MAX_NUMBERS  # that are kept; of more messages some are left out, evenly
+    _blocks: dict[tuple[str, ...], _Samples] = field(default_factory=dict, init=False)
 
     QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("effort", "N·m"))
     """Name and unit of each signal, in the order of a `JointSample` and a `PlanPoint`."""
 
     def add(self, log_ns: int, sample: JointSample) -> None:
-        """Append one message.
-
-        Raises:
-            ValueError, OverflowError: it makes no sense.
-        """
+        """Append one message; ValueError or OverflowError where it makes no sense."""
         stamp_ns, names, *given = sample
         values = [np.asarray(quantity, np.float64).tobytes() for quantity in given]
         names = names or _NAMES[: max(map(len, values)) // 8]
@@ -324,14 +288,10 @@ class JointRows:
             self._bound()
 
     def add_all(self, parts: Sequence[tuple[NDArray[np.intp], NDArray[np.int64], Any]]) -> None:
-        """Append messages of one layout or several, all or none.
+        """Append messages of one layout or several, all or none (ValueError).
 
-        Args:
-            parts: of each layout the places of its messages among all, shape (N,), the log's stamps
-                [ns], shape (N,), and a sample whose numbers are arrays of shape (N, joints).
-
-        Raises:
-            ValueError: one makes no sense.
+        Each part has the places of its messages among all, shape (N,), the log's stamps [ns], shape
+        (N,), and a sample whose numbers are arrays of shape (N, joints).
         """
         found: dict[tuple[str, ...], list[list[NDArray[Any]]]] = {}
         for places, log_ns, (stamp_ns, names, *given) in parts:
@@ -349,12 +309,8 @@ class JointRows:
             self._blocks[names].add_all(columns)
         self._bound()
 
-    def _block(self, names: tuple[str, ...], widths: set[int]) -> _JointBlock:
-        """Return the block of these joints, whose quantities must have `widths` values or none.
-
-        Raises:
-            ValueError: names repeat, are too many, or do not match the values.
-        """
+    def _block(self, names: tuple[str, ...], widths: set[int]) -> _Samples:
+        """Return the block of these joints, whose quantities must have `widths` values or none."""
         block = self._blocks.get(names)
         if block is None:
             if sum(map(len, self._blocks)) + len(names) > _MAX_NAMES:
@@ -364,18 +320,15 @@ class JointRows:
         if not widths <= {0, len(names)}:
             raise ValueError(f"a message has {len(names)} names but another number of values")
         if block is None:
-            block = self._blocks[names] = _JointBlock(len(names))
+            block = self._blocks[names] = _Samples((len(names),) * 3)
         return block
 
     def signals(self, joint_names: tuple[str, ...] = ()) -> tuple[list[Signal], list[str]]:
         """Return the quantities that have any value as signals, and notes on what was repaired.
 
         Messages with one stamp and different joints make one sample: several may publish them. Of
-        publishers that say different things of the same joints, each is by itself.
-
-        Args:
-            joint_names: what the joints are called where messages carry no names; ignored unless
-                there are as many as joints, each another.
+        publishers that say different things of the same joints, each is by itself. Joints without
+        names are called `joint_names` where there are as many, each another.
         """
         found: list[Signal] = []
         notes: list[str] = []
@@ -420,20 +373,24 @@ class JointRows:
     ) -> tuple[list[Signal], list[str]]:
         """Build the signals of one publisher, or of several that agree."""
         columns = tuple(dict.fromkeys(name for names, _ in blocks for name in names))
-        headers = [np.frombuffer(block.header_ns, np.int64) for _, block in blocks]
-        logs = [np.frombuffer(block.log_ns, np.int64) for _, block in blocks]
-        trusts = [trusts_header(*both) for both in zip(headers, logs, strict=True)]
+        trusts = [trusts_header(*block.stamps) for _, block in blocks]
         is_header = all(is_own for is_own, _ in trusts)
         notes = [reason for _, reasons in trusts for reason in reasons]
         ordered = [
-            sorted_stamps(own_ns, [block.values(k) for k in range(len(block.quantities))])
-            for own_ns, (_, block) in zip(headers if is_header else logs, blocks, strict=True)
+            sorted_stamps(block.stamps[0 if is_header else 1], [block.values(k) for k in range(3)])
+            for _, block in blocks
         ]
         left_out: dict[str, int] = {}
         for one in ordered:
             notes += one.notes
             left_out = added(left_out, one.left_out)
-        notes += _thinned(blocks)
+        most = max((samples for _, samples in blocks), key=lambda samples: samples.step)
+        if most.step > 1:
+            mixed = ", of two publishers that are not distinguishable" if most.is_mixed else ""
+            notes.append(
+                f"of {most.count} messages{mixed} every {most.step}th is used, as many as are "
+                "held; cut the log where a part is to be used with all of them"
+            )
         stamps_ns = ordered[0].stamps_ns
         if len(blocks) > 1:
             stamps_ns = distinct(np.concatenate([one.stamps_ns for one in ordered]))
@@ -444,7 +401,9 @@ class JointRows:
         for quantity, (label, unit) in enumerate(self.QUANTITIES):
             parts: list[NDArray[np.float64]] = []
             for (_, samples), own in zip(blocks, ordered, strict=True):
-                parts.append(_taken(samples.values(quantity), own.keep))
+                part, keep = samples.values(quantity), own.keep
+                is_all = len(keep) == len(part) and np.all(keep[1:] > keep[:-1])
+                parts.append(part if is_all else part[keep])  # a copy only where it needs one
             values = parts[0]
             if len(blocks) > 1:
                 values = np.full((len(stamps_ns), len(columns)), np.nan)
@@ -467,12 +426,9 @@ class JointRows:
 
 
 def _by_interface(
-    names: tuple[str, ...], samples: _JointBlock, notes: list[str]
-) -> tuple[tuple[str, ...], _JointBlock]:
-    """Split joints named after ros2_control interfaces ("joint_1/position") into quantities.
-
-    ros2_control names states so, all in one field. `notes` gets what is to be said.
-    """
+    names: tuple[str, ...], samples: _Samples, notes: list[str]
+) -> tuple[tuple[str, ...], _Samples]:
+    """Split joints named after ros2_control's interfaces ("joint_1/position") into quantities."""
     found = [_INTERFACE.fullmatch(name) for name in names]
     given = [k for k in range(3) if np.isfinite(samples.values(k)).any()]
     if len(given) != 1 or not names or not all(found):
@@ -483,7 +439,6 @@ def _by_interface(
     if not {kind for _, kind in told} & set(kinds):
         return names, samples
     values = samples.values(given[0])
-    stamps = [np.frombuffer(own, np.int64) for own in (samples.header_ns, samples.log_ns)]
     quantities = [np.full((len(values), len(joints)), np.nan) for _ in kinds]
     others: set[str] = set()
     for (joint, kind), column in told.items():
@@ -495,14 +450,14 @@ def _by_interface(
     notes.append(
         f"its names are those of interfaces, such as {short_name(names[0])}: read as such{said}"
     )
-    made = _JointBlock(len(joints))
-    made.add_all([*stamps, *quantities])
+    made = _Samples((len(joints),) * 3)
+    made.add_all([*samples.stamps, *quantities])
     made.step, made.count, made.is_mixed = samples.step, samples.count, samples.is_mixed
     return joints, made
 
 
 def _contradict(
-    one: tuple[tuple[str, ...], _JointBlock], two: tuple[tuple[str, ...], _JointBlock]
+    one: tuple[tuple[str, ...], _Samples], two: tuple[tuple[str, ...], _Samples]
 ) -> bool:
     """Check whether two series of messages disagree on the same joints by turns."""
     shared = [name for name in one[0] if name in two[0]]
@@ -520,112 +475,53 @@ def _contradict(
     return False
 
 
-def _thinned(blocks: _Blocks) -> list[str]:
-    """Say what was left out of too many messages."""
-    most = max((samples for _, samples in blocks), key=lambda samples: samples.step)
-    if most.step == 1:
-        return []
-    mixed = ", of two publishers that are not distinguishable" if most.is_mixed else ""
-    return [
-        f"of {most.count} messages{mixed} every {most.step}th is used, as many as are held; "
-        "cut the log where a part is to be used with all of them"
-    ]
-
-
 # ---- Pictures and sound: their stamps alone
 
 _MAX_REORDERED = 16  # pictures that a decoder holds until they are shown, by H.264 and H.265
 
 
 @dataclass(eq=False)
-class PictureStamps:
-    """Acquisition stamps of one topic's pictures, which are themselves read on demand.
-
-    Attributes:
-        topic: the topic.
-        is_video: whether a picture may be shown before one that was written first.
-        cut: pictures beyond a jump of their clock, once `trusts_header` was asked.
-        ahead: places by which they overtook each other, likewise.
-    """
+class MediaStamps:
+    """Acquisition stamps of one topic's pictures or pieces of sound, which are read on demand."""
 
     topic: str
-    is_video: bool = False
-    cut: int = field(default=0, init=False)
-    ahead: int = field(default=0, init=False)
-    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
-    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
+    is_sound: bool = False
+    is_video: bool = False  # whether a picture may be shown before one that was written first
+    cut: int = field(default=0, init=False)  # pictures beyond a jump of their clock
+    ahead: int = field(default=0, init=False)  # places by which pictures overtook each other
+    _samples: _Samples = field(default_factory=lambda: _Samples(()), init=False)
 
-    def add(self, log_ns: int, picture: PictureSample) -> None:
-        """Append one picture.
-
-        Raises:
-            OverflowError: its stamp lies beyond the year 2262.
-        """
-        self._header_ns.append(picture.stamp_ns)
-        self._log_ns.append(log_ns)
+    def add(self, log_ns: int, one: PictureSample | SoundSample) -> None:
+        """Append one; OverflowError where its stamp lies beyond the year 2262."""
+        self._samples.add(one.stamp_ns, log_ns, ())
 
     def trusts_header(self) -> tuple[bool, list[str]]:
-        """Check whether the header stamps can be trusted; if not, say why, and where they jump."""
-        header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
+        """Check whether the header stamps can be trusted; if not, say why, and where they jump.
+
+        Counts also which pictures are `cut`, and how far they are `ahead`.
+        """
+        header_ns, log_ns = self._samples.stamps
         if self.is_video:
-            header_ns = _as_shown(header_ns)
+            # In the order in which a decoder shows them; those that jump stay jumps.
+            waiting: list[int] = []
+            shown: list[int] = []
+            for stamp_ns in header_ns.tolist():
+                heappush(waiting, stamp_ns)
+                if len(waiting) > _MAX_REORDERED:
+                    shown.append(heappop(waiting))
+            header_ns = np.array(shown + sorted(waiting), np.int64)
         is_header, reasons = trusts_header(header_ns, log_ns)
-        used_ns = np.where(header_ns == 0, log_ns, header_ns) if is_header else log_ns
-        self.ahead = 0 if self.is_video else places_ahead(used_ns)
-        if self.ahead:
-            count = np.count_nonzero(used_ns[1:] < used_ns[:-1])
-            reasons.append(f"{count} pictures out of order were sorted")
-            used_ns = np.sort(used_ns)
-        part = filmed_part(used_ns)
-        reasons += part.words
-        self.cut = len(used_ns) - len(part.keep)
+        if not self.is_sound:
+            used_ns = np.where(header_ns == 0, log_ns, header_ns) if is_header else log_ns
+            self.ahead = 0 if self.is_video else places_ahead(used_ns)
+            if self.ahead:
+                count = np.count_nonzero(used_ns[1:] < used_ns[:-1])
+                reasons.append(f"{count} pictures out of order were sorted")
+                used_ns = np.sort(used_ns)
+            part = filmed_part(used_ns)
+            reasons += part.words
+            self.cut = len(used_ns) - len(part.keep)
         return is_header, [f"{self.topic}: {reason}" for reason in reasons]
-
-
-@dataclass(eq=False)
-class SoundStamps:
-    """Acquisition stamps of the pieces of one topic's sound, which are read on demand.
-
-    Attributes:
-        topic: the topic.
-    """
-
-    topic: str
-    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
-    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
-
-    def add(self, log_ns: int, sound: SoundSample) -> None:
-        """Append one piece.
-
-        Raises:
-            OverflowError: its stamp lies beyond the year 2262.
-        """
-        self._header_ns.append(sound.stamp_ns)
-        self._log_ns.append(log_ns)
-
-    def trusts_header(self) -> tuple[bool, list[str]]:
-        """Check whether the header stamps of the pieces can be trusted; if not, say why."""
-        header_ns, log_ns = (np.array(own, np.int64) for own in (self._header_ns, self._log_ns))
-        is_header, reasons = trusts_header(header_ns, log_ns)
-        return is_header, [f"{self.topic}: {reason}" for reason in reasons]
-
-
-def _taken(values: NDArray[np.float64], rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Select some rows in order, without a copy where they are all."""
-    if len(rows) == len(values) and np.all(rows[1:] > rows[:-1]):
-        return values
-    return values[rows]
-
-
-def _as_shown(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return stamps of a video [ns] in decoder output order; those that jump stay jumps."""
-    waiting: list[int] = []
-    shown: list[int] = []
-    for stamp_ns in stamps_ns.tolist():
-        heappush(waiting, stamp_ns)
-        if len(waiting) > _MAX_REORDERED:
-            shown.append(heappop(waiting))
-    return np.array(shown + sorted(waiting), np.int64)
 
 
 # ---- Commands and forces: plain numbers, and wrenches
@@ -639,47 +535,34 @@ class NumberRows:
     """Unlabelled numbers of one topic: one signal, of unit "1"."""
 
     topic: str
-    _lengths: dict[int, tuple[array[int], array[float]]] = field(default_factory=dict, init=False)
+    _lengths: dict[int, _Samples] = field(default_factory=dict, init=False)
 
     def check(self, data: bytes | memoryview) -> None:
-        """Refuse a message that is too large to be decoded.
-
-        Raises:
-            BeyondLimitError: it is larger than any with as many numbers as are read.
-        """
+        """Refuse a message that is larger than any with as many numbers as are read."""
         if len(data) > _MAX_NUMBERS_BYTES:
             raise BeyondLimitError(
                 f"a message of {len(data)} bytes is over the limit of {_MAX_NUMBERS_BYTES}"
             )
 
     def add(self, log_ns: int, numbers: NumbersSample) -> None:
-        """Append the numbers of one message.
-
-        Raises:
-            UnusableError: there are none.
-            BeyondLimitError: there are more than a message may have.
-            ValueError, TypeError: they are none.
-        """
+        """Append the numbers of one message; UnusableError where there are none."""
         values = np.asarray(numbers, np.float64)
         if not values.size:
             raise UnusableError("it holds no number")
         if values.size > _MAX_COLUMNS:
             raise BeyondLimitError(f"over {_MAX_COLUMNS} numbers")
-        own_ns, stored = self._lengths.setdefault(values.size, (array("q"), array("d")))
-        own_ns.append(log_ns)
-        stored.frombytes(values.tobytes())
+        samples = self._lengths.setdefault(values.size, _Samples((values.size,)))
+        samples.add(log_ns, log_ns, (values.tobytes(),))
 
     def signals(self) -> tuple[list[Signal], list[str]]:
         """Return the messages of the most frequent length, and notes on what was left out."""
         if not self._lengths:
             return [], []
-        length = max(self._lengths, key=lambda one: len(self._lengths[one][0]))
-        own_ns, stored = self._lengths[length]
-        numbers = np.frombuffer(stored, np.float64).reshape(-1, length)
-        keep, stamps_ns, notes, left_out = sorted_stamps(
-            np.frombuffer(own_ns, np.int64), (numbers,)
-        )
-        others = sum(len(own) for own, _ in self._lengths.values()) - len(own_ns)
+        length = max(self._lengths, key=lambda one: self._lengths[one].count)
+        samples = self._lengths[length]
+        numbers = samples.values(0)
+        keep, stamps_ns, notes, left_out = sorted_stamps(samples.stamps[1], (numbers,))
+        others = sum(one.count for one in self._lengths.values()) - samples.count
         if others:
             notes.append(f"{others} messages of another length than {length} were left out")
         values = numbers[keep]
@@ -694,9 +577,7 @@ class WrenchRows:
     """Forces [N] and torques [N·m] of one topic, each a signal."""
 
     topic: str
-    _header_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
-    _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
-    _values: array[float] = field(default_factory=lambda: array("d"), init=False)
+    _samples: _Samples = field(default_factory=lambda: _Samples((6,)), init=False)
     _frames: OneFrame = field(default_factory=OneFrame, init=False)
 
     _QUANTITIES = (("force", "N"), ("torque", "N·m"))
@@ -706,25 +587,15 @@ class WrenchRows:
         """Accept every message."""
 
     def add(self, log_ns: int, wrench: WrenchSample) -> None:
-        """Append one message.
-
-        Raises:
-            OverflowError: its stamp lies beyond the year 2262.
-        """
+        """Append one message; OverflowError where its stamp lies beyond the year 2262."""
         stamp_ns, frame, *six = wrench
         self._frames.add(frame)
-        self._header_ns.append(stamp_ns)
-        self._log_ns.append(log_ns)
-        self._values.extend(six)
+        self._samples.add(stamp_ns, log_ns, (array("d", six).tobytes(),))
 
     def signals(self) -> tuple[list[Signal], list[str]]:
         """Return force and torque where they have any value, and notes on what was repaired."""
-        wrenches = np.frombuffer(self._values, np.float64).reshape(-1, 6)
-        keep, stamps_ns, notes, left_out = order_samples(
-            np.frombuffer(self._header_ns, np.int64),
-            np.frombuffer(self._log_ns, np.int64),
-            (wrenches,),
-        )
+        wrenches = self._samples.values(0)
+        keep, stamps_ns, notes, left_out = order_samples(*self._samples.stamps, (wrenches,))
         values = wrenches[keep]
         values[~np.isfinite(values)] = np.nan
         found = [
@@ -756,8 +627,6 @@ _FREE_POINTS, _BYTES_A_POINT = 200_000, 50
 # Points of one topic, and messages without any, times its joints: a table of them must fit.
 _MAX_CELLS = 10_000_000
 
-_LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
-
 
 class PointBudget:
     """Budget of trajectory points still to be read of a log of `log_bytes`."""
@@ -767,20 +636,12 @@ class PointBudget:
         self._left = self._most
 
     def check(self) -> None:
-        """Check that the budget is not exhausted.
-
-        Raises:
-            BeyondLimitError: it is.
-        """
+        """Refuse what comes once the budget is exhausted."""
         if self._left <= 0:
             raise BeyondLimitError(f"the log's trajectories have over {self._most} points")
 
     def spend(self, points: int) -> None:
-        """Deduct points that were read.
-
-        Raises:
-            BeyondLimitError: there are not as many left.
-        """
+        """Deduct points that were read; BeyondLimitError where there are not as many left."""
         self._left -= points
         if self._left < 0:
             self.check()
@@ -804,14 +665,10 @@ class PlannedRows:
 
     A later message replaces what an earlier one planned for its joints and the time after its own
     start; one without points replaces it by nothing, for all joints.
-
-    Attributes:
-        topic: its name.
-        budget: of points, shared by all topics of the log.
     """
 
     topic: str
-    budget: PointBudget
+    budget: PointBudget  # of points, shared by all topics of the log
     _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
     _start_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
     _stops: array[int] = field(default_factory=lambda: array("q"), init=False)
@@ -820,11 +677,7 @@ class PlannedRows:
     _points: int = field(default=0, init=False)
 
     def check(self, data: bytes | memoryview) -> None:
-        """Refuse a message that is too large to be decoded, or beyond the budget.
-
-        Raises:
-            BeyondLimitError: it is larger than any trajectory, or enough of them were read.
-        """
+        """Refuse a message that is too large to be decoded, or beyond the budget."""
         if len(data) > _MAX_PLAN_BYTES:
             raise BeyondLimitError(
                 f"a message of {len(data)} bytes is over the limit of {_MAX_PLAN_BYTES}"
@@ -832,13 +685,7 @@ class PlannedRows:
         self.budget.check()
 
     def add(self, log_ns: int, plan: PlanSample) -> None:
-        """Append one message.
-
-        Raises:
-            UnusableError: its points do not follow each other in time; no controller takes it.
-            BeyondLimitError: it has more joints or points than are read.
-            ValueError, OverflowError: it makes no sense.
-        """
+        """Append one message; UnusableError where its points do not follow each other in time."""
         points = plan.points
         self.budget.spend(len(points))
         if len(points) > _MAX_POINTS:
@@ -847,11 +694,21 @@ class PlannedRows:
         after_ns = [point[0] for point in points]
         if any(one < 0 for one in after_ns[:1]) or any(b <= a for a, b in pairwise(after_ns)):
             raise UnusableError("the times of its points do not increase from 0")
-        if not -_LAST_NS <= start_ns <= _LAST_NS - max(after_ns, default=0):
+        if not -LAST_NS <= start_ns <= LAST_NS - max(after_ns, default=0):
             raise OverflowError("a time of it lies beyond the year 2262")
         columns = [_filled(points, place, len(plan.names)) for place in (1, 2, 3)] if points else []
         if points:
-            plans = self._plans_of(plan.names, len(points))
+            names = plan.names
+            plans = self._plans.get(names)
+            if plans is None:
+                if not names or len(set(names)) < len(names):
+                    raise ValueError("two joints have one name" if names else "it names no joint")
+                if sum(map(len, self._plans)) + len(names) > _MAX_NAMES:
+                    raise BeyondLimitError(f"over {_MAX_NAMES} joints")
+            joints = self._joints | dict.fromkeys(names)
+            self._check_cells(len(points), len(joints))
+            self._joints = joints
+            plans = plans or self._plans.setdefault(names, _Plans())
             plans.numbers.append(len(self._log_ns))
             plans.counts.append(len(points))
             plans.stamps_ns.extend(start_ns + one for one in after_ns)
@@ -863,24 +720,6 @@ class PlannedRows:
         self._points += max(1, len(points))
         self._log_ns.append(log_ns)
         self._start_ns.append(start_ns)
-
-    def _plans_of(self, names: tuple[str, ...], points: int) -> _Plans:
-        """Return the messages for these joints.
-
-        Raises:
-            ValueError: two joints have one name, or there is none.
-            BeyondLimitError: more joints or points than a topic may have.
-        """
-        known = self._plans.get(names)
-        if known is None:
-            if not names or len(set(names)) < len(names):
-                raise ValueError("two joints have one name" if names else "it names no joint")
-            if sum(map(len, self._plans)) + len(names) > _MAX_NAMES:
-                raise BeyondLimitError(f"over {_MAX_NAMES} joints")
-        joints = self._joints | dict.fromkeys(names)
-        self._check_cells(points, len(joints))
-        self._joints = joints
-        return known or self._plans.setdefault(names, _Plans())
 
     def _check_cells(self, points: int, joints: int) -> None:
         """Raise BeyondLimitError where so many more points of so many joints do not fit."""
@@ -908,13 +747,16 @@ class PlannedRows:
         return found, []
 
     def _kept_of(self, joint: str) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], ...]]:
-        """Return what was planned for a joint and not replaced: stamps [ns], and three quantities.
-
-        What comes later goes before what came earlier, where both plan for one stamp.
-        """
+        """Return what was planned for a joint and not replaced: stamps [ns], three quantities."""
         groups = [(names, plans) for names, plans in self._plans.items() if joint in names]
-        ends_ns = self._ends_ns([np.frombuffer(plans.numbers, np.int64) for _, plans in groups])
-        arrived = np.frombuffer(self._log_ns, np.int64)
+        arrived, starts = (np.frombuffer(one, np.int64) for one in (self._log_ns, self._start_ns))
+        # A message's plan ends at the first start of a later one, shape (M,) [ns]; meant for the
+        # messages for this joint alone, and those that stop all.
+        own = [np.frombuffer(plans.numbers, np.int64) for _, plans in groups]
+        every = np.concatenate([*own, np.frombuffer(self._stops, np.int64)])
+        sent = every[np.lexsort((every, arrived[every]))]
+        ends_ns = np.full(len(starts), LAST_NS)
+        ends_ns[sent[:-1]] = np.minimum.accumulate(starts[sent][::-1])[::-1][1:]
         stamps: list[NDArray[np.int64]] = []
         ranks: list[NDArray[np.int64]] = []
         values: list[list[NDArray[np.float64]]] = []
@@ -929,32 +771,13 @@ class PlannedRows:
             table = (np.frombuffer(one, np.float64).reshape(-1, len(names)) for one in plans.values)
             values.append([one[keep, place] for one in table])
         rank = np.concatenate(ranks)
-        order = np.lexsort((rank, arrived[rank]))
+        order = np.lexsort((rank, arrived[rank]))  # what comes later goes before, at one stamp
         three = tuple(np.concatenate(one)[order] for one in zip(*values, strict=True))
         return np.concatenate(stamps)[order], three
 
-    def _ends_ns(self, numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-        """Return when each message's plan ends, shape (M,) [ns]: at the first start of a later one.
-
-        Args:
-            numbers: of the messages for one joint, in groups; the result is meant for those alone.
-        """
-        arrived, starts = (np.frombuffer(one, np.int64) for one in (self._log_ns, self._start_ns))
-        stops = np.frombuffer(self._stops, np.int64)
-        all_numbers = np.concatenate([*numbers, stops])
-        order = all_numbers[np.lexsort((all_numbers, arrived[all_numbers]))]
-        earliest = np.minimum.accumulate(starts[order][::-1])[::-1]
-        ends_ns = np.full(len(starts), _LAST_NS)
-        ends_ns[order[:-1]] = earliest[1:]
-        return ends_ns
-
 
 def _filled(points: Sequence[Sequence], place: int, width: int) -> NDArray[np.float64]:
-    """Stack one quantity of all points, shape (points, joints); NaN where a point has none.
-
-    Raises:
-        ValueError: a point gives it of another number of joints.
-    """
+    """Stack one quantity of all points, shape (points, joints); NaN where a point has none."""
     values = np.full((len(points), width), np.nan)
     for row, point in zip(values, points, strict=True):
         given = point[place]
@@ -972,70 +795,19 @@ _MAX_FRAMES = 100  # of a body without a name; more are no frames, but a counter
 _TURNED = 1e-9  # of a quaternion's vector: less is no rotation
 
 
-@dataclass
-class _Samples:
-    """Samples of one body, flat: a log of an hour must fit.
-
-    A header stamp goes in first: it may not fit, where it lies beyond the year 2262.
-    """
-
-    header_ns: array[int] = field(default_factory=lambda: array("q"))
-    log_ns: array[int] = field(default_factory=lambda: array("q"))
-    positions: array[float] = field(default_factory=lambda: array("d"))
-    quaternions: array[float] = field(default_factory=lambda: array("d"))
-
-    @property
-    def places(self) -> Array:
-        """Positions, shape (T, 3)."""
-        return np.frombuffer(self.positions, np.float64).reshape(-1, 3)
-
-    @property
-    def stores(self) -> tuple[array[Any], ...]:
-        """All arrays."""
-        return self.header_ns, self.log_ns, self.positions, self.quaternions
-
-    def part(self, rows: NDArray[np.bool_]) -> _Samples:
-        """Return the samples in a mask `rows`, shape (T,)."""
-        parts: list[array[Any]] = []
-        for store in self.stores:
-            every = np.frombuffer(store, store.typecode).reshape(len(rows), -1)
-            parts.append(array(store.typecode, every[rows].tobytes()))
-        return _Samples(*parts)
-
-    @classmethod
-    def joined(cls, samples: Sequence[_Samples]) -> _Samples:
-        """Concatenate several, in the order in which they begin."""
-        joined = cls()
-        for one in sorted(samples, key=lambda one: one.log_ns[0]):
-            for store, more in zip(joined.stores, one.stores, strict=True):
-                store.extend(more)
-        return joined
-
-
 @dataclass(eq=False)
 class PositionRows:
-    """Positions of one topic, apart by body and, where it names bodies, by frame.
-
-    Attributes:
-        topic: its name.
-        unit: of the positions.
-        scale: from the unit of the messages to that.
-        names_one: whether each message is of one body, whose name counts only among several.
-    """
+    """Positions of one topic, apart by body and, where it names bodies, by frame."""
 
     topic: str
-    unit: str = "m"
-    scale: float = 1.0
+    unit: str = "m"  # of the positions
+    scale: float = 1.0  # from the unit of the messages to that
+    # whether each message is of one body, whose name counts only among several
     names_one: bool = False
     _rows: dict[tuple[str, str], _Samples] = field(default_factory=dict, init=False)
 
     def add(self, log_ns: int, positions: Iterable[PositionSample]) -> None:
-        """Append the positions of one message.
-
-        Raises:
-            BeyondLimitError: more bodies than a topic may have.
-            ValueError, OverflowError: they make no sense.
-        """
+        """Append the positions of one message."""
         for stamp_ns, name, where, x, y, z, *turn in positions:
             is_counter = not name and len(self._rows) >= _MAX_FRAMES  # what calls itself a frame
             frame = "" if is_counter and (name, where) not in self._rows else where
@@ -1043,18 +815,17 @@ class PositionRows:
             if rows is None:
                 if len(self._rows) >= _MAX_NAMES:
                     raise BeyondLimitError(f"over {_MAX_NAMES} names")
-                rows = self._rows[name, frame] = _Samples()
-            rows.header_ns.append(stamp_ns)
+                rows = self._rows[name, frame] = _Samples((3, 4))
+            rows.header_ns.append(stamp_ns)  # first: it may not fit
             rows.log_ns.append(log_ns)
-            rows.positions.extend((x, y, z))
-            rows.quaternions.extend(turn)
+            rows.quantities[0].extend((x, y, z))
+            rows.quantities[1].extend(turn)
 
     def signals(self) -> tuple[list[Signal], list[str]]:
         """Return positions and, where it ever turns, orientations of each body and frame.
 
-        Returns:
-            Signals of x, y, z in `unit`, and of unit quaternions x, y, z, w under the same name
-            and `.orientation`; and what was repaired.
+        Signals of x, y, z in `unit`, and of unit quaternions x, y, z, w under the same name and
+        `.orientation`; and what was repaired.
         """
         found: list[Signal] = []
         notes: list[str] = []
@@ -1067,13 +838,17 @@ class PositionRows:
                     f"{full}: {name or self.topic} has a place in several frames, each is by itself"
                 )
             taken.add(full)
-            second = two_sources(rows.places)
+            second = two_sources(rows.values(0))
             if second is None:
                 found += self._signals_of(full, frame, rows, taken, notes)
                 continue
             other = f"{full}@2"
             taken.add(other)
-            notes.append(two_sources_words(full, second, other))
+            more = np.count_nonzero(second)
+            notes.append(
+                f"two publishers on {full}, or two objects: its samples are of two series by turns "
+                f"({len(second) - more} and {more}); the second goes by {other} (--topic)"
+            )
             found += self._signals_of(full, frame, rows.part(~second), taken, notes)
             found += self._signals_of(other, frame, rows.part(second), taken, notes)
         return found, notes
@@ -1087,38 +862,35 @@ class PositionRows:
         if self.names_one and len(frames) > 1:
             notes.append(f"{self.topic}: several bodies, by child_frame_id: {listed(frames)}")
         for name, parts in frames.items():
-            logs = [np.array(rows.log_ns, np.int64) for _, rows in parts]
+            logs = [rows.stamps[1] for _, rows in parts]
             if name or any(take_turns(*both) for both in pairwise(logs)):
                 yield from ((name, frame, rows) for frame, rows in parts)
             elif len(parts) == 1:
                 yield name, *parts[0]
             else:  # it was called otherwise from some time on
-                yield name, "", _Samples.joined([rows for _, rows in parts])
+                joined = _Samples((3, 4))
+                for _, one in sorted(parts, key=lambda part: part[1].log_ns[0]):
+                    joined.add_all([*one.stamps, one.values(0), one.values(1)])
+                yield name, "", joined
 
     def _signals_of(
         self, full: str, frame: str, rows: _Samples, taken: set[str], notes: list[str]
     ) -> Iterator[Signal]:
         """Yield the signals of one body; `taken` and `notes` get what is to be known."""
-        header_ns, log_ns = (np.frombuffer(own, np.int64) for own in (rows.header_ns, rows.log_ns))
-        keep, stamps_ns, repairs, left_out = order_samples(header_ns, log_ns, (rows.places,))
-        values = rows.places[keep]
+        places, turns = rows.values(0), rows.values(1)
+        keep, stamps_ns, repairs, left_out = order_samples(*rows.stamps, (places,))
+        values = places[keep]
         values[~np.isfinite(values)] = np.nan
         if self.scale != 1.0:
             values = values * self.scale
         axes = ("x", "y", "z")
         yield Signal(full, stamps_ns, values, axes, self.unit, frame=frame, left_out=left_out)
         notes += [f"{full}: {repair}" for repair in repairs]
-        turns = np.frombuffer(rows.quaternions, np.float64).reshape(-1, 4)
         label = f"{full}.{ORIENTATION}"
-        if len(turns) and label not in taken and _is_told(turns[keep]):
+        # Sources of positions alone send no rotation.
+        if len(turns) and label not in taken and (np.abs(turns[keep, :3]) > _TURNED).any():
             taken.add(label)
             columns = ("x", "y", "z", "w")
             yield Signal(
                 label, stamps_ns, turns[keep], columns, "1", frame=frame, left_out=left_out
             )
-
-
-def _is_told(quaternions: Array) -> bool:
-    """Check for a rotation among (T, 4) quaternions: sources of positions alone send none."""
-    sizes = np.abs(quaternions[:, :3])
-    return bool((sizes > _TURNED).any())

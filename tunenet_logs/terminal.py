@@ -131,10 +131,20 @@ class Bar(Protocol):
 
 
 class _NoBar:
-    def update(self, *_: object, **__: object) -> None:
-        """Show nothing."""
+    """Bar that is not shown: a listener hears of it, or nobody."""
 
-    set_postfix_str = update
+    def __init__(self, listener: Listener | None = None, what: str = "", total: int = 1) -> None:
+        self._listener, self._what, self._total = listener, what, total
+        self._done = 0
+
+    def update(self, done: int, /) -> None:
+        """Count `done` more items."""
+        self._done += done
+        if self._listener is not None:
+            self._listener(self._what, self._done / max(self._total, 1))
+
+    def set_postfix_str(self, text: str, /, *, refresh: bool) -> None:
+        """Show nothing."""
 
 
 class _Shown:
@@ -187,14 +197,12 @@ class Progress:
     """Progress reports on standard error.
 
     Bars are shown where that is a terminal; else there are stand-ins that show nothing.
-
-    Attributes:
-        quiet: nothing is reported at all.
-        has_bars: none are shown without, as where results come meanwhile, often on that terminal.
     """
 
-    quiet: bool = False
+    quiet: bool = False  # nothing is reported at all
+    # None are shown without, as where results come meanwhile, often on that terminal
     has_bars: bool = True
+    listener: Listener | None = None  # hears of all progress in place of the terminal
 
     @property
     def shows_bars(self) -> bool:
@@ -219,7 +227,10 @@ class Progress:
         Args:
             name: whose work it is, for that line.
         """
-        if self.quiet:
+        if self.listener is not None:
+            with heard_by(self.listener):
+                yield
+        elif self.quiet:
             yield
         elif not self.shows_bars:
             with heard_by(_Announced(name, self.say)):
@@ -237,7 +248,7 @@ class Progress:
     def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:
         """Open a bar over `total` units of work; count and rate alone where that is unknown."""
         if not self.shows_bars:
-            yield _NoBar()
+            yield _NoBar(self.listener, what, total or 0)
             return
         from tqdm import tqdm
 

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import UNREADABLE, Signal, added
+from tunenet_logs.episode import Signal
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats.base import (
     NUMBERS,
@@ -37,21 +37,27 @@ from tunenet_logs.formats.by_shape import (
     structure_of,
     unit_of,
 )
-from tunenet_logs.formats.columns.table import frame_stamps, position_signal
+from tunenet_logs.formats.columns.cells import MAX_NS, Clock
+from tunenet_logs.formats.columns.names import JOINT_UNITS
+from tunenet_logs.formats.columns.table import (
+    ColumnPlan,
+    ColumnRows,
+    Group,
+    Times,
+    Used,
+    fitted,
+    signals_of,
+)
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.terminal import listed
 from tunenet_logs.timing.stamps import order_samples, sorted_stamps
 
 IMPACTS = "impacts"  # the signal of times of impacts
 AXES = ("x", "y", "z")
-# Quantities of joints, and their units.
-_QUANTITIES = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "A"}
-
 _STAMPS = ("t", "frame", "times")  # what is a time, or counts as one
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d{1,6})\]")
 _MAX_LISTED = 8  # topics or fields that an error names
 _TICKS_NS = (1e9, 1e6, 1e3, 1.0)  # nanoseconds in what a number may count: s, ms, µs, ns
-_MAX_NS = 2.0**62
 _CLOSE = 3.0  # how much longer or shorter a span may be than on the log's own clock, to be the same
 
 
@@ -65,17 +71,7 @@ class _Column:
 
 
 class UserColumnRows:
-    """User's columns of one topic.
-
-    Args:
-        path: the log.
-        channel: of the topic.
-        picks: what each target is, behind the topic's name.
-        kind: how its messages are read.
-
-    Raises:
-        LogError: a field is not there.
-    """
+    """User's columns of one topic; `picks` says what each target is, behind the topic's name."""
 
     def __init__(
         self, path: Path, channel: RawChannel, picks: Mapping[str, str], kind: AnyType
@@ -126,12 +122,7 @@ class UserColumnRows:
         )
 
     def add(self, log_ns: int, message: Any) -> None:
-        """Append one message.
-
-        Raises:
-            LogError: a field is not there.
-            ValueError, TypeError, AttributeError: it makes no sense.
-        """
+        """Append one message; LogError where a field is not there."""
         if self._columns is None:
             self._resolve(structure_of(message))
         assert self._columns is not None
@@ -153,132 +144,78 @@ class UserColumnRows:
 
     def signals(self, options: ReadOptions) -> tuple[list[Signal], list[str]]:
         """Return the signals of the fields, and notes on what was repaired."""
-        if not len(self._log_ns) or self._columns is None:
+        columns = self._columns
+        if not len(self._log_ns) or columns is None:
             return [], []
         log_ns = np.frombuffer(self._log_ns, np.int64)
         header_ns = np.frombuffer(self._header_ns, np.int64)
+        always = np.ones(len(log_ns), np.bool_)
         found: list[Signal] = []
         notes: list[str] = []
         if "times" in self.targets:
-            impacts, repairs = self._impacts(header_ns, log_ns)
-            found.append(impacts)
-            notes += [f"{IMPACTS}: {repair}" for repair in repairs]
-        keep, stamps_ns, counts, repairs, left_out = self._stamps(header_ns, log_ns, options)
-        notes += [f"{self.topic}: {repair}" for repair in repairs]
-        if any(axis in self._columns for axis in AXES):
-            values = np.zeros((len(log_ns), 3))
-            for at, axis in enumerate(AXES):
-                if axis in self._columns:
-                    values[:, at] = self._columns[axis].values
-            unit = unit_of(self._type_name)
-            if options.length_unit:  # goes before what a type says: someone looked
-                unit = ""
-            signal, more = position_signal(
-                self.topic, stamps_ns, values[keep], unit, options, counts_frames=counts
+            if "times" in columns:
+                own = _as_ns(columns["times"], log_ns)
+                _, stamps_ns, notes, _ = sorted_stamps(own.stamps_ns[own.known])
+            else:
+                _, stamps_ns, notes, _ = order_samples(header_ns, log_ns)
+            ones = np.ones((len(stamps_ns), 1))
+            found.append(Signal(IMPACTS, stamps_ns, ones, ("impact",), "1"))
+            notes = [f"{IMPACTS}: {note}" for note in notes]
+        stamp: Clock | None = None
+        if "t" in columns:
+            clock, times = Clock("t", (), 0), _as_ns(columns["t"], log_ns)
+        elif "frame" in columns:
+            frames = np.array(columns["frame"].values, np.float64)
+            known = np.abs(frames) < 2**32
+            clock = Clock("frame", (), 0, counts_frames=True)
+            ns = np.round(np.where(known, frames, 0) * 1e9).astype(np.int64)
+            times = Times(ns, known)
+        else:
+            clock, stamp, times = Clock("log", (), 0), Clock("header", (), 0), Times(log_ns, always)
+        names = [name for name in columns if name not in _STAMPS]
+        unit = "" if options.length_unit else unit_of(self._type_name)  # someone looked
+        groups: list[Group] = []
+        if axes := [Used(names.index(one), at, 1.0) for at, one in enumerate(AXES) if one in names]:
+            groups.append(Group(self.topic, AXES, unit, tuple(axes), clock, stamp, is_track=True))
+        for quantity, unit in JOINT_UNITS.items():
+            numbers = sorted(int(n[len(quantity) + 1 :]) for n in names if n.startswith(quantity))
+            used = tuple(
+                Used(names.index(f"{quantity}_{number}"), at, 1.0)
+                for at, number in enumerate(numbers)
             )
-            found.append(replace(signal, left_out=added(signal.left_out, left_out)))
-            notes += more
-        for quantity, unit in _QUANTITIES.items():
-            joints = self._joints(quantity)
-            if joints:
-                signal = self._joint_signal(quantity, unit, joints, keep, stamps_ns, options)
-                found.append(replace(signal, left_out=left_out))
+            labels = tuple(f"joint{number}" for number in numbers)
+            name = f"{self.topic}.{quantity}"
+            groups += [Group(name, labels, unit, used, clock, stamp)] if used else []
+        if groups:
+            plan = fitted(
+                self._path, ColumnPlan(tuple(names), tuple(groups), is_stacked=True), options
+            )
+            values = {at: np.asarray(columns[one].values, float) for at, one in enumerate(names)}
+            clocks = {clock: times, Clock("header", (), 0): Times(header_ns, always)}
+            rows = ColumnRows(values, clocks, np.zeros(len(log_ns), np.int64), [""])
+            made = signals_of(self._path, plan, rows, options)
+            found += made.signals
+            notes += made.notes
         return [signal for signal in found if len(signal.stamps_ns)], notes
 
-    def _joints(self, quantity: str) -> list[int]:
-        return sorted(
-            int(target.rpartition("_")[2])
-            for target in self.targets
-            if target.startswith(f"{quantity}_")
-        )
 
-    def _joint_signal(
-        self,
-        quantity: str,
-        unit: str,
-        joints: Sequence[int],
-        keep: NDArray[np.intp],
-        stamps_ns: NDArray[np.int64],
-        options: ReadOptions,
-    ) -> Signal:
-        assert self._columns is not None
-        values = np.column_stack([self._columns[f"{quantity}_{one}"].values for one in joints])
-        values = values[keep]
-        values[~np.isfinite(values)] = np.nan
-        if quantity == "current" and options.torque_constants:
-            if len(options.torque_constants) != len(joints):
-                raise LogError(
-                    f"{self._path}: --torque-constants has {len(options.torque_constants)} "
-                    f"numbers for {len(joints)} currents; give one for each"
-                )
-            quantity, unit = "effort", "N·m"
-            values = values * np.array(options.torque_constants)
-        names = tuple(f"joint{one}" for one in joints)
-        return Signal(f"{self.topic}.{quantity}", stamps_ns, values, names, unit)
-
-    def _stamps(
-        self, header_ns: NDArray[np.int64], log_ns: NDArray[np.int64], options: ReadOptions
-    ) -> tuple[NDArray[np.intp], NDArray[np.int64], bool, list[str], dict[str, int]]:
-        """Return rows to keep, their stamps, whether these count frames, repairs, losses."""
-        assert self._columns is not None
-        given = self._columns.get("t") or self._columns.get("frame")
-        if given is None:
-            keep, stamps_ns, notes, left_out = order_samples(header_ns, log_ns, self._values())
-            return keep, stamps_ns, False, notes, left_out
-        counts = False
-        if "t" in self._columns:
-            own_ns, usable = _as_ns(given, log_ns)
-        else:
-            frames = np.array(given.values, np.float64)
-            usable = np.flatnonzero(np.abs(frames) < 2**40)
-            own_ns, counts = frame_stamps(frames[usable], None, options)
-        keep, stamps_ns, notes, left_out = sorted_stamps(own_ns, self._values(usable))
-        untimed = {UNREADABLE: len(log_ns) - len(usable)}
-        return usable[keep], stamps_ns, counts, notes, added(left_out, untimed)
-
-    def _values(self, rows: NDArray[np.intp] | None = None) -> list[NDArray[np.float64]]:
-        """Return what the fields that are no times hold, each of shape (T,)."""
-        assert self._columns is not None
-        of_samples = (one.values for name, one in self._columns.items() if name not in _STAMPS)
-        columns = [np.asarray(values, np.float64) for values in of_samples]
-        return columns if rows is None else [values[rows] for values in columns]
-
-    def _impacts(
-        self, header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]
-    ) -> tuple[Signal, list[str]]:
-        assert self._columns is not None
-        if "times" in self._columns:
-            own_ns, _ = _as_ns(self._columns["times"], log_ns)
-            _, stamps_ns, notes, _ = sorted_stamps(own_ns)
-        else:
-            _, stamps_ns, notes, _ = order_samples(header_ns, log_ns)
-        return Signal(IMPACTS, stamps_ns, np.ones((len(stamps_ns), 1)), ("impact",), "1"), notes
-
-
-def _as_ns(
-    column: _Column, log_ns: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Return the stamps of a field [ns], and which messages have one.
-
-    The log's own clock determines the unit of a number; else it is seconds.
-    """
-    usable = [at for at, value in enumerate(column.values) if abs(value) < _MAX_NS]
-    values: Iterable[float] = [column.values[at] for at in usable]
-    tick = 1.0 if column.is_time else _tick_ns(list(values), log_ns)
+def _as_ns(column: _Column, log_ns: NDArray[np.int64]) -> Times:
+    """Return the stamps of a field [ns]: numbers in the unit that fits the log, else in seconds."""
+    usable = [value for value in column.values if abs(value) < MAX_NS]
+    tick = 1.0 if column.is_time else _TICKS_NS[0]
+    span, heard_ns = (float(max(usable) - min(usable)) if usable else 0.0), float(np.ptp(log_ns))
+    if not column.is_time and span and heard_ns:
+        best = min(_TICKS_NS, key=lambda unit: abs(np.log(span * unit / heard_ns)))
+        tick = best if 1 / _CLOSE < span * best / heard_ns < _CLOSE else tick
     stamps = [
-        value * int(tick) if isinstance(value, int) else round(value * tick) for value in values
+        value * int(tick) if isinstance(value, int) else round(value * tick) for value in usable
     ]
-    inside = [at for at, stamp in enumerate(stamps) if abs(stamp) < _MAX_NS]
-    own_ns = np.array([stamps[at] for at in inside], np.int64)
-    return own_ns, np.array([usable[at] for at in inside], np.intp)
-
-
-def _tick_ns(values: Sequence[float], log_ns: NDArray[np.int64]) -> float:
-    span, heard_ns = (float(max(values) - min(values)) if values else 0.0), float(np.ptp(log_ns))
-    if not span or not heard_ns:
-        return _TICKS_NS[0]
-    best = min(_TICKS_NS, key=lambda tick: abs(np.log(span * tick / heard_ns)))
-    return best if 1 / _CLOSE < span * best / heard_ns < _CLOSE else _TICKS_NS[0]
+    known = np.array([abs(value) < MAX_NS for value in column.values], np.bool_)
+    ns = np.zeros(len(known), np.int64)
+    inside = np.array([abs(stamp) < MAX_NS for stamp in stamps], np.bool_)
+    known[known] = inside
+    ns[known] = [stamp for stamp in stamps if abs(stamp) < MAX_NS]
+    return Times(ns, known)
 
 
 # ---- All topics: find the fields that are named, and say which are not there
@@ -320,11 +257,7 @@ class UserColumns:
         return rows
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """Return the signals of the user's columns, and notes on what was repaired.
-
-        Raises:
-            LogError: a topic is missing, or the columns do not go together.
-        """
+        """Return the signals of the user's columns, and notes on what was repaired."""
         for target, text in self._options.columns.items():
             if target not in self._found:
                 missed = [

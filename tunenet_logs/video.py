@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.audio import FilmSound, PacketTimes, film_sound, sound_stream
+from tunenet_logs.audio import FilmSound, PacketTimes, film_sound, film_streams, sound_stream
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
@@ -39,11 +39,8 @@ def decoded_frame(
 ) -> Frame:
     """Wrap a decoded picture as a frame, kept as its decoder gave it: half of RGB's size.
 
-    Args:
-        stamp_ns: acquisition stamp.
-        picture: not changed by its decoder any more.
-        rotation_deg: counterclockwise turn that brings it upright; a multiple of 90.
-        dithered: whether it has few colours that alternate, which stand for their mean.
+    `rotation_deg`, a multiple of 90, turns it upright counterclockwise; `dithered` ones have few
+    colours that alternate, which stand for their mean.
     """
     width, height = picture.width, picture.height
     upright = (height, width) if rotation_deg % 180 else (width, height)
@@ -52,11 +49,7 @@ def decoded_frame(
 
 
 def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> NDArray[np.uint8]:
-    """Convert to RGB, reduced by the integer factor `scale`, shape (H, W, 3).
-
-    Raises:
-        LogError: it cannot be converted.
-    """
+    """Convert to RGB, reduced by the integer factor `scale`, shape (H, W, 3)."""
     import cv2
     from av.error import FFmpegError
 
@@ -89,38 +82,31 @@ _MOSTLY = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Video:
-    """Metadata and stamps of a video file.
-
-    Attributes:
-        codec: as FFmpeg calls it ("h264", "mjpeg").
-        size: (width, height) [px] of the upright frame.
-        rotation_deg: counterclockwise turn that brings a stored frame upright; a multiple of 90.
-        ticks: of the frames shown, increasing, in the file's own units; None where they do not
-            identify the frames.
-        clock: acquisition stamps.
-        warnings: what was repaired or is doubtful, in words.
-        sound: beside the frames; None where there is none, or their times are unknown.
-    """
+    """Metadata and stamps of a video file."""
 
     path: Path
-    codec: str
-    size: tuple[int, int]
-    rotation_deg: int
+    codec: str  # as FFmpeg calls it ("h264", "mjpeg")
+    size: tuple[int, int]  # (width, height) [px] of the upright frame
+    rotation_deg: int  # counterclockwise turn that brings a stored frame upright; a multiple of 90
+    # of the frames shown, increasing, in the file's own units; None where they do not identify the
+    # frames
     ticks: tuple[int, ...] | None
-    clock: VideoClock
-    warnings: tuple[str, ...]
+    clock: VideoClock  # acquisition stamps
+    warnings: tuple[str, ...]  # what was repaired or is doubtful, in words
+    # beside the frames; None where there is none, or their times are unknown
     sound: FilmSound | None = None
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, _topic: str = VIDEO_TOPIC) -> Iterator[Frame]:
         """Decode the frames in order, one at a time; a camera's own JPEG untouched, else as pixels.
 
         A damaged frame is left out, with those after it that depend on it.
-
-        Raises:
-            LogError: the file is damaged; the frames before that have been delivered.
         """
         if self.codec == "mjpeg" and not self.rotation_deg:
-            yield from self._stored_jpegs()
+            with opened_media(self.path, FILMS, "video") as container:
+                stamps = _Stamps(self)
+                for packet in container.demux(_video_stream(container, self.path)):
+                    if _is_shown(packet) and (stamp_ns := stamps.of(packet.pts)) is not None:
+                        yield Frame(stamp_ns, "jpeg", bytes(packet))
             return
         with opened_media(self.path, FILMS, "video") as container:
             stamps = _Stamps(self)
@@ -142,16 +128,6 @@ class Video:
                 yield decoded_frame(
                     stamp_ns, picture, self.rotation_deg, dithered=self.codec == "gif"
                 )
-
-    def _stored_jpegs(self) -> Iterator[Frame]:
-        with opened_media(self.path, FILMS, "video") as container:
-            stamps = _Stamps(self)
-            for packet in container.demux(_video_stream(container, self.path)):
-                if not _is_shown(packet):
-                    continue
-                stamp_ns = stamps.of(packet.pts)
-                if stamp_ns is not None:
-                    yield Frame(stamp_ns, "jpeg", bytes(packet))
 
 
 class _Stamps:
@@ -175,12 +151,7 @@ class _Stamps:
 def open_video(path: Path, filmed_hz: float | None = None) -> Video:
     """Read a video's metadata and stamps; no frame but the first is decoded.
 
-    Args:
-        path: the file.
-        filmed_hz: true frame rate of the camera, where the user knows better than its tags.
-
-    Raises:
-        LogError: no video, without frames, damaged, or of a size that no camera has.
+    `filmed_hz` is the camera's true frame rate, where the user knows better than its tags.
     """
     with opened_media(path, FILMS, "video") as container:
         stream = _video_stream(container, path)
@@ -203,7 +174,8 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
     if not packets or base is None:
         raise LogError(f"{path}: holds no picture; convert it to .mp4 first")
     with opened_media(path, FILMS, "video") as container:
-        first = next(_whole(container.decode(_video_stream(container, path))), None)
+        pictures = container.decode(_video_stream(container, path))
+        first = next((picture for picture in pictures if not picture.is_corrupt), None)
         if first is None:
             raise LogError(f"{path}: no picture in it can be decoded", COPY_AGAIN)
         rotation = 90 * round(first.rotation / 90)  # the file's display matrix, by a phone's pose
@@ -240,11 +212,7 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
 
 
 def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
-    """Read a video file as an episode without signals.
-
-    Raises:
-        LogError: see `open_video`.
-    """
+    """Read a video file as an episode without signals."""
     video = open_video(path, options.rate_hz)
     channel = Channel(
         topic=VIDEO_TOPIC,
@@ -260,7 +228,7 @@ def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
         {},
         channels,
         video.warnings,
-        open_frames=partial(_frames_of, video),
+        open_frames=video.frames,
         open_sound=video.sound.sound if video.sound else None,
         frames_untimed=not video.clock.is_timed,
     )
@@ -280,18 +248,13 @@ def is_rate_said(notes: Mapping[str, str]) -> bool:
 def video_notes(video: Video) -> dict[str, str]:
     """Describe a video for the notes of a log."""
     width, height = video.size
-    notes = {"codec": video.codec, "size_px": f"{width}x{height}"}
     clock = video.clock
-    notes["rate_hz"] = f"stored {clock.stored_hz:.3f}, filmed {clock.filmed_hz:.3f}"
-    if not clock.is_timed:
-        notes["rate_hz"] = "unknown"
+    rates = f"stored {clock.stored_hz:.3f}, filmed {clock.filmed_hz:.3f}"
+    notes = {"codec": video.codec, "size_px": f"{width}x{height}"}
+    notes["rate_hz"] = rates if clock.is_timed else "unknown"
     if video.rotation_deg:
         notes["rotated_deg"] = str(video.rotation_deg)
     return notes
-
-
-def _frames_of(video: Video, _topic: str) -> Iterator[Frame]:
-    return video.frames()
 
 
 def _packets(container: InputContainer, stream: Any, sound: PacketTimes | None) -> Iterator[Any]:
@@ -315,17 +278,9 @@ def _is_shown(packet: Any) -> bool:
     return bool(packet.size) and not packet.is_discard
 
 
-def _whole(pictures: Iterable[VideoFrame]) -> Iterator[VideoFrame]:
-    """Yield the frames that the decoder does not mark as corrupt."""
-    return (picture for picture in pictures if not picture.is_corrupt)
-
-
 def _video_stream(container: InputContainer, path: Path) -> Any:
-    """Return the first video stream; cover art of a sound file is none."""
-    import av.stream
-
-    cover = av.stream.Disposition.attached_pic
-    streams = [stream for stream in container.streams.video if not stream.disposition & cover]
+    """Return the first video stream."""
+    streams = film_streams(container)
     if not streams:
         kinds = ", ".join(sorted({str(stream.type) for stream in container.streams})) or "nothing"
         raise LogError(f"{path}: holds no video (only {kinds}); name a video of the drop")
@@ -370,13 +325,7 @@ def decoded(
 
     Frames before the first key frame are left out, and so are damaged packets and frames that the
     decoder marks as corrupt. One frame is in memory at a time, beside the decoder's references.
-
-    Args:
-        packets: in sending order.
-        opened: opens a decoder by FFmpeg's name, where one knows more than packets say.
-
-    Raises:
-        LogError: this machine's FFmpeg has no such decoder.
+    `opened` opens a decoder by FFmpeg's name, where one knows more than packets say.
     """
     open_decoder = opened or _opened
     for name, group in groupby(

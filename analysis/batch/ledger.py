@@ -25,9 +25,9 @@ import numpy as np
 from tunenet_logs.addresses import Address
 from tunenet_logs.analysis.batch.logs import OF_BATCH, FoundLog, LogState
 from tunenet_logs.analysis.checks import Verdict
-from tunenet_logs.analysis.record import Estimate, Record
+from tunenet_logs.analysis.options import TuneOptions
+from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.result_files import log_sha256, recording, table, writable
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import csv_line, parse_json, real_path, text_of
@@ -85,50 +85,34 @@ def ledger_row(
         state: Of the log when it was read.
         error: Why it failed; None otherwise, even if it was rejected.
     """
-    provenance, fit = record.provenance, record.motion.fit
+    known, fit = record.provenance, record.motion.fit
     row: dict[str, Cell] = {
         "log": ledger_key(log),
         "verdict": record.verdict,
         "reason": record.reason,
         "error": error,
-        "task": record.task,
-        "method": record.method,
-        "ball": record.ball,
-        "topic": record.topic,
-        "rollouts": record.rollouts,
+        **{name: getattr(record, name) for name in ("task", "method", "ball", "topic", "rollouts")},
         "seconds": record.seconds.get("total"),
-        "sha256": None if provenance is None else provenance.log_sha256,
+        "sha256": known and known.log_sha256,
         "bytes": state.size,
         "modified_ns": state.modified_ns,
         "results": ledger_key(name),
-        "tuned": None if provenance is None else provenance.date,
-        "version": None if provenance is None else provenance.version,
-        "engine": None if provenance is None else provenance.engine,
+        "tuned": known and known.date,
+        "version": known and known.version,
+        "engine": known and known.engine,
     }
     for estimate in record.estimates:
-        row.update(_cells(estimate))
+        # A value with its unit, its interval as `_low` and `_high`, a vector by its axes.
+        unit = re.sub(r"[^A-Za-z0-9]+", "_", estimate.unit).strip("_")
+        for part in estimate.components:
+            column = part.name + ("" if estimate.unit == "1" else f"_{unit}")
+            row[column] = part.value
+            if part.interval95 is not None:
+                row[f"{column}_low"], row[f"{column}_high"] = part.interval95
     if fit is not None and record.estimates:
-        row |= {
-            "fit_rms_percent": fit.rms_percent,
-            "fit_worst_percent": fit.worst_percent,
-            "fit_noise_percent": fit.noise_percent,
-            "fit_excess_percent": fit.excess_percent,
-            "fit_held_out_percent": fit.held_out_percent,
-        }
+        kinds = ("rms", "worst", "noise", "excess", "held_out")
+        row |= {f"fit_{kind}_percent": getattr(fit, f"{kind}_percent") for kind in kinds}
     return row
-
-
-def _cells(estimate: Estimate) -> dict[str, Cell]:
-    """Flatten a value, its interval as `_low` and `_high`, a vector by its axes."""
-    unit = re.sub(r"[^A-Za-z0-9]+", "_", estimate.unit).strip("_")
-    ending = "" if estimate.unit == "1" else f"_{unit}"
-    cells: dict[str, Cell] = {}
-    for part in estimate.components:
-        name = part.name + ending
-        cells[name] = part.value
-        if part.interval95 is not None:
-            cells |= dict(zip((f"{name}_low", f"{name}_high"), part.interval95, strict=True))
-    return cells
 
 
 # ---- Journal and table: append rows under a lock, then compact them to Parquet.
@@ -214,10 +198,6 @@ def read_ledger(table: Path) -> pd.DataFrame:
     return pd.read_parquet(table)
 
 
-def _journal_file(folder: Path) -> Path:
-    return folder / f"{OF_BATCH}.jsonl"
-
-
 def overview_file(folder: Path) -> Path:
     """Return the path of the recording that shows a whole ledger."""
     return folder / f"{OF_BATCH}.rrd"
@@ -229,28 +209,23 @@ def overview_place(folder: Path) -> OutputPlace:
     return OutputPlace(overview_file(folder), "overview", knows, elsewhere=_ELSEWHERE)
 
 
-def _table_place(folder: Path) -> OutputPlace:
-    def knows(file: BinaryIO) -> Sequence[str] | None:
-        if file.read(4) != b"PAR1":
-            return None
-        file.seek(max(0, os.fstat(file.fileno()).st_size - _FOOTER_BYTES))
-        return () if _IN_PARQUET in file.read(_FOOTER_BYTES) else None
-
-    return OutputPlace(ledger_file(folder), "ledger", knows, elsewhere=_ELSEWHERE)
+def _knows_table(file: BinaryIO) -> Sequence[str] | None:
+    if file.read(4) != b"PAR1":
+        return None
+    file.seek(max(0, os.fstat(file.fileno()).st_size - _FOOTER_BYTES))
+    return () if _IN_PARQUET in file.read(_FOOTER_BYTES) else None
 
 
 class Journal:
     """Ledger of a folder while logs are tuned into it."""
 
-    def __init__(self, folder: Path, file: BinaryIO) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, path: Path, file: BinaryIO) -> None:
         self.ledger = Ledger()
-        self._table = _table_place(folder)
+        self._path, self._file = path, file
+        self._table = OutputPlace(ledger_file(folder), "ledger", _knows_table, elsewhere=_ELSEWHERE)
         for place in (self._table, overview_place(folder)):
             if why := place.why_not():
                 raise LogError(why)
-        self._file = file
-        path = _journal_file(folder)
         rows = _journal_rows(path, file)  # all of it is looked at before a byte is changed
         if self._table.path.exists():
             self._put(self._table.path, _table_rows(self._table.path))
@@ -270,7 +245,7 @@ class Journal:
             LogError: The journal cannot be written.
         """
         line = json.dumps(row, ensure_ascii=False).encode(errors="replace")
-        with writable(_journal_file(self.folder), _GO_ON):
+        with writable(self._path, _GO_ON):
             self._file.write(line + b"\n")
             self._file.flush()
         self.ledger.put(row)
@@ -298,7 +273,7 @@ def journal(folder: Path) -> Iterator[Journal]:
         UsageError: Another process tunes into the folder.
         LogError: The folder cannot be written, or another kind of file is in the ledger's place.
     """
-    path = _journal_file(folder)
+    path = folder / f"{OF_BATCH}.jsonl"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         file = _locked(path)
@@ -308,28 +283,36 @@ def journal(folder: Path) -> Iterator[Journal]:
     with file:
         kept = None
         try:
-            kept = Journal(folder, file)
+            kept = Journal(folder, path, file)
             yield kept
         finally:
             if kept is not None and len(kept.ledger):
                 kept.compact()
-            if _is_at(path, file) and (kept is not None or _is_new(file)):
+            file.seek(0)
+            is_new = file.read(len(_HEAD) + 1) == _HEAD
+            if _is_at(path, file) and (kept is not None or is_new):
                 path.unlink()
 
 
 def _locked(path: Path) -> BinaryIO:
-    """Open the journal under an exclusive lock.
+    """Open the journal under an exclusive lock; a new one has a journal's header.
 
     Raises:
         LogError: Another kind of file is in its place.
         UsageError: Another process holds the lock.
         OSError: It cannot be opened.
     """
+    flags = os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     while True:
         knows = begins_with(_HEAD)
         if why := OutputPlace(path, "journal", knows, elsewhere=_ELSEWHERE).why_not():
             raise LogError(why)
-        file = _opened(path)
+        try:
+            file = os.fdopen(os.open(path, flags), "a+b")
+        except FileNotFoundError:
+            with suppress(FileExistsError):
+                write_new(path, _HEAD)
+            continue
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -347,26 +330,11 @@ def _locked(path: Path) -> BinaryIO:
         file.close()  # the process that held it has just removed it
 
 
-def _opened(path: Path) -> BinaryIO:
-    """Open the existing file, or one created atomically with a journal's header."""
-    flags = os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    while True:
-        with suppress(FileNotFoundError):
-            return os.fdopen(os.open(path, flags), "a+b")
-        with suppress(FileExistsError):
-            write_new(path, _HEAD)
-
-
 def _is_at(path: Path, file: BinaryIO) -> bool:
     try:
         return os.path.samestat(path.lstat(), os.fstat(file.fileno()))
     except OSError:
         return False
-
-
-def _is_new(file: BinaryIO) -> bool:
-    file.seek(0)
-    return file.read(len(_HEAD) + 1) == _HEAD
 
 
 def _journal_rows(path: Path, file: BinaryIO) -> list[LedgerRow]:
@@ -429,16 +397,14 @@ def write_parquet(ledger: Ledger, path: Path) -> None:
 
     arrays: dict[str, Any] = {}
     for name in dict.fromkeys((*COLUMNS[:1], *ledger.columns, *COLUMNS)):
-        cells = ledger.columns.get(name, [None] * len(ledger))
-        kind: Any = pa.float64()
+        kind, made, taken = pa.float64(), float, int | float
         if name in TEXTS:
-            kind, cells = pa.string(), [None if one is None else str(one) for one in cells]
+            kind, made, taken = pa.string(), str, object
         elif name in _WHOLE:
-            kind, cells = pa.int64(), [one if isinstance(one, int) else None for one in cells]
-        else:
-            numbers = (one if isinstance(one, int | float) else None for one in cells)
-            cells = [None if one is None else float(one) for one in numbers]
-        arrays[name] = pa.array(cells, kind)
+            kind, made, taken = pa.int64(), int, int
+        cells = ledger.columns.get(name, [None] * len(ledger))
+        usable = (one if isinstance(one, taken) else None for one in cells)
+        arrays[name] = pa.array([None if one is None else made(one) for one in usable], kind)
     parquet.write_table(pa.table(arrays).replace_schema_metadata(_PARQUET_MARK), path)
 
 
@@ -462,7 +428,7 @@ def _table_rows(path: Path) -> Iterator[LedgerRow]:
 _DIGITS = 16
 
 
-def options_digest(options: Options) -> str:
+def options_digest(options: TuneOptions) -> str:
     """Hash the options, the contents of the files they name, the engine and our version."""
     known = hashlib.sha256()
     engine = os.environ.get(ENGINE_VARIABLE, "")
@@ -500,8 +466,16 @@ def _add(known: Any, value: Any) -> None:
 _NOT_ITS = (".json", ".rrd", ".parquet", ".jsonl")  # suffixes of what a batch writes beside it
 
 
-def csv_place(path: Path, folder: Path, *, overwrite: bool) -> OutputPlace:
-    """Return the output place of the CSV, which may replace one of the same folder."""
+def csv_place(
+    path: Path, folder: Path, logs: Iterable[FoundLog], *, overwrite: bool
+) -> OutputPlace:
+    """Return the output place of the CSV, which may replace one of the same folder.
+
+    It is checked before hours of work, and that it replaces no log.
+
+    Raises:
+        UsageError: It cannot be written.
+    """
     own = ledger_key(folder)
 
     def lost(row: Mapping[str, str]) -> str | None:
@@ -509,19 +483,11 @@ def csv_place(path: Path, folder: Path, *, overwrite: bool) -> OutputPlace:
         return None if results.is_relative_to(own) else str(results.parent)
 
     elsewhere = "give --csv another file"
-    return OutputPlace(path, "ledger", table(COLUMNS, lost), own, elsewhere, overwrite=overwrite)
-
-
-def check_csv(place: OutputPlace, folder: Path, logs: Iterable[FoundLog] = ()) -> None:
-    """Check before hours of work that the table can be written, and replaces no log.
-
-    Raises:
-        UsageError: It cannot be written.
-    """
-    path = place.path
+    place = OutputPlace(path, "ledger", table(COLUMNS, lost), own, elsewhere, overwrite=overwrite)
     if path.suffix.lower() in _NOT_ITS:
         raise UsageError(f"{path}: is a name of other results; give --csv a name such as all.csv")
     check_batch_file(place, logs, folder)
+    return place
 
 
 def write_csv(ledger: Ledger, place: OutputPlace) -> None:

@@ -19,7 +19,6 @@ from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 from concurrent.futures import wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from email.utils import parsedate_to_datetime
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -48,30 +47,19 @@ _MAX_DEPTH = 64  # folders within folders
 
 @dataclass(frozen=True)
 class FoundLog:
-    """Log that was found.
+    """Log that was found."""
 
-    Attributes:
-        log: its path, or the address of one that is read over the network.
-        below: the folder below that of the results in which its own go.
-    """
-
-    log: Path | Address
-    below: Path = Path()
+    log: Path | Address  # its path, or the address of one that is read over the network
+    below: Path = Path()  # the folder below that of the results in which its own go
 
 
 @dataclass(frozen=True)
 class FoundLogs:
-    """Logs that were found.
+    """Logs that were found."""
 
-    Attributes:
-        logs: Each once, those of a folder sorted by name.
-        left_out: Count of files in folders that are no logs by name and first bytes.
-        are_many: Whether a folder or a pattern was named, or several logs.
-    """
-
-    logs: tuple[FoundLog, ...]
-    left_out: int
-    are_many: bool
+    logs: tuple[FoundLog, ...]  # each once, those of a folder sorted by name
+    left_out: int  # count of files in folders that are no logs by name and first bytes
+    are_many: bool  # whether a folder or a pattern was named, or several logs
 
 
 def is_remote(log: Path | Address | str) -> bool:
@@ -90,12 +78,11 @@ def find_logs(named: Sequence[Path | str]) -> FoundLogs:
             or one is named twice with different logins or signatures.
     """
     found: dict[Path | Address, FoundLog] = {}
-    left_out, are_many = 0, len(named) > 1
-    places = list(_places(named))
-    are_many = are_many or len(places) > 1
+    places, left_out = list(_places(named)), 0
+    are_many = max(len(named), len(places)) > 1
     folders = sum(isinstance(place, Path) and _is_folder(place) for place in places)
     for place in places:
-        if not isinstance(place, Path):
+        if isinstance(place, Address):
             known = found.setdefault(place, FoundLog(place)).log
             if isinstance(known, Address) and known.full_url != place.full_url:
                 raise UsageError(
@@ -142,8 +129,7 @@ class _Walk:
 
     def __init__(self, folder: Path) -> None:
         self.logs: list[Path] = []
-        self.left_out = 0
-        self._seen = 0
+        self.left_out = self._seen = 0
         self._look(folder, 0)
 
     def _look(self, folder: Path, depth: int) -> None:
@@ -179,15 +165,10 @@ def _is_folder(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class LogState:
-    """Size and modification time of a log, to detect cheaply whether it changed.
+    """Size and modification time of a log, to detect cheaply whether it changed."""
 
-    Attributes:
-        size: Of all of its files [bytes]; -1 if unknown.
-        modified_ns: The last change of any of them, on the file system's clock.
-    """
-
-    size: int = -1
-    modified_ns: int = 0
+    size: int = -1  # of all of its files [bytes]; -1 if unknown
+    modified_ns: int = 0  # the last change of any of them, on the file system's clock
 
     @classmethod
     def of(cls, log: Path) -> LogState:
@@ -242,10 +223,13 @@ def remote_state(address: Address) -> LogState:
     try:
         files, path = _opened(address)
         known = _answer(files, files._info(path))
-        if not address.url.startswith("http"):
-            return LogState(int(known["size"]), _ns(files.modified(path)))
-        changed = known.get("Last-Modified")
-        return LogState(int(known["size"]), _ns(parsedate_to_datetime(changed)) if changed else 0)
+        if address.url.startswith("http"):
+            told = known.get("Last-Modified")
+            changed = parsedate_to_datetime(told) if told else None
+        else:
+            changed = files.modified(path)
+        modified_ns = round(changed.timestamp() * 1e9) if changed else 0
+        return LogState(int(known["size"]), modified_ns)
     except Exception:  # noqa: BLE001 (each library has its own)
         return LogState()
 
@@ -304,16 +288,9 @@ def _answer(
     longest_s: float | None = None,
     came: Callable[[], int] = lambda: 0,
 ) -> Any:
-    """Await a call in fsspec's thread, and abandon it when it stalls.
+    """Await a call of a file system in fsspec's thread; abandon it when it stalls (TimeoutError).
 
-    Args:
-        files: An fsspec file system, whose calls are coroutines.
-        asking: The call.
-        longest_s: Longest time with under `_MIN_BYTES` received; `_SILENT_S` by default.
-        came: Returns the bytes received so far.
-
-    Raises:
-        TimeoutError: The call stalled.
+    It stalls when under `_MIN_BYTES` came in `longest_s` (None: `_SILENT_S`), by what `came` says.
     """
     import asyncio
 
@@ -350,10 +327,6 @@ def log_address(named: str) -> Address:
             "(docs/scale.md)"
         )
     return address
-
-
-def _ns(changed: datetime) -> int:
-    return round(changed.timestamp() * 1e9)
 
 
 def _opened(address: Address) -> tuple[Any, str]:
@@ -438,13 +411,13 @@ def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
     """
     if folder is None and any(is_remote(one.log) for one in logs):
         raise UsageError("results of logs that are read over the network need a place; give -o DIR")
-    names = [_folder_of(one, folder) / _stem(one.log) for one in logs]
+    ways = [_names_of(one, folder) for one in logs]
+    names = [way[0] for way in ways]
     taken = Counter(names)
     taken[(folder or Path()) / OF_BATCH] += 1
-    for rename in (_with_parent, _with_suffix, _with_both):
+    for at in range(1, 4):
         better = [
-            name if taken[name] < 2 else _folder_of(one, folder) / rename(one.log)
-            for one, name in zip(logs, names, strict=True)
+            name if taken[name] < 2 else way[at] for way, name in zip(ways, names, strict=True)
         ]
         counts = Counter(better)
         names = [new if counts[new] < 2 else old for new, old in zip(better, names, strict=True)]
@@ -457,9 +430,9 @@ def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
                 f"{both[0]} and {both[1]} would both write {json_file}; tune one at a time"
             )
     _check_inputs(logs, names)
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise LogError(f"{folder}: is not a folder; choose another with -o")
     if folder is not None:
+        if folder.exists() and not folder.is_dir():
+            raise LogError(f"{folder}: is not a folder; choose another with -o")
         for below in {one.below for one in logs}:
             check_folders(folder, below)
     return names
@@ -467,54 +440,26 @@ def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
 
 def _check_inputs(logs: Sequence[FoundLog], names: Sequence[Path]) -> None:
     inputs = {real_path(one.log) for one in logs if isinstance(one.log, Path)}
-    folders = {name.parent for name in names}
-    real = {folder: real_path(folder) for folder in folders}
+    real = {folder: real_path(folder) for folder in {name.parent for name in names}}
     for name in names:
         for path in result_files(name):
-            if real[name.parent] / path.name in inputs or (
-                path.is_symlink() and real_path(path) in inputs
-            ):
+            is_link_to_one = path.is_symlink() and real_path(path) in inputs
+            if real[name.parent] / path.name in inputs or is_link_to_one:
                 raise UsageError(
                     f"{path}: is a log, and would be replaced by results; choose -o DIR"
                 )
 
 
-def _folder_of(one: FoundLog, folder: Path | None) -> Path:
-    if folder is not None:
-        return folder / one.below
-    return _plain(one.log).parent
-
-
-def _plain(log: Path | Address) -> Path:
-    """Return a log's path; one without a name (`.`) is resolved."""
+def _names_of(one: FoundLog, folder: Path | None) -> tuple[Path, ...]:
+    """Return what a log's results may be called: by stem, with parent, with suffix, with both."""
+    log = one.log
     if isinstance(log, Address):
-        return Path(log.name)
-    return real_path(log) if log.name in ("", "..") else log
-
-
-def _name(log: Path | Address) -> str:
-    return os.fsencode(_plain(log).name).decode(errors="replace") or "log"
-
-
-def _stem(log: Path | Address) -> str:
-    """Return a file's name without its suffix, or a folder's name."""
-    name = _name(log)
-    if isinstance(log, Path) and is_folder(_plain(log)):
-        return name
-    return name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0] or name
-
-
-def _with_parent(log: Path | Address) -> str:
-    return f"{_parent(log)}_{_stem(log)}"
-
-
-def _with_suffix(log: Path | Address) -> str:
-    return _name(log)
-
-
-def _with_both(log: Path | Address) -> str:
-    return f"{_parent(log)}_{_name(log)}"
-
-
-def _parent(log: Path | Address) -> str:
-    return log.parent_name if isinstance(log, Address) else real_path(log).parent.name
+        plain, parent, is_file = Path(log.name), log.parent_name, True
+    else:  # one without a name (`.`) is resolved
+        plain = real_path(log) if log.name in ("", "..") else log
+        parent, is_file = real_path(log).parent.name, not is_folder(plain)
+    name = stem = os.fsencode(plain.name).decode(errors="replace") or "log"
+    if is_file:
+        stem = name.removesuffix(ACTIVE_SUFFIX).rsplit(".", 1)[0] or name
+    place = plain.parent if folder is None else folder / one.below
+    return tuple(place / each for each in (stem, f"{parent}_{stem}", name, f"{parent}_{name}"))

@@ -49,6 +49,7 @@ from tunenet_logs.analysis.batch.logs import (
 )
 from tunenet_logs.analysis.checks import Verdict
 from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Cluster, on_cluster, streamed
 from tunenet_logs.analysis.presentation import Row, row_of, table
 from tunenet_logs.analysis.record import (
@@ -60,7 +61,6 @@ from tunenet_logs.analysis.record import (
 )
 from tunenet_logs.analysis.result_files import log_sha256, review_of, tuning_of, writable
 from tunenet_logs.analysis.review.tuning import write_overview, write_review
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import provenance_of, tune_log
 from tunenet_logs.console import is_stdout, print_traceback
 from tunenet_logs.errors import LogError, UsageError, WeightsError
@@ -73,23 +73,17 @@ from tunenet_logs.writing.owned_path import OutputPlace
 _DIED = "the process that tuned it died each time (out of memory?)"
 
 _ORDER = get_args(Verdict)  # the best first
-# Writes something of a tuning, and raises LogError or OSError where it cannot.
-Also = Callable[[Tuning], None]
 
 
 @dataclass(frozen=True)
 class Writing:
-    """What is written for each log, beside its JSON.
+    """What is written for each log, beside its JSON."""
 
-    Attributes:
-        overwrite: Whether results of other logs may be replaced; files of others never are.
-        reviewed: Verdicts whose logs get a review.
-        also: Callback that keeps something else of a tuning; raises LogError or OSError on failure.
-    """
-
+    # Whether results of other logs may be replaced; files of others never are
     overwrite: bool = False
-    reviewed: frozenset[str] = frozenset(("ok", "suspect", "rejected"))
-    also: Also | None = None
+    reviewed: frozenset[str] = frozenset(_ORDER)  # verdicts whose logs get a review
+    # Writes something else of a tuning; raises LogError or OSError where it cannot
+    also: Callable[[Tuning], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -102,31 +96,22 @@ class Work:
 
 @dataclass(frozen=True)
 class Result:
-    """Result of one log: small, so that it travels between processes.
+    """Result of one log: small, so that it travels between processes."""
 
-    Attributes:
-        row: Without the curves.
-        entry: The log's row in the ledger.
-        review: The recording to open; None if there is nothing to show.
-        trouble: Why results could not be written, in one line; None if they were.
-        report: The JSON that was written; None if none was.
-        was: The better verdict that was replaced, in one line; None if none was.
-    """
-
-    row: Row
-    entry: LedgerRow
-    review: Path | None = None
-    trouble: str | None = None
-    report: Path | None = None
-    was: str | None = None
+    row: Row  # without the curves
+    entry: LedgerRow  # the log's row in the ledger
+    review: Path | None = None  # the recording to open; None if there is nothing to show
+    trouble: str | None = None  # why results could not be written, in one line; None if they were
+    report: Path | None = None  # the JSON that was written; None if none was
+    was: str | None = None  # the better verdict that was replaced, in one line; None if none was
 
 
-def lost(work: Work, options: Options) -> Result:
+def lost(work: Work, options: TuneOptions) -> Result:
     """Build the result of a log whose process died."""
     return _untuned(work, options, _DIED, LogState(), error=_DIED)
 
 
-def tuned_and_written(work: Work, options: Options, writing: Writing) -> Result:
+def tuned_and_written(work: Work, options: TuneOptions, writing: Writing) -> Result:
     """Tune one log and write its results.
 
     Raises:
@@ -143,34 +128,35 @@ def tuned_and_written(work: Work, options: Options, writing: Writing) -> Result:
         return _untuned(work, options, reason, LogState(), error=str(error))
 
 
-def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: Writing) -> Result:
+def _of_file(
+    work: Work, log: Path, state: LogState, options: TuneOptions, writing: Writing
+) -> Result:
     """Tune a log on this machine, possibly a copy, and write its results."""
     sha256, before = "", None
     report_file, review_file = result_files(work.name)
     if os.path.lexists(report_file) or os.path.lexists(review_file):
-        with suppress(OSError):  # reading and writing say why in our own words
-            sha256 = log_sha256(log)
+        sha256 = _hash(log)
     if sha256:
         places = _places(work, log, sha256, writing)
         wanted = places if writing.reviewed else places[:1]
         if why := next(filter(None, (place.why_not() for place in wanted)), None):
             reason = "not tuned: its results would replace others"
             return _untuned(work, options, reason, state, error=why)
-        before = _before(report_file, sha256)
+        with suppress(LogError):  # what was there of the same log
+            known = read_record(report_file)
+            if known.provenance is not None and known.provenance.log_sha256 == sha256:
+                before = known
     tuning = _tuned(log, options)
     is_log = log.is_file() or tuning.episode is not None  # a folder may be one
-    if is_log and not sha256:
-        with suppress(OSError):
-            sha256 = log_sha256(log)
+    sha256 = sha256 or (_hash(log) if is_log else "")
     tuning = replace(tuning, provenance=provenance_of(tuning, sha256, options))
     record = tuning.record
     review, trouble, report = None, None, None
     try:
         if is_log and (sha256 or not os.path.lexists(report_file)):
-            places = _places(work, log, sha256, writing)
-            review = _write(places, tuning, record, writing)
+            review = _write(_places(work, log, sha256, writing), tuning, record, writing)
             report = report_file
-            trouble = writing.also and _trouble(writing.also, tuning)
+            trouble = _trouble(writing, tuning)
     except LogError as error:
         trouble = str(error)
     except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
@@ -182,10 +168,22 @@ def _of_file(work: Work, log: Path, state: LogState, options: Options, writing: 
     row = row_of(tuning, small)
     row = replace(row, log=work.log) if is_remote(work.log) else row
     entry = ledger_row(work.log, work.name, small, state, error=trouble)
-    return Result(row, entry, review, trouble, report, report and _was(before, record, report))
+    was = None
+    if report and before and _ORDER.index(before.verdict) < _ORDER.index(record.verdict):
+        values = [part for known in before.estimates for part in known.components][:1]
+        said = "".join(f", {part.value:.4f}" for part in values)
+        was = f"{report}: was {before.verdict}{said}; is {record.verdict} now"
+    return Result(row, entry, review, trouble, report, was)
 
 
-def _tuned(log: Path, options: Options) -> Tuning:
+def _hash(log: Path) -> str:
+    try:
+        return log_sha256(log)
+    except OSError:  # reading and writing say why in our own words
+        return ""
+
+
+def _tuned(log: Path, options: TuneOptions) -> Tuning:
     """Tune a log; a defect of ours must not cost the other logs."""
     try:
         return tune_log(log, options)
@@ -235,25 +233,19 @@ def _write(
     return review
 
 
-def _before(report: Path, sha256: str) -> Record | None:
-    """Return the existing tuning, if it is of the same log."""
-    with suppress(LogError):
-        record = read_record(report)
-        if record.provenance is not None and record.provenance.log_sha256 == sha256:
-            return record
+def _trouble(writing: Writing, tuning: Tuning) -> str | None:
+    """Write what else is asked for; return why it failed, or None."""
+    try:
+        if writing.also is not None:
+            writing.also(tuning)
+    except LogError as error:
+        return str(error)
+    except OSError as error:
+        return f"{error.filename}: cannot be written ({error.strerror}); choose another place"
     return None
 
 
-def _was(before: Record | None, record: Record, report: Path) -> str | None:
-    """Describe the better verdict that is replaced ("was ok, 0.7400"), or return None."""
-    if before is None or _ORDER.index(before.verdict) >= _ORDER.index(record.verdict):
-        return None
-    values = [part for known in before.estimates for part in known.components][:1]
-    said = "".join(f", {part.value:.4f}" for part in values)
-    return f"{report}: was {before.verdict}{said}; is {record.verdict} now"
-
-
-def _untuned(work: Work, options: Options, reason: str, state: LogState, error: str) -> Result:
+def _untuned(work: Work, options: TuneOptions, reason: str, state: LogState, error: str) -> Result:
     log = work.log if isinstance(work.log, Path) else Path(work.log.name)
     tuning = Tuning(log, options.task, options.preset, "rejected", reason)
     tuning = replace(tuning, provenance=provenance_of(tuning, "", options))
@@ -263,18 +255,15 @@ def _untuned(work: Work, options: Options, reason: str, state: LogState, error: 
     return Result(row, entry, trouble=None if error == reason else error)
 
 
-def _trouble(also: Also, tuning: Tuning) -> str | None:
-    """Call `also`; return why it failed, or None."""
-    try:
-        also(tuning)
-    except LogError as error:
-        return str(error)
-    except OSError as error:
-        return f"{error.filename}: cannot be written ({error.strerror}); choose another place"
-    return None
+# ---- Batch: map the work over the logs, and enter the results in the ledger.
 
+MAX_SHOWN = 40  # logs of a batch whose results are kept to be shown one by one
+_TELL_EVERY_S = 60.0  # where no bar is shown, a line tells how far a batch is
+_NUMBER = re.compile(r"[-+]?[0-9][0-9.,]*(e[-+]?[0-9]+)?")
 
-# ---- Ray cluster, whose machines share one file system.
+# Does work on every item somewhere, and gives the results as they come: (work, items, lost=...);
+# see `streamed`.
+Streamed = Callable[..., Iterable[tuple[int, Result]]]
 
 
 def on_ray(
@@ -283,17 +272,8 @@ def on_ray(
     items: Sequence[Work],
     lost: Callable[[Work], Result],
 ) -> Iterator[tuple[int, Result]]:
-    """Map `work` over logs on a cluster; see `on_cluster`.
-
-    Args:
-        cluster: The cluster.
-        work: Reads logs and writes results by paths that every machine sees.
-        items: Logs to tune; paths are made absolute, as an actor has another working folder.
-        lost: Builds the result of a log whose actor died twice.
-
-    Raises:
-        UsageError: Ray is not installed, nobody answers at the address, or the options fit no log.
-    """
+    """Map `work` over logs on a cluster, whose machines share one file system; see `on_cluster`."""
+    # An actor has another working folder.
     absolute = [
         Work(real_path(item.log), real_path(item.name))
         if isinstance(item.log, Path)
@@ -303,67 +283,55 @@ def on_ray(
     return on_cluster(cluster, work, absolute, lost)
 
 
-# ---- Batch: map the work over the logs, and enter the results in the ledger.
-
-MAX_SHOWN = 40  # logs of a batch whose results are kept to be shown one by one
-_TELL_EVERY_S = 60.0  # where no bar is shown, a line tells how far a batch is
-_NUMBER = re.compile(r"[-+]?[0-9][0-9.,]*(e[-+]?[0-9]+)?")
-
-# Does work on every item somewhere, and gives the results as they come; see `streamed`.
-Streamed = Callable[
-    [Callable[[Work], Result], Sequence[Work], Callable[[Work], Result]],
-    Iterable[tuple[int, Result]],
-]
-
-
 @dataclass(frozen=True)
 class Order:
-    """Logs of a batch, and how to tune them.
-
-    Attributes:
-        folder: Where results go; None for beside each log.
-        keeps_ledger: Whether a ledger is kept there.
-        resumes: Whether to skip logs that the ledger has, with the same contents, tuned under the
-            same options.
-    """
+    """Logs of a batch, and how to tune them."""
 
     logs: Sequence[FoundLog]
-    options: Options = field(default_factory=Options)
+    options: TuneOptions = field(default_factory=TuneOptions)
     writing: Writing = field(default_factory=Writing)
-    folder: Path | None = None
-    keeps_ledger: bool = False
+    folder: Path | None = None  # where results go; None for beside each log
+    keeps_ledger: bool = False  # whether a ledger is kept there
+    # Whether to skip logs that the ledger has, with the same contents, tuned under the same options
     resumes: bool = False
+    csv: OutputPlace | None = None  # where the ledger goes as a text table, too
+    jobs: int | None = None  # number of processes; None for all cores
+    # Address of a Ray cluster to work on; None for processes of this machine
+    ray: str | None = None
 
 
 @dataclass
 class BatchResult:
-    """Result of a batch.
+    """Result of a batch."""
 
-    Attributes:
-        results: Of at most `MAX_SHOWN` logs; where there are more, of the first ones that failed.
-        verdicts: Count of logs by verdict, skipped ones included.
-        reasons: Count of logs that are not ok by reason, numbers in it ignored.
-        skipped: Logs that were done before.
-        failed: Logs that are rejected, or whose results could not be written.
-        seconds: Wall time.
-        ledger: None if none is kept.
-    """
-
+    # Of at most `MAX_SHOWN` logs; where there are more, of the first ones that failed
     results: list[Result]
-    verdicts: Counter[str]
+    verdicts: Counter[str]  # count of logs by verdict, skipped ones included
+    # Count of logs that are not ok by reason, numbers in it ignored
     reasons: Counter[str] = field(default_factory=Counter)
-    skipped: int = 0
-    failed: int = 0
-    seconds: float = 0.0
-    ledger: Path | None = None
+    skipped: int = 0  # logs that were done before
+    failed: int = 0  # logs that are rejected, or whose results could not be written
+    seconds: float = 0.0  # wall time
+    ledger: Path | None = None  # None if none is kept
+
+    def count(self, verdict: str, reason: object, *, failed: bool = False) -> None:
+        """Count a log; of a reason the first clause without its numbers."""
+        self.verdicts[verdict] += 1
+        self.failed += failed or verdict == "rejected"
+        if reason is not None:
+            self.reasons[_NUMBER.sub("…", re.split(r"; | \(", str(reason))[0])] += 1
+
+    @property
+    def counted(self) -> str:
+        """The count of logs by verdict, in words."""
+        return ", ".join(f"{self.verdicts[name]} {name}" for name in _ORDER)
 
 
 def run_batch(
     order: Order,
     progress: Progress,
     stream: Streamed | None = None,
-    jobs: int | None = None,
-    after: Callable[[Ledger], None] | None = None,
+    after: Callable[[Order, Ledger], None] | None = None,
     each: Callable[[Result], None] = lambda _result: None,
 ) -> BatchResult:
     """Tune every log, write its results, and enter it in the ledger.
@@ -371,9 +339,8 @@ def run_batch(
     Args:
         order: The logs, and how to tune them.
         progress: Shows how many are done.
-        stream: Maps the work; None for processes of this machine.
-        jobs: Number of these processes; None for all cores.
-        after: Called with the whole ledger at the end.
+        stream: Maps the work; None for what the order says.
+        after: Called with the order and the whole ledger at the end; see `closing`.
         each: Called with each result as it is done.
 
     Raises:
@@ -385,6 +352,9 @@ def run_batch(
     works = [Work(one.log, name) for one, name in zip(order.logs, names, strict=True)]
     work = partial(tuned_and_written, options=order.options, writing=order.writing)
     gone = partial(lost, options=order.options)
+    here = partial(streamed, jobs=order.jobs, may_stay=True)
+    afar = order.ray and partial(on_ray, Cluster(order.ray, order.jobs))
+    stream = stream or afar or here
     batch = BatchResult([], Counter())
     shown: dict[int, Result] = {}
     with ExitStack() as stack:
@@ -395,122 +365,68 @@ def run_batch(
             digest = options_digest(order.options)
             batch.ledger = ledger_file(order.folder)
         if kept is not None and order.resumes:
-            works = list(_to_do(works, kept, digest, batch))
-        results = (
-            stream(work, works, gone)
-            if stream is not None
-            else streamed(work, works, jobs, may_stay=True, lost=gone)
-        )
-        told = _Told(progress, len(works), began_s)
-        counted = progress
+            works = [one for one in works if not _is_done(one, kept, digest, batch)]
+        counted, next_s = progress, began_s + _TELL_EVERY_S
         if len(works) == 1:  # how far its own stages are says more than none of one
             stack.enter_context(progress.stages(one_line(works[0].log)))
             counted = replace(progress, quiet=True)
         with counted.bar(len(works), "tuning", "log") as bar:
-            for at, result in results:
+            for done, (at, result) in enumerate(stream(work, works, lost=gone), 1):
                 if kept is not None:
                     kept.append({**result.entry, "options": digest})
                 each(result)
-                verdict = result.row.record.verdict
-                batch.verdicts[verdict] += 1
-                batch.reasons.update(_kinds(result.row.record.reason))
-                batch.failed += verdict == "rejected" or result.trouble is not None
-                if len(works) <= MAX_SHOWN or (
-                    len(shown) < MAX_SHOWN
-                    and (verdict == "rejected" or result.trouble or result.was)
-                ):
+                record = result.row.record
+                batch.count(record.verdict, record.reason, failed=result.trouble is not None)
+                is_odd = record.verdict == "rejected" or result.trouble or result.was
+                if len(works) <= MAX_SHOWN or (len(shown) < MAX_SHOWN and is_odd):
                     shown[at] = result
-                if len(works) > 1:
-                    bar.set_postfix_str(_counted(batch.verdicts), refresh=False)
+                bar.set_postfix_str(batch.counted, refresh=False)
                 bar.update(1)
-                told.update(batch)
+                now_s = time.monotonic()
+                if now_s >= next_s and not progress.shows_bars:
+                    next_s = now_s + _TELL_EVERY_S
+                    rate = done / (now_s - began_s)
+                    progress.say(
+                        f"tuning: {done} of {len(works)} logs, {rate:.1f} a second, "
+                        f"{(len(works) - done) / rate / 60:.0f} min left: {batch.counted}"
+                    )
         if kept is not None and after is not None:
-            after(kept.ledger)
+            after(order, kept.ledger)
     batch.results = [shown[at] for at in sorted(shown)]
     batch.seconds = time.monotonic() - began_s
     return batch
 
 
-def _to_do(works: Iterable[Work], kept: Journal, digest: str, batch: BatchResult) -> Iterator[Work]:
-    """Yield the logs that the ledger does not have as they are now; count the others."""
-    for work in works:
-        row = kept.ledger.row(ledger_key(work.log))
-        if (
-            row is None
-            or row.get("error") is not None
-            or row.get("options") != digest
-            or row.get("results") != ledger_key(work.name)
-            or not _is_same(work, row.get("bytes"), row.get("modified_ns"), row.get("sha256"))
-        ):
-            yield work
-            continue
-        batch.skipped += 1
-        batch.verdicts[str(row["verdict"])] += 1
-        batch.reasons.update(_kinds(row.get("reason")))
-        batch.failed += row["verdict"] == "rejected"
+def _is_done(work: Work, kept: Journal, digest: str, batch: BatchResult) -> bool:
+    """Check whether the ledger has a log as it is now, and count it then."""
+    row = kept.ledger.row(ledger_key(work.log))
+    if (
+        row is None
+        or row.get("error") is not None
+        or row.get("options") != digest
+        or row.get("results") != ledger_key(work.name)
+        or not _is_same(work, row.get("bytes"), row.get("modified_ns"), row.get("sha256"))
+    ):
+        return False
+    batch.skipped += 1
+    batch.count(str(row["verdict"]), row.get("reason"))
+    return True
 
 
 def _is_same(work: Work, size: object, modified_ns: object, sha256: object) -> bool:
-    """Return whether a log is unchanged, and its results are there."""
+    """Check whether a log is unchanged, and its results are there."""
     if not isinstance(work.log, Path):
-        return _is_same_afar(work.log, size, modified_ns, sha256)
+        state = remote_state(work.log)
+        if state.size >= 0 and (state.size != size or state.modified_ns):
+            return (state.size, state.modified_ns) == (size, modified_ns)
+        with suppress(LogError, OSError), fetched(work.log) as copy:  # nobody says when it changed
+            return _hash(copy) == sha256
+        return False
     state = LogState.of(work.log)
     report = result_files(work.name)[0]
     if state.size < 0 or not sha256 or report.is_symlink() or not report.is_file():
         return state.size < 0 and size == -1  # it could not be read, and cannot now
-    if state.size != size:
-        return False
-    if state.modified_ns == modified_ns:
-        return True
-    try:
-        return log_sha256(work.log) == sha256
-    except OSError:
-        return False
-
-
-def _is_same_afar(log: Address, size: object, modified_ns: object, sha256: object) -> bool:
-    """Return whether a remote log is unchanged, by state or, without one, by hash."""
-    state = remote_state(log)
-    if state.size >= 0 and (state.size != size or state.modified_ns):
-        return (state.size, state.modified_ns) == (size, modified_ns)
-    with suppress(LogError, OSError), fetched(log) as copy:  # nobody says when it changed
-        return log_sha256(copy) == sha256
-    return False
-
-
-def _kinds(reason: object) -> list[str]:
-    """Return the first clause of a reason, without its numbers; nothing if ok."""
-    if reason is None:
-        return []
-    return [_NUMBER.sub("…", re.split(r"; | \(", str(reason))[0])]
-
-
-class _Told:
-    """Report a batch's progress from time to time where no bar does."""
-
-    def __init__(self, progress: Progress, total: int, began_s: float) -> None:
-        self._progress, self._total, self._began_s = progress, total, began_s
-        self._done = 0
-        self._next_s = began_s + _TELL_EVERY_S
-
-    def update(self, batch: BatchResult) -> None:
-        """Count one more log."""
-        self._done += 1
-        now_s = time.monotonic()
-        if now_s < self._next_s or self._progress.shows_bars:
-            return
-        self._next_s = now_s + _TELL_EVERY_S
-        rate = self._done / (now_s - self._began_s)
-        left_s = (self._total - self._done) / rate
-        self._progress.say(
-            f"tuning: {self._done} of {self._total} logs, {rate:.1f} a second, "
-            f"{left_s / 60:.0f} min left: {_counted(batch.verdicts)}"
-        )
-
-
-def _counted(verdicts: Counter[str]) -> str:
-    """Format the count of logs by verdict."""
-    return ", ".join(f"{verdicts[name]} {name}" for name in ("ok", "suspect", "rejected"))
+    return state.size == size and (state.modified_ns == modified_ns or _hash(work.log) == sha256)
 
 
 # ---- JSON lines (`--json`): one object per log, as each is done.
@@ -533,28 +449,14 @@ def result_fields(result: Result) -> dict[str, Any]:
     }
 
 
-def check_lines(path: Path, order: Order, *, overwrite: bool) -> None:
-    """Check before hours of work that the lines can be written, and what they would replace.
+def lines_place(path: Path, order: Order, *, overwrite: bool) -> OutputPlace:
+    """Return the output place of the lines, which may replace those of the same logs.
 
-    Args:
-        path: Where they go.
-        order: Of the batch, whose logs and results they never replace.
-        overwrite: Whether they may replace a file that holds no such lines.
+    It is checked before hours of work, and that they replace no log's results.
 
     Raises:
         UsageError: They cannot be written.
     """
-    if is_stdout(path):
-        return
-    place = real_path(path)
-    names = [*result_names(order.logs, order.folder), (order.folder or Path()) / OF_BATCH]
-    if any(place == real_path(file) for name in names for file in result_files(name)):
-        raise UsageError(f"{path}: is where a log's own results go; give --json another file")
-    check_batch_file(lines_place(path, order, overwrite=overwrite), order.logs, order.folder)
-
-
-def lines_place(path: Path, order: Order, *, overwrite: bool) -> OutputPlace:
-    """Return the output place of the lines, which may replace those of the same logs."""
     logs = {name for one in order.logs for name in (str(one.log), ledger_key(one.log))}
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
@@ -567,7 +469,14 @@ def lines_place(path: Path, order: Order, *, overwrite: bool) -> OutputPlace:
 
     of = listed(str(one.log) for one in order.logs[:2])
     elsewhere = "give --json another file"
-    return OutputPlace(path, "file of --json", knows, of, elsewhere, overwrite=overwrite)
+    place = OutputPlace(path, "file of --json", knows, of, elsewhere, overwrite=overwrite)
+    if not is_stdout(path):
+        names = [*result_names(order.logs, order.folder), (order.folder or Path()) / OF_BATCH]
+        files = (file for name in names for file in result_files(name))
+        if real_path(path) in map(real_path, files):
+            raise UsageError(f"{path}: is where a log's own results go; give --json another file")
+        check_batch_file(place, order.logs, order.folder)
+    return place
 
 
 @contextmanager
@@ -602,48 +511,48 @@ _DISK_REMEDY = "free some space and run it again with --resume: the logs are don
 _MAX_REASONS, _MAX_REASON_CHARACTERS = 5, 100
 
 
-def closing(order: Order, csv: OutputPlace | None, ledger: Ledger) -> None:
+def closing(order: Order, ledger: Ledger) -> None:
     """Write what is made of a whole ledger: its overview, and a CSV table on request.
 
     Raises:
         LogError: One cannot be written.
     """
-    if csv is not None:
-        with writable(csv.path, _DISK_REMEDY):
-            write_csv(ledger, csv)
+    if order.csv is not None:
+        with writable(order.csv.path, _DISK_REMEDY):
+            write_csv(ledger, order.csv)
     if order.folder is not None:
         place = overview_place(order.folder)
         with writable(place.path, _DISK_REMEDY), place.replacing() as unfinished:
             write_overview(ledger.columns, unfinished)
 
 
-def print_table(results: Sequence[Result]) -> None:
-    """Print a table of the logs that could be read."""
-    rows = [result.row for result in results if result.row.is_read]
-    if rows:
-        print(table(rows, terminal_columns()))
+def show(batch: BatchResult, count: int, *, has_table: bool, is_verbose: bool) -> None:
+    """Print what became of `count` logs: a table and a summary; remarks to standard error."""
+    rows = [result.row for result in batch.results]
+    if is_verbose:
+        known = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
+        details = [f"{row.log}: {line}" for row in rows for line in _details(row.record)]
+        _say(f"tunenet-logs {__version__}, {known}", *details)
+    read = [row for row in rows if row.is_read]
+    if read and has_table:
+        print(table(read, terminal_columns()))
+    _say(*(f"tunenet-tune: {one}" for result in batch.results for one in _remarks(result)))
+    if has_table:
+        print("".join(f"{line}\n" for line in _summary(batch, count)), end="")
 
 
-def print_remarks(results: Sequence[Result]) -> None:
-    """Print the warnings of logs, and why some could not be read, to standard error."""
-    for result in results:
-        record = result.row.record
-        remarks = record.warnings if result.row.is_read else (record.reason, *record.warnings)
-        for remark in () if result.trouble and not result.row.is_read else remarks:
-            print(one_line(f"tunenet-tune: {result.row.log}: {remark}"), file=sys.stderr)
-        if result.was:
-            print(one_line(f"tunenet-tune: {result.was}"), file=sys.stderr)
-        if result.trouble:
-            print(one_line(f"tunenet-tune: {result.trouble}"), file=sys.stderr)
+def _say(*lines: str) -> None:
+    for line in lines:
+        print(one_line(line), file=sys.stderr)
 
 
-def print_details(results: Sequence[Result]) -> None:
-    """Print each log's topic, window, method, timing and every check to standard error."""
-    known = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
-    print(f"tunenet-logs {__version__}, {known}", file=sys.stderr)
-    for result in results:
-        for line in _details(result.row.record):
-            print(one_line(f"{result.row.log}: {line}"), file=sys.stderr)
+def _remarks(result: Result) -> Iterator[str]:
+    """Yield the warnings of a log, and why it could not be read or written."""
+    record, is_read = result.row.record, result.row.is_read
+    if is_read or not result.trouble:
+        remarks = record.warnings if is_read else (record.reason, *record.warnings)
+        yield from (f"{result.row.log}: {remark}" for remark in remarks)
+    yield from filter(None, (result.was, result.trouble))
 
 
 def _details(record: Record) -> Iterator[str]:
@@ -666,38 +575,27 @@ def _details(record: Record) -> Iterator[str]:
         yield f"{'passed' if check.passed else 'FAILED'}: {check.name}: {check.detail}"
 
 
-def summary(batch: BatchResult, count: int) -> str:
-    """Format the summary below the table of a batch of `count` logs."""
-    lines: list[str] = []
+def _summary(batch: BatchResult, count: int) -> Iterator[str]:
+    """Yield the lines below the table of a batch of `count` logs."""
     records = [result.row.record for result in batch.results]
-    engines = {record.simulator["engine"] for record in records if record.simulator}
-    if engines:
-        lines += ["", f"simulated by {', '.join(sorted(engines))}"]
+    if engines := {record.simulator["engine"] for record in records if record.simulator}:
+        yield from ("", f"simulated by {', '.join(sorted(engines))}")
     if batch.ledger is not None:
-        lines += ["", *_of_verdicts(batch, count)]
+        done = count - batch.skipped
+        rate = f", {done / batch.seconds:.1f} a second" if done and batch.seconds > 0 else ""
+        before = f"; {batch.skipped} were done before" if batch.skipped else ""
+        yield from ("", f"{count} logs: {done} tuned in {_lasting(batch.seconds)}{rate}{before}")
+        for name in _ORDER:
+            if number := batch.verdicts[name]:
+                yield f"  {name:8}  {number:6}  {100 * number / count:5.1f} %"
+        for reason, number in batch.reasons.most_common(_MAX_REASONS):
+            yield f"    {number} x {short_name(reason, _MAX_REASON_CHARACTERS)}"
     reviews = [one_line(result.review) for result in batch.results if result.review]
     if reviews and count <= MAX_SHOWN:
-        lines.append("review: " + "\n        ".join(f"rerun {review}" for review in reviews))
+        yield "review: " + "\n        ".join(f"rerun {review}" for review in reviews)
     if batch.ledger is not None:
-        lines.append(f"ledger: {one_line(batch.ledger)}")
-        lines.append(f"        rerun {one_line(overview_file(batch.ledger.parent))}")
-    return "".join(f"{line}\n" for line in lines)
-
-
-def _of_verdicts(batch: BatchResult, count: int) -> list[str]:
-    done = count - batch.skipped
-    rate = f", {done / batch.seconds:.1f} a second" if done and batch.seconds > 0 else ""
-    before = f"; {batch.skipped} were done before" if batch.skipped else ""
-    lines = [f"{count} logs: {done} tuned in {_lasting(batch.seconds)}{rate}{before}"]
-    for name in ("ok", "suspect", "rejected"):
-        number = batch.verdicts[name]
-        if number:
-            lines.append(f"  {name:8}  {number:6}  {100 * number / count:5.1f} %")
-    lines += [
-        f"    {number} x {short_name(reason, _MAX_REASON_CHARACTERS)}"
-        for reason, number in batch.reasons.most_common(_MAX_REASONS)
-    ]
-    return lines
+        yield f"ledger: {one_line(batch.ledger)}"
+        yield f"        rerun {one_line(overview_file(batch.ledger.parent))}"
 
 
 def _lasting(seconds: float) -> str:

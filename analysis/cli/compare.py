@@ -65,7 +65,12 @@ def _compare(arguments: argparse.Namespace) -> int:
 
     tunings = read_tunings(arguments.places, _warn)
     places = _places(arguments, [tuning.record for tuning in tunings])
-    _check_outputs(places, [tuning.path for tuning in tunings])
+    inputs = [tuning.path for tuning in tunings]
+    from tunenet_logs.analysis.result_files import check_place
+
+    for name, place in places.items():
+        option = _OPTIONS.get(name, name)
+        check_place(place, f"--{option}", (f".{option}",), inputs)
     if arguments.html or arguments.png:
         needed("matplotlib", "report")
         needed("jinja2", "report")
@@ -94,7 +99,8 @@ def _places(arguments: argparse.Namespace, records: Sequence[Record]) -> dict[st
     kinds = {
         "csv": (arguments.csv, "table of tunings", table(COLUMNS, lost)),
         "pairs": (
-            arguments.csv and _pairs_path(arguments.csv),
+            arguments.csv
+            and arguments.csv.with_name(f"{arguments.csv.stem}_pairs{arguments.csv.suffix}"),
             "table of tests",
             table(PAIR_COLUMNS, lambda _row: None),
         ),
@@ -113,18 +119,6 @@ def _places(arguments: argparse.Namespace, records: Sequence[Record]) -> dict[st
         for name, (path, what, knows) in kinds.items()
         if path is not None
     }
-
-
-def _check_outputs(places: Mapping[str, OutputPlace], inputs: Sequence[Path]) -> None:
-    from tunenet_logs.analysis.result_files import check_place
-
-    for name, place in places.items():
-        option = _OPTIONS.get(name, name)
-        check_place(place, f"--{option}", (f".{option}",), inputs)
-
-
-def _pairs_path(path: Path) -> Path:
-    return path.with_name(f"{path.stem}_pairs{path.suffix}")
 
 
 def _write(places: Mapping[str, OutputPlace], comparison: Comparison) -> list[Path]:

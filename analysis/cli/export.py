@@ -99,7 +99,13 @@ def _export(arguments: argparse.Namespace) -> int:
 
     engine = export_format(arguments.to)
     record, item = _item(arguments, engine)
-    texts = _texts(arguments, engine, item)
+    # The files to write.
+    from tunenet_logs.analysis.export.files import export_texts
+
+    path = arguments.output
+    if path is None:
+        path = arguments.tuning.with_suffix(usual_suffix(engine))
+    texts = export_texts(engine, item, path)
     knows, elsewhere = exported_file(record), "give -o another file"
     places = {
         OutputPlace(
@@ -156,18 +162,6 @@ def _item(
         return record, exported_for(engine, record, said)
     except TuneNetError as error:
         raise type(error)(f"{arguments.tuning}: {error}") from error
-
-
-def _texts(
-    arguments: argparse.Namespace, engine: ExportFormat, item: ExportedBall | ExportedPayload
-) -> dict[Path, str]:
-    """Return the files to write."""
-    from tunenet_logs.analysis.export.files import export_texts
-
-    path = arguments.output
-    if path is None:
-        path = arguments.tuning.with_suffix(usual_suffix(engine))
-    return export_texts(engine, item, path)
 
 
 if __name__ == "__main__":

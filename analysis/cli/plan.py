@@ -92,14 +92,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _plan(arguments: argparse.Namespace) -> int:
     from tunenet_logs.analysis.result_files import write_json
-    from tunenet_logs.recorders.simulators.shot import ShotRig, read_rig, rig_text
+    from tunenet_logs.recorders.simulators.shot import ShotRig, read_rig
 
     rig = ShotRig() if arguments.rig is None else read_rig(arguments.rig)
     if arguments.save_rig is not None:
-        _refuse_with_save(arguments)
-        _save_new(arguments.save_rig, rig_text(rig))
-        print(f"rig: {one_line(arguments.save_rig)}; edit it, then give it to --rig")
-        return 0
+        return _save_rig(arguments, rig)
     _refuse_own_input(arguments)
     ball = _ball(arguments, rig)
     places = _places(arguments, ball)
@@ -128,6 +125,26 @@ def _plan(arguments: argparse.Namespace) -> int:
         if shows_table:
             print(f"\nreview: rerun {one_line(arguments.rrd)}")
     return int(plan.best is None)
+
+
+def _save_rig(arguments: argparse.Namespace, rig: ShotRig) -> int:
+    """Write a new file; an existing one may have been edited and is not replaced."""
+    from tunenet_logs.recorders.simulators.shot import rig_text
+    from tunenet_logs.writing.owned_path import write_new
+
+    for name in ("tuning", "restitution", "slope", "restitution_sd", "drag", "json", "rrd"):
+        if getattr(arguments, name) is not None:
+            option = name.replace("_", "-")
+            raise UsageError(f"--save-rig plans nothing; leave {option} out")
+    path = arguments.save_rig
+    try:
+        write_new(path, rig_text(rig).encode())
+    except FileExistsError as error:
+        raise UsageError(f"{path}: exists; give --save-rig another name") from error
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror})") from error
+    print(f"rig: {one_line(path)}; edit it, then give it to --rig")
+    return 0
 
 
 def _places(arguments: argparse.Namespace, ball: KnownBall) -> dict[Path, OutputPlace]:
@@ -176,38 +193,17 @@ def _ball(arguments: argparse.Namespace, rig: ShotRig) -> KnownBall:
     return replace(ball, remarks=(*ball.remarks, contradicted)) if contradicted else ball
 
 
-def _refuse_with_save(arguments: argparse.Namespace) -> None:
-    for name in ("tuning", "restitution", "slope", "restitution_sd", "drag", "json", "rrd"):
-        if getattr(arguments, name) is not None:
-            option = name.replace("_", "-")
-            raise UsageError(f"--save-rig plans nothing; leave {option} out")
-
-
 def _refuse_own_input(arguments: argparse.Namespace) -> None:
     """Refuse an output that would replace an input, or the other output."""
     kinds = {"tuning": "the tuning", "rig": "--rig", "json": "--json", "rrd": "--rrd"}
     given = [(name, getattr(arguments, name)) for name in kinds if getattr(arguments, name)]
     for (first, one), (second, other) in combinations(given, 2):
-        if second in ("json", "rrd") and _is_same(one, other):
+        if second in ("json", "rrd") and (
+            one.samefile(other)
+            if one.exists() and other.exists()
+            else real_path(one) == real_path(other)
+        ):
             raise UsageError(f"{other}: is {kinds[first]} too; give --{second} another file")
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    if one.exists() and other.exists():
-        return one.samefile(other)
-    return real_path(one) == real_path(other)
-
-
-def _save_new(path: Path, text: str) -> None:
-    """Write a new file; an existing one may have been edited and is not replaced."""
-    from tunenet_logs.writing.owned_path import write_new
-
-    try:
-        write_new(path, text.encode())
-    except FileExistsError as error:
-        raise UsageError(f"{path}: exists; give --save-rig another name") from error
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress, one_line
 
 if TYPE_CHECKING:
-    from tunenet_logs.analysis.campaign import TuningFile
     from tunenet_logs.analysis.report.page import Kind
     from tunenet_logs.analysis.result_files import Logs
     from tunenet_logs.writing.owned_path import OutputPlace
@@ -79,7 +78,15 @@ def _report(arguments: argparse.Namespace) -> int:
     page = arguments.output and _page(arguments, logs, overwrite=arguments.overwrite)
     if page:
         page.check()
-    figures = _figure_files(arguments, reported.tunings, inputs)
+    from tunenet_logs.analysis.report.page import FigureOrder, write_figures
+
+    places: dict[Kind, Path | None] = {"png": arguments.png, "pdf": arguments.pdf}
+    orders = [
+        FigureOrder(place, kind, inputs, overwrite=arguments.overwrite)
+        for kind, place in places.items()
+        if place is not None
+    ]
+    figures = [path for order in orders for path in write_figures(order, reported.tunings)]
     if page:
         with page.replacing() as partial:
             partial.write_text(report_page(reported), "utf-8")
@@ -98,21 +105,6 @@ def _page(arguments: argparse.Namespace, logs: Logs, *, overwrite: bool) -> Outp
     return OutputPlace(
         arguments.output, "page", knows, in_words(logs), elsewhere, overwrite=overwrite
     )
-
-
-def _figure_files(
-    arguments: argparse.Namespace, tunings: Sequence[TuningFile], inputs: Sequence[Path]
-) -> list[Path]:
-    """Write the figures that were asked for."""
-    from tunenet_logs.analysis.report.page import FigureOrder, write_figures
-
-    places: dict[Kind, Path | None] = {"png": arguments.png, "pdf": arguments.pdf}
-    orders = [
-        FigureOrder(place, kind, inputs, overwrite=arguments.overwrite)
-        for kind, place in places.items()
-        if place is not None
-    ]
-    return [path for order in orders for path in write_figures(order, tunings)]
 
 
 def _warn(text: str) -> None:

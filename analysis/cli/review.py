@@ -13,7 +13,7 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress, listed, one_line, short_name
 
 if TYPE_CHECKING:
-    from tunenet_logs.analysis.campaign import Rate
+    pass
 
 _DESCRIPTION = """\
 A campaign on one timeline: the drops, what was tuned from them, the shots, and how each
@@ -83,7 +83,12 @@ def _review(arguments: Any) -> int:
         _warn(f"drops without a tuning, tuned now, nothing kept: {campaign.tuned_now}")
     for rate in (*overall_rates(attempts), *ball_rates(attempts)):
         if rate.count:
-            print(_in_words(rate))
+            low, high = rate.interval95
+            paper = "" if rate.published is None else f"   paper {100 * rate.published:.0f} %"
+            print(
+                f"{short_name(rate.name, 30):30}  {rate.successes}/{rate.count} = "
+                f"{100 * rate.fraction:.0f} % (95 %: {100 * low:.0f} to {100 * high:.0f} %){paper}"
+            )
     for ball in restitutions_by_ball(attempts):
         sd = f" ± {ball.sd:.4f}" if len(ball.values) > 1 else ""
         print(
@@ -91,15 +96,6 @@ def _review(arguments: Any) -> int:
         )
     print(f"\nreview: rerun {one_line(output)}")
     return 1 if campaign.unread else 0
-
-
-def _in_words(rate: Rate) -> str:
-    low, high = rate.interval95
-    paper = "" if rate.published is None else f"   paper {100 * rate.published:.0f} %"
-    return (
-        f"{short_name(rate.name, 30):30}  {rate.successes}/{rate.count} = "
-        f"{100 * rate.fraction:.0f} % (95 %: {100 * low:.0f} to {100 * high:.0f} %){paper}"
-    )
 
 
 def _warn(text: str) -> None:

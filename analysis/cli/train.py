@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from tunenet_logs.analysis.options import jobs_option, preset_option, ray_option
+from tunenet_logs.analysis.options import TuneOptions, jobs_option, ray_option
 from tunenet_logs.analysis.registry import EXPERIMENTS, experiment_named, needed
-from tunenet_logs.console import Parser, run, whole
+from tunenet_logs.console import Parser, add_options, run, whole
 from tunenet_logs.errors import UsageError, WeightsError
 from tunenet_logs.recorders.simulators.known import engine_option, in_engine
 from tunenet_logs.terminal import Progress, one_line
@@ -46,7 +46,8 @@ def build_parser() -> Parser:
         metavar="FILE",
         help="weights to write (default: TASK-PRESET.safetensors here)",
     )
-    preset_option(parser)
+    add_options(TuneOptions, lambda _: parser, ["preset"])
+    parser.set_defaults(preset="default")
     engine_option(parser)
     add(
         "--pairs",

@@ -4,31 +4,156 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tunenet_logs.analysis.options import (
-    ball_doubts,
-    build_parser,
-    check_card_place,
-    options_of,
-    parse_mapping,
-)
-from tunenet_logs.console import is_stdout, run
+from tunenet_logs.analysis import options as tuning_options
+from tunenet_logs.analysis.options import jobs_option, json_option, options_of, ray_option
+from tunenet_logs.console import Parser, Topic, add_options, given, is_stdout, run
 from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.recorders.simulators.known import in_engine
+from tunenet_logs.files import real_path
+from tunenet_logs.recorders.simulators.known import engine_option, in_engine
 from tunenet_logs.terminal import Progress, listed
 
 if TYPE_CHECKING:
     from tunenet_logs.analysis.batch.logs import FoundLog
-    from tunenet_logs.analysis.batch.run import Order, Writing
-    from tunenet_logs.analysis.experiment import Tuning
+    from tunenet_logs.analysis.batch.run import Writing
     from tunenet_logs.analysis.options import TuneOptions
-    from tunenet_logs.analysis.selection import Options, Selection
-    from tunenet_logs.writing.owned_path import OutputPlace
+
+_DESCRIPTION = """\
+Find the physical parameters that make a simulator move as a log shows: for a
+dropped ball, its coefficient of restitution; for an arm that moves and holds something,
+its mass. Reads videos, sound, tables, exports of labs and logs (MCAP, ROS bags). Writes
+NAME.json (the result) and NAME.rrd (for `rerun NAME.rrd`) beside each log."""
+
+_EXAMPLES = """\
+  tunenet-tune drop.mcap
+  tunenet-tune phone.mp4
+  tunenet-tune bounce.wav                          (a ball by its sound)
+  tunenet-tune payload.bag --tare empty.bag        (what a Jaco holds)
+  tunenet-tune recordings/ -o tuned                (a folder with all that lies below it)"""
+
+TOPICS = {
+    "drop": Topic(
+        "a ball in pictures, sound or positions",
+        """\
+  tunenet-tune bounce.wav                          (a ball by its sound)
+  tunenet-tune phone.mp4 --preview                 (mark the ball on a page)
+  tunenet-tune phone.mp4 --roi 400,0,500,1080 --start 2.5
+  tunenet-tune phone.mp4 --ball table-tennis       (takes the air's drag into account)
+  tunenet-tune phone.mp4 --ball-diameter 0.04 --ball-mass 0.0027
+  tunenet-tune mocap.mcap --topic /vrpn/ball/pose --start 3.5 --end 8""",
+    ),
+    "payload": Topic(
+        "what an arm holds",
+        """\
+  tunenet-tune payload.bag --tare empty.bag        (what a Jaco holds)
+  tunenet-tune payload.bag --arm ur5e
+  tunenet-tune run.mcap --tare empty.mcap --save-arm-card arm.json
+  tunenet-tune next.mcap --arm-card arm.json       (no tare needed)
+  tunenet-tune run.mcap --gravity included --effort-unit A --torque-constants 9.5
+  tunenet-tune run.mcap --urdf arm.urdf --tool-link flange""",
+    ),
+    "model": Topic(
+        "a MuJoCo model of your own",
+        """\
+  tunenet-tune run.mcap --model robot.xml --tune joint/elbow.damping=0:5 --dry-run
+  tunenet-tune run.mcap --model robot.xml --tune body/tool.mass=0:2 --tune delay/commands
+  tunenet-tune run.mcap --model robot.urdf --tune tuned.yaml --map /arm/j1=joint/elbow""",
+    ),
+    "files": Topic(
+        "what a file does not say itself",
+        """\
+  tunenet-tune Take_07.csv                         (OptiTrack, Vicon, Qualisys, ...)
+  tunenet-tune ball.csv --columns t=Zeit,z='Hoehe (cm)'
+  tunenet-tune spots.csv --fps 240                 (frames and no times)
+  tunenet-tune claps.csv --columns times=1         (times of impacts alone)""",
+    ),
+    "method": Topic(
+        "how the parameters are estimated",
+        """\
+  tunenet-tune drop.mcap --iterations 10 --initial 0.5
+  tunenet-tune drop.mcap --weights my-drop.safetensors""",
+    ),
+    "batch": Topic(
+        "many logs, for scripts; -o DIR keeps a ledger, a row a log",
+        """\
+  tunenet-tune drop.mcap --json - | jq .parameters.restitution
+  tunenet-tune sample_logs/*.mcap -o tuned --jobs 2
+  tunenet-tune recordings/ -o tuned --resume       (what is new, or was not done)
+  tunenet-tune 'runs/**/ball*.mcap' -o tuned --review-only suspect --csv tuned.csv""",
+    ),
+}
+
+
+def build_parser() -> Parser:
+    """Build the argument parser."""
+    parser = Parser(
+        "tunenet-tune", _DESCRIPTION, _EXAMPLES, called="LOG... [options]", topics=TOPICS
+    )
+    add = parser.add_argument
+    add(
+        "logs",
+        nargs="+",
+        type=lambda text: text if "://" in text else Path(text),
+        metavar="LOG",
+        help="log, film or sound to tune from, a folder that holds logs, or a pattern such as "
+        "'runs/**/*.mcap'",
+    )
+    add("-o", "--output", type=Path, metavar="DIR", help="folder for the results")
+    add_options(tuning_options.TuneOptions, parser.place)
+    parser.topic("drop").add_argument(
+        "--preview",
+        action="store_true",
+        help="show the pictures on a page of this machine, to mark the ball with a click; "
+        "for one log",
+    )
+    parser.topic("payload").add_argument(
+        "--save-arm-card",
+        type=Path,
+        metavar="FILE",
+        help="write what the log, its tares and the --arm-card say of the arm; for one log",
+    )
+    parser.topic("model").add_argument(
+        "--dry-run",
+        action="store_true",
+        help="say what of the log would drive the model and be compared with it, and end",
+    )
+    engine_option(parser.topic("method"))
+    many = parser.topic("batch")
+    json_option(many, "for scripts: what each NAME.json holds but the curves, a line a log,")
+    jobs_option(many, "logs at a time")
+    add("--overwrite", action="store_true", help="replace results of other logs")
+    many.add_argument(
+        "--resume",
+        action="store_true",
+        help="leave out what the ledger of -o DIR has: logs that did not change, tuned with the "
+        "same options",
+    )
+    many.add_argument(
+        "--csv", type=Path, metavar="FILE", help="also write the ledger as a text table"
+    )
+    ray_option(many, "work")
+    reviews = many.add_mutually_exclusive_group()
+    reviews.add_argument("--no-review", action="store_true", help="write no NAME.rrd")
+    reviews.add_argument(
+        "--review-only",
+        choices=("ok", "suspect", "rejected"),
+        metavar="VERDICT",
+        help="write NAME.rrd of logs with this verdict alone: ok, suspect or rejected",
+    )
+    add("--quiet", action="store_true", help="no progress bar")
+    add(
+        "-v",
+        "--verbose",
+        action="store_true",
+        help="say where what was found, how it was estimated, how long each part took, and what "
+        "each check saw",
+    )
+    return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,29 +162,27 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _tune(arguments: argparse.Namespace) -> int:
+    from tunenet_logs.analysis.batch.ledger import csv_place
     from tunenet_logs.analysis.batch.logs import find_logs
     from tunenet_logs.analysis.batch.run import (
         Order,
         closing,
-        on_ray,
-        print_details,
-        print_remarks,
-        print_table,
+        lines_place,
         result_lines,
         run_batch,
-        summary,
+        show,
     )
 
-    _check_places(arguments)
+    if arguments.preview:
+        _check_preview(arguments)
+    writing = _writing(arguments)
     shows_table = arguments.json is None or not is_stdout(arguments.json)
     progress = Progress(quiet=arguments.quiet, has_bars=shows_table)
-    given = given_options(arguments)
-    options = options_of(given, arguments.logs)
-    for doubt in ball_doubts(given, options.selection.ball):
+    options = options_of(given(arguments, tuning_options.TuneOptions), arguments.logs)
+    for doubt in options.ball_doubts:
         progress.say(f"tunenet-tune: {doubt}")
     if arguments.preview:
-        selection = _marked(arguments.logs[0], options.selection, progress)
-        options = replace(options, selection=selection)
+        options = _marked(arguments.logs[0], options, progress)
     found = find_logs(arguments.logs)
     if arguments.dry_run:
         return _plan(found.logs, options)
@@ -68,34 +191,36 @@ def _tune(arguments: argparse.Namespace) -> int:
         raise UsageError("--resume and --csv are about the ledger in -o DIR; give it")
     if found.left_out:
         progress.say(f"tunenet-tune: {found.left_out} files of folders are no logs; left out")
+    csv, overwrite = None, arguments.overwrite
+    if arguments.csv is not None:
+        csv = csv_place(arguments.csv, arguments.output, found.logs, overwrite=overwrite)
     order = Order(
         found.logs,
         options,
-        _writing(arguments),
+        writing,
         arguments.output,
-        arguments.output is not None and (found.are_many or wants_ledger),
-        arguments.resume,
+        keeps_ledger=arguments.output is not None and (found.are_many or wants_ledger),
+        resumes=arguments.resume,
+        csv=csv,
+        jobs=arguments.jobs,
+        ray=arguments.ray,
     )
-    csv, lines = _table_places(arguments, order)
-    stream = None
-    if arguments.ray is not None:
-        from tunenet_logs.analysis.parallel import Cluster
-
-        stream = partial(on_ray, Cluster(arguments.ray, arguments.jobs))
-    after = partial(closing, order, csv)
+    lines = arguments.json and lines_place(arguments.json, order, overwrite=overwrite)
     with result_lines(lines) as each:
-        batch = run_batch(order, progress, stream, arguments.jobs, after=after, each=each)
-    if arguments.verbose:
-        print_details(batch.results)
-    if shows_table:
-        print_table(batch.results)
-    print_remarks(batch.results)
-    if shows_table:
-        print(summary(batch, len(found.logs)), end="")
+        batch = run_batch(order, progress, after=closing, each=each)
+    show(batch, len(found.logs), has_table=shows_table, is_verbose=arguments.verbose)
     return int(batch.failed > 0)
 
 
-def _plan(logs: Sequence[FoundLog], options: Options) -> int:
+def _check_preview(arguments: argparse.Namespace) -> None:
+    if len(arguments.logs) != 1:
+        raise UsageError(f"--preview is for one log, not {len(arguments.logs)}; name one")
+    for option, value in (("--ball-at", arguments.ball_at), ("--hsv", arguments.hsv)):
+        if value is not None:
+            raise UsageError(f"--preview does not go with {option}; leave one out")
+
+
+def _plan(logs: Sequence[FoundLog], options: TuneOptions) -> int:
     """Print which of each log's signals would drive the user's model, and which be fitted."""
     from tunenet_logs.analysis.sysid.experiment import print_plan
 
@@ -108,99 +233,28 @@ def _plan(logs: Sequence[FoundLog], options: Options) -> int:
     return 0
 
 
-def _table_places(
-    arguments: argparse.Namespace, order: Order
-) -> tuple[OutputPlace | None, OutputPlace | None]:
-    """Return the output places of --csv and --json, checked before the work."""
-    csv, lines, overwrite = None, None, arguments.overwrite
-    if arguments.csv is not None:
-        from tunenet_logs.analysis.batch.ledger import check_csv, csv_place
-
-        csv = csv_place(arguments.csv, arguments.output, overwrite=overwrite)
-        check_csv(csv, arguments.output, order.logs)
-    if arguments.json is not None:
-        from tunenet_logs.analysis.batch.run import check_lines, lines_place
-
-        check_lines(arguments.json, order, overwrite=overwrite)
-        lines = lines_place(arguments.json, order, overwrite=overwrite)
-    return csv, lines
-
-
-def given_options(arguments: argparse.Namespace) -> TuneOptions:
-    """Return the command line's options under their Python names."""
-    return {
-        "task": arguments.task,
-        "preset": arguments.preset,
-        "method": arguments.method,
-        "iterations": arguments.iterations,
-        "initial": arguments.initial,
-        "weights": arguments.weights,
-        "topic": arguments.topic,
-        "start_s": arguments.start,
-        "end_s": arguments.end,
-        "height_m": arguments.height,
-        "roi": arguments.roi,
-        "hsv": arguments.hsv,
-        "ball_at": arguments.ball_at,
-        "ball": arguments.ball,
-        "ball_diameter_m": arguments.ball_diameter,
-        "ball_mass_kg": arguments.ball_mass,
-        "tares": arguments.tare or (),
-        "arm": arguments.arm,
-        "urdf": arguments.urdf,
-        "tool_link": arguments.tool_link,
-        "gravity": arguments.gravity,
-        "effort_sign": arguments.effort_sign,
-        "effort_unit": arguments.effort_unit,
-        "arm_card": arguments.arm_card,
-        "model": arguments.model,
-        "parameters": arguments.tune or (),
-        "mapping": parse_mapping(arguments.map or ()),
-        "columns": arguments.columns,
-        "fps": arguments.fps,
-        "length_unit": arguments.length_unit,
-        "torque_constants": arguments.torque_constants,
-    }
-
-
 def _writing(arguments: argparse.Namespace) -> Writing:
-    """Return what is written for each log."""
+    """Return what is written for each log; refuse an arm card that could not be."""
     from tunenet_logs.analysis.batch.run import Writing
 
-    reviewed = Writing().reviewed
+    reviewed, also = Writing().reviewed, None
     if arguments.no_review:
         reviewed = frozenset[str]()
     elif arguments.review_only is not None:
         reviewed = frozenset([arguments.review_only])
-    return Writing(arguments.overwrite, reviewed, _saving_card(arguments))
+    if (card := arguments.save_arm_card) is not None:
+        from tunenet_logs.analysis.payload.experiment import card_place, save_arm_card
+
+        if len({real_path(log) for log in arguments.logs}) != 1:
+            count = len(arguments.logs)
+            raise UsageError(f"--save-arm-card is for one log, not {count}; name one")
+        card_place(card, None, overwrite=True).check()
+        also = partial(save_arm_card, path=card, overwrite=arguments.overwrite)
+    return Writing(arguments.overwrite, reviewed, also)
 
 
-def _saving_card(arguments: argparse.Namespace) -> Callable[[Tuning], None] | None:
-    """Return a callback that saves the arm card; None if nobody asks for it."""
-    if arguments.save_arm_card is None:
-        return None
-    from tunenet_logs.analysis.payload.experiment import save_arm_card
-
-    return partial(save_arm_card, path=arguments.save_arm_card, overwrite=arguments.overwrite)
-
-
-def _check_places(arguments: argparse.Namespace) -> None:
-    """Refuse at once what could not be shown or written."""
-    if arguments.preview:
-        _check_preview(arguments)
-    check_card_place(arguments)
-
-
-def _check_preview(arguments: argparse.Namespace) -> None:
-    if len(arguments.logs) != 1:
-        raise UsageError(f"--preview is for one log, not {len(arguments.logs)}; name one")
-    for option, value in (("--ball-at", arguments.ball_at), ("--hsv", arguments.hsv)):
-        if value is not None:
-            raise UsageError(f"--preview does not go with {option}; leave one out")
-
-
-def _marked(log: Path | str, selection: Selection, progress: Progress) -> Selection:
-    """Return the selection with the ball that the user marks in a preview page."""
+def _marked(log: Path | str, options: TuneOptions, progress: Progress) -> TuneOptions:
+    """Return the options with the ball that the user marks in a preview page."""
     from tunenet_logs.analysis.tracking.picker import mark_ball
     from tunenet_logs.reader import read_episode
 
@@ -208,24 +262,17 @@ def _marked(log: Path | str, selection: Selection, progress: Progress) -> Select
         raise UsageError(f"{log}: --preview is for a log on this machine; copy it here first")
     episode = read_episode(log)
     topics = episode.picture_topics
-    topic = selection.topic or next(iter(topics), None)
+    topic = options.topic or next(iter(topics), None)
     if topic is None or topic not in topics:
-        what = "no pictures" if selection.topic is None else f"no pictures in {selection.topic}"
+        what = "no pictures" if options.topic is None else f"no pictures in {options.topic}"
         there = f"there are some in: {listed(topics)}" if topics else "leave --preview out"
         raise UsageError(f"{log}: holds {what} to mark the ball in; {there}")
+    start_s, end_s = options.start_s, options.end_s
     try:
-        mark = mark_ball(
-            episode,
-            topic,
-            start_s=selection.start_s,
-            end_s=selection.end_s,
-            progress=progress,
-        )
+        mark = mark_ball(episode, topic, start_s=start_s, end_s=end_s, progress=progress)
     except (UsageError, NotFoundError) as error:
         raise UsageError(f"{log}: {error}") from error
-    if mark is None:
-        return selection
-    return replace(selection, topic=topic, hints=replace(selection.hints, ball_at=mark))
+    return options if mark is None else replace(options, topic=topic, ball_at=mark)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,6 @@ DENSER = (
 )
 
 RIGHT_LENGTHS = "name the unit with --length-unit m, cm, mm, in or ft"
-
 RIGHT_TIMES = "give the times of impacts in seconds, those of one ball alone (--start, --end)"
 
 RIGHT_SOUND = (

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from tunenet_logs.analysis.drop.bounce_fit import MAX_IMPACTS, BounceFit, fit_bounce
 from tunenet_logs.analysis.drop.bounce_model import (
-    HIGH,
     IMPACT,
     OFFSET,
     OFFSET_SD_S,
@@ -25,32 +24,24 @@ from tunenet_logs.analysis.drop.bounce_model import (
     TOUCH_S,
     AudioImpacts,
     BounceSamples,
+    nudged,
 )
 from tunenet_logs.analysis.drop.bounce_posterior import BallPosterior, ball_posterior
-from tunenet_logs.analysis.onsets import Onsets, onsets
+from tunenet_logs.analysis.onsets import onsets
 from tunenet_logs.analysis.record import SoundShare
-from tunenet_logs.analysis.statistics import correlation_time
 from tunenet_logs.episode import Array, Episode, Sound
 from tunenet_logs.errors import TuneNetError
 
 
 @dataclass(frozen=True, eq=False)
 class HeardImpacts:
-    """Onsets in a sound track, in order. Some are no impacts, and some impacts are missing.
+    """Onsets in a sound track, in order. Some are no impacts, and some impacts are missing."""
 
-    Attributes:
-        start_ns: stamp that the times count from, on the log's clock.
-        times_s: of the onsets, shape (N,).
-        sds_s: standard deviations of them, shape (N,).
-        probabilities: of each to be an impact of a ball, by its sound, shape (N,).
-        topic: of the sound.
-    """
-
-    times_s: Array
-    sds_s: Array
-    probabilities: Array
-    start_ns: int = 0
-    topic: str = ""
+    times_s: Array  # of the onsets, shape (N,)
+    sds_s: Array  # standard deviations of them, shape (N,)
+    probabilities: Array  # of each to be an impact of a ball, by its sound, shape (N,)
+    start_ns: int = 0  # stamp that the times count from, on the log's clock
+    topic: str = ""  # of the sound
 
     def since(self, start_ns: int) -> HeardImpacts:
         """Return the onsets with times that count from another stamp."""
@@ -71,50 +62,28 @@ class HeardImpacts:
 
 FARTHEST_OFFSET_S = 0.1  # that sound and pictures may be apart
 MIN_HEARD = 3  # impacts: two whole flights
-MIN_LOG_ODDS = 7.0  # of impacts against onsets at any time, from which on a match is one
 _HEARD = 0.8  # probability that an impact is heard
-_FARTHEST_SDS = 4.0  # an onset farther from an impact's predicted time is not that impact
-_UNEVEN = 0.003  # fraction of a flight's duration by which real ones leave any law
-_MIN_SD_S = 1e-4  # of an onset: no microphone's distance and no table is better
 _MIN_RATE_HZ = 1.0  # of onsets: in a silent room as many could be heard by chance
-_MAX_ONSETS = 400  # near a drop; a track with more of them has no silence to hear a bounce in
-# Impacts of a drop that are listened for, and the shortest flight between two.
-_MAX_HEARD, _MIN_S = 25, 0.03
-
-# Later impacts that are not heard, one after the other, and how unsure the next may be.
-_MAX_PASSED_OVER, _MAX_UNSURE_S = 1, 0.004
-
-_SHORT = 1e-6  # by which an unknown is moved for a derivative
+_MAX_HEARD = 25  # impacts of a drop that are listened for
+_MIN_S = 0.03  # the shortest flight between two
 
 
 @dataclass(frozen=True, eq=False)
 class HeardMatch:
-    """Onsets matched to a drop's impacts.
+    """Onsets matched to a drop's impacts."""
 
-    Attributes:
-        touches: the matched onsets.
-        offset_s: by how much they are later than the pictures have them.
-        log_odds: of the match against onsets at any time.
-        onsets: how many there are in all, while the ball bounces.
-    """
-
-    touches: AudioImpacts
-    offset_s: float
-    log_odds: float
-    onsets: int
+    touches: AudioImpacts  # the matched onsets
+    offset_s: float  # by how much they are later than the pictures have them
+    log_odds: float  # of the match against onsets at any time
+    onsets: int  # how many there are in all, while the ball bounces
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedImpacts:
-    """Impact times predicted by a fit.
+    """Impact times predicted by a fit."""
 
-    Attributes:
-        times_s: shape (K,).
-        covariance: of them [s^2], shape (K, K).
-    """
-
-    times_s: Array
-    covariance: Array
+    times_s: Array  # shape (K,)
+    covariance: Array  # of them [s^2], shape (K, K)
 
     def told(self, at: int, off_s: float, variance: float) -> PredictedImpacts:
         """Apply a Kalman update: impact `at` is `off_s` late, with this variance [s^2]."""
@@ -138,15 +107,14 @@ def _foretold(fit: BounceFit, numbers: NDArray[np.intp]) -> PredictedImpacts:
         if index == OFFSET:
             rows[:, at] = 1.0
             continue
-        moved = unknowns.copy()
-        moved[index] += _SHORT if unknowns[index] < HIGH[index] - _SHORT else -_SHORT
-        rows[:, at] = samples.touches_s(moved, numbers) - times_s
-        rows[:, at] /= moved[index] - unknowns[index]
-    factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
+        moved, by = nudged(unknowns, index, 1e-6)
+        rows[:, at] = (samples.touches_s(moved, numbers) - times_s) / by
+    factor = fit.samples_as_one
     normal, _ = fit.normal_equations()
     covariance = rows @ np.linalg.pinv(normal) @ rows.T * factor
     before_s = samples.touches_s(unknowns, numbers[:1] - 1) if numbers[0] else unknowns[IMPACT]
-    uneven = np.cumsum((_UNEVEN * np.diff(times_s, prepend=before_s)) ** 2)
+    # Real flights leave any law by .3 % of their duration.
+    uneven = np.cumsum((0.003 * np.diff(times_s, prepend=before_s)) ** 2)
     covariance += np.minimum(uneven[:, None], uneven)
     late_s = float(unknowns[OFFSET]) if OFFSET in fit.free else 0.0
     return PredictedImpacts(times_s + late_s, covariance)
@@ -172,7 +140,8 @@ def later_touches(fit: BounceFit, heard: HeardImpacts) -> AudioImpacts | None:
     for at in range(len(numbers)):
         onset = int(np.abs(heard.times_s - impacts.times_s[at]).argmin())
         off_s, variance, gained = _compared(impacts, heard, (at, onset), rate_hz)
-        if passed_over > _MAX_PASSED_OVER or variance > _MAX_UNSURE_S**2:
+        # One impact may be passed over, and the next be unsure by 4 ms.
+        if passed_over > 1 or variance > 0.004**2:
             break
         if gained < np.log(1 - _HEARD):
             passed_over += 1
@@ -190,7 +159,7 @@ def match_onsets(impacts: PredictedImpacts, heard: HeardImpacts) -> HeardMatch |
     near &= heard.times_s < last_s + FARTHEST_OFFSET_S
     heard = heard.only(near)
     count = len(heard.times_s)
-    if not MIN_HEARD <= count <= _MAX_ONSETS:
+    if not MIN_HEARD <= count <= 400:  # more of them leave no silence to hear a bounce in
         return None
     rate_hz = max(count / float(last_s - first_s + 2 * FARTHEST_OFFSET_S), _MIN_RATE_HZ)
     offsets_s = heard.times_s - impacts.times_s[:, None]
@@ -241,7 +210,7 @@ def _compared(
     at, onset = pair
     variance = float(impacts.covariance[at, at]) + _sds_s(heard)[onset] ** 2
     off_s = float(heard.times_s[onset] - impacts.times_s[at])
-    if abs(off_s) > _FARTHEST_SDS * np.sqrt(variance):
+    if abs(off_s) > 4.0 * np.sqrt(variance):  # it is not that impact
         return off_s, variance, -np.inf
     gained = np.log(_HEARD / rate_hz) - 0.5 * off_s**2 / variance
     gained += -0.5 * np.log(2 * np.pi * variance) + _own_log_odds(heard, onset)
@@ -255,7 +224,7 @@ def _touches(pairs: list[tuple[int, int]], heard: HeardImpacts) -> AudioImpacts:
 
 
 def _sds_s(heard: HeardImpacts) -> Array:
-    return np.maximum(heard.sds_s, _MIN_SD_S)
+    return np.maximum(heard.sds_s, 1e-4)  # no microphone's distance and no table is better
 
 
 def _own_log_odds(heard: HeardImpacts, onset: int) -> float:
@@ -266,32 +235,19 @@ def _own_log_odds(heard: HeardImpacts, onset: int) -> float:
 
 # ---- Joint fit of pictures and sound: sound counts as far as the pictures confirm it
 
-_MAX_ROUNDS = 3  # in each of which later impacts are listened for
-# Log likelihood of the pictures that sound may take: with more the two contradict each other.
-_MAX_LOST = 8.0
-
-_LATE_SDS = 5.0  # standard deviations from the fit, from which on an onset is none of its impacts
-
 
 @dataclass(frozen=True, eq=False)
 class FusedEstimate:
-    """Ball by its pictures, with what sound adds to them.
+    """Ball by its pictures, with what sound adds to them."""
 
-    Attributes:
-        posterior: of both where the sound is used, else of the pictures.
-        pictures: of the pictures alone.
-        impacts: by the pictures; None where the sound was not compared with them.
-        match: the onsets that the pictures confirm; None where there are too few.
-        touches: those in the fit; None where the sound is not used.
-        reason: why it is not used, in words; "" where it is.
-    """
-
-    posterior: BallPosterior
-    pictures: BallPosterior
+    posterior: BallPosterior  # of both where the sound is used, else of the pictures
+    pictures: BallPosterior  # of the pictures alone
+    # By the pictures; None where the sound was not compared with them.
     impacts: PredictedImpacts | None = None
+    # The onsets that the pictures confirm; None where there are too few.
     match: HeardMatch | None = None
-    touches: AudioImpacts | None = None
-    reason: str = ""
+    touches: AudioImpacts | None = None  # those in the fit; None where the sound is not used
+    reason: str = ""  # why it is not used, in words; "" where it is
 
     @property
     def offset_s(self) -> float | None:
@@ -324,11 +280,12 @@ def with_sound(pictures: BallPosterior, heard: HeardImpacts) -> FusedEstimate:
     if match is None:
         reason = f"fewer than {MIN_HEARD} of its onsets fit the impacts"
         return replace(alone, reason=reason)
-    if match.log_odds < MIN_LOG_ODDS:
+    if match.log_odds < 7.0:  # chance has as much
         reason = f"{len(match.touches.numbers)} of its onsets fit the impacts, as chance has it"
         return replace(alone, match=match, reason=reason)
     fit = _joint_fit(pictures.fit, match, heard)
-    if fit is None or _lost(pictures.fit, fit) > _MAX_LOST:
+    # Log likelihood: with more the two contradict each other.
+    if fit is None or _lost(pictures.fit, fit) > 8.0:
         return replace(alone, match=match, reason="its onsets contradict the pictures")
     return replace(alone, posterior=ball_posterior(fit), match=match, touches=fit.samples.heard)
 
@@ -339,7 +296,7 @@ def _joint_fit(fit: BounceFit, match: HeardMatch, heard: HeardImpacts) -> Bounce
     start[[OFFSET, TOUCH]] = match.offset_s, TOUCH_S
     touches = match.touches
     joint = _consistent(_likeliest(fit.samples, start, touches))
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(3):  # in each, later impacts are listened for
         more = None if joint is None else later_touches(joint, heard)
         if joint is None or more is None or more.numbers[-1] <= touches.numbers[-1]:
             break
@@ -370,7 +327,7 @@ def _consistent(fit: BounceFit) -> BounceFit | None:
         assert touches is not None
         times_s = fit.samples.touches_s(fit.unknowns, touches.numbers) + fit.unknowns[OFFSET]
         off = np.abs(touches.whitening @ (times_s - touches.times_s))
-        if off.max() < _LATE_SDS:
+        if off.max() < 5.0:  # farther off it is none of its impacts
             return fit
         if len(touches.numbers) <= MIN_HEARD:
             return None
@@ -380,32 +337,20 @@ def _consistent(fit: BounceFit) -> BounceFit | None:
 
 def _lost(alone: BounceFit, joint: BounceFit) -> float:
     """Return the log likelihood of the pictures that the joint fit gives up."""
-    factor = max(correlation_time(alone.residuals, len(alone.free)), alone.effective_sample_factor)
-    return (joint.misfit_cost(alone.scale) - alone.misfit_cost(alone.scale)) / factor
+    lost = joint.misfit_cost(alone.scale) - alone.misfit_cost(alone.scale)
+    return lost / alone.samples_as_one
 
 
 # ---- Sound of an episode: the segment in which the ball bounces, and its onsets
 
-# Around the impacts that are seen: what the sound's background is learnt from.
-_BEFORE_S, _AFTER_S = 1.0, 0.5
-
-# Rise over the background of a knock that is as likely a ball's as not, and how fast that changes.
-_TYPICAL_RISE_DB, _RISE_SD_DB = 5.0, 1.5
-
 
 @dataclass(frozen=True, eq=False)
 class SoundBeside:
-    """Sound of an episode in which a ball is seen.
+    """Sound of an episode in which a ball is seen."""
 
-    Attributes:
-        episode: with the ball and the sound.
-        topic: of the sound.
-        start_ns: where the drop's clock is 0.
-    """
-
-    episode: Episode
-    topic: str
-    start_ns: int
+    episode: Episode  # with the ball and the sound
+    topic: str  # of the sound
+    start_ns: int  # where the drop's clock is 0
 
     def with_pictures(self, pictures: BallPosterior, why_not: str = "") -> FusedEstimate:
         """Add the sound to what pictures or positions say, unless `why_not` gives a reason."""
@@ -420,12 +365,21 @@ class SoundBeside:
         view = pictures.fit.projection()
         first_s, last_s = view.impact_s, float(pictures.fit.samples.seconds[-1])
         begins_s = (sound.start_ns - self.start_ns) * 1e-9
-        part = _part(sound, first_s - _BEFORE_S - begins_s, last_s + _AFTER_S - begins_s)
+        # Around the impacts that are seen: what the sound's background is learnt from.
+        part = _part(sound, first_s - 1.0 - begins_s, last_s + 0.5 - begins_s)
         if len(part.samples) < 2:
             return FusedEstimate(pictures, pictures, reason="it does not reach to the bounces")
         if not np.any(part.samples):
             return FusedEstimate(pictures, pictures, reason="it is silent")
-        heard = _impacts_in(onsets(part), part).since(self.start_ns)
+        knocks = onsets(part)
+        # A knock that rises by 5 dB over the background is as likely a ball's as not.
+        heard = HeardImpacts(
+            knocks.times_s,
+            knocks.sds_s,
+            1 / (1 + np.exp((5.0 - knocks.rises_db) / 1.5)),
+            part.start_ns,
+            part.name,
+        ).since(self.start_ns)
         return with_sound(pictures, heard)
 
 
@@ -442,19 +396,3 @@ def _part(sound: Sound, first_s: float, last_s: float) -> Sound:
     first, last = (int(np.clip(at * sound.rate_hz, 0, count)) for at in (first_s, last_s))
     start_ns = sound.start_ns + round(first * 1e9 / sound.rate_hz)
     return replace(sound, samples=sound.samples[first:last], start_ns=start_ns)
-
-
-def _impacts_in(knocks: Onsets, sound: Sound) -> HeardImpacts:
-    """Convert the onsets of a sound to what may be impacts."""
-    return HeardImpacts(
-        knocks.times_s,
-        knocks.sds_s,
-        _probabilities(knocks.rises_db),
-        sound.start_ns,
-        sound.name,
-    )
-
-
-def _probabilities(rises_db: Array) -> Array:
-    """Return each onset's probability to be a ball's, by its rise over the background, (N,)."""
-    return 1 / (1 + np.exp((_TYPICAL_RISE_DB - rises_db) / _RISE_SD_DB))

@@ -7,6 +7,7 @@ fitted flight by flight.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,40 +28,37 @@ from tunenet_logs.analysis.drop.bounce_model import (
     Projection,
 )
 from tunenet_logs.analysis.drop.free_flight import Drop
+from tunenet_logs.analysis.estimators.damped import Damping, damped_step
 from tunenet_logs.analysis.statistics import correlation_time
 from tunenet_logs.episode import Array
 
-_BENDS = 16  # pieces of a drop in each of which a lens's distortion is much the same
-# How far from its start a fall time or an impact may go: a factor e^1.5, 1.5 fall times.
-_FARTHEST = 1.5
-
-# Of Levenberg and Marquardt: damping below which a step is Gauss-Newton's, and dampings a step.
-_MIN_DAMPING, _MAX_TRIES = 1e-9, 6
+_FARTHEST = 1.5  # fall times that an impact may go from its start, and of a fall time the log
+_FIRST_DAMPING = 1e-3
+_DAMPING = Damping(tries=6, raised_by=10, lowered_by=10, least=1e-9)
 
 
 @dataclass(frozen=True, eq=False)
 class BounceFit:
-    """Bounce fitted to samples.
+    """Bounce fitted to samples."""
 
-    Attributes:
-        samples: what was fitted.
-        unknowns: shape (14,), see `bounce_model`.
-        free: which of them were fitted.
-        residuals: in the positions' unit, shape (T,).
-        scale: robust standard deviation of them, not below the samples' noise.
-    """
-
-    samples: BounceSamples
-    unknowns: Array
-    free: tuple[int, ...]
-    residuals: Array
-    scale: float
+    samples: BounceSamples  # what was fitted
+    unknowns: Array  # shape (14,), see `bounce_model`
+    free: tuple[int, ...]  # which of them were fitted
+    residuals: Array  # in the positions' unit, shape (T,)
+    scale: float  # robust standard deviation of them, not below the samples' noise
 
     @property
     def effective_sample_factor(self) -> float:
         """Samples that count as one where a lens distorts the picture: that is no noise."""
-        most = max(len(self.residuals) / _BENDS - 1, 0.0)
+        # A lens's distortion is much the same within a 16th of the drop.
+        most = max(len(self.residuals) / 16 - 1, 0.0)
         return 1 + self.samples.distortion_variance_fraction * most
+
+    @property
+    def samples_as_one(self) -> float:
+        """Samples that count as one, as their residuals hang together, or the lens distorts."""
+        correlated = correlation_time(self.residuals, len(self.free))
+        return max(correlated, self.effective_sample_factor)
 
     @property
     def tail_sd(self) -> float:
@@ -105,7 +103,6 @@ class BounceFit:
             fall_time_s=float(np.exp(values[FALL])),
             bounce=self.samples.bounce(self.unknowns),
             residual_rms=float(np.sqrt(np.mean(self.residuals**2))),
-            residual_max=float(np.abs(self.residuals).max()),
             bends=tuple(
                 zip(
                     self.samples.bends_s,
@@ -126,40 +123,23 @@ def fit_bounce(
 ) -> BounceFit:
     """Fit the posterior mode: Student's t by reweighting (Lange et al. 1989), Levenberg-Marquardt.
 
-    Args:
-        samples: what to explain.
-        start: all unknowns, shape (14,).
-        free: which of them to fit.
-        most: iterations.
-        gain: in cost a sample that ends them.
-        scale: standard deviation of a position; None to estimate it after each iteration.
+    It starts at all unknowns, shape (16,), fits the `free` ones, and ends after `most` iterations
+    or below a `gain` in cost a sample; without a `scale` [positions' unit] that is estimated, too.
     """
     low, high = LOW.copy(), HIGH.copy()
     for index, reach in ((FALL, _FARTHEST), (IMPACT, _FARTHEST * float(np.exp(start[FALL])))):
         low[index], high[index] = start[index] - reach, start[index] + reach
     low[SPAN] = 1e-3 * start[SPAN]
-    chosen = list(free)
     unknowns = np.clip(start, low, high)
     residuals = samples.residuals(unknowns)
     first = scale or _scale(residuals, samples.noise)
     fit = BounceFit(samples, unknowns, free, residuals, first)
-    cost, damping = fit.cost(first), 1e-3
+    cost, damping = fit.cost(first), _FIRST_DAMPING
     for _ in range(most):
-        normal, gradient = fit.normal_equations()
         before = cost
-        for _ in range(_MAX_TRIES):
-            damped = normal + damping * np.diag(np.diag(normal) + 1e-12)
-            begin = fit.unknowns[chosen]
-            step = _bounded(damped, gradient, low[chosen] - begin, high[chosen] - begin)
-            unknowns = fit.unknowns.copy()
-            unknowns[chosen] += step
-            tried = replace(fit, unknowns=unknowns, residuals=samples.residuals(unknowns))
-            tried_cost = tried.cost(fit.scale)
-            if tried_cost < cost:
-                fit, cost = tried, tried_cost
-                damping = max(damping / 10, _MIN_DAMPING)
-                break
-            damping *= 10
+        tried = partial(_stepped, fit, fit.normal_equations(), low, high)
+        better, cost, damping = damped_step(tried, cost, damping, _DAMPING)
+        fit = better or fit
         gained = before - cost
         new = scale or _scale(fit.residuals, samples.noise)
         settled = gained < gain * len(samples.seconds) and abs(new / fit.scale - 1) < 0.01
@@ -168,6 +148,19 @@ def fit_bounce(
         if settled:
             break
     return fit
+
+
+def _stepped(
+    fit: BounceFit, equations: tuple[Array, Array], low: Array, high: Array, damping: float
+) -> tuple[BounceFit, float]:
+    """Step within the bounds by the damped normal equations; return the fit there and its cost."""
+    (normal, gradient), chosen = equations, list(fit.free)
+    damped = normal + damping * np.diag(np.diag(normal) + 1e-12)
+    begin = fit.unknowns[chosen]
+    unknowns = fit.unknowns.copy()
+    unknowns[chosen] += _bounded(damped, gradient, low[chosen] - begin, high[chosen] - begin)
+    tried = replace(fit, unknowns=unknowns, residuals=fit.samples.residuals(unknowns))
+    return tried, tried.cost(fit.scale)
 
 
 def best_of(fits: list[BounceFit]) -> BounceFit:
@@ -199,37 +192,34 @@ def _scale(residuals: Array, noise: float) -> float:
 
 # Impacts in a film's fit, and with a restitution of their own: later bounces are too low to tell.
 MAX_IMPACTS = 6
-
 MIN_SAMPLES = 12  # for eight unknowns, of which three have priors, and a noise
-# A held ball counts from so many fall times before the impact on, if it is within so many standard
-# deviations of where it is let go.
-_HELD_BACK, _OFF = 3.0, 4.0
-
-_SHORTLY = 0.35  # fall times: a ball that moved before, and was still for less, was in no hand
-_AT_IMPACT = 1.5  # samples to either side of an impact that a filter rounds
-_NARROW = 0.15  # fraction of a flight, at most, that is left out at either end
 
 
-def with_pre_release_samples(whole: BounceSamples, fit: BounceFit) -> BounceSamples:
-    """Add the samples just before the fall in which the ball is held where it is let go."""
+def with_pre_release_samples(whole: BounceSamples, fit: BounceFit) -> BounceFit:
+    """Refit with the samples just before the fall in which the ball is held where it is let go."""
+    if whole.starts_in_flight:
+        return fit
     first = int(np.searchsorted(whole.seconds, fit.samples.seconds[0]))
     fall_s = float(np.exp(fit.unknowns[FALL]))
-    earliest_s = float(fit.unknowns[IMPACT]) - _HELD_BACK * fall_s
+    earliest_s = float(fit.unknowns[IMPACT]) - 3.0 * fall_s  # before that it was carried
     begin = int(np.searchsorted(whole.seconds, earliest_s))
     if first == begin:
-        return fit.samples
+        return fit
     off = np.abs(whole.part(begin, first).residuals(fit.unknowns))
     held, misses = first, 0
     while held > begin and misses < 3:  # three in a row that are elsewhere: it is not held yet
         held -= 1
-        misses = misses + 1 if off[held - begin] > _OFF * fit.scale else 0
+        misses = misses + 1 if off[held - begin] > 4.0 * fit.scale else 0
     moved = misses >= 3
     held = min(held + misses, first)
     still = float(whole.seconds[first] - whole.seconds[held])
-    if whole.in_metres and moved and still < _SHORTLY * fall_s:
-        return fit.samples  # at the top of a flight a ball seems to be held, too
+    if whole.in_metres and moved and still < 0.35 * fall_s:
+        return fit  # it was in no hand: at the top of a flight a ball seems to be held, too
+    if first == held:
+        return fit
     last = int(np.searchsorted(whole.seconds, fit.samples.seconds[-1], side="right"))
-    return fit.samples if first == held else whole.part(held, last)
+    longer = fit_bounce(whole.part(held, last), fit.unknowns, fit.free)
+    return longer if longer.tail_sd < 1.5 * max(fit.tail_sd, whole.noise) else fit
 
 
 def without_impact_samples(fit: BounceFit) -> BounceSamples:
@@ -248,51 +238,29 @@ def without_impact_samples(fit: BounceFit) -> BounceSamples:
         fit.scale / float(unknowns[SPAN]) / np.maximum(ball.arrivals(speeds) + speeds, 1e-9),
     )
     if correlation_time(fit.residuals, len(fit.free)) > 1:
-        reach = np.maximum(reach, _AT_IMPACT * float(np.median(np.diff(times))))
+        # A filter rounds the samples beside an impact.
+        reach = np.maximum(reach, 1.5 * float(np.median(np.diff(times))))
     longest = np.minimum(np.diff(starts, prepend=-1.0), np.diff(starts, append=np.inf))
     least = samples.exposure_s / 2 / fall_s
-    reach = np.maximum(np.minimum(reach, _NARROW * longest), least)
-    kept = _apart(times, starts, reach) | (times > starts[-1])
+    reach = np.maximum(np.minimum(reach, 0.15 * longest), least)
+    # Which times are farther from all impacts than each reaches, shape (T,).
+    after = np.searchsorted(starts, times, side="right")
+    before, later = np.maximum(after - 1, 0), np.minimum(after, len(starts) - 1)
+    kept = (
+        (np.abs(times - starts[before]) > reach[before])
+        & (np.abs(starts[later] - times) > reach[later])
+    ) | (times > starts[-1])
     if np.count_nonzero(kept) < max(MIN_SAMPLES, 0.5 * len(times)):
         return samples
     return samples.only(kept)
-
-
-def _apart(times: Array, impacts: Array, reach: Array) -> NDArray[np.bool_]:
-    """Return which times are farther from all impacts than each reaches, shape (T,)."""
-    after = np.searchsorted(impacts, times, side="right")
-    before, later = np.maximum(after - 1, 0), np.minimum(after, len(impacts) - 1)
-    return (np.abs(times - impacts[before]) > reach[before]) & (
-        np.abs(impacts[later] - times) > reach[later]
-    )
 
 
 # ---- Fit to recorded heights: more and more flights, as long as one law explains them
 # The first flight fixes the restitution to a few thousandths, which is near enough for the second,
 # and so on: far ahead the cost has dozens of minima.
 
-_FALL_SEEN = 0.95  # fraction of the fall that is fitted: earlier a hand may still touch the ball
-# Fall times of a rest that are fitted: more of them would only repeat the table's level.
-_REST_SEEN = 4.0
-
-# Flights that are fitted in turn, as long as one law explains them to within the noise.
-_FLIGHTS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 19, 22, 26, 30, 35, 40)
-
-# Standard deviations of the noise that a flight is high, or the ball seems to lie still.
-_MIN_HOP = 2.0
-
 _EXACT = 1e-4  # fraction of the drop height that no recording, and no model of a ball, is held to
-# Fraction of the drop height: a drop of the engine without noise is off by as much.
-_MIN_NOISE = 1e-5
-
-_FIT_SD = 4.0  # standard deviations of a residual variance within which it is noise
-# Where the fits begin: what most balls have, the drag times the drop height.
-_TYPICAL_SLOPE, _TYPICAL_DRAG = 0.05, 0.03
-
-# Where they begin if parabolas show no restitution.
-_RESTITUTIONS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
-
-_ROUGHLY = (12, 1e-4)  # iterations and gain in cost that end the fits which only lead to the next
+_RESTITUTIONS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)  # starts where parabolas show none
 
 
 def samples_of(drop: Drop, drag_1_m: float | None) -> BounceSamples:
@@ -310,7 +278,8 @@ def samples_of(drop: Drop, drag_1_m: float | None) -> BounceSamples:
 
 def noise_floor(drop: Drop) -> float:
     """Return the standard deviation of a height [m]: its noise, or what no recording is held to."""
-    return max(drop.noise_m, _MIN_NOISE * drop.drop_height_m)
+    # As much as a drop of the engine without noise is off.
+    return max(drop.noise_m, 1e-5 * drop.drop_height_m)
 
 
 def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None:
@@ -318,21 +287,31 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
     if not (drop.fall_time_s > 0 and drop.drop_height_m > 0):  # NaN is not
         return None
     whole = samples_of(drop, drag_1_m)
-    unknowns = _start(drop)
+    # It starts by the parabolas of fall and flight; from several restitutions where they saw none.
+    unknowns = np.zeros(len(LOW))
+    restitution = np.nan_to_num(np.clip(drop.flight_restitution, 0.02, 0.99))
+    unknowns[[RESTITUTION, IMPACT, FALL]] = restitution, drop.impact_s, np.log(drop.fall_time_s)
+    unknowns[[CONTACT, SPAN]] = drop.contact_m, drop.drop_height_m
+    unknowns[[SLOPE, DRAG]] = 0.05, 0.03  # what most balls have
+    tried = (restitution,) if restitution else _RESTITUTIONS
+    starts = list(np.tile(unknowns, (len(tried), 1)))
+    for one, value in zip(starts, tried, strict=True):
+        one[RESTITUTION] = value
     same_table = not abs(drop.rest_m - drop.contact_m) > drop.rest_tolerance_m
-    rest_seen = _REST_SEEN if same_table else 0.0
+    # Fall times of a rest: more would only repeat the table's level.
+    rest_seen = 4.0 if same_table else 0.0
     best: BounceFit | None = None
-    for flights in _FLIGHTS:
+    for flights in (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 19, 22, 26, 30, 35, 40):
         chosen = _window(whole, unknowns, flights, rest_seen)
         count = int(np.count_nonzero(chosen))
         if count < MIN_SAMPLES or (best is not None and count == len(best.residuals)):
             continue
         samples = whole.only(chosen)
-        starts = [unknowns] if best else _first_starts(unknowns)
-        fit = best_of([fit_bounce(samples, one, whole.unknowns, *_ROUGHLY) for one in starts])
+        # Roughly: it only leads to the next.
+        fit = best_of([fit_bounce(samples, one, whole.unknowns, 12, 1e-4) for one in starts])
         if best is not None and not _is_explained(fit, best, drop):
             break
-        best, unknowns = fit, fit.unknowns
+        best, unknowns, starts = fit, fit.unknowns, [fit.unknowns]
     return None if best is None else finished(whole, best)
 
 
@@ -368,32 +347,8 @@ def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
 
 def finished(whole: BounceSamples, fit: BounceFit) -> BounceFit:
     """Refit to the end: with the ball in the hand before, without the samples at impacts."""
-    samples = fit.samples if whole.starts_in_flight else with_pre_release_samples(whole, fit)
-    if samples is not fit.samples:
-        held = fit_bounce(samples, fit.unknowns, fit.free)
-        if held.tail_sd < 1.5 * max(fit.tail_sd, whole.noise):
-            fit = held
+    fit = with_pre_release_samples(whole, fit)
     return fit_bounce(without_impact_samples(fit), fit.unknowns, fit.free, most=60, gain=1e-8)
-
-
-def _start(drop: Drop) -> Array:
-    """Return start unknowns by fall and flight parabolas, shape (14,); restitution 0 if unseen."""
-    start = np.zeros(len(LOW))
-    restitution = np.nan_to_num(np.clip(drop.flight_restitution, 0.02, 0.99))
-    start[[RESTITUTION, IMPACT, FALL]] = restitution, drop.impact_s, np.log(drop.fall_time_s)
-    start[[CONTACT, SPAN]] = drop.contact_m, drop.drop_height_m
-    start[[SLOPE, DRAG]] = _TYPICAL_SLOPE, _TYPICAL_DRAG
-    return start
-
-
-def _first_starts(start: Array) -> list[Array]:
-    """Return a start with the restitution of parabolas, or several where they saw none."""
-    if start[RESTITUTION]:
-        return [start]
-    starts = [start.copy() for _ in _RESTITUTIONS]
-    for one, restitution in zip(starts, _RESTITUTIONS, strict=True):
-        one[RESTITUTION] = restitution
-    return starts
 
 
 def _window(
@@ -404,7 +359,7 @@ def _window(
     ball = whole.bounce(unknowns)
     starts, speeds = ball.flights(float(times[-1]))
     hops = float(unknowns[SPAN]) * speeds**2 / 4
-    low = np.flatnonzero(hops < _MIN_HOP * whole.noise)
+    low = np.flatnonzero(hops < 2.0 * whole.noise)  # the ball seems to lie still
     rest = len(starts) - 1 if not len(low) else int(low[0])
     if flights < min(len(starts), rest):
         end = starts[flights]
@@ -412,14 +367,16 @@ def _window(
         end = starts[rest] + rest_seen
     else:
         end = np.inf
-    return (whole.starts_in_flight | (times > -_FALL_SEEN * ball.fall_time)) & (times < end)
+    # Earlier in the fall a hand may still touch the ball.
+    return (whole.starts_in_flight | (times > -0.95 * ball.fall_time)) & (times < end)
 
 
 def _is_explained(fit: BounceFit, before: BounceFit, drop: Drop) -> bool:
     """Return whether one more flight leaves residuals that are noise."""
     noise = max(drop.noise_m, _spread(before))
     freedom = max(len(fit.residuals) - len(fit.free), 1)
-    allowed = noise**2 * (1 + _FIT_SD * np.sqrt(2 / freedom))
+    # Within 4 standard deviations a residual variance is noise.
+    allowed = noise**2 * (1 + 4.0 * np.sqrt(2 / freedom))
     return bool(_spread(fit) ** 2 < allowed + (_EXACT * fit.unknowns[SPAN]) ** 2)
 
 

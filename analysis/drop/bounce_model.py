@@ -17,16 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.drop.times.model import since_impacts_s
+from tunenet_logs.analysis.drop.times.readings import KNOWN_DRAG
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.ball import MIN_SPEED_M_S, Bounce
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 # By how much sound may be late, or early, beside the pictures: what phones and cameras do.
 OFFSET_SD_S = 0.1
-
 # How long a contact lasts: from .3 ms (steel on glass) to 8 ms (a soft ball on a table).
 TOUCH_S, TOUCH_SD_S = 0.002, 0.0025
-
 HEARD_FREEDOM = 4.0  # degrees of freedom of Student's t of a heard time: an onset may be an echo's
 # Prior probability of each standard deviation of an impact's own restitution about the law, as a
 # fraction of it.
@@ -35,19 +34,12 @@ SCATTERS = {0.0005: 0.5, 0.002: 0.3, 0.006: 0.15, 0.02: 0.05}
 
 @dataclass(frozen=True, eq=False)
 class AudioImpacts:
-    """Times at which the ball is heard to touch the table.
+    """Times at which the ball is heard to touch the table."""
 
-    Attributes:
-        numbers: of the impacts, 0 the first of the drop, shape (N,).
-        times_s: on the samples' clock, but late by an offset, shape (N,).
-        sds_s: standard deviations of the onsets, shape (N,).
-        scatter: of each impact's own restitution about the law, as a fraction.
-    """
-
-    numbers: NDArray[np.intp]
-    times_s: Array
-    sds_s: Array
-    scatter: float = 0.0
+    numbers: NDArray[np.intp]  # of the impacts, 0 the first of the drop, shape (N,)
+    times_s: Array  # on the samples' clock, but late by an offset, shape (N,)
+    sds_s: Array  # standard deviations of the onsets, shape (N,)
+    scatter: float = 0.0  # of each impact's own restitution about the law, as a fraction
 
     @cached_property
     def covariance(self) -> Array:
@@ -85,21 +77,13 @@ class AudioImpacts:
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior on one linear combination of the unknowns.
+    """Prior on one linear combination of the unknowns."""
 
-    Attributes:
-        slopes: of the combination over the unknowns in it, by index.
-        off: from the likeliest.
-        sd: standard deviation.
-        freedom: of Student's t; infinite for a normal distribution.
-        measured: whether it is a measurement, not a prior of balls and cameras.
-    """
-
-    slopes: dict[int, float]
-    off: float
-    sd: float
-    freedom: float = np.inf
-    measured: bool = False
+    slopes: dict[int, float]  # of the combination over the unknowns in it, by index
+    off: float  # from the likeliest
+    sd: float  # standard deviation
+    freedom: float = np.inf  # of Student's t; infinite for a normal distribution
+    measured: bool = False  # whether it is a measurement, not a prior of balls and cameras
 
     @property
     def cost(self) -> float:
@@ -123,43 +107,25 @@ class Prior:
 # follow in closed form: what the best map leaves of a track is the error of the curve alone.
 
 PERSPECTIVE_SD = 0.7  # prior of k, normal about 0: from the camera poses that people use
-_COARSE = np.arange(-2.0, 2.01, 0.25)
-# Perspectives that are tried, and then differences from the best of them.
-_FINE = np.arange(-0.25, 0.26, 0.0625)
-
 # Least depth [depth of the contact]: a height above the camera has no image. A best map, which is
 # for any curve, keeps farther away.
 _NEAREST, _NEAREST_OF_MAP = 1e-3, 0.05
-
 _MIN_NOISE = 1e-9  # in place of 0
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Camera along the image's vertical, and the ball that it sees.
+    """Camera along the image's vertical, and the ball that it sees."""
 
-    Attributes:
-        contact: A, along the image's vertical, up positive.
-        span: B.
-        perspective: k.
-        bends: from when on [s] A moves by how much a second, each on top of the others: a ball that
-            goes sideways comes nearer to the camera or goes away from it, otherwise after each
-            bounce.
-        impact_s: the first impact [s].
-        fall_time_s: T0, without air [s].
-        bounce: the ball.
-        residual_rms: root mean square of the track's residuals.
-        residual_max: the largest of them.
-    """
-
-    contact: float
-    span: float
-    perspective: float
-    impact_s: float
-    fall_time_s: float
-    bounce: Bounce
-    residual_rms: float
-    residual_max: float
+    contact: float  # A, along the image's vertical, up positive
+    span: float  # B
+    perspective: float  # k
+    impact_s: float  # the first impact [s]
+    fall_time_s: float  # T0, without air [s]
+    bounce: Bounce  # the ball
+    residual_rms: float  # root mean square of the track's residuals
+    # From when on [s] A moves by how much a second, each on top of the others: a ball that goes
+    # sideways comes nearer to the camera or goes away from it, otherwise after each bounce.
     bends: tuple[tuple[float, float], ...] = ()
 
     def contacts(self, seconds: Array) -> Array:
@@ -190,17 +156,11 @@ class Projection:
 
 @dataclass(frozen=True)
 class ProjectiveMap:
-    """Projective map from heights to positions in the picture.
+    """Projective map from heights to positions in the picture."""
 
-    Attributes:
-        contact: A, where height 0 is.
-        span: B, from there to where height 1 is.
-        perspective: k.
-    """
-
-    contact: float
-    span: float
-    perspective: float
+    contact: float  # A, where height 0 is
+    span: float  # B, from there to where height 1 is
+    perspective: float  # k
 
     def positions(self, heights: Array) -> Array:
         """Project heights [drop heights] into the picture, in the unit of `contact`, shape (T,)."""
@@ -213,113 +173,108 @@ def projected(heights: Array, perspective: float | Array, nearest: float = _NEAR
     return grow * heights / np.maximum(1 + (grow - 1) * heights, nearest)
 
 
-def best_map(heights: Array, positions: Array, noise: float) -> ProjectiveMap:
-    """Fit the projective map that puts a curve of heights nearest to a track, by least squares.
+def ideal_heights(restitution: Array, times: Array) -> Array:
+    """Compute heights [drop heights] without air, of one restitution, at times [fall times].
 
-    Args:
-        heights: of the curve [drop heights], shape (T,); NaN is left out.
-        positions: of the track at the same times, in any unit, shape (T,); NaN is left out. At
-            least three of both.
-        noise: standard deviation of a position: how much the track counts against k's prior.
+    Both broadcast; 0 is the first impact, after a fall from rest.
+    """
+    after = np.maximum(times, 0.0)
+    bouncing = 1 - after * (1 - restitution) / (2 * np.maximum(restitution, 1e-9))
+    kept = np.clip(restitution, 1e-9, 1 - 1e-9)  # `bouncing` is e^n when flight n begins
+    speeds = kept ** np.floor(np.log(np.maximum(bouncing, 1e-12)) / np.log(kept))
+    since = after - 2 * kept * (1 - speeds) / (1 - kept)
+    flying = np.where(bouncing > 0, np.maximum(since * (2 * kept * speeds - since), 0.0), 0.0)
+    return np.where(times < 0, 1 - np.maximum(times + 1, 0.0) ** 2, flying)
+
+
+def best_map(heights: Array, positions: Array, noise: float) -> ProjectiveMap:
+    """Fit the map from heights [drop heights] nearest to positions in any unit, (T,) each with NaN.
+
+    Least squares over at least three of both; `noise` is the standard deviation of a position: how
+    much the track counts against k's prior.
     """
     known = np.isfinite(heights) & np.isfinite(positions)
     heights, positions = heights[known], positions[known]
     noise = max(noise, _MIN_NOISE)
     off = positions - positions.mean()
     best = 0.0
-    for grid in (_COARSE, _FINE):
+    # About the best of the first ones.
+    for grid in (np.arange(-2.0, 2.01, 0.25), np.arange(-0.25, 0.26, 0.0625)):
         tried = best + grid
         curves = projected(heights, tried[:, None], _NEAREST_OF_MAP)
         curves = curves - curves.mean(axis=1, keepdims=True)
         power = np.maximum(np.einsum("kt,kt->k", curves, curves), _MIN_NOISE)
         squares = off @ off - (curves @ off) ** 2 / power  # that the best A and B of each k leave
-        best = _lowest(tried, squares / noise**2 + (tried / PERSPECTIVE_SD) ** 2)
+        # Locate the vertex of the parabola through the lowest of even points and its neighbours.
+        costs = squares / noise**2 + (tried / PERSPECTIVE_SD) ** 2
+        at = int(np.argmin(costs))
+        if not 0 < at < len(costs) - 1:
+            best = float(tried[at])
+        else:
+            before, here, after = costs[at - 1 : at + 2]
+            bend = before - 2 * here + after
+            fraction = 0.0 if bend <= 0 else 0.5 * (before - after) / bend
+            best = float(tried[at] + fraction * (tried[at + 1] - tried[at]))
     curve = projected(heights, np.array(best), _NEAREST_OF_MAP)
     off_curve = curve - curve.mean()
     span = float(off_curve @ positions / max(off_curve @ off_curve, _MIN_NOISE))
     return ProjectiveMap(float(positions.mean() - span * curve.mean()), span, best)
 
 
-def _lowest(values: Array, costs: Array) -> float:
-    """Locate the vertex of the parabola through the lowest of even points and its neighbours."""
-    at = int(np.argmin(costs))
-    if not 0 < at < len(costs) - 1:
-        return float(values[at])
-    before, here, after = costs[at - 1 : at + 2]
-    bend = before - 2 * here + after
-    fraction = 0.0 if bend <= 0 else 0.5 * (before - after) / bend
-    return float(values[at] + fraction * (values[at + 1] - values[at]))
-
-
 # ---- Unknowns of a bounce, and the samples that they are fitted to
 
-# Indices of the unknowns: e, t1 [s], log T0, A, B, k, p, drag times drop height.
-#
-# A and B are in the positions' unit. The unknowns from 8 on are the bends, see `BounceSamples`.
+# Indices of the unknowns: e, t1 [s], log T0, A, B, k, p, drag times drop height. A and B are in the
+# positions' unit. The unknowns from 8 on are the bends, see `BounceSamples`.
 RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE, SLOPE, DRAG = range(8)
-
 # Those of impacts that are heard: by how much the sound is late, how long a contact lasts [s].
 OFFSET, TOUCH = 14, 15
-
 # What is fitted first, roughly, of a film: a ball that keeps its restitution, without air.
 IDEAL = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
-
 SLOPE_SD = 0.1  # of the slope p, normal about 0, while fitting: real balls show .03 to .22
 DRAG_SD_1_M = 0.1  # of the drag, likewise: a table-tennis ball has .13, most others about .02
-KNOWN_DRAG = 0.1  # fraction by which a drag may be off that follows from a ball's mass and size
 # Of the log of a length in the log over the true one: gravity differs by .1 % between most places
 # of the earth. Student's t, because some logs' lengths are scaled by hand.
 METRE_SD, METRE_FREEDOM = 0.0008, 2.0
-
 ANY_SCALE_SD = 0.5  # the same where only the fall itself tells the unit
 # Of the rate at which contact moves through the picture after an impact, B a fall time: a ball that
 # falls 1 m goes sideways by some .1 m/s more or less after each bounce.
 BEND_SD = 0.008
-
 _KNOWN = 8  # unknowns that have a name
 # Degrees of freedom of Student's t: nearly normal; 10 standard deviations off, a tenth counts.
 FREEDOM = 8.0
-
 MAX_BENDS = 6  # impacts at which the contact may begin to move
-_ANY, _HEARD_LOW, _HEARD_HIGH = [np.inf] * MAX_BENDS, (-np.inf, 0.0), (np.inf, 0.02)
-LOW = np.array([0.005, *[-np.inf] * 3, 0.0, -2.5, -0.3, 0.0, *np.negative(_ANY), *_HEARD_LOW])
-# Of the unknowns, beyond what any ball or camera has.
-HIGH = np.array([1.0, *[np.inf] * 4, 2.5, 0.5, 2.0, *_ANY, *_HEARD_HIGH])
-
+# Bounds of the unknowns: wider than any real ball or camera.
+LOW = np.array([0.005, *[-np.inf] * 3, 0.0, -2.5, -0.3, 0.0, *[-np.inf] * MAX_BENDS, -np.inf, 0.0])
+HIGH = np.array([1.0, *[np.inf] * 4, 2.5, 0.5, 2.0, *[np.inf] * MAX_BENDS, np.inf, 0.02])
 _SHORT = 1e-5  # of an unknown of the ball, or of time [fall times], by which it is differentiated
-_FARTHER = 1.5  # how much later than the last sample an impact may be that was heard
+
+
+def nudged(unknowns: Array, index: int, by: float) -> tuple[Array, float]:
+    """Move one unknown, back if it would leave its bounds; return all of them and by how much."""
+    moved = unknowns.copy()
+    moved[index] += by if unknowns[index] < HIGH[index] - by else -by
+    return moved, moved[index] - unknowns[index]
 
 
 @dataclass(frozen=True, eq=False)
 class BounceSamples:
-    """Samples that a bounce is fitted to, and what is known of them.
+    """Samples that a bounce is fitted to, and what is known of them."""
 
-    Attributes:
-        seconds: shape (T,).
-        positions: along the vertical, up positive, in px of a picture or m of a log, shape (T,).
-        noise: standard deviation of a position, at least.
-        in_metres: whether the positions are heights, and not of a picture.
-        scale_known: whether heights are in true metres, as far as a log's metres are.
-        starts_in_flight: whether the ball flew before the first sample, too.
-        distortion_variance_fraction: share of a lens's distortion in the noise's variance.
-        drag_1_m: drag that is known [1/m]; None where it is not.
-        exposure_s: for which a shutter may have been open, around the time of a sample.
-        bends_s: moments [s] from which on the contact may move through the picture: impacts. Each
-            is an unknown, the rate in `BEND_SD` B a fall time.
-        heard: impacts that were heard, too; None where none were.
-    """
-
-    seconds: Array
+    seconds: Array  # shape (T,)
+    # Along the vertical, up positive, in px of a picture or m of a log, shape (T,).
     positions: Array
-    noise: float
-    in_metres: bool = False
-    scale_known: bool = True
-    starts_in_flight: bool = False
+    noise: float  # standard deviation of a position, at least
+    in_metres: bool = False  # whether the positions are heights, and not of a picture
+    scale_known: bool = True  # whether heights are in true metres, as far as a log's metres are
+    starts_in_flight: bool = False  # whether the ball flew before the first sample, too
+    # Share of a lens's distortion in the noise's variance.
     distortion_variance_fraction: float = 0.0
-    drag_1_m: float | None = None
-    exposure_s: float = 0.0
+    drag_1_m: float | None = None  # drag that is known [1/m]; None where it is not
+    exposure_s: float = 0.0  # for which a shutter may have been open, around the time of a sample
+    # Moments [s] from which on the contact may move through the picture: impacts. Each is an
+    # unknown, the rate in `BEND_SD` B a fall time.
     bends_s: tuple[float, ...] = ()
-    heard: AudioImpacts | None = None
+    heard: AudioImpacts | None = None  # impacts that were heard, too; None where none were
 
     @property
     def own_noise(self) -> float:
@@ -392,10 +347,8 @@ class BounceSamples:
             PERSPECTIVE: per_height * heights * (1 - heights),
         }
         for index in {RESTITUTION, SLOPE, DRAG, TOUCH}.intersection(free):
-            moved = unknowns.copy()
-            moved[index] += _SHORT if unknowns[index] < HIGH[index] - _SHORT else -_SHORT
-            rise = self.bounce(moved).heights(times) - heights
-            columns[index] = per_height * rise / (moved[index] - unknowns[index])
+            moved, by = nudged(unknowns, index, _SHORT)
+            columns[index] = per_height * (self.bounce(moved).heights(times) - heights) / by
         if timed:
             speeds = (later - heights) / _SHORT
             columns[IMPACT] = -per_height * speeds / np.exp(unknowns[FALL])
@@ -417,13 +370,35 @@ class BounceSamples:
         """Return when impacts begin, by their numbers from 0 [s], shape (N,)."""
         ball, fall_s = ball or self.bounce(unknowns), float(np.exp(unknowns[FALL]))
         last = max(float(self.seconds[-1] - unknowns[IMPACT]) / fall_s, 0.0)
-        starts, _ = ball.flights(_FARTHER * last + 1)
+        starts, _ = ball.flights(1.5 * last + 1)  # an impact may be heard after the last sample
         which = np.minimum(numbers, len(starts) - 1)
         return unknowns[IMPACT] + fall_s * (starts[which] - ball.contact)
 
     def priors(self, unknowns: Array) -> list[Prior]:
         """Return the priors of the unknowns, and the heard impacts as measurements."""
-        likely = self._likely(unknowns)
+        # The priors of balls, cameras and metres.
+        height_m = GRAVITY_M_S2 * float(np.exp(2 * unknowns[FALL])) / 2
+        usual, sd_1_m = 0.0, DRAG_SD_1_M
+        if self.drag_1_m is not None:
+            usual, sd_1_m = self.drag_1_m, KNOWN_DRAG * self.drag_1_m
+        found = [
+            Prior({SLOPE: 1.0}, float(unknowns[SLOPE]), SLOPE_SD),
+            Prior({DRAG: 1.0}, float(unknowns[DRAG] - usual * height_m), sd_1_m * height_m),
+        ]
+        if self.in_metres:
+            off = float(np.log(unknowns[SPAN] / height_m))
+            slopes = {SPAN: 1 / float(unknowns[SPAN]), FALL: -2.0}
+            sd, freedom = (METRE_SD, METRE_FREEDOM) if self.scale_known else (ANY_SCALE_SD, np.inf)
+            likely = [*found, Prior(slopes, off, sd, freedom)]
+        else:
+            found += [
+                Prior({_KNOWN + bend: 1.0}, float(unknowns[_KNOWN + bend]), 1.0)
+                for bend in range(len(self.bends_s))
+            ]
+            likely = [
+                *found,
+                Prior({PERSPECTIVE: 1.0}, float(unknowns[PERSPECTIVE]), PERSPECTIVE_SD),
+            ]
         return likely if self.heard is None else [*likely, *self._heard(self.heard, unknowns)]
 
     def _heard(self, heard: AudioImpacts, unknowns: Array) -> list[Prior]:
@@ -431,10 +406,8 @@ class BounceSamples:
         times_s = self.touches_s(unknowns, heard.numbers)
         slopes: dict[int, Array] = {}
         for index in (RESTITUTION, SLOPE, DRAG):
-            moved = unknowns.copy()
-            moved[index] += _SHORT if unknowns[index] < HIGH[index] - _SHORT else -_SHORT
-            later_s = self.touches_s(moved, heard.numbers) - times_s
-            slopes[index] = later_s / (moved[index] - unknowns[index])
+            moved, by = nudged(unknowns, index, _SHORT)
+            slopes[index] = (self.touches_s(moved, heard.numbers) - times_s) / by
         slopes[TOUCH] = heard.numbers.astype(np.float64)
         slopes[FALL] = times_s - unknowns[IMPACT] - slopes[TOUCH] * unknowns[TOUCH]
         slopes[IMPACT] = slopes[OFFSET] = np.ones(len(times_s))
@@ -449,24 +422,3 @@ class BounceSamples:
             row = {index: each[at] for index, each in moves.items()}
             found.append(Prior(row, off, 1.0, HEARD_FREEDOM, measured=True))
         return found
-
-    def _likely(self, unknowns: Array) -> list[Prior]:
-        """Return the priors of balls, cameras and metres."""
-        height_m = GRAVITY_M_S2 * float(np.exp(2 * unknowns[FALL])) / 2
-        usual, sd_1_m = 0.0, DRAG_SD_1_M
-        if self.drag_1_m is not None:
-            usual, sd_1_m = self.drag_1_m, KNOWN_DRAG * self.drag_1_m
-        found = [
-            Prior({SLOPE: 1.0}, float(unknowns[SLOPE]), SLOPE_SD),
-            Prior({DRAG: 1.0}, float(unknowns[DRAG] - usual * height_m), sd_1_m * height_m),
-        ]
-        if self.in_metres:
-            off = float(np.log(unknowns[SPAN] / height_m))
-            slopes = {SPAN: 1 / float(unknowns[SPAN]), FALL: -2.0}
-            sd, freedom = (METRE_SD, METRE_FREEDOM) if self.scale_known else (ANY_SCALE_SD, np.inf)
-            return [*found, Prior(slopes, off, sd, freedom)]
-        found += [
-            Prior({_KNOWN + bend: 1.0}, float(unknowns[_KNOWN + bend]), 1.0)
-            for bend in range(len(self.bends_s))
-        ]
-        return [*found, Prior({PERSPECTIVE: 1.0}, float(unknowns[PERSPECTIVE]), PERSPECTIVE_SD)]

@@ -32,7 +32,6 @@ from tunenet_logs.analysis.drop.bounce_model import (
     FALL,
     FREEDOM,
     IMPACT,
-    KNOWN_DRAG,
     METRE_SD,
     PERSPECTIVE,
     PERSPECTIVE_SD,
@@ -45,7 +44,12 @@ from tunenet_logs.analysis.drop.bounce_model import (
     projected,
 )
 from tunenet_logs.analysis.drop.free_flight import Drop
-from tunenet_logs.analysis.drop.times.readings import NO_DRAG, NO_SLOPE
+from tunenet_logs.analysis.drop.times.readings import (
+    KNOWN_DRAG,
+    NO_DRAG,
+    NO_SLOPE,
+    TYPICAL_DRAG_1_M,
+)
 from tunenet_logs.analysis.record import Rebound
 from tunenet_logs.analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
 from tunenet_logs.episode import Array
@@ -56,24 +60,16 @@ from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2
 # In a normal approximation the duration is normal for each slope and drag, with the restitution
 # linear in it. Its part below 0 is cut off.
 
-_FAR = -30.0  # standard deviations below 0 beyond which a contact is as unlikely as at them
-
 
 @dataclass(frozen=True, eq=False)
 class ContactBound:
-    """Contact duration before the bound, as a function of slope and drag.
+    """Contact duration before the bound, as a function of slope and drag."""
 
-    Attributes:
-        value_s: at the likelihood's middle.
-        moves: its derivatives by slope and drag, shape (2,).
-        sd_s: standard deviation given the two.
-        restitution_sd: of the restitution, by the contact alone; negative where a longer contact
-            means a lower restitution.
-    """
-
-    value_s: float
-    moves: Array
-    sd_s: float
+    value_s: float  # at the likelihood's middle
+    moves: Array  # its derivatives by slope and drag, shape (2,)
+    sd_s: float  # standard deviation given the two
+    # Of the restitution, by the contact alone; negative where a longer contact means a lower
+    # restitution.
     restitution_sd: float
 
     def log_likelihood(self, off: Array) -> Array:
@@ -92,7 +88,7 @@ class ContactBound:
 
     def _above(self, off: Array) -> Array:
         """Return the contact before the bound, in standard deviations, shape (M,)."""
-        return np.maximum((self.value_s + off @ self.moves) / self.sd_s, _FAR)
+        return np.maximum((self.value_s + off @ self.moves) / self.sd_s, -30.0)
 
     def _cut(self, off: Array) -> tuple[Array, Array]:
         """Return the truncated standard normal's mean and loss of variance, shape (M,)."""
@@ -109,15 +105,9 @@ _FASTER = 1e-5  # fraction of a restitution by which positions and times are dif
 
 
 def moved_by_own(samples: BounceSamples, unknowns: Array) -> tuple[Array, Array]:
-    """Differentiate positions and touch times by each impact's own restitution, relative.
+    """Differentiate positions (T, K) and touch times (N, K) by each impact's own restitution.
 
-    Args:
-        samples: with impacts that were heard.
-        unknowns: of the law, shape (16,).
-
-    Returns:
-        Of the positions, shape (T, K), and of the times of the touches [s], shape (N, K), over the
-        K impacts that are seen, or come before the last that is heard.
+    Relative, over the K impacts that are seen, or come before the last that is heard.
     """
     assert samples.heard is not None
     numbers = samples.heard.numbers
@@ -144,36 +134,20 @@ def moved_by_own(samples: BounceSamples, unknowns: Array) -> tuple[Array, Array]
 
 # Standard deviations of slope and drag [1 / drop height] where the samples tell nothing.
 WIDEST = (0.3, 0.5)
-
 ANY_RESTITUTION_SD = 0.3  # of a restitution of which the samples tell nothing near the fit
-# Added to each unknown's scaled weight of 1: unknowns that no sample moves stay where they are.
-_UNKNOWN = 1e-12
-
-# Rounds of reweighting the samples by their residuals, as the deviations explain these.
-_REWEIGHTED = 6
 
 
 @dataclass(frozen=True, eq=False)
 class BallLikelihood:
-    """Normal likelihood of slope and drag, without their priors.
+    """Normal likelihood of slope and drag, without their priors."""
 
-    Attributes:
-        middle: most likely slope and drag times drop height, shape (2,).
-        precision: of the two, shape (2, 2).
-        value: the restitution there.
-        moves: derivatives of the restitution by each of the two, shape (2,).
-        restitution_sd: standard deviation given the two.
-        log_evidence: logarithm of the likelihood there, without a constant.
-        bound: on the contact's duration, where impacts were heard.
-    """
-
-    middle: Array
-    precision: Array
-    value: float
-    moves: Array
-    restitution_sd: float
-    log_evidence: float = 0.0
-    bound: ContactBound | None = None
+    middle: Array  # most likely slope and drag times drop height, shape (2,)
+    precision: Array  # of the two, shape (2, 2)
+    value: float  # the restitution there
+    moves: Array  # derivatives of the restitution by each of the two, shape (2,)
+    restitution_sd: float  # standard deviation given the two
+    log_evidence: float = 0.0  # logarithm of the likelihood there, without a constant
+    bound: ContactBound | None = None  # on the contact's duration, where impacts were heard
 
     @property
     def sds(self) -> Array:
@@ -215,9 +189,14 @@ def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
     law = replace(fit.samples, heard=replace(fit.samples.heard, scatter=0.0))
     linear = _Linear.of(replace(fit, samples=law), factor)
     own = np.arange(len(fit.free), linear.jacobian.shape[1])
-    known = np.diag(_known(fit, len(own)))
+    # The least that is known of a fit's unknowns, as weights, shape (U,).
+    more = len(own)
+    least = {RESTITUTION: ANY_RESTITUTION_SD, SLOPE: WIDEST[0], DRAG: WIDEST[1]}
+    known = np.diag(
+        np.array([least.get(index, np.inf) for index in fit.free] + [np.inf] * more) ** -2
+    )
     weights = linear.weights()[0], np.ones(len(linear.off))
-    for _ in range(_REWEIGHTED):
+    for _ in range(6):  # reweighting by the residuals, which the deviations explain
         normal, gradient = linear.equations(*weights)
         peaks = [_peak(one + known, gradient) for one in _scattered(normal, own)]
         log = np.array([peak[1] for peak in peaks]) + _log_priors(len(own))
@@ -233,26 +212,17 @@ def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """Samples and priors of a fit, linearised in its unknowns.
+    """Samples and priors of a fit, linearised in its unknowns."""
 
-    Attributes:
-        jacobian: of the positions over the fit's unknowns, and over each impact's deviation from
-            the law where impacts were heard, shape (T, U).
-        residuals: shape (T,).
-        scale: of a residual.
-        factor: how many samples count as one.
-        rows: of the priors, in their standard deviations, shape (P, U).
-        off: likewise, shape (P,).
-        freedom: of each prior's t, shape (P,).
-    """
-
+    # Of the positions over the fit's unknowns, and over each impact's deviation from the law where
+    # impacts were heard, shape (T, U).
     jacobian: Array
-    residuals: Array
-    scale: float
-    factor: float
-    rows: Array
-    off: Array
-    freedom: Array
+    residuals: Array  # shape (T,)
+    scale: float  # of a residual
+    factor: float  # how many samples count as one
+    rows: Array  # of the priors, in their standard deviations, shape (P, U)
+    off: Array  # likewise, shape (P,)
+    freedom: Array  # of each prior's t, shape (P,)
 
     @classmethod
     def of(cls, fit: BounceFit, factor: float) -> _Linear:
@@ -307,17 +277,12 @@ def _log_priors(count: int) -> Array:
     return np.log(list(SCATTERS.values())) - count * np.log(list(SCATTERS))
 
 
-def _known(fit: BounceFit, more: int) -> Array:
-    """Return the least that is known of a fit's unknowns, as weights, shape (U,)."""
-    least = {RESTITUTION: ANY_RESTITUTION_SD, SLOPE: WIDEST[0], DRAG: WIDEST[1]}
-    return np.array([least.get(index, np.inf) for index in fit.free] + [np.inf] * more) ** -2
-
-
 def _peak(normal: Array, gradient: Array) -> tuple[Array, float]:
     """Return a normal likelihood's mode and the logarithm of its integral."""
     diagonal = np.diag(normal)
     unit = np.where(diagonal > 0, diagonal, 1.0) ** -0.5
-    scaled = normal * np.outer(unit, unit) + _UNKNOWN * np.eye(len(unit))
+    # Unknowns that no sample moves stay where they are.
+    scaled = normal * np.outer(unit, unit) + 1e-12 * np.eye(len(unit))
     step = unit * np.linalg.solve(scaled, unit * gradient)
     log = 0.5 * gradient @ step - 0.5 * np.linalg.slogdet(scaled)[1] + np.log(unit).sum()
     return step, float(log)
@@ -367,52 +332,37 @@ def _of_law(fit: BounceFit, normal: Array, gradient: Array) -> BallLikelihood:
 # Prior probabilities of a ball that keeps its restitution, and of one that the air does not slow:
 # simulators drop such balls. In a picture lens and blur look like a little drag, too.
 _NO_SLOPE, _NO_DRAG, _NO_DRAG_IN_PICTURE = 0.4, 0.5, 0.85
-
 # Prior of another ball's slope: half normal, with a little room below 0.
 _SLOPE_SD, _NEGATIVE_SD = 0.12, 0.01
-
-# Prior of another ball's drag: log normal. A steel ball has .002, a table-tennis ball .13.
-_TYPICAL_DRAG_1_M, _LOG_DRAG_SD = 0.03, 1.3
-
+_LOG_DRAG_SD = 1.3  # of the log of another ball's drag: less narrow than of balls that are heard
 _NODES, _REACH_SDS = 45, 4.5  # of the grid along one axis, and how far it goes
 _MIN_SD = 1e-5  # of a restitution: no lens, no clock and no simulator are better
 _MIN_SD_IN_PICTURE = 2e-4  # the same of a film
 _FILM_WIDER = 1.1  # factor on a film's intervals of the restitution: without it too few cover
 # How much less likely the ends are: a t distribution is flatter than the noise of a track.
 _RISE = 0.93 * TWO_SIDED**2 / 2
-
-# Standard deviation of a restitution beyond which the ends are searched for, in so many steps: near
-# 0 a rebound grows with its square, and no normal likelihood describes it.
-_UNSURE, _SEARCHED = 0.03, 4
-
-# Most that a profile changes a normal interval: beyond that it found another minimum.
-_NARROWER, _WIDER = 0.8, 2.5
+# Standard deviation of a restitution beyond which the ends are searched for: near 0 a rebound grows
+# with its square, and no normal likelihood describes it.
+_UNSURE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class BallPosterior:
-    """Posterior of a ball's restitution, slope and drag.
+    """Posterior of a ball's restitution, slope and drag."""
 
-    Attributes:
-        values: posterior means of restitution, slope, drag [1/m], shape (3,).
-        interval95: shape (3, 2).
-        fit: the fit, with slope and drag held at these values, all else fitted to them.
-        correlation: of slope and drag by the samples alone: near -1 or 1 these trade places.
-        told: how much narrower than its prior each interval of slope and drag is, from 0 (the
-            prior's) to 1, shape (2,).
-    """
-
-    values: Array
-    interval95: Array
-    fit: BounceFit
-    correlation: float
+    values: Array  # posterior means of restitution, slope, drag [1/m], shape (3,)
+    interval95: Array  # shape (3, 2)
+    fit: BounceFit  # the fit, with slope and drag held at these values, all else fitted to them
+    correlation: float  # of slope and drag by the samples alone: near -1 or 1 these trade places
+    # How much narrower than its prior each interval of slope and drag is, from 0 (the prior's) to
+    # 1, shape (2,).
     told: Array
 
 
 def ball_posterior(fit: BounceFit) -> BallPosterior:
     """Compute a ball's posterior by Bayesian model averaging over slope, drag and scatter."""
     height_m = GRAVITY_M_S2 * float(np.exp(2 * fit.unknowns[FALL])) / 2
-    factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
+    factor = fit.samples_as_one
     likelihoods = ball_likelihoods(fit, factor)
     grids = [_Grid.of(one, fit, height_m) for one in likelihoods]
     logs = np.array([grid.log_evidence for grid in grids])
@@ -444,15 +394,10 @@ _Axis = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Balls on a grid over slope and drag, weighted by one likelihood.
+    """Balls on a grid over slope and drag, weighted by one likelihood."""
 
-    Attributes:
-        axes: of the restitution, the slope and the drag [1/m].
-        log_evidence: logarithm of the likelihood, averaged over them.
-    """
-
-    axes: tuple[_Axis, _Axis, _Axis]
-    log_evidence: float
+    axes: tuple[_Axis, _Axis, _Axis]  # of the restitution, the slope and the drag [1/m]
+    log_evidence: float  # logarithm of the likelihood, averaged over them
 
     @classmethod
     def of(cls, likelihood: BallLikelihood, fit: BounceFit, height_m: float) -> _Grid:
@@ -462,12 +407,19 @@ class _Grid:
         drags, drag_step = _nodes(float(middle[1]) / height_m, float(sds[1]) / height_m, 0.0, 1.0)
         is_heard = fit.samples.heard is not None
         no_slope = NO_SLOPE if is_heard else _NO_SLOPE
-        slope_prior = _slope_density(slopes) * slope_step * (1 - no_slope)
+        sds = np.where(slopes < 0, _NEGATIVE_SD, _SLOPE_SD)
+        total = np.sqrt(np.pi / 2) * (_NEGATIVE_SD + _SLOPE_SD)
+        slope_prior = (np.exp(-0.5 * (slopes / sds) ** 2) / total) * slope_step * (1 - no_slope)
         known = fit.samples.drag_1_m
         if known is None:
             none = _NO_DRAG if fit.samples.in_metres else _NO_DRAG_IN_PICTURE
             none = NO_DRAG if is_heard else none
-            drag_prior = _drag_density(drags) * drag_step * (1 - none)
+            off = np.log(drags / TYPICAL_DRAG_1_M) / _LOG_DRAG_SD
+            drag_prior = (
+                (np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * _LOG_DRAG_SD * drags))
+                * drag_step
+                * (1 - none)
+            )
             drags, drag_prior = np.append(drags, 0.0), np.append(drag_prior, none)
         else:
             drags, drag_step = _nodes(known, KNOWN_DRAG * known, 0.0, 2 * known)
@@ -518,24 +470,12 @@ def _nodes(middle: float, sd: float, low: float, high: float) -> tuple[Array, fl
     return (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0])
 
 
-def _slope_density(slopes: Array) -> Array:
-    sds = np.where(slopes < 0, _NEGATIVE_SD, _SLOPE_SD)
-    total = np.sqrt(np.pi / 2) * (_NEGATIVE_SD + _SLOPE_SD)
-    return np.exp(-0.5 * (slopes / sds) ** 2) / total
-
-
-def _drag_density(drags: Array) -> Array:
-    """Return the log-normal prior density of positive drags [1/m]."""
-    off = np.log(drags / _TYPICAL_DRAG_1_M) / _LOG_DRAG_SD
-    return np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * _LOG_DRAG_SD * drags)
-
-
 def _prior_widths(fit: BounceFit) -> Array:
     """Return the prior 95 % widths of slope and drag [1/m], shape (2,)."""
     slope = TWO_SIDED * _SLOPE_SD
     if fit.samples.drag_1_m is not None:
         return np.array([slope, 2 * TWO_SIDED * KNOWN_DRAG * fit.samples.drag_1_m])
-    return np.array([slope, _TYPICAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)])
+    return np.array([slope, TYPICAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)])
 
 
 def _profile_factors(fit: BounceFit, factor: float) -> Array:
@@ -552,13 +492,12 @@ def _profile_factors(fit: BounceFit, factor: float) -> Array:
     variance = float(np.linalg.pinv(normal)[0, 0]) * factor
     sd = max(float(np.sqrt(max(variance, 0.0))), least)
     if sd < _UNSURE:
-        return np.array(
-            [np.clip(_profiled(fit, factor, side, sd), _NARROWER, _WIDER) for side in (-1, 1)]
-        )
+        # Beyond that it found another minimum.
+        return np.array([np.clip(_profiled(fit, factor, side, sd), 0.8, 2.5) for side in (-1, 1)])
     factors: list[float] = []
     for side in (-1, 1):
         reach = 1.0
-        for _ in range(_SEARCHED):
+        for _ in range(4):
             found = _profiled(fit, factor, side, reach * sd)
             reach = max(reach * float(np.clip(found, 0.25, 4.0)), least / sd)
             if abs(found - 1) < 0.1:
@@ -589,11 +528,6 @@ def _profiled(fit: BounceFit, factor: float, side: int, sd: float) -> float:
 # The air bends a spinning ball's flight, and a marker off its middle wobbles. Parabolas next to the
 # impact have other errors: where they differ beyond chance, the interval covers both.
 
-_NEAR = (0.2, 0.27, 0.35)  # fall times on either side of the impact
-_TOUCHING_PERIODS = 1.0  # sample periods on either side in which the ball may touch the ground
-_MIN_COUNT = 6  # samples of a parabola with an error of its own
-_CHANCE = 2.0  # standard errors that two estimates may be apart by chance
-
 
 @lru_cache(maxsize=64)
 def drop_posterior(drop: Drop, drag_1_m: float | None) -> BallPosterior | None:
@@ -610,38 +544,31 @@ def drop_posterior(drop: Drop, drag_1_m: float | None) -> BallPosterior | None:
 
 def _widened(drop: Drop, posterior: BallPosterior) -> BallPosterior:
     """Widen the interval to hold what parabolas next to the impact say, too."""
-    beyond = max(_beyond_chance(drop, posterior, near) for near in _NEAR)
+    beyond = max(_beyond_chance(drop, posterior, near) for near in (0.2, 0.27, 0.35))
     ends = posterior.interval95.copy()
     reach = np.hypot(ends[0] - posterior.values[0], TWO_SIDED * beyond)
-    reach = np.hypot(reach, _touch(drop, posterior))
-    ends[0] = np.clip(posterior.values[0] + reach * np.array([-1, 1]), 0.0, 1.0)
-    return replace(posterior, interval95=ends)
-
-
-def _touch(drop: Drop, posterior: BallPosterior) -> float:
-    """Return how far the restitution depends on where in a long touch its speeds are taken.
-
-    The flights are prolonged to where they meet. A soft ball has touched down before, and leaves
-    the ground after that, with gravity at work in between.
-    """
+    # How far the restitution depends on where in a long touch its speeds are taken.
     period_s = float(np.median(np.diff(drop.seconds)))
     impacts = len(posterior.fit.projection().impacts(float(drop.seconds[-1])))
     half_s = drop.touching * period_s / max(impacts, 1) / 2
     gained = drop.gravity_m_s2 * half_s / drop.impact_speed_m_s
-    return float(gained * (1 + posterior.values[0]) / 2)
+    reach = np.hypot(reach, float(gained * (1 + posterior.values[0]) / 2))
+    ends[0] = np.clip(posterior.values[0] + reach * np.array([-1, 1]), 0.0, 1.0)
+    return replace(posterior, interval95=ends)
 
 
 def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
     """Return how far the parabolas' restitution is off, without what chance makes of it."""
     view = posterior.fit.projection()
     since = drop.seconds - view.impact_s
-    touching_s = _TOUCHING_PERIODS * float(np.median(np.diff(drop.seconds)))
+    touching_s = float(np.median(np.diff(drop.seconds)))  # within it the ball may touch the ground
     starts = view.impacts(float(drop.seconds[-1]))
     next_s = float(starts[1]) * view.fall_time_s if len(starts) > 1 else np.inf
     near_s = near * view.fall_time_s
     before = (since < -touching_s) & (since > -near_s)
     after = (since > touching_s) & (since < min(near_s, next_s - touching_s))
-    if min(np.count_nonzero(before), np.count_nonzero(after)) < _MIN_COUNT:
+    # Too few for a parabola with an error of its own.
+    if min(np.count_nonzero(before), np.count_nonzero(after)) < 6:
         return 0.0
     ball_m = view.positions(view.bounce.heights(view.fall_times(drop.seconds)), drop.seconds)
     noise_m = max(noise_floor(drop), posterior.fit.scale)
@@ -654,7 +581,8 @@ def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
         return 0.0
     apart = rise / -fall - ball_rise / -ball_fall
     chance = float(np.hypot(rise_sd, fall_sd * ball_rise / ball_fall)) / -ball_fall
-    return max(apart**2 - (_CHANCE * chance) ** 2, 0.0) ** 0.5
+    # What two estimates may be apart by chance.
+    return max(apart**2 - (2.0 * chance) ** 2, 0.0) ** 0.5
 
 
 def _speeds(
@@ -674,21 +602,6 @@ _CLEAR_HOP = 4.0  # standard deviations of a position that a flight has to be hi
 # Prior of each restitution about the fit's: no law, but no impact is far from all others.
 _PRIOR_SD = 0.15
 
-_CAMERA = (IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE)
-# Unknowns that are fitted with the restitutions, and by how much they are differentiated.
-_STEPS = np.array([1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
-
-_FIXED = 1e12  # precision of an unknown that is known
-# Gauss-Newton iterations, which begin nearly at the end, at the fit; and the standard errors below
-# which a step is the last.
-_ITERATIONS, _SETTLED = 6, 1e-5
-
-# Samples of a flight: for a restitution of its own (a parabola has three coefficients), for a
-# parabola through them, and for a cubic, which perspective asks for.
-_MIN_SAMPLES, _PARABOLA, _CUBIC = 4, 5, 9
-
-_OUTLIER = 5.0  # standard deviations from the fit, beyond which a sample is not the ball
-
 
 def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
     """Fit the restitution of each impact whose flight is seen to its end, by Gauss-Newton.
@@ -704,7 +617,8 @@ def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
     for begin, end, speed in zip(starts[:MAX_IMPACTS], starts[1:], speeds, strict=False):
         hop = fit.unknowns[SPAN] * speed**2 / 4
         seen = np.count_nonzero((times > begin) & (times < end))
-        if end > times[-1] or hop < _CLEAR_HOP * fit.scale or seen < _MIN_SAMPLES:
+        # A parabola has three coefficients.
+        if end > times[-1] or hop < _CLEAR_HOP * fit.scale or seen < 4:
             break
         count += 1
     if not count:
@@ -756,19 +670,20 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     """Fit N restitutions and their standard errors by Gauss-Newton's method, without outliers."""
     weights = np.where(np.abs(fit.residuals) < 4 * fit.scale, 1.0, 0.0)
     scale = fit.scale * np.sqrt(correlation_time(fit.residuals, len(fit.free)))
-    camera = fit.unknowns[list(_CAMERA)]
+    camera = fit.unknowns[[IMPACT, FALL, CONTACT, SPAN, PERSPECTIVE]]
     seconds, view = fit.samples.seconds, fit.projection()
     seen = fit.samples.positions - (view.contacts(seconds) - view.contact)
     values = np.concatenate([camera, first])
-    steps = np.concatenate([_STEPS, np.full(len(first), 1e-6)])
+    # By which the unknowns are differentiated.
+    steps = np.concatenate([np.array([1e-6, 1e-6, 1e-4, 1e-4, 1e-5]), np.full(len(first), 1e-6)])
     free = [0.0, 0.0, 0.0, 0.0, PERSPECTIVE_SD**-2]
     if fit.samples.in_metres:  # this camera is known, and as far as metres are metres its scale
         metre_sd = METRE_SD if fit.samples.scale_known else ANY_SCALE_SD
-        free[3:] = [(metre_sd * camera[3]) ** -2, _FIXED]
+        free[3:] = [(metre_sd * camera[3]) ** -2, 1e12]
     prior = np.concatenate([free, np.full(len(first), _PRIOR_SD**-2)])
     target = np.concatenate([[0.0, 0.0, 0.0, camera[3], 0.0], first])
     covariance = np.eye(len(values))
-    for _ in range(_ITERATIONS):
+    for _ in range(6):  # it begins nearly at the end, at the fit
         moves = np.diag(steps)
         trials: list[Array] = []
         known: dict[tuple[float, ...], Array] = {}  # the camera's own unknowns move no ball
@@ -788,24 +703,18 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
         step = covariance @ gradient
         values = values + step
         values[5:] = np.clip(values[5:], 0.01, 1.0)
-        if np.all(np.abs(step) <= _SETTLED * np.sqrt(np.diag(covariance))):
+        if np.all(np.abs(step) <= 1e-5 * np.sqrt(np.diag(covariance))):
             break
     return values[5:], np.sqrt(np.diag(covariance))[5:]
 
 
 @dataclass(frozen=True)
 class FlightRatio:
-    """Ratio of the second flight's duration to the first's.
+    """Ratio of the second flight's duration to the first's."""
 
-    Attributes:
-        value: as seen.
-        fitted: as the fitted ball has it.
-        sd: standard error of the value.
-    """
-
-    value: float
-    fitted: float
-    sd: float
+    value: float  # as seen
+    fitted: float  # as the fitted ball has it
+    sd: float  # standard error of the value
 
 
 def flight_ratio(fit: BounceFit) -> FlightRatio | None:
@@ -820,12 +729,13 @@ def flight_ratio(fit: BounceFit) -> FlightRatio | None:
     flights: list[_Flight] = []
     for begin, end in itertools.pairwise(edges):
         inside = (times > begin + half) & (times < end - half)
-        inside &= np.abs(fit.residuals) < _OUTLIER * fit.scale
+        inside &= np.abs(fit.residuals) < 5.0 * fit.scale
         count = int(np.count_nonzero(inside))
-        if count < _PARABOLA:
+        if count < 5:
             return None
         middle = float(times[inside].mean())
-        columns = np.vander(times[inside] - middle, 4 if count >= _CUBIC else 3)
+        # With perspective, a cubic.
+        columns = np.vander(times[inside] - middle, 4 if count >= 9 else 3)
         powers, *_ = np.linalg.lstsq(columns, fit.samples.positions[inside], rcond=None)
         covariance = np.linalg.pinv(columns.T @ columns) * fit.scale**2
         flights.append(_Flight(middle, powers.astype(np.float64), covariance.astype(np.float64)))
@@ -845,17 +755,11 @@ def flight_ratio(fit: BounceFit) -> FlightRatio | None:
 
 @dataclass(frozen=True, eq=False)
 class _Flight:
-    """Flight as a polynomial of time.
+    """Flight as a polynomial of time."""
 
-    Attributes:
-        middle: time that it is about [fall times].
-        powers: coefficients [px], highest power first, shape (3,) or (4,).
-        covariance: of them.
-    """
-
-    middle: float
-    powers: Array
-    covariance: Array
+    middle: float  # time that it is about [fall times]
+    powers: Array  # coefficients [px], highest power first, shape (3,) or (4,)
+    covariance: Array  # of them
 
     def meets(self, then: _Flight, near: float, reach: float) -> tuple[float, float] | None:
         """Return when this flight ends in the next, and the standard error; None if it does not."""
@@ -879,11 +783,8 @@ class _Flight:
 # ---- Parameters that a log cannot determine: slope and drag that only their priors say
 
 SLOPE_AND_DRAG = 2  # index of the last of the parameters that this is about, in the task's order
-_TRADE = 0.9  # correlation of slope and drag from which on these trade places
 # Fraction of a prior's width that a log has to take away, or it tells little of a parameter.
 _TOLD = 0.5
-
-_MAX_COUNTED = 6  # flights; more have other reasons than their number
 
 
 def unidentifiable(posterior: BallPosterior) -> tuple[str, ...]:
@@ -893,7 +794,7 @@ def unidentifiable(posterior: BallPosterior) -> tuple[str, ...]:
     ]
     if not unknown:
         return ()
-    if abs(posterior.correlation) > _TRADE:
+    if abs(posterior.correlation) > 0.9:
         return (f"drag and slope cannot be separated in this log: {_seen(posterior)}",)
     return tuple(
         f"this log cannot determine the {name}: its interval is what is known of balls, from "
@@ -910,7 +811,7 @@ def _seen(posterior: BallPosterior) -> str:
     fit = posterior.fit
     seconds = fit.samples.seconds
     count = len(fit.projection().impacts(float(seconds[-1]))) if len(seconds) else 0
-    if not 0 < count <= _MAX_COUNTED:
+    if not 0 < count <= 6:  # more have other reasons than their number
         return f"their correlation is {np.round(posterior.correlation, 2):+.2f}"
     words = ("one flight", "two flights", "three flights", "four flights", "five flights")
     return words[count - 1] if count <= len(words) else f"{count} flights"

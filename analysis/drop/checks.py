@@ -1,4 +1,4 @@
-"""Checks of a drop, each with figure, limit and what to do about it.
+"""Checks of a drop: tables of what is checked, and what is measured for them.
 
 First those of any recorded drop, then its cross-check, then what only a film shows, then the checks
 and the cross-check of a drop that was only heard.
@@ -12,9 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.analysis.checks import Check, CrossCheck, figures
+from tunenet_logs.analysis.checks import (
+    TRUE,
+    Check,
+    CheckSpec,
+    CrossCheck,
+    at_least,
+    at_most,
+    table,
+    within,
+)
 from tunenet_logs.analysis.drop.audio import FusedEstimate
-from tunenet_logs.analysis.drop.bounce_fit import BounceFit
 from tunenet_logs.analysis.drop.bounce_model import TOUCH, Projection
 from tunenet_logs.analysis.drop.bounce_posterior import flight_ratio
 from tunenet_logs.analysis.drop.detection import DISAGREEMENT, AnyDetection, FilmDetection
@@ -28,6 +36,7 @@ from tunenet_logs.analysis.drop.film import (
     long_steps,
 )
 from tunenet_logs.analysis.drop.free_flight import Drop, Indices, meet
+from tunenet_logs.analysis.drop.presets import PAPER_HEIGHT_M
 from tunenet_logs.analysis.drop.times.detection import TimesDetection
 from tunenet_logs.analysis.drop.times.model import HeardBall, Whitening
 from tunenet_logs.analysis.drop.times.search import BallAmong
@@ -36,36 +45,164 @@ from tunenet_logs.analysis.record import SimulationFit, Units
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.base import CALIBRATED
 
-# Rms in drop heights: a simulation that is farther off is of something else than the recording.
-_REJECT_FIT = 0.1
+# ---- Any recorded drop
 
+_AGAIN = "drop it again without spin, onto a hard and level surface"
+
+DROP = table(
+    CheckSpec(
+        "first flight seen",
+        at_least(0.9, "fall times", ".1f"),
+        measures="the recorded time after the first impact",
+        passes="{limit} fall times or more; of a thrown ball 0.2",
+        cause="the recording ends early",
+        advice="record until the ball lies still",
+        invalidates_interval=False,
+    ),
+    CheckSpec(
+        "stays on the table",
+        at_most(3, "% of the drop height", ".1f"),
+        seen="{value} {unit} below contact",
+        measures="how far the ball comes below the contact",
+        passes="at most {limit} % of the drop height + 6 times the noise [mm]",
+        cause="it rolls off",
+        advice="drop onto the middle of a large, level surface",
+    ),
+    CheckSpec(
+        "falls straight",
+        at_most(50, "% of the drop height"),
+        seen="{value} {unit} sideways",
+        measures="the sideways travel; of a film up to the second impact",
+        passes="at most half the drop height [mm]; from positions half of what the impact's speed "
+        "makes of the recorded time, if that is more",
+        cause="it is thrown, the table is tilted",
+        advice="let go without a push, over a level surface",
+    ),
+    CheckSpec(
+        "no samples missing",
+        at_most(4, "periods", ".1f"),
+        seen="longest gap {value} periods",
+        wanted="less than {limit}",
+        measures="the longest time without a sample",
+        passes="less than {limit} sample periods; of a film 0.4 fall times if that is more, and "
+        "longer where the ball flies out of the picture well away from an impact",
+        cause="a tracker lost the ball, a clock jumped",
+        advice="keep the ball in sight all the way, and the rate steady",
+        invalidates_interval=False,
+    ),
+    CheckSpec(
+        "sure enough",
+        at_most(0.02, "", ".2g", fatal=0.1),
+        seen="95 % interval of ±{value}",
+        measures="half of the 95 % interval of the restitution",
+        if_not="i; of a film or of times r over 0.1",
+        cause="a dull ball from a small height or filmed small, noise, few samples",
+        advice="drop from higher, or record larger or at a higher rate",
+        secondary=True,
+        invalidates_interval=False,
+    ),
+    CheckSpec(
+        "simulation fits",
+        at_most(0.5, "% of the drop height", ".2f", fatal=15),  # cannot be seen in a review
+        seen="{value} % of the drop height apart beyond the noise, rms of {fit.samples} samples",
+        more="; {fit.worst_percent:.2f} % at worst",
+        measures="the tuned rollout with every sample from the release to the last bounce in view, "
+        "beyond the noise (rms)",
+        cause="it spins, is out of round, hits an edge; another law",
+        advice=_AGAIN,
+    ),
+    CheckSpec(
+        "samples are the ball's",
+        at_most(5, "%", ".1f g"),
+        seen="{fit.left_out} of {count} are elsewhere",
+        wanted="at most {limit} %",
+        measures="samples that are elsewhere, and left out",
+        cause="markers swap, a tracker jumps",
+        advice="keep other things that move, or are marked, away from the ball",
+    ),
+    CheckSpec(
+        "hold-out prediction",
+        at_most(1, "% of the drop height", ".2f"),
+        seen="by the first 60 % of the time the rest is {value} % of the drop height off",
+        measures="a fit to the first 60 % of the time with the rest, beyond the noise; no check "
+        "where too little is seen",
+        cause="the first flights do not fix the ball: noise, a low rate, one bounce",
+        advice="drop from higher, or record more bounces at a higher rate",
+        invalidates_interval=False,
+    ),
+)
+
+POSITIONS = table(
+    CheckSpec(
+        "gravity",
+        within(5, "%", ".1f g"),  # as the air and a short fall make it
+        seen="falls with {drop.gravity_m_s2:.2f} m/s²",
+        wanted="wanted: {standard:.2f} within {limit} %",
+        measures="the fall's acceleration, where lengths and times have units",
+        passes="9.81 m/s² within {limit} %",
+        if_not="s; i where nobody named the units",
+        cause="other units, slow motion",
+        advice="record lengths in m and the true times",
+    ),
+    CheckSpec(
+        "rests where it hit",
+        at_most(1, "mm", ".1f"),
+        seen="{value} {unit} between impact and rest",
+        measures="how far the level of rest is from the contact, where the ball is seen at rest",
+        passes="at most 1 mm + 0.1 % of the drop height + 4 standard errors",
+        cause="it is caught, rests on something else, sinks into a pad",
+        advice="let it come to rest by itself, on a hard and level surface",
+    ),
+    CheckSpec(
+        "flies a parabola",
+        TRUE,
+        seen="none found in the {count:.0f} samples of the first flight (a filtered track?)",
+        measures="the first flight, where it has 10 samples; listed only where it fails",
+        passes="a parabola is found in it",
+        cause="it spins or is disturbed, contact lasts many samples, a filter",
+        advice="record unfiltered positions, and let go without spin",
+    ),
+    CheckSpec(
+        "rebound stands out",
+        at_least(8, "mm", ".1f"),
+        seen="{value} mm high",
+        wanted="wanted: over {limit}, 8 times the noise",
+        measures="the height of the first rebound, in place of *sure enough* where there is no "
+        "interval (`--method tunenet`)",
+        passes="over {limit} times the noise [mm]",
+        cause="a dull ball from a small height, noise",
+        advice="drop from higher, or record with less noise",
+        secondary=True,
+    ),
+)
+
+PAPER = table(
+    CheckSpec(
+        "as in training",
+        TRUE,
+        seen="a fall of {height_m:.2f} m by the clock",
+        wanted="wanted: {low:g} to {high:g}",
+        measures="of a film, the fall by the clock, beside those that its network has seen",
+        passes="3 to 5 m",
+        cause="a drop that is not the paper's",
+        advice="use the preset default",
+    ),
+    CheckSpec(
+        "simulation fits",
+        at_most(3, "% of the drop height", ".2f", fatal=10),
+        seen="{value} % of the drop height apart, rms",
+        measures="the tuned rollout with the positions, the noise included (rms)",
+        passes="at most {limit} % of the drop height + 1.2 times the noise",
+        cause="it spins, is out of round, hits an edge; another law",
+        advice=_AGAIN,
+        secondary=True,
+    ),
+)
+
+_MIN_SEEN_THROWN = 0.2  # [fall times]: a hand catches the ball before the top of its bounce
+_BELOW_SDS = 6  # of the noise: a ball that sinks in less is still on the table
 _CLEAR_FLIGHT = 10  # samples of a first flight in which a parabola can be found, if there is one
-# A first rebound lower than this many standard deviations of the noise has no value of its own.
-_CLEAR_HOP = 8
-
-_MAX_GAP = 4.0  # sample periods without a sample: a longer gap may hide an impact
-_SURE = 0.02  # half width of an interval that still tells one ball from another
-# Fall times after the impact: less than that may miss the top of the first bounce, and of a ball
-# that a hand catches, what is free.
-MIN_SEEN, _MIN_SEEN_THROWN = 0.9, 0.2
-
-# Of the drop height, and of the noise's standard deviations, that a sample may lie under the
-# contact: a ball that sinks in less is still on the table.
-_MAX_BELOW, _BELOW_SDS = 0.03, 6
-
-# Of the drop height: a ball that is let go stays nearer; one that is thrown does not.
-_MAX_DRIFT = 0.5
-
-# Of the drop height [%], beyond the noise: what cannot be seen in a review, and what a fit to the
-# first part of a recording may be off in the rest.
-MAX_EXCESS_PERCENT, _MAX_HELD_OUT = 0.5, 1.0
-
-# Of the drop height [%]: a simulation that is farther off is of something else.
-_REJECT_EXCESS = 15.0
-
-_MAX_LEFT_OUT = 0.05  # fraction of the samples that may be something else than the ball
-# Relative: a fall may be this far from g, as the air and a short fall make it.
-_WITHIN_GRAVITY = 0.05
+_NOISE_SHARE = 1.2  # of the noise: what white noise alone hardly exceeds
 
 
 def recording_checks(
@@ -86,52 +223,24 @@ def recording_checks(
         sunk_m: how far below the contact the ball is elsewhere in the recording [m].
         most_sideways: fraction of the impact's speed at which the ball may go sideways.
     """
-    height = drop.drop_height_m
+    seen, table_level, straight, no_gap, *_ = DROP.values()
+    height_m, size, unit = drop.drop_height_m, *_length(drop)
     after = drop.seconds > drop.impact_s
     below = max(drop.contact_m - float(drop.heights_m[after].min(initial=drop.contact_m)), sunk_m)
-    seen = (drop.seconds[-1] - drop.impact_s) / drop.fall_time_s
+    floor = table_level.limit.value / 100 * height_m + _BELOW_SDS * drop.noise_m
     drift = float(np.linalg.norm(np.ptp(sideways_m, axis=0)))
-    periods = np.diff(drop.seconds)
-    known_s = np.union1d(drop.seconds, np.asarray(excused_s))
-    longest_s = float(np.diff(known_s).max())
-    gap = longest_s / float(np.median(periods))
-    most_gap = max(_MAX_GAP, most_gap_falls * drop.fall_time_s / float(np.median(periods)))
-    floor = _MAX_BELOW * height + _BELOW_SDS * drop.noise_m
-    least_seen = _MIN_SEEN_THROWN if drop.launched else MIN_SEEN
-    flown, wanted = figures(seen, least_seen, 1)
-    size, unit = _length(drop)
-    under, most_under = figures(size * max(below, 0.0), size * floor, 1)
     lasts_s = float(drop.seconds[-1] - drop.seconds[0])
-    most_m = max(_MAX_DRIFT * height, most_sideways * drop.impact_speed_m_s * lasts_s)
-    aside, most_aside = figures(size * drift, size * most_m, 0)
-    longest, too_long = figures(gap, most_gap, 1)
+    most_m = straight.limit.value / 100 * height_m
+    most_m = max(most_m, most_sideways * drop.impact_speed_m_s * lasts_s)
+    period_s = float(np.median(np.diff(drop.seconds)))
+    longest_s = float(np.diff(np.union1d(drop.seconds, np.asarray(excused_s))).max())
+    most_gap = max(no_gap.limit.value, most_gap_falls * drop.fall_time_s / period_s)
+    least_seen = _MIN_SEEN_THROWN if drop.launched else None
     return [
-        Check(
-            "first flight seen",
-            seen > least_seen,
-            f"{flown} fall times (wanted: {wanted} or more)",
-            advice="record until the ball lies still",
-            invalidates_interval=False,
-        ),
-        Check(
-            "stays on the table",
-            below < floor,
-            f"{under} {unit} below contact (at most {most_under})",
-            advice="drop onto the middle of a large, level surface",
-        ),
-        Check(
-            "falls straight",
-            drift < most_m,
-            f"{aside} {unit} sideways (at most {most_aside})",
-            advice="let go without a push, over a level surface",
-        ),
-        Check(
-            "no samples missing",
-            gap < most_gap,
-            f"longest gap {longest} periods (less than {too_long})",
-            advice="keep the ball in sight all the way, and the rate steady",
-            invalidates_interval=False,
-        ),
+        seen.measured((drop.seconds[-1] - drop.impact_s) / drop.fall_time_s, least_seen),
+        table_level.measured(size * max(below, 0.0), size * floor, unit=unit),
+        straight.measured(size * drift, size * most_m, unit=unit),
+        no_gap.measured(longest_s / period_s, most_gap),
     ]
 
 
@@ -144,70 +253,35 @@ def _length(drop: Drop) -> tuple[float, str]:
 
 def fall_checks(drop: Drop, restitution: float, units: Units) -> list[Check]:
     """Check that the ball falls and flies freely, so that the restitution is its own."""
+    gravity, standard = POSITIONS["gravity"], CALIBRATED.gravity_m_s2
     checks: list[Check] = []
     if units.doubt:
-        checks.append(
-            Check("gravity", False, units.doubt, advice=units.remedy, invalidates_interval=False)
-        )
+        doubt, remedy = units.doubt, units.remedy
+        check = gravity.measured(np.inf, detail=doubt, advice=remedy, invalidates_interval=False)
+        checks.append(check)
     elif units.tell_speed:
-        checks.append(
-            Check(
-                "gravity",
-                abs(drop.gravity_m_s2 / CALIBRATED.gravity_m_s2 - 1) < _WITHIN_GRAVITY,
-                f"falls with {drop.gravity_m_s2:.2f} m/s² (wanted: {CALIBRATED.gravity_m_s2:.2f} "
-                f"within {100 * _WITHIN_GRAVITY:.0f} %)",
-                advice="record lengths in m and the true times",
-            )
-        )
+        off = 100 * (drop.gravity_m_s2 / standard - 1)
+        checks.append(gravity.measured(off, drop=drop, standard=standard))
     if not np.isnan(drop.rest_m):
-        off = abs(drop.rest_m - drop.contact_m)
         size, unit = _length(drop)
-        apart, most_apart = figures(size * off, size * drop.rest_tolerance_m, 1)
-        checks.append(
-            Check(
-                "rests where it hit",
-                off < drop.rest_tolerance_m,
-                f"{apart} {unit} between impact and rest (at most {most_apart})",
-                advice="let it come to rest by itself, on a hard and level surface",
-            )
-        )
-    flight_samples = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
-    if np.isnan(drop.flight_restitution) and flight_samples >= _CLEAR_FLIGHT:
-        detail = (
-            f"none found in the {flight_samples:.0f} samples of the first flight "
-            "(a filtered track?)"
-        )
-        advice = "record unfiltered positions, and let go without spin"
-        checks.append(Check("flies a parabola", False, detail, advice=advice))
+        off, most = size * abs(drop.rest_m - drop.contact_m), size * drop.rest_tolerance_m
+        checks.append(POSITIONS["rests where it hit"].measured(off, most, unit=unit))
+    count = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
+    if np.isnan(drop.flight_restitution) and count >= _CLEAR_FLIGHT:
+        checks.append(POSITIONS["flies a parabola"].measured(False, count=count))
     return checks
 
 
 def rebound_check(drop: Drop, restitution: float) -> Check:
     """Check that the first rebound stands out of the noise, where there is no interval."""
+    clear = POSITIONS["rebound stands out"]
     hop_m = restitution**2 * drop.drop_height_m
-    high, least = figures(1000 * hop_m, 1000 * _CLEAR_HOP * drop.noise_m, 1)
-    return Check(
-        "rebound stands out",
-        hop_m > _CLEAR_HOP * drop.noise_m,
-        f"{high} mm high (wanted: over {least}, {_CLEAR_HOP} times the noise)",
-        advice="drop from higher, or record with less noise",
-        secondary=True,
-    )
+    return clear.measured(1000 * hop_m, 1000 * clear.limit.value * drop.noise_m)
 
 
-def sure_check(low: float, high: float, reject: float = np.inf) -> Check:
-    """Check that a 95 % interval is narrow enough; half a width above `reject` is fatal."""
-    half = (high - low) / 2
-    shown, most = figures(half, _SURE, 2, "g")
-    return Check(
-        "sure enough",
-        half < _SURE,
-        f"95 % interval of ±{shown} (at most {most})",
-        fatal=half > reject,
-        advice="drop from higher, or record larger or at a higher rate",
-        secondary=True,
-        invalidates_interval=False,
-    )
+def sure_check(low: float, high: float, *, fatal: bool | None = None) -> Check:
+    """Check that a 95 % interval is narrow enough; a far wider one is fatal unless `fatal` is."""
+    return DROP["sure enough"].measured((high - low) / 2, fatal=fatal)
 
 
 def motion_checks(fit: SimulationFit | None) -> list[Check]:
@@ -217,62 +291,31 @@ def motion_checks(fit: SimulationFit | None) -> list[Check]:
     """
     if fit is None:
         return []
-    seen, most = figures(fit.excess_percent, MAX_EXCESS_PERCENT, 2)
-    share = fit.left_out / max(fit.samples + fit.left_out, 1)
-    found = [
-        Check(
-            "simulation fits",
-            fit.excess_percent < MAX_EXCESS_PERCENT,
-            f"{seen} % of the drop height apart beyond the noise, rms of {fit.samples} samples (at "
-            f"most {most}); {fit.worst_percent:.2f} % at worst",
-            fatal=fit.excess_percent > _REJECT_EXCESS,
-            advice="drop it again without spin, onto a hard and level surface",
-        ),
-        Check(
-            "samples are the ball's",
-            share <= _MAX_LEFT_OUT,
-            f"{fit.left_out} of {fit.samples + fit.left_out} are elsewhere (at most "
-            f"{100 * _MAX_LEFT_OUT:.0f} %)",
-            advice="keep other things that move, or are marked, away from the ball",
-        ),
+    count = fit.samples + fit.left_out
+    own = DROP["samples are the ball's"]
+    checks = [
+        DROP["simulation fits"].measured(fit.excess_percent, fit=fit),
+        own.measured(100 * fit.left_out / max(count, 1), fit=fit, count=count),
     ]
     if fit.held_out_percent is not None:
-        off, most = figures(fit.held_out_percent, _MAX_HELD_OUT, 2)
-        found.append(
-            Check(
-                "hold-out prediction",
-                fit.held_out_percent < _MAX_HELD_OUT,
-                f"by the first 60 % of the time the rest is {off} % of the drop height off (at "
-                f"most {most})",
-                advice="drop from higher, or record more bounces at a higher rate",
-                invalidates_interval=False,
-            )
-        )
-    return found
+        checks.append(DROP["hold-out prediction"].measured(fit.held_out_percent))
+    return checks
 
 
-def fit_check(
-    simulated: Observation,
-    target: Observation,
-    scale: float,
-    most: float,
-    reject: float = _REJECT_FIT,
-) -> Check:
-    """Check that the tuned simulator is within `most` drop heights of the recording (rms).
+def paper_fit_check(simulated: Observation, target: Observation, drop: Drop) -> Check:
+    """Check that the paper's simulator is as near to the recording as it can be (rms)."""
+    spec, height_m = PAPER["simulation fits"], drop.drop_height_m
+    off = (simulated.values - target.values) / height_m
+    most = spec.limit.value + 100 * _NOISE_SHARE * drop.noise_m / height_m
+    return spec.measured(100 * float(np.sqrt(np.nanmean(off**2))), most)
 
-    `scale` is the drop height in the observations' unit; more than `reject` is fatal.
-    """
-    off = (simulated.values - target.values) / scale
-    rms = float(np.sqrt(np.nanmean(off**2)))
-    apart, most_apart = figures(100 * rms, 100 * most, 2)
-    return Check(
-        "simulation fits",
-        rms < most,
-        f"{apart} % of the drop height apart, rms (at most {most_apart})",
-        fatal=rms > reject,
-        advice="drop it again without spin, onto a hard and level surface",
-        secondary=True,
-    )
+
+def paper_height_check(height_m: float) -> Check:
+    """Check that a filmed fall is one that the paper's network has seen."""
+    low, high = PAPER_HEIGHT_M
+    low -= 1  # of the ball's lower edge, and a little more
+    passed = low < height_m < high
+    return PAPER["as in training"].measured(passed, height_m=height_m, low=low, high=high)
 
 
 # ---- Cross-check of a drop: a second estimate by sound, flight durations or impact speeds
@@ -308,7 +351,31 @@ def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck |
         )
     if isinstance(detection, FilmDetection):
         return None
-    return _by_speeds(detection.found, fit, value)
+    # The speeds just before and after the impact, from parabolas on either side. The same are
+    # fitted to the fitted ball: what they are off there, they are off here.
+    drop = detection.found
+    fall = _between(drop.seconds, drop.fall_s)
+    flight = _between(drop.seconds, drop.flight_s)
+    if np.isnan(drop.flight_restitution_sd) or len(fall) < 3 or len(flight) < 3:
+        return None
+    view = fit.projection()
+    heights = view.bounce.heights(view.fall_times(drop.seconds))
+    ball_m = view.positions(heights, drop.seconds)
+    clock = drop.seconds - view.impact_s
+    usual = meet(clock, ball_m, fall, flight, drop.noise_m).flight_restitution
+    own = drop.flight_restitution, drop.flight_restitution_sd
+    if drop.launched:  # its flights were cut where a hand may be
+        again = meet(clock, drop.heights_m, fall, flight, drop.noise_m)
+        own = again.flight_restitution, again.flight_restitution_sd
+    seen = value + own[0] - usual
+    return CrossCheck.judged(
+        "speeds at the first impact",
+        seen,
+        value,
+        _AGREEMENT + 3 * own[1],
+        sd=own[1],
+        advice=DISAGREEMENT,
+    )
 
 
 def _by_ear(ear: FusedEstimate, value: float) -> CrossCheck | None:
@@ -342,228 +409,183 @@ def _by_ear(ear: FusedEstimate, value: float) -> CrossCheck | None:
     )
 
 
-def _by_speeds(drop: Drop, fit: BounceFit, value: float) -> CrossCheck | None:
-    """Cross-check by the speeds just before and after the impact, from parabolas on either side.
-
-    The same parabolas are fitted to the fitted ball: what they are off there, they are off here.
-    """
-    fall = _between(drop.seconds, drop.fall_s)
-    flight = _between(drop.seconds, drop.flight_s)
-    if np.isnan(drop.flight_restitution_sd) or len(fall) < 3 or len(flight) < 3:
-        return None
-    view = fit.projection()
-    heights = view.bounce.heights(view.fall_times(drop.seconds))
-    ball_m = view.positions(heights, drop.seconds)
-    clock = drop.seconds - view.impact_s
-    usual = meet(clock, ball_m, fall, flight, drop.noise_m).flight_restitution
-    own = drop.flight_restitution, drop.flight_restitution_sd
-    if drop.launched:  # its flights were cut where a hand may be
-        again = meet(clock, drop.heights_m, fall, flight, drop.noise_m)
-        own = again.flight_restitution, again.flight_restitution_sd
-    seen = value + own[0] - usual
-    return CrossCheck.judged(
-        "speeds at the first impact",
-        seen,
-        value,
-        _AGREEMENT + 3 * own[1],
-        sd=own[1],
-        advice=DISAGREEMENT,
-    )
-
-
 def _between(seconds: Array, ends: tuple[float, float]) -> Indices:
     """Return the indices of the samples between two times, both included."""
     return np.flatnonzero((seconds >= ends[0]) & (seconds <= ends[1]))
 
 
-# ---- Checks of a filmed drop: what an uncalibrated picture shows of its own faults
+# ---- A filmed drop: what an uncalibrated picture shows of its own faults
 # A fit takes up much of what is wrong with a film. So these also look at what it cannot take up: a
 # clock that lags from some moment on, and a ball that grows or shrinks as no fitted camera has it.
 
-_MIN_SPAN_PX = 40  # of a fall: in a smaller one the first hop of restitution .2 is under 2 px high
-_CLEAR_FILMED_HOP = 6  # standard deviations of the noise that a first hop has to be high
-# Fractions of the pictures in which the ball has to be found, and fall times of them.
-_SEEN, _REJECT_SEEN, _LOOKED_AT = 0.8, 0.6, 4.0
+_LOST = 3.0  # [% of the drop height], rms, from which on nothing is a drop
+_FLAT = "let the ball bounce in the middle of a flat table, with nothing in its way"
 
+FILM = table(
+    CheckSpec(
+        "pictures as they were recorded",
+        TRUE,
+        measures="the pictures that cannot be read; what a decoder makes up for a hole is left out",
+        passes="none",
+        cause="the file is damaged",
+        advice="tune the file as it was before it was damaged",
+    ),
+    CheckSpec(
+        "flies freely",
+        at_least(100 * MIN_FREE, "%"),
+        seen="free flight in {value} % of its way",
+        measures="the part of the ball's way that is free flight",
+        cause="a hand moves it, or a racket",
+        advice="let go above the table and touch nothing, the camera still",
+    ),
+    CheckSpec(
+        "large enough",
+        at_least(40, "px"),  # below, the first hop of restitution 0.2 is under 2 px high
+        seen="falls {value} px",
+        measures="the fall in the picture",
+        cause="the camera is too far away",
+        advice="film from closer, the fall over half of the picture's height",
+        invalidates_interval=False,
+    ),
+    CheckSpec(
+        "first impact",
+        at_most(0),
+        seen="{value} deeper falls before it fit no drop",
+        wanted="wanted: none",
+        measures="impacts before the first one that follow a deeper fall and fit no drop",
+        passes="none",
+        cause="only the end of the track is a bounce",
+        advice=_FLAT,
+    ),
+    CheckSpec(
+        "stays in view",
+        at_least(80, "%", fatal=60),
+        seen="found in {value} % of the pictures of the drop",
+        measures="pictures in which the ball is found, of those from mid-fall to four fall times "
+        "after the impact; without those that it flies out of, over the top of a bounce for one",
+        cause="it hides, leaves, or looks like what is behind it",
+        advice="leave room at the sides, a plain background; mark the ball with --preview",
+        invalidates_interval=False,
+    ),
+    CheckSpec(
+        "pictures differ",
+        at_most(5, "%"),
+        seen="{value} % show the moving ball unmoved",
+        measures="pictures that show the moving ball unmoved",
+        cause="the camera freezes or repeats",
+        advice="record at a rate that the camera keeps",
+    ),
+    CheckSpec(
+        "no pictures missing",
+        at_most(1),  # lost one here, one there; the clock's test is for one moment alone
+        seen="{value} steps of the ball are far too long for the stamps",
+        measures="steps of the ball from one picture to the next that are far too long for their "
+        "stamps",
+        cause="pictures were lost one here, one there: a copy at a lower rate",
+        advice="use the camera's own file, not a copy at another rate",
+    ),
+    CheckSpec(
+        "bounces along parabolas",
+        at_most(2, "% of the drop height", ".2f .0f", fatal=_LOST),
+        seen="{value} % of the drop height off, rms",
+        measures="the track with the fitted bounce (rms)",
+        if_not="s; r over 3, or where 2 % of the samples are over 10",
+        cause="it rolls off, hits an edge, spins away, is caught",
+        advice=_FLAT,
+        secondary=True,
+    ),
+    CheckSpec(
+        "bounces alike",
+        at_least(2, "flights"),  # the first alone has no other to be compared with
+        seen="only until the {last}. impact, what comes later is left out",
+        wanted="wanted: {limit} flights or more",
+        measures="flights that one law explains; later ones are left out",
+        passes="all that are seen, or {limit}",
+        cause="a ball out of round, a seam, an uneven floor",
+        advice="a round ball, a flat and level table",
+        invalidates_interval=False,  # what comes later touches no flight that counts
+        secondary=True,
+    ),
+    CheckSpec(
+        "even clock",
+        at_most(MAX_CLOCK_GAIN, "", ".1f .0f"),
+        seen="log likelihood ratio {value} for missing pictures or another rate, at {at_s:.2f} s",
+        more="{left_out}",
+        measures="the track with one whose clock jumps, or changes its rate, at any one moment "
+        "(score test); after the second impact what comes later is left out instead",
+        passes="log likelihood ratio of at most {limit}",
+        cause="frames lost without a gap in the stamps, a rate that changes",
+        advice="use the camera's own file, not a copy at another rate; name another ball or none, "
+        "if one was named; a lens that bends less",
+    ),
+    CheckSpec(
+        "seen from a distance",
+        within(1.4, "", "+.2f g"),  # two standard deviations of its prior
+        seen="perspective {value}{side}",
+        measures="the perspective k of the fitted camera",
+        cause="the camera is beside the ball's way",
+        advice="film from farther away, the camera at the height of the bounces",
+    ),
+    CheckSpec(
+        "keeps its distance",
+        within(20, "%", "+.0f .0f"),
+        seen="grows by {value} %",
+        measures="growth of the ball's size at one height, where sizes are known",
+        passes="at most {limit} % + 4 standard errors either way",
+        cause="it drifts to the camera or away",
+        advice="let go without pushing or spinning the ball",
+    ),
+    CheckSpec(
+        "size fits perspective",
+        within(0.2, "", "+.2f .2f"),  # light changes a ball's outline
+        seen="perspective {value} apart by the ball's size",
+        measures="k by the ball's size less the fitted one",
+        passes="at most {limit} + 4 standard errors either way",
+        cause="only a false camera explains the bounce",
+        advice="keep the camera still and the ball in one piece of light",
+    ),
+    CheckSpec(
+        "frame rate",
+        at_most(1.3, "", ".2f g"),
+        seen="falls {seen_m:.2f} m by the clock, {known_m:.2f} m by the known size",
+        wanted="wanted: within a factor {limit}; or it is not that size",
+        measures="the drop height by the clock with the one by a known length, where the log or "
+        "`--ball` names one",
+        passes="within a factor 1.3 by the drop height, 1.8 by the ball's diameter [m]",
+        cause="slow motion without a tag",
+        advice="record slow motion with its true rate: tunenet-record --camera FILE --fps RATE",
+    ),
+    CheckSpec(
+        "rebound stands out",
+        at_least(6, "px", ".1f"),
+        seen="{value} px high",
+        wanted="wanted: over {limit}",
+        measures="the height of the first rebound, in place of *sure enough* where there is no "
+        "interval (`--method tunenet`)",
+        passes="over {limit} times the noise [px], and 1 px",
+        cause="a dull ball filmed small, noise",
+        advice="film from closer",
+        secondary=True,
+    ),
+)
+
+_LOOKED_AT = 4.0  # fall times of the pictures in which the ball has to be found
 _AWAY = 0.25  # fall times from an impact, beyond which none hides where the ball is out of view
-# Of the drop height: rms that passes, and from which on, or a worst one, nothing is a drop.
-_RESIDUAL, _REJECT_RESIDUAL, _REJECT_WORST = 0.02, 0.03, 0.10
-
-_LONG_STEPS = 2  # pictures lost one here, one there; the clock's test is for one moment alone
-_PERSPECTIVE = 1.4  # two standard deviations of its prior
-# Fraction of repeated pictures that passes: the ball should move by the step, and did not move.
-_REPEATED, _STEP_PX, _SAME_PX = 0.05, 1.5, 0.02
-
-# Fraction of a size, and difference of k, that pass: light changes a ball's outline.
-_GROWS, _PERSPECTIVES_APART = 0.2, 0.2
-
+_REJECT_WORST = 10.0  # [% of the drop height] of 2 % of the samples: nothing so far off is a drop
+_STEP_PX, _SAME_PX = 1.5, 0.02  # a ball should move by the one, and moves less than the other
 _SDS = 4.0  # standard errors that are allowed on top of a threshold
-_MIN_FLIGHTS = 2  # the first alone has no other to be compared with
 _MIN_COUNT = 12  # samples for a test of size
 _AT_REST = 1.0  # fall times of a rest whose sizes count
 
 
 def film_checks(film: FilmedDrop) -> list[Check]:
     """Check whether a track is a drop's, in view, along parabolas and on an even clock."""
-    span = film.projection.span
-    residual = film.projection.residual_rms / span
-    worst = float(np.quantile(np.abs(film.fit.residuals) / span, 0.98))
-    seen, repeated = _seen_and_repeated(film)
-    gain, moment_s = clock_test(film.fit)
-    uneven_s = film.uneven_s
-    left_out = "" if uneven_s is None else f"; what comes after {uneven_s:.2f} s is left out"
-    flight = free_flight(film.track, film.used)
-    long = long_steps(film.fit) if residual < _REJECT_RESIDUAL else 0  # else nothing is expected
-    return [
-        Check(
-            "flies freely",
-            not flight.is_carried,
-            f"free flight in {100 * flight.share:.0f} % of its way (wanted: "
-            f"{100 * MIN_FREE:.0f} or more)",
-            advice="let go above the table and touch nothing, the camera still",
-        ),
-        Check(
-            "large enough",
-            span > _MIN_SPAN_PX,
-            f"falls {span:.0f} px (wanted: {_MIN_SPAN_PX} or more)",
-            advice="film from closer, the fall over half of the picture's height",
-            invalidates_interval=False,
-        ),
-        Check(
-            "first impact",
-            not film.left_out,
-            f"{film.left_out} deeper falls before it fit no drop (wanted: none)",
-            advice="let the ball bounce in the middle of a flat table, with nothing in its way",
-        ),
-        Check(
-            "stays in view",
-            seen > _SEEN,
-            f"found in {100 * seen:.0f} % of the pictures of the drop "
-            f"(wanted: {100 * _SEEN:.0f} or more)",
-            fatal=seen < _REJECT_SEEN,
-            advice="leave room at the sides, a plain background; mark the ball with --preview",
-            invalidates_interval=False,
-        ),
-        Check(
-            "pictures differ",
-            repeated < _REPEATED,
-            f"{100 * repeated:.0f} % show the moving ball unmoved (at most {100 * _REPEATED:.0f})",
-            advice="record at a rate that the camera keeps",
-        ),
-        Check(
-            "no pictures missing",
-            long < _LONG_STEPS,
-            f"{long} steps of the ball are far too long for the stamps (at most {_LONG_STEPS - 1})",
-            advice="use the camera's own file, not a copy at another rate",
-        ),
-        Check(
-            "bounces along parabolas",
-            residual < _RESIDUAL,
-            f"{100 * residual:.2f} % of the drop height off, rms (at most {100 * _RESIDUAL:.0f})",
-            fatal=residual > _REJECT_RESIDUAL or worst > _REJECT_WORST,
-            advice="let the ball bounce in the middle of a flat table, with nothing in its way",
-            secondary=True,
-        ),
-        Check(
-            "bounces alike",
-            film.flights is None or film.flights >= _MIN_FLIGHTS,
-            "all that are seen"
-            if film.flights is None
-            else f"only until the {film.flights + 1}. impact, what comes later is left out "
-            f"(wanted: {_MIN_FLIGHTS} flights or more)",
-            advice="a round ball, a flat and level table",
-            invalidates_interval=False,  # what comes later touches no flight that counts
-            secondary=True,
-        ),
-        Check(
-            "even clock",
-            gain < MAX_CLOCK_GAIN,
-            f"log likelihood ratio {gain:.1f} for missing pictures or another rate, at "
-            f"{moment_s:.2f} s (at most {MAX_CLOCK_GAIN:.0f}){left_out}",
-            advice="use the camera's own file, not a copy at another rate; name another ball or "
-            "none, if one was named; a lens that bends less",
-        ),
-        *_distance_checks(film),
-    ]
-
-
-def hop_check(film: FilmedDrop, restitution: float) -> Check:
-    """Check that the first bounce can be seen at all, where there is no interval."""
-    span = film.projection.span
-    noise_px = film.drop.noise_m / film.drop.drop_height_m * span
-    hop_px, least = restitution**2 * span, max(_CLEAR_FILMED_HOP * noise_px, 1.0)
-    return Check(
-        "rebound stands out",
-        hop_px > least,
-        f"{hop_px:.1f} px high (wanted: over {least:.1f})",
-        advice="film from closer",
-        secondary=True,
-    )
-
-
-def _distance_checks(film: FilmedDrop) -> list[Check]:
-    """Check the perspective, and the ball's size where that is seen."""
-    fit, track = film.projection, film.track
-    too_near = abs(fit.perspective) >= _PERSPECTIVE
-    side = (", from below" if fit.perspective > 0 else ", from above") if too_near else ""
-    checks = [
-        Check(
-            "seen from a distance",
-            not too_near,
-            f"perspective {fit.perspective:+.2f}{side} (at most {_PERSPECTIVE} either way)",
-            advice="film from farther away, the camera at the height of the bounces",
-        )
-    ]
-    along = -(track.places_px[film.used] @ film.down_px)
-    trend = size_trend(film.drop.seconds, along, track.radius_px[film.used], fit)
-    if trend is None:
-        return checks
-    most = _GROWS + _SDS * trend.grows_sd
-    apart = _PERSPECTIVES_APART + _SDS * trend.perspective_sd
-    return [
-        *checks,
-        Check(
-            "keeps its distance",
-            abs(trend.grows) < most,
-            f"grows by {100 * trend.grows:+.0f} % (at most {100 * most:.0f} either way)",
-            advice="let go without pushing or spinning the ball",
-        ),
-        Check(
-            "size fits perspective",
-            abs(trend.perspective) < apart,
-            f"perspective {trend.perspective:+.2f} apart by the ball's size (at most {apart:.2f} "
-            "either way)",
-            advice="keep the camera still and the ball in one piece of light",
-        ),
-    ]
-
-
-def scale_checks(detection: FilmDetection) -> list[Check]:
-    """Check that the film's frame rate is its true one, where a length is known.
-
-    A film that plays at another rate than it was filmed shows another gravity. The restitution is
-    the same, the drop height, speeds and drag are not.
-    """
-    if not detection.is_timed or detection.known_height is None:
-        return []
-    known_m, within = detection.known_height
-    return [
-        Check(
-            "frame rate",
-            not detection.contradicted_scale,
-            f"falls {detection.film.drop.drop_height_m:.2f} m by the clock, {known_m:.2f} m by the "
-            f"known size (wanted: within a factor {within}; or it is not that size)",
-            advice="record slow motion with its true rate: tunenet-record --camera FILE --fps RATE",
-        )
-    ]
-
-
-def _seen_and_repeated(film: FilmedDrop) -> tuple[float, float]:
-    """Return the fractions of pictures with the ball found, and with it unmoved.
-
-    The first is of those from mid-fall for four fall times, without those that it flies out of; the
-    second of those with a moving ball.
-    """
+    span_px, parabolas = film.projection.span, FILM["bounces along parabolas"]
+    residual = 100 * film.projection.residual_rms / span_px
+    worst = 100 * float(np.quantile(np.abs(film.fit.residuals) / span_px, 0.98))
+    lost = residual > _LOST  # then no step is expected
+    # The fraction of pictures with the ball found, of those from mid-fall for four fall times
+    # without those that it flies out of; and with it unmoved, of those with a moving ball.
     fit, best, track = film.projection, film.fit, film.track
     end_s = min(float(film.drop.seconds[-1]), fit.impact_s + _LOOKED_AT * fit.fall_time_s)
     seconds = _track_seconds(film)
@@ -576,7 +598,73 @@ def _seen_and_repeated(film: FilmedDrop) -> tuple[float, float]:
     moving = expected > (max(_STEP_PX, _SDS * best.samples.noise) if whole else _STEP_PX)
     moving &= fit.fall_times(best.samples.seconds[1:]) > -1
     same = np.abs(np.diff(positions)) < _SAME_PX
-    return seen, float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
+    repeated = float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
+    gain, moment_s = clock_test(film.fit)
+    uneven_s = film.uneven_s
+    left_out = "" if uneven_s is None else f"; what comes after {uneven_s:.2f} s is left out"
+    flight = free_flight(film.track, film.used)
+    flights = np.inf if film.flights is None else film.flights
+    return [
+        FILM["flies freely"].measured(100 * flight.share, passed=not flight.is_carried),
+        FILM["large enough"].measured(span_px),
+        FILM["first impact"].measured(film.left_out),
+        FILM["stays in view"].measured(100 * seen),
+        FILM["pictures differ"].measured(100 * repeated),
+        FILM["no pictures missing"].measured(0 if lost else long_steps(film.fit)),
+        parabolas.measured(residual, fatal=lost or worst > _REJECT_WORST),
+        FILM["bounces alike"].measured(
+            flights,
+            detail="all that are seen" if film.flights is None else None,
+            last=flights + 1,
+        ),
+        FILM["even clock"].measured(gain, at_s=moment_s, left_out=left_out),
+        *_distance_checks(film),
+    ]
+
+
+def hop_check(film: FilmedDrop, restitution: float) -> Check:
+    """Check that the first bounce can be seen at all, where there is no interval."""
+    clear, span_px = FILM["rebound stands out"], film.projection.span
+    noise_px = film.drop.noise_m / film.drop.drop_height_m * span_px
+    return clear.measured(restitution**2 * span_px, max(clear.limit.value * noise_px, 1.0))
+
+
+def _distance_checks(film: FilmedDrop) -> list[Check]:
+    """Check the perspective, and the ball's size where that is seen."""
+    fit, track = film.projection, film.track
+    near, grows, fits = (
+        FILM[name]
+        for name in ("seen from a distance", "keeps its distance", "size fits perspective")
+    )
+    is_near = abs(fit.perspective) > near.limit.value
+    side = (", from below" if fit.perspective > 0 else ", from above") if is_near else ""
+    checks = [near.measured(fit.perspective, side=side)]
+    along = -(track.places_px[film.used] @ film.down_px)
+    trend = size_trend(film.drop.seconds, along, track.radius_px[film.used], fit)
+    if trend is None:
+        return checks
+    most = grows.limit.value + 100 * _SDS * trend.grows_sd
+    apart = fits.limit.value + _SDS * trend.perspective_sd
+    return [
+        *checks,
+        grows.measured(100 * trend.grows, most),
+        fits.measured(trend.perspective, apart),
+    ]
+
+
+def scale_checks(detection: FilmDetection) -> list[Check]:
+    """Check that the film's frame rate is its true one, where a length is known.
+
+    A film that plays at another rate than it was filmed shows another gravity. The restitution is
+    the same, the drop height, speeds and drag are not.
+    """
+    if not detection.is_timed or detection.known_height is None:
+        return []
+    (known_m, factor), seen_m = detection.known_height, detection.film.drop.drop_height_m
+    apart = max(seen_m / known_m, known_m / seen_m)
+    passed = not detection.contradicted_scale
+    rate = FILM["frame rate"]
+    return [rate.measured(apart, factor, passed=passed, seen_m=seen_m, known_m=known_m)]
 
 
 def seconds_out_of_view(film: FilmedDrop) -> Array:
@@ -610,19 +698,12 @@ def _out_of_view(film: FilmedDrop) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class SizeTrend:
-    """Change of the ball's size in the picture, beyond what the fitted camera predicts.
+    """Change of the ball's size in the picture, beyond what the fitted camera predicts."""
 
-    Attributes:
-        grows: by what fraction from the first used picture to the last, at one height.
-        grows_sd: its standard error.
-        perspective: k by the ball's size less that by the fit.
-        perspective_sd: its standard error.
-    """
-
-    grows: float
-    grows_sd: float
-    perspective: float
-    perspective_sd: float
+    grows: float  # by what fraction from the first used picture to the last, at one height
+    grows_sd: float  # its standard error
+    perspective: float  # k by the ball's size less that by the fit
+    perspective_sd: float  # its standard error
 
 
 def size_trend(
@@ -668,169 +749,213 @@ def size_trend(
     )
 
 
-# ---- Checks of a drop that was heard, and its cross-check
+# ---- A drop that was heard, and its cross-check
 
-_MAX_WRONG = 0.4  # share of impacts that were missed and of times that are none
-_SURE_ODDS = float(np.log(100.0))  # logarithm of the odds against noises at random times
-# Odds for knocks that soften, against such as stay as loud: claps have a hundredth.
-_MIN_SOFTENING = 0.2
-
+_ONE_BALL = "record one ball that bounces freely"
+_SURE_ODDS = 100.0  # to 1, against noises at random times and other balls
 _MAX_AS_LOUD = 2  # knocks of others while a ball bounces, as loud as its own
-# Standard deviation of a time [s], and in mean flights: a hand's clapping has more.
-_MAX_JITTER_S, _MAX_JITTER = 0.006, 0.03
+_MAX_JITTER = 0.03  # standard deviation of a time, in mean flights: a hand's clapping has more
+_FITS = 2.0  # rms between rollout and times, in jitters
 
-_NO_RHYTHM = float(np.log(20.0))  # logarithm of the odds against every rhythm that is no ball's
-_MAX_RESTITUTION = 0.95  # of any ball that is heard; a beat that hardly quickens has more
-# Of the slope at its interval's upper end: no ball bounces better the faster it is, but flights
-# that shorten by one time each look so.
-_MIN_SLOPE = -0.01
-
-_ENOUGH = 5  # impacts from which on other rhythms than a ball's can be told from it
-_FITS, _MIN_FIT_S = 2.0, 0.0005  # rms between rollout and times: so many jitters and so much more
-_MAX_HEIGHT_SDS = 3.5  # by which the height may contradict the times
-_UNSURE = 0.1  # half width of an interval from which on nothing is known
+TIMES = table(
+    CheckSpec(
+        "enough impacts",
+        at_least(5, "impacts"),  # from which on other rhythms than a ball's can be told from it
+        seen="{value} impacts heard",
+        measures="impacts that were heard",
+        cause="nothing tests that three are a ball's",
+        advice="let it bounce longer",
+    ),
+    CheckSpec(
+        "times are the ball's",
+        at_most(40, "%"),
+        seen="{how}{odds:.3g} to 1 against noises at random times (wanted: {sure:.0f} to 1); "
+        "{missed} impacts missed, {false} noises between {count} impacts: {value} % wrong",
+        measures="the odds against noises at random times: under 1 to 1 no bouncing ball is heard; "
+        "and impacts that were missed, and noises among the times",
+        passes="100 to 1 or more; at most {limit} %",
+        if_not="i; r over 40, or under 1 to 1",
+        cause="music, speech, a loud room, a few impacts",
+        advice="record five bounces or more in a quiet room",
+    ),
+    CheckSpec(
+        "times are sharp",
+        at_most(6, "ms", ".1f"),
+        seen="they scatter by {value} ms about a ball's",
+        measures="how the times scatter about a ball's (standard deviation)",
+        passes="under {limit} ms, and 3 % of a mean flight",
+        cause="a hand's clapping, a microphone far away",
+        advice="put the microphone near the impact, and set its threshold low",
+    ),
+    CheckSpec(
+        "one ball alone",
+        at_most(_SURE_ODDS, "to 1", ".3g .0f"),
+        seen="{value} to 1 {second}",
+        more=", {as_loud} other knocks as loud as its own (at most {most_as_loud})",
+        measures="in a sound, the odds for a second ball meanwhile, or for knocks of the same one "
+        "just before; and other knocks as loud as the ball's own",
+        passes="under {limit} to 1; at most 2",
+        cause="the ball's earlier bounces, a second ball, a loud room",
+        advice="let one ball bounce alone, or choose one drop with --start and --end",
+        invalidates_interval=False,
+    ),
+    CheckSpec(
+        "softens as a ball does",
+        at_least(0.2, "to 1", ".3g g"),  # claps have a hundredth
+        seen="{value} to 1 against knocks that stay as loud",
+        wanted="wanted: {limit} to 1",
+        more="; {clipped} of its knocks are clipped",
+        measures="in a sound, how loudness falls with the impacts' speeds: the odds against knocks "
+        "that stay as loud",
+        passes="over {limit} to 1",
+        cause="claps, a beat that quickens, automatic gain",
+        advice=f"{_ONE_BALL}, the microphone farther away, without automatic gain",
+    ),
+    CheckSpec(
+        "a ball rather than a rhythm",
+        at_least(20, "to 1", ".3g .0f", fatal=1),
+        seen="{value} to 1 against {rhythm}",
+        wanted="wanted: {limit} to 1",
+        measures="the odds against the best rhythm that is no ball's; in a sound with those of its "
+        "loudness",
+        passes="over {limit} to 1",
+        if_not="s; r under 1 to 1",
+        cause="a beat, several balls",
+        advice="record more bounces of one ball, near the microphone",
+    ),
+    CheckSpec(
+        "flights shorten as a ball's",
+        at_most(0.95, "", ".3f"),
+        seen="each lasts {value} of the one before",
+        wanted="at most {limit}: no ball that is heard keeps more",
+        measures="what each flight lasts of the one before",
+        cause="a beat that hardly quickens",
+        advice=_ONE_BALL,
+    ),
+    CheckSpec(
+        "slows as balls do",
+        at_least(-0.01, "", ".3f g"),  # flights that shorten by one time each look so
+        seen="its restitution {falls} with speed, by a power of {by}",
+        wanted="it may grow by {most:g} at most",
+        measures="the power of speed by which the restitution falls, at the upper end of its "
+        "interval",
+        passes="over {limit}",
+        cause="flights that shorten by one time each",
+        advice=_ONE_BALL,
+    ),
+    CheckSpec(
+        "height fits the times",
+        at_most(3.5, "standard deviations", ".1f"),
+        seen="{value} standard deviations off",
+        measures="the drop height that was given (`--height`), beside that of the times",
+        cause="a wrong height, or the first impact is missing",
+        advice="measure from the ball's underside, and record its first impact",
+    ),
+    CheckSpec(
+        "simulation fits",
+        at_most(0.5, "ms", ".2f"),
+        seen="its impacts are {value} ms from those heard, rms of {count} beside the "
+        "{scatter:.2g} % by which each bounce is its own",
+        wanted="at most {limit}, by their jitter of {jitter_ms:.2f} ms",
+        more="; {worst_ms:.2f} ms at worst",
+        measures="the tuned rollout's impacts with those heard (rms)",
+        passes="at most twice the jitter + {limit} ms",
+        cause="it hits an edge, is touched",
+        advice=_AGAIN,
+    ),
+)
 
 
 def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -> tuple[Check, ...]:
     """Check the times themselves, and whether the tuned simulator keeps them."""
-    heard = detection.heard
+    heard, among = detection.heard, detection.among
     count, wrong = len(heard.times_s), heard.reading.missed + heard.reading.false
-    share = wrong / (count + wrong)
-    of_wrong, most = figures(100 * share, 100 * _MAX_WRONG, 0)
-    jitter, most_jitter = figures(1000 * heard.jitter_s, 1000 * _most_jitter_s(heard), 1)
-    odds = float(np.exp(min(heard.log_odds, 20.0)))
-    is_ball = heard.log_odds > _SURE_ODDS
-    softening_odds = None if detection.among is None else detection.among.softening_odds
-    rhythm = _no_rhythm(heard, softening_odds or 0.0)
+    share = 100 * wrong / (count + wrong)
+    is_ball = heard.log_odds > np.log(_SURE_ODDS)
+    # Whether the times are a ball's rather than a beat's.
+    softening_odds = (among and among.softening_odds) or 0.0
+    name, log_odds = heard.rhythm
+    odds = _odds(log_odds + softening_odds)  # a beat keeps its loudness
+    surely_softer = softening_odds > np.log(_SURE_ODDS)
+    least = float(heard.interval95[0, 0] if surely_softer else heard.values[0])
+    rhythm = (
+        TIMES["a ball rather than a rhythm"].measured(odds, rhythm=name),
+        TIMES["flights shorten as a ball's"].measured(least),
+    )
     is_beat = not any(check.passed for check in rhythm)
+    how = "a ball is hardly heard: " if heard.log_odds > 0 else "no bouncing ball is heard: "
+    own, sharp = TIMES["times are the ball's"], TIMES["times are sharp"]
+    too_many = share > own.limit.value
+    mean_ms = 1000 * float(np.diff(heard.predicted_s).mean())
     checks = [
-        Check(
-            "enough impacts",
-            count >= _ENOUGH,
-            f"{count} impacts heard (wanted: {_ENOUGH} or more)",
-            advice="let it bounce longer",
-            secondary=not is_ball or is_beat,
+        TIMES["enough impacts"].measured(count, secondary=not is_ball or is_beat),
+        own.measured(
+            share,
+            passed=not too_many and is_ball,
+            fatal=too_many or heard.log_odds < 0,
+            invalidates_interval=too_many,
+            how="" if is_ball else how,
+            odds=_odds(heard.log_odds),
+            sure=_SURE_ODDS,
+            missed=heard.reading.missed,
+            false=heard.reading.false,
+            count=count,
         ),
-        Check(
-            "times are the ball's",
-            share <= _MAX_WRONG and is_ball,
-            f"{_heard_how(heard)}{odds:.3g} to 1 against noises at random times "
-            f"(wanted: {np.exp(_SURE_ODDS):.0f} to 1); {heard.reading.missed} impacts missed, "
-            f"{heard.reading.false} noises between {count} impacts: {of_wrong} % wrong (at most "
-            f"{most})",
-            advice="record five bounces or more in a quiet room",
-            invalidates_interval=share > _MAX_WRONG,
-            fatal=share > _MAX_WRONG or heard.log_odds < 0,
-        ),
-        Check(
-            "times are sharp",
-            heard.jitter_s < _most_jitter_s(heard),
-            f"they scatter by {jitter} ms about a ball's (at most {most_jitter})",
-            advice="put the microphone near the impact, and set its threshold low",
-        ),
+        sharp.measured(1000 * heard.jitter_s, min(sharp.limit.value, _MAX_JITTER * mean_ms)),
     ]
-    if detection.among is not None:
+    if among is not None:
         start_s = float(heard.times_s[0])
-        checks += _sound_checks(detection.among, start_s, secondary=not is_ball or is_beat)
+        checks += _sound_checks(among, start_s, secondary=not is_ball or is_beat)
     checks += rhythm
-    slope = float(heard.interval95[1, 1])
+    slope, slows = float(heard.interval95[1, 1]), TIMES["slows as balls do"]
     checks.append(
-        Check(
-            "slows as balls do",
-            slope > _MIN_SLOPE,
-            f"its restitution {'may fall' if slope > 0 else 'grows'} with speed, by a power of "
-            f"{'up to' if slope > 0 else 'at least'} {abs(slope):.3f} (it may grow by "
-            f"{-_MIN_SLOPE:g} at most)",
-            advice="record one ball that bounces freely",
+        slows.measured(
+            slope,
+            falls="may fall" if slope > 0 else "grows",
+            by=f"{'up to' if slope > 0 else 'at least'} {abs(slope):.3f}",
+            most=-slows.limit.value,
         )
     )
     if heard.rig.height_m is not None:
-        off, most_off = figures(heard.height_sds, _MAX_HEIGHT_SDS, 1)
-        checks.append(
-            Check(
-                "height fits the times",
-                heard.height_sds < _MAX_HEIGHT_SDS,
-                f"{off} standard deviations off (at most {most_off})",
-                advice="measure from the ball's underside, and record its first impact",
-            )
-        )
+        checks.append(TIMES["height fits the times"].measured(heard.height_sds))
     if fit is not None:
-        checks.append(sure_check(*fit.interval95[0], reject=_UNSURE))
+        checks.append(sure_check(*fit.interval95[0]))
     return (*checks, _simulation_check(heard, off_s(detection, last)))
 
 
-def _heard_how(heard: HeardBall) -> str:
-    if heard.log_odds > _SURE_ODDS:
-        return ""
-    return "a ball is hardly heard: " if heard.log_odds > 0 else "no bouncing ball is heard: "
+def _odds(log_odds: float) -> float:
+    """Return odds to 1, within what anybody wants to read."""
+    return float(np.exp(np.clip(log_odds, -20.0, 20.0)))
 
 
 def _sound_checks(among: BallAmong, first_s: float, *, secondary: bool) -> tuple[Check, Check]:
-    odds = float(np.exp(np.clip(among.second_odds, -20.0, 20.0)))
-    earlier_s = among.earlier_s
+    """Check that one ball alone is heard, and that its knocks soften."""
+    earlier_s, alone = among.earlier_s, TIMES["one ball alone"]
     second = "for a second ball at the same time"
     if len(earlier_s) and among.second_odds > 0:
         second = (
             f"that the {len(earlier_s)} knocks from {earlier_s[0]:.2f} to {earlier_s[-1]:.2f} s, "
             f"just before its first at {first_s:.2f} s, are the same ball's, or of one like it"
         )
-    alone = Check(
-        "one ball alone",
-        among.second_odds < _SURE_ODDS and among.as_loud <= _MAX_AS_LOUD,
-        f"{odds:.3g} to 1 {second} (at most {np.exp(_SURE_ODDS):.0f}), {among.as_loud} other "
-        f"knocks as loud as its own (at most {_MAX_AS_LOUD})",
-        advice="let one ball bounce alone, or choose one drop with --start and --end",
-        invalidates_interval=False,
-        secondary=secondary,
-    )
-    return alone, _softens(among)
-
-
-def _softens(among: BallAmong) -> Check:
-    softening_odds, clipped = among.softening_odds, f"{among.clipped} of its knocks are clipped"
-    if softening_odds is None:
-        detail = f"too few whole knocks to tell how it softens; {clipped}"
-    else:
-        softer = float(np.exp(np.clip(softening_odds, -20.0, 20.0)))
-        wanted = f"(wanted: {_MIN_SOFTENING} to 1)"
-        detail = f"{softer:.3g} to 1 against knocks that stay as loud {wanted}; {clipped}"
-    return Check(
-        "softens as a ball does",
-        softening_odds is not None and softening_odds > np.log(_MIN_SOFTENING),
-        detail,
-        advice="record one ball that bounces freely, the microphone farther away, without "
-        "automatic gain",
-        invalidates_interval=softening_odds is not None,
-    )
-
-
-def _no_rhythm(heard: HeardBall, softening_odds: float) -> tuple[Check, Check]:
-    name, log_odds = heard.rhythm
-    log_odds = log_odds + softening_odds  # a beat keeps its loudness
-    odds = float(np.exp(min(log_odds, 20.0)))
-    surely_softer = softening_odds > _SURE_ODDS
-    least = float(heard.interval95[0, 0] if surely_softer else heard.values[0])
-    value, most = figures(least, _MAX_RESTITUTION, 3)
+    odds, clipped, detail = _odds(among.second_odds), among.clipped, None
+    if among.softening_odds is None:
+        detail = f"too few whole knocks to tell how it softens; {clipped} of its knocks are clipped"
     return (
-        Check(
-            "a ball rather than a rhythm",
-            log_odds > _NO_RHYTHM,
-            f"{odds:.3g} to 1 against {name} (wanted: {np.exp(_NO_RHYTHM):.0f} to 1)",
-            fatal=log_odds < 0,
-            advice="record more bounces of one ball, near the microphone",
+        alone.measured(
+            odds,
+            passed=odds < alone.limit.value and among.as_loud <= _MAX_AS_LOUD,
+            secondary=secondary,
+            second=second,
+            as_loud=among.as_loud,
+            most_as_loud=_MAX_AS_LOUD,
         ),
-        Check(
-            "flights shorten as a ball's",
-            least <= _MAX_RESTITUTION,
-            f"each lasts {value} of the one before (at most {most}: no ball that is heard keeps "
-            "more)",
-            advice="record one ball that bounces freely",
+        TIMES["softens as a ball does"].measured(
+            np.nan if among.softening_odds is None else _odds(among.softening_odds),
+            detail=detail,
+            invalidates_interval=detail is None,
+            clipped=clipped,
         ),
     )
-
-
-def _most_jitter_s(heard: HeardBall) -> float:
-    return min(_MAX_JITTER_S, _MAX_JITTER * float(np.diff(heard.predicted_s).mean()))
 
 
 def off_s(detection: TimesDetection, step: Step) -> Array:
@@ -841,7 +966,8 @@ def off_s(detection: TimesDetection, step: Step) -> Array:
 
 
 def _simulation_check(heard: HeardBall, off: Array) -> Check:
-    known = np.isfinite(off)
+    """Check the rollout's impacts against those heard, whitened by each bounce's own scatter."""
+    spec, known = TIMES["simulation fits"], np.isfinite(off)
     rms_s, worst_s = np.inf, 0.0
     if known.any():
         numbers = np.flatnonzero(known) + heard.told
@@ -849,15 +975,14 @@ def _simulation_check(heard: HeardBall, off: Array) -> Check:
         ratio = heard.scatter / heard.jitter_s
         own = Whitening.of(times_s, numbers - numbers[0], ratio).rows @ off[known]
         rms_s, worst_s = float(np.sqrt(np.mean(own**2))), float(np.abs(off[known]).max())
-    most_s = _FITS * heard.jitter_s + _MIN_FIT_S
-    rms, most = figures(1000 * rms_s, 1000 * most_s, 2)
-    return Check(
-        "simulation fits",
-        rms_s < most_s,
-        f"its impacts are {rms} ms from those heard, rms of {known.sum()} beside the "
-        f"{100 * heard.scatter:.2g} % by which each bounce is its own (at most {most}, by their "
-        f"jitter of {1000 * heard.jitter_s:.2f} ms); {1000 * worst_s:.2f} ms at worst",
-        advice="drop it again without spin, onto a hard and level surface",
+    jitter_ms = 1000 * heard.jitter_s
+    return spec.measured(
+        1000 * rms_s,
+        _FITS * jitter_ms + spec.limit.value,
+        count=known.sum(),
+        scatter=100 * heard.scatter,
+        jitter_ms=jitter_ms,
+        worst_ms=1000 * worst_s,
     )
 
 

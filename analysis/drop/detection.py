@@ -42,11 +42,9 @@ from tunenet_logs.recorders.simulators.known import Ball
 
 # What to do where a cross-check of a drop disagrees.
 DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
-
 _MAX_HEIGHT_M, _MAX_DIAMETER_M = 4.0, 0.4  # by the clock; above, most likely untagged slow motion
 _BY_HEIGHT, _BY_DIAMETER = 1.3, 1.8  # factors by which a known length may be off: blur widens
 
-_MAX_NAMED = 5  # later drops that a warning lists
 TOO_SHORT = (
     "the paper's network needs 400 samples at 60 Hz: record 6.7 s from the release on, "
     "or use --preset default"
@@ -55,38 +53,23 @@ TOO_SHORT = (
 
 @dataclass(frozen=True, eq=False)
 class DropDetection:
-    """Drop detected in recorded positions, as one preset sees it.
+    """Drop detected in recorded positions, as one preset sees it."""
 
-    Attributes:
-        physical: whether the preset simulates the ball itself, or the paper's engine.
-        topic: where the ball's position came from.
-        start_ns: where the drop's clock is 0: the first sample of the log's signal.
-        found: the drop by the parabolas of its fall and first flight, with heights along `up`.
-        outliers: samples that were left out: no ball can have been there.
-        sideways_m: horizontal positions in the drop's window [m], shape (T, any).
-        ball: what was dropped, as far as it is known.
-        warnings: for the user.
-        units: of the log.
-        others: bounces of the recording that do not follow freely, for a ball that was thrown.
-        sunk_m: how far below where it bounced a thrown ball ever is in the recording [m].
-        sound: beside the positions; None where there is none.
-        left_out: what the log's signal lacks.
-    """
-
-    physical: bool
-    topic: str
-    start_ns: int
-    found: Drop
-    outliers: int
-    sideways_m: Array
-    ball: Ball
-    warnings: tuple[str, ...]
-    units: Units
+    physical: bool  # whether the preset simulates the ball itself, or the paper's engine
+    topic: str  # where the ball's position came from
+    start_ns: int  # where the drop's clock is 0: the first sample of the log's signal
+    found: Drop  # the drop by the parabolas of its fall and first flight, with heights along `up`
+    outliers: int  # samples that were left out: no ball can have been there
+    sideways_m: Array  # horizontal positions in the drop's window [m], shape (T, any)
+    ball: Ball  # what was dropped, as far as it is known
+    warnings: tuple[str, ...]  # for the user
+    units: Units  # of the log
+    # Bounces of the recording that do not follow freely, for a ball that was thrown.
     others: tuple[Drop, ...] = ()
-    sunk_m: float = 0.0
-    sound: SoundBeside | None = None
+    sunk_m: float = 0.0  # how far below where it bounced a thrown ball ever is in the recording [m]
+    sound: SoundBeside | None = None  # beside the positions; None where there is none
     film: None = None
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()  # what the log's signal lacks
 
     @property
     def uses_ball(self) -> bool:
@@ -124,11 +107,7 @@ class DropDetection:
 
     @cached_property
     def target(self) -> Observation:
-        """Target observation o_T.
-
-        Raises:
-            NotFoundError: the log is too short for the paper's network.
-        """
+        """Target observation o_T, of the network that the preset has."""
         if self.physical:
             return canonical(self.drop)
         target = paper_heights(self.drop)
@@ -186,39 +165,24 @@ def _window(drop: Drop) -> Mapping[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class FilmDetection:
-    """Drop detected in pictures; it is reconstructed when first needed.
+    """Drop detected in pictures; it is reconstructed when first needed."""
 
-    Attributes:
-        physical: whether the preset simulates the ball itself, or the paper's engine.
-        topic: where the pictures came from.
-        start_ns: where the drop's clock is 0: the first picture.
-        track: the ball in every picture.
-        ball: what was dropped, as far as it is known.
-        height_m: of the drop, as the log says; None where it does not.
-        unread: what could not be read of the pictures, in words; "" if nothing.
-        taken_ns: when a picture was taken, by its stamp, for those that are stamped later.
-        track_warnings: of pictures and track, for the user.
-        outliers: none: what is not the ball was not tracked.
-        is_timed: whether the stamps are times; where they count pictures there is no scale at all.
-        is_rate_known: whether the frame rate is stated, by a tag or by who recorded it.
-        sound: beside the pictures; None where there is none.
-        left_out: pictures of the topic that are not looked at.
-    """
-
-    physical: bool
-    topic: str
-    start_ns: int
-    track: Track
-    ball: Ball
-    height_m: float | None = None
-    unread: str = ""
+    physical: bool  # whether the preset simulates the ball itself, or the paper's engine
+    topic: str  # where the pictures came from
+    start_ns: int  # where the drop's clock is 0: the first picture
+    track: Track  # the ball in every picture
+    ball: Ball  # what was dropped, as far as it is known
+    height_m: float | None = None  # of the drop, as the log says; None where it does not
+    unread: str = ""  # what could not be read of the pictures, in words; "" if nothing
+    # When a picture was taken, by its stamp, for those that are stamped later.
     taken_ns: Mapping[int, int] = field(default_factory=dict)
-    track_warnings: tuple[str, ...] = ()
-    outliers: int = 0
+    track_warnings: tuple[str, ...] = ()  # of pictures and track, for the user
+    outliers: int = 0  # none: what is not the ball was not tracked
+    # Whether the stamps are times; where they count pictures there is no scale at all.
     is_timed: bool = True
-    is_rate_known: bool = False
-    sound: SoundBeside | None = None
-    left_out: tuple[LeftOut, ...] = ()
+    is_rate_known: bool = False  # whether the frame rate is stated, by a tag or by who recorded it
+    sound: SoundBeside | None = None  # beside the pictures; None where there is none
+    left_out: tuple[LeftOut, ...] = ()  # pictures of the topic that are not looked at
 
     @property
     def uses_ball(self) -> bool:
@@ -278,11 +242,7 @@ class FilmDetection:
 
     @cached_property
     def film(self) -> FilmedDrop:
-        """Drop with the camera that explains the track.
-
-        Raises:
-            NotFoundError: the track shows no drop.
-        """
+        """Drop with the camera that explains the track; raises `NotFoundError` without one."""
         ball = self.ball if self.is_timed else None  # its drag is one per metre
         return find_filmed_drop(self.track, self.start_ns, ball)
 
@@ -352,11 +312,7 @@ class FilmDetection:
 
     @cached_property
     def target(self) -> Observation:
-        """Target observation o_T.
-
-        Raises:
-            NotFoundError: the film is too short for the paper's network.
-        """
+        """Target observation o_T, of the network that the preset has."""
         if self.physical:
             return canonical_film(self.film)
         target = image_rows(self.film, paper_start_s(self.drop))
@@ -383,7 +339,7 @@ class FilmDetection:
             return tuple(found)
         film = self.film
         if film.later_s:
-            at = ", ".join(f"{later:.2f} s" for later in film.later_s[:_MAX_NAMED])
+            at = ", ".join(f"{later:.2f} s" for later in film.later_s[:5])
             found.append(
                 f"more drops seem to follow, at {at}; the first is used (see --start, --end)"
             )

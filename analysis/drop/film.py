@@ -32,6 +32,7 @@ from tunenet_logs.analysis.drop.bounce_model import (
     CONTACT,
     DRAG,
     FALL,
+    FREEDOM,
     IDEAL,
     IMPACT,
     LOW,
@@ -42,13 +43,14 @@ from tunenet_logs.analysis.drop.bounce_model import (
     SPAN,
     BounceSamples,
     Projection,
+    ideal_heights,
     projected,
 )
 from tunenet_logs.analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from tunenet_logs.analysis.drop.free_flight import Drop, run_slopes, slope_corners
 from tunenet_logs.analysis.drop.presets import canonical_axis, canonical_observation, paper_axis
 from tunenet_logs.analysis.estimators.base import Observation, resample
-from tunenet_logs.analysis.statistics import correlation_time, noise_of
+from tunenet_logs.analysis.statistics import noise_of
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.episode import Array
 from tunenet_logs.errors import NotFoundError
@@ -63,40 +65,21 @@ from tunenet_logs.timing.arrivals import CorrectedStamps
 _RESTITUTIONS = np.linspace(0.02, 0.995, 40)
 _STRETCHES = np.exp(np.linspace(np.log(0.92), np.log(3.2), 22))
 _PERSPECTIVES = np.array([-0.8, -0.25, 0.3, 0.9])
-
-# Samples that the 3520 points of the grid are compared with: more cost more than they gain.
-_MAX_SAMPLES = 96
-
-_COMPARED = 5.0  # seen fall durations after the impact that are compared
+_MAX_SAMPLES = 96  # that the 3520 points are compared with: more cost more than they gain
 
 
 def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> list[Array]:
-    """Find the best points of a grid over ideal ball, fall time and perspective.
+    """Find the best points of a grid over ideal ball, fall time and perspective, best first.
 
-    No two of them are neighbours. Contact and span are in closed form for each point.
-
-    Args:
-        seconds: shape (T,): the fall, the bounces, nothing before or after.
-        along: positions along the image's vertical, up positive, shape (T,).
-        impact_s: the first impact, to half a sample.
-        count: how many are wanted.
-
-    Returns:
-        The unknowns of a `BounceFit`, shape (14,) each, best first.
+    `seconds` and `along` (up positive), (T,), hold the fall and the bounces; each start has shape
+    (16,), contact and span in closed form, and no two are neighbours on the grid.
     """
     seen_s = impact_s - float(seconds[0])
-    near = seconds < impact_s + _COMPARED * seen_s
+    near = seconds < impact_s + 5.0 * seen_s
     every = max(1, -(-int(near.sum()) // _MAX_SAMPLES))
     clock, positions = seconds[near][::every] - impact_s, along[near][::every]
     falls = seen_s * _STRETCHES
-    times, kept = clock / falls[:, None], _RESTITUTIONS[:, None, None]
-    after = np.clip(times, 0.0, None)
-    bouncing = 1 - after * (1 - kept) / (2 * kept)  # e^n when flight n begins
-    speeds = kept ** np.floor(np.log(np.maximum(bouncing, 1e-12)) / np.log(kept))
-    since = after - 2 * kept * (1 - speeds) / (1 - kept)
-    flying = np.clip(since * (2 * kept * speeds - since), 0.0, None)
-    falling = 1 - np.clip(times + 1, 0.0, None) ** 2
-    heights = np.where(times < 0, falling, np.where(bouncing > 0, flying, 0.0))
+    heights = ideal_heights(_RESTITUTIONS[:, None, None], clock / falls[:, None])
     shapes = projected(heights, _PERSPECTIVES[:, None, None, None])
     middle = shapes.mean(axis=-1, keepdims=True)
     off, about = shapes - middle, positions - positions.mean()
@@ -126,35 +109,15 @@ def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> li
 # the first flight is whole, so is its result.
 
 MAX_CLOCK_GAIN = 12.0  # log likelihood ratio: of 120 tries chance alone reaches about 5
-_FREEDOM = 8.0  # degrees of freedom of Student's t, as in the fit
-# Moments at which a jump is looked for, and samples to either end where none can be told.
-_MOMENTS, _EDGE = 60, 3
-
+_EDGE = 3  # samples to either end where no jump can be told
 _MIN_COUNT = 12  # samples for a test of the clock
-# Log likelihood below that of the likeliest moment, down to which it may have been an earlier one.
-_LIKELY = 4.0
-
-# Px and fractions of the fall, of which the larger is a step between pictures that tells.
-_STEP_PX, _STEP = 6.0, 0.03
-
-_GAP = 1.5  # usual periods: what is longer is a stamped gap
-# A step is too long that is longer than the others by this fraction, and by so many of their
-# standard deviations, which are at least the last.
-_LONGER, _LONGER_SDS, _MIN_SPREAD = 0.3, 5.0, 0.02
-
-# A flight is not the fitted ball's where its median sample is so many standard deviations off, and
-# it has so many samples.
-_ASTRAY, _MIN_ASTRAY = 5.0, 4
 
 
 def clock_test(fit: BounceFit) -> tuple[float, float]:
-    """Test by Rao's score test whether the clock jumps, or changes its rate, at some moment.
+    """Test for a jump or a new rate of the clock by Rao's score: log likelihood gain, and when [s].
 
     It is one more unknown, linear about the fit, the best of all moments. Samples count as little
     as in the fit where they are far off: a picture of an impact is no jump.
-
-    Returns:
-        The gain in log likelihood, and the moment [s].
     """
     gains, moments = _clock_gains(fit)
     best = int(gains.argmax())
@@ -163,29 +126,37 @@ def clock_test(fit: BounceFit) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class LateFault:
-    """Moment from which a track cannot be trusted, after its second impact at the earliest.
+    """Moment from which a track cannot be trusted, after its second impact at the earliest."""
 
-    Attributes:
-        seconds: the time of the samples [s].
-        flights: how many are whole before a flight that is not the ball's; None where the clock
-            is at fault.
-    """
-
-    seconds: float
+    seconds: float  # the time of the samples [s]
+    # How many are whole before a flight that is not the ball's; None where the clock is at fault.
     flights: int | None
 
 
 def late_fault(fit: BounceFit) -> LateFault | None:
     """Find the first late fault of a fitted track; None without one."""
-    impacts_s = _impacts_s(fit)
+    # All impacts, as far as samples go [s].
+    samples, fall_s = fit.samples, float(np.exp(fit.unknowns[FALL]))
+    starts, _ = samples.bounce(fit.unknowns).flights(float(samples.times(fit.unknowns)[-1]))
+    seconds = float(fit.unknowns[IMPACT]) + fall_s * starts
+    impacts_s = seconds[seconds < samples.seconds[-1]]
     if len(impacts_s) < 2:
         return None
     gains, moments = _clock_gains(fit)
     if gains.max() > MAX_CLOCK_GAIN:
-        first_s = float(moments[gains > gains.max() - _LIKELY].min())
+        # Down to 4 below the largest gain an earlier moment may be as likely.
+        first_s = float(moments[gains > gains.max() - 4.0].min())
         if first_s >= impacts_s[1]:  # what it sets astray is no other bounce
             return LateFault(first_s, None)
-    return _astray(fit, impacts_s)
+    # Else the first flight most of whose samples, four or more, are 5 standard deviations off.
+    seconds = fit.samples.seconds
+    off = np.abs(fit.residuals) / fit.scale
+    for flights, begin in enumerate(impacts_s[1:], start=1):
+        end = impacts_s[flights + 1] if flights + 1 < len(impacts_s) else np.inf
+        flight = off[(seconds > begin) & (seconds < end)]
+        if len(flight) >= 4 and np.median(flight) > 5.0:
+            return LateFault(float(begin), flights)
+    return None
 
 
 def long_steps(fit: BounceFit) -> int:
@@ -201,35 +172,16 @@ def long_steps(fit: BounceFit) -> int:
     apart = np.abs(times[:, None] - starts).min(axis=1) * float(np.exp(fit.unknowns[FALL]))
     flight = np.searchsorted(starts, times)
     expected = np.diff(samples.positions + fit.residuals)
-    chosen = (flight[1:] == flight[:-1]) & (times[:-1] > -1) & (period_s < _GAP * usual_s)
+    chosen = (flight[1:] == flight[:-1]) & (times[:-1] > -1) & (period_s < 1.5 * usual_s)
     chosen &= np.minimum(apart[1:], apart[:-1]) > usual_s / 2
-    chosen &= np.abs(expected) > max(_STEP_PX, _STEP * float(fit.unknowns[SPAN]))
+    # Steps of 6 px and 3 % of the fall tell; one that is 30 % and 5 sds longer is too long.
+    chosen &= np.abs(expected) > max(6.0, 0.03 * float(fit.unknowns[SPAN]))
     if np.count_nonzero(chosen) < _MIN_COUNT:
         return 0
     ratios = np.diff(samples.positions)[chosen] / expected[chosen]
     off = ratios - np.median(ratios)
-    spread = 1.4826 * float(np.median(np.abs(off))) + _MIN_SPREAD
-    return int(np.count_nonzero(off > max(_LONGER, _LONGER_SDS * spread)))
-
-
-def _impacts_s(fit: BounceFit) -> Array:
-    """Return the impacts, the first included, as far as samples go [s]."""
-    samples, fall_s = fit.samples, float(np.exp(fit.unknowns[FALL]))
-    starts, _ = samples.bounce(fit.unknowns).flights(float(samples.times(fit.unknowns)[-1]))
-    seconds = float(fit.unknowns[IMPACT]) + fall_s * starts
-    return seconds[seconds < samples.seconds[-1]]
-
-
-def _astray(fit: BounceFit, impacts_s: Array) -> LateFault | None:
-    """Find the first flight most of whose samples are far off."""
-    seconds = fit.samples.seconds
-    off = np.abs(fit.residuals) / fit.scale
-    for flights, begin in enumerate(impacts_s[1:], start=1):
-        end = impacts_s[flights + 1] if flights + 1 < len(impacts_s) else np.inf
-        flight = off[(seconds > begin) & (seconds < end)]
-        if len(flight) >= _MIN_ASTRAY and np.median(flight) > _ASTRAY:
-            return LateFault(float(begin), flights)
-    return None
+    spread = 1.4826 * float(np.median(np.abs(off))) + 0.02
+    return int(np.count_nonzero(off > max(0.3, 5.0 * spread)))
 
 
 def _clock_gains(fit: BounceFit) -> tuple[Array, Array]:
@@ -238,10 +190,10 @@ def _clock_gains(fit: BounceFit) -> tuple[Array, Array]:
     seconds = samples.seconds
     if len(seconds) < _MIN_COUNT:
         return np.zeros(1), seconds[:1]
-    weights = np.sqrt((_FREEDOM + 1) / (_FREEDOM + (fit.residuals / fit.scale) ** 2))
+    weights = np.sqrt((FREEDOM + 1) / (FREEDOM + (fit.residuals / fit.scale) ** 2))
     known, _ = np.linalg.qr(weights[:, None] * samples.jacobian(fit.unknowns, fit.free))
     speed = -samples.jacobian(fit.unknowns, (IMPACT,))[:, 0]
-    every = max(1, len(seconds) // _MOMENTS)
+    every = max(1, len(seconds) // 60)
     moments = seconds[_EDGE:-_EDGE:every]
     since = seconds[:, None] - moments
     shifts = np.hstack([since > 0, np.maximum(since, 0.0)]) * (weights * speed)[:, None]
@@ -253,57 +205,20 @@ def _clock_gains(fit: BounceFit) -> tuple[Array, Array]:
 
 # ---- Bounce fitted from an impact on: the samples and flights that one law explains
 
-# Lower parts of a descent that are tried as its free fall, the largest first.
-_FALL_FRACTIONS = (0.96, 0.8, 0.6)
-
-_STARTS = 6
-# Points of the grid that are fitted from (the best alone ends in the wrong minimum at times), and
-# iterations and gain in cost that end those fits, which are only compared.
-_ROUGHLY = (10, 1e-4)
-
+_ROUGHLY = (10, 1e-4)  # iterations and gain in cost that end fits which are only compared
 _MIN_FALL_SAMPLES = 4  # samples of a fall, and of what follows it
-# Fall times of a rest that are fitted: more of them would only repeat the contact's position.
-_REST_SEEN = 2.0
-
-# Where the fit of a law begins: what most balls have, and a fraction of that for a second fit.
-_TYPICAL, _SLIGHT = {SLOPE: 0.08, DRAG: 0.05}, 0.2
-
-# By how much starts differ that may lead to different ends.
-_SHAPE, _SAME = (RESTITUTION, FALL, PERSPECTIVE), np.array([0.01, 0.02, 0.05])
-
-# Fractions of the fall: residuals beyond noise that pass, of all flights, and of the first.
-_LITTLE, _EXACT = 0.004, 0.001
-
+_REST_SEEN = 2.0  # fall times of a rest: more would only repeat the contact's position
+_TYPICAL = {SLOPE: 0.08, DRAG: 0.05}  # what most balls have: where the fit of a law begins
+_LITTLE = 0.004  # fraction of the fall: residuals beyond noise that pass
 _HOPELESS = 0.12  # fraction of the fall, rms: a rough fit with more becomes no drop's
-# Log likelihood that bends of the contact have to gain: of 100 straight ones 1 gains as much.
-_CLEARLY = 8.0
-
-_STEEP = 0.25  # a slope beyond those of real balls
-# Fall times before the impact, from which on a ball is where it is let go, to that fraction.
-_HELD, _AT_RELEASE = 1.5, 0.05
-
-# Noise of a slope, as a fraction of the steepest, at which runs of samples are long enough.
-_SURE_SLOPE = 0.06
-
-# An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it. They are
-# higher than for recorded positions: a picture has perspective, and other things that move.
-_FAST, _SHARP = 0.25, 0.25
-
-# Fractions of a fall: above the one the ball is lifted, below the other it lies.
-_LIFTED, _LYING = 1.15, 0.05
-
-_GAP_S = 1.0  # a longer time in which the ball is not found ends its bounces
+_LIFTED = 1.15  # fraction of the fall: higher up the ball is lifted
 
 
 class FilmFit(NamedTuple):
-    """Bounce fitted to a film.
+    """Bounce fitted to a film."""
 
-    Attributes:
-        fit: of all unknowns.
-        flights: how many are explained of a ball that then bounces otherwise; None where all are.
-    """
-
-    fit: BounceFit
+    fit: BounceFit  # of all unknowns
+    # How many are explained of a ball that then bounces otherwise; None where all are.
     flights: int | None = None
 
 
@@ -311,7 +226,7 @@ def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> FilmFit | None:
     """Fit a bounce whose first impact is the first of these; None where no fall is seen before."""
     index, last = impacts[0], bounces_end(whole.seconds, whole.positions, impacts)
     best: BounceFit | None = None
-    for fraction in _FALL_FRACTIONS:
+    for fraction in (0.96, 0.8, 0.6):  # lower parts of a descent that are tried as its free fall
         first = fall_start(whole.positions, index, fraction, whole.noise)
         if index - first < _MIN_FALL_SAMPLES or last - index < _MIN_FALL_SAMPLES:
             continue
@@ -324,7 +239,12 @@ def fit_from(whole: BounceSamples, impacts: Sequence[int]) -> FilmFit | None:
         if best is None or misfit(fit) < 0.7 * misfit(best):
             best = fit
         if is_good(fit):
-            return FilmFit(_likelier(fit, with_bends(fit)))
+            # Bends must explain clearly more: any noise is bent a little, and of 100 straight
+            # ways 1 gains 8.
+            bent = with_bends(fit)
+            scale = min(fit.scale, bent.scale)
+            gained = (fit.misfit_cost(scale) - bent.misfit_cost(scale)) / fit.samples_as_one
+            return FilmFit(bent if gained - bent.prior_cost() + fit.prior_cost() > 8.0 else fit)
     if best is not None and misfit(best) < _HOPELESS:
         bent = with_bends(best)
         if is_good(bent):
@@ -346,17 +266,9 @@ def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceF
         begun = whole.part(0, end)
         rough = _rough_fits(begun.part(first, end), float(whole.seconds[impacts[0]]))
         shorter = _finished(begun, rough) if rough else None
-        if shorter and is_good(shorter, _EXACT) and _is_usual(whole, shorter):
+        if shorter and is_good(shorter, 0.001) and _is_usual(whole, shorter):
             return FilmFit(shorter, flights)
     return FilmFit(fit)
-
-
-def _likelier(fit: BounceFit, bent: BounceFit) -> BounceFit:
-    """Choose the fit without bends unless they explain clearly more: any noise is bent a little."""
-    scale = min(fit.scale, bent.scale)
-    factor = max(correlation_time(fit.residuals, len(fit.free)), fit.effective_sample_factor)
-    gained = (fit.misfit_cost(scale) - bent.misfit_cost(scale)) / factor
-    return bent if gained - bent.prior_cost() + fit.prior_cost() > _CLEARLY else fit
 
 
 def with_bends(fit: BounceFit) -> BounceFit:
@@ -369,7 +281,8 @@ def with_bends(fit: BounceFit) -> BounceFit:
 
 def _rough_fits(samples: BounceSamples, impact_s: float) -> list[BounceFit]:
     """Fit the ideal ball from the best points of the grid, best first."""
-    starts = grid_starts(samples.seconds, samples.positions, impact_s, _STARTS)
+    # From six points: the best alone ends in the wrong minimum at times.
+    starts = grid_starts(samples.seconds, samples.positions, impact_s, 6)
     fits = [fit_bounce(samples, start, IDEAL, *_ROUGHLY) for start in starts]
     scale = min((fit.scale for fit in fits), default=1.0)
     return sorted(fits, key=lambda fit: fit.cost(scale))
@@ -377,18 +290,28 @@ def _rough_fits(samples: BounceSamples, impact_s: float) -> list[BounceFit]:
 
 def _finished(whole: BounceSamples, rough: list[BounceFit]) -> BounceFit:
     """Fit the bounces that count and the ball before it was let go."""
+    same = np.array([0.01, 0.02, 0.05])  # starts that differ by less lead to the same end
     starts: list[Array] = []
-    for start in (fit.unknowns for fit in rough[:3]):  # without those that lead to the same end
-        if not any(np.all(np.abs(start - kept)[list(_SHAPE)] < _SAME) for kept in starts):
+    for start in (fit.unknowns for fit in rough[:3]):
+        apart = [np.abs(start - kept)[[RESTITUTION, FALL, PERSPECTIVE]] for kept in starts]
+        if not any(np.all(one < same) for one in apart):
             starts.append(start)
     fit = _from_any(rough[0].samples, starts, *_ROUGHLY)
-    samples = _counting(whole, fit)
+    # Remove the bounces after the sixth, and most of a rest.
+    impact_s, fall_s = float(fit.unknowns[IMPACT]), float(np.exp(fit.unknowns[FALL]))
+    seconds = fit.samples.seconds
+    last = float((seconds[-1] - impact_s) / fall_s)
+    hits, speeds = whole.bounce(fit.unknowns).flights(last)
+    if len(hits) > MAX_IMPACTS:
+        end = float(hits[MAX_IMPACTS])
+    else:
+        end = float(hits[-1]) if speeds[-1] == 0 else np.inf
+    first = int(np.searchsorted(whole.seconds, seconds[0]))
+    end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
+    last_at = int(np.searchsorted(whole.seconds, end_s, side="right"))
+    samples = whole.part(first, last_at) if last_at - first > MIN_SAMPLES else fit.samples
     fit = _from_any(samples, [fit.unknowns])
-    samples = with_pre_release_samples(whole, fit)
-    if samples is not fit.samples:
-        held = fit_bounce(samples, fit.unknowns, fit.free)
-        if held.tail_sd < 1.5 * max(fit.tail_sd, whole.noise):
-            fit = held
+    fit = with_pre_release_samples(whole, fit)
     return _from_any(without_impact_samples(fit), [fit.unknowns, rough[0].unknowns])
 
 
@@ -402,28 +325,12 @@ def _from_any(
     fits: list[BounceFit] = []
     for start in starts:
         unset = not any(start[law] for law in _TYPICAL)
-        for fraction in (1.0, _SLIGHT) if unset else (1.0,):
+        for fraction in (1.0, 0.2) if unset else (1.0,):
             begin = start.copy()
             for law, usual in _TYPICAL.items():
                 begin[law] = begin[law] or fraction * usual
             fits.append(fit_bounce(samples, begin, samples.unknowns, most, gain))
     return best_of(fits)
-
-
-def _counting(whole: BounceSamples, fit: BounceFit) -> BounceSamples:
-    """Remove the bounces after the sixth, and most of a rest."""
-    impact_s, fall_s = float(fit.unknowns[IMPACT]), float(np.exp(fit.unknowns[FALL]))
-    seconds = fit.samples.seconds
-    last = float((seconds[-1] - impact_s) / fall_s)
-    starts, speeds = whole.bounce(fit.unknowns).flights(last)
-    if len(starts) > MAX_IMPACTS:
-        end = float(starts[MAX_IMPACTS])
-    else:
-        end = float(starts[-1]) if speeds[-1] == 0 else np.inf
-    first = int(np.searchsorted(whole.seconds, seconds[0]))
-    end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
-    last_at = int(np.searchsorted(whole.seconds, end_s, side="right"))
-    return whole.part(first, last_at) if last_at - first > MIN_SAMPLES else fit.samples
 
 
 def misfit(fit: BounceFit) -> float:
@@ -442,20 +349,15 @@ def _is_usual(whole: BounceSamples, fit: BounceFit) -> bool:
     Few flights are explained by many laws.
     """
     times = whole.times(fit.unknowns)
-    held = (times > -_HELD) & (times < -1.0)
+    held = (times > -1.5) & (times < -1.0)
     off = np.median(whole.residuals(fit.unknowns)[held]) if np.any(held) else 0.0
-    return abs(fit.unknowns[SLOPE]) < _STEEP and abs(off) < _AT_RELEASE * fit.unknowns[SPAN]
+    return abs(fit.unknowns[SLOPE]) < 0.25 and abs(off) < 0.05 * fit.unknowns[SPAN]
 
 
 def film_impacts(seconds: Array, along_px: Array, noise_px: float) -> list[int]:
-    """Locate the samples at which a fast fall ends, in order.
+    """Locate the samples at which a fast fall ends, in order; positions (T,) are up positive.
 
-    The slopes are taken over as many samples as the noise requires.
-
-    Args:
-        seconds: shape (T,).
-        along_px: positions along the image's vertical, up positive, shape (T,).
-        noise_px: standard deviation of a position.
+    The slopes are taken over as many samples as the noise (the sd of a position) requires.
     """
     period_s = float(np.median(np.diff(seconds)))
     width = 2
@@ -465,22 +367,17 @@ def film_impacts(seconds: Array, along_px: Array, noise_px: float) -> list[int]:
         slopes = run_slopes(seconds, along_px, width)
         half = (width + 1) // 2
         noise = noise_px * np.sqrt(2 / half) / ((width + 1 - half) * period_s)
-        if noise < -_SURE_SLOPE * slopes.min() or 8 * width > len(along_px):
+        if noise < -0.06 * slopes.min() or 8 * width > len(along_px):
             break
         width += max(1, width // 3)
-    return slope_corners(slopes, width, _FAST * min(slopes.min(), 0.0), _SHARP)
+    # Higher than for recorded positions: a picture has perspective, and other things that move.
+    return slope_corners(slopes, width, 0.25 * min(slopes.min(), 0.0), 0.25)
 
 
 def fall_start(along_px: Array, index: int, fraction: float, noise_px: float) -> int:
-    """Locate the first sample of the fall to `index`, its slow upper part left out.
+    """Locate the first sample of the fall to an impact at `index`: only a lower fraction is kept.
 
-    There a hand may still be.
-
-    Args:
-        along_px: positions, up positive, shape (T,).
-        index: of the impact.
-        fraction: of the fall that is kept, from below.
-        noise_px: standard deviation of a position.
+    Higher up, where it is slow, a hand may still be. Positions are up positive, shape (T,).
     """
     low = float(along_px[max(index - 1, 0) : index + 2].min())
     top, first = low, index
@@ -492,13 +389,7 @@ def fall_start(along_px: Array, index: int, fraction: float, noise_px: float) ->
 
 
 def bounces_end(seconds: Array, along_px: Array, impacts: Sequence[int]) -> int:
-    """Locate where the bounces after the first impact end: lifted, or long not found.
-
-    Args:
-        seconds: shape (T,).
-        along_px: positions, up positive, shape (T,).
-        impacts: as `film_impacts` finds them, from the first one on.
-    """
+    """Locate where the bounces from `impacts[0]` on end: lifted, or long not found."""
     index = impacts[0]
     low = float(along_px[max(index - 1, 0) : index + 2].min())
     top = float(along_px[max(0, index - 200) : index].max())
@@ -510,46 +401,25 @@ def bounces_end(seconds: Array, along_px: Array, impacts: Sequence[int]) -> int:
     for begin, most in limits:
         above = np.flatnonzero(along_px[begin:last] > most)
         if len(above):
-            lying = np.flatnonzero(along_px[begin : begin + above[0]] < low + _LYING * (top - low))
+            lying = np.flatnonzero(along_px[begin : begin + above[0]] < low + 0.05 * (top - low))
             last = begin + int(lying[-1] if len(lying) else above[0])
-    gaps = np.flatnonzero(np.diff(seconds[index:last]) > _GAP_S)
+    gaps = np.flatnonzero(np.diff(seconds[index:last]) > 1.0)  # not found for longer
     return index + int(gaps[0]) + 1 if len(gaps) else last
 
 
 # ---- Reasons why a track shows no drop, in words that say what to do
 
-# Fraction of a way that is free flight below which nothing is let go, and windows of it that tell:
-# short flights of a dull ball fill few.
-MIN_FREE, ENOUGH_WINDOWS = 0.1, 20
-
-# Px and radii, of which the larger is how far a fall sags in a window: more than noise does.
-_SAG_PX, _SAG = 3.0, 0.3
-
-# Px and radii, of which the larger is how far what moves goes in a window.
-_MOVES_PX, _MOVES = 2.0, 0.2
-
-_LIKE_GRAVITY = 0.4  # of the flight's own acceleration, within which another window's is the same
-_APART = 3  # windows between two flights: fewer are a wrong position
-_ONE_FLIGHT = 0.6  # fraction of the windows that are one flight, if nothing else happens
-_ROLLS = 3.0  # times as far across as along the image's vertical: it rolls
-_MAX_GAP_PERIODS = 1.9  # a longer gap is without a picture of the ball
-# Radii from the edge of a picture, at least: a falling ball is out of it one picture later.
-_AT_EDGE = 2.0
+MIN_FREE = 0.1  # fraction of a way that is free flight below which nothing is let go
+ENOUGH_WINDOWS = 20  # of that way, that tell: short flights of a dull ball fill few
 
 
 @dataclass(frozen=True)
 class FreeFlight:
-    """Share of a track that is free flight.
+    """Share of a track that is free flight."""
 
-    Attributes:
-        windows: short parts of the way in which the ball moves, one about each picture.
-        share: of them that bend as the flight does by which the ball was found.
-        flights: how many there are, one after another.
-    """
-
-    windows: int
-    share: float
-    flights: int
+    windows: int  # short parts of the way in which the ball moves, one about each picture
+    share: float  # of them that bend as the flight does by which the ball was found
+    flights: int  # how many there are, one after another
 
     @property
     def is_carried(self) -> bool:
@@ -566,19 +436,21 @@ def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFl
     radius = float(np.nanmedian(track.radius_px[known]))
     gravity = float(np.linalg.norm(track.gravity_px))
     period_s = float(np.median(np.diff(seconds)))
-    wide_s = np.sqrt(8 * max(_SAG_PX, _SAG * radius) / gravity)
+    # A fall sags by more in a window than noise does.
+    wide_s = np.sqrt(8 * max(3.0, 0.3 * radius) / gravity)
     half = max(2, round(wide_s / period_s / 2))
     free: list[bool] = []
     for middle in range(half, len(seconds) - half):
         part = slice(middle - half, middle + half + 1)
         clock, way = seconds[part] - seconds[middle], places[part]
         gapped = float(np.ptp(clock)) > 3 * half * period_s
-        if gapped or np.linalg.norm(np.ptp(way, axis=0)) < max(_MOVES_PX, _MOVES * radius):
+        if gapped or np.linalg.norm(np.ptp(way, axis=0)) < max(2.0, 0.2 * radius):
             continue
         bend = 2 * np.polyfit(clock, way, 2)[0] - track.gravity_px
-        free.append(bool(np.linalg.norm(bend) < _LIKE_GRAVITY * gravity))
+        free.append(bool(np.linalg.norm(bend) < 0.4 * gravity))
     runs = [(is_free, len(list(run))) for is_free, run in groupby(free)]
-    parted = [is_free or length >= _APART for is_free, length in runs]
+    # Fewer windows between two flights are a wrong position.
+    parted = [is_free or length >= 3 for is_free, length in runs]
     kinds = [is_free for (is_free, _), kept in zip(runs, parted, strict=True) if kept]
     flights = sum(kind for kind, _ in groupby(kinds))
     return FreeFlight(len(free), sum(free) / max(len(free), 1), flights)
@@ -589,7 +461,7 @@ def too_small(track: Track, span: float) -> str:
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     across = track.places_px[track.found] @ np.array([down[1], -down[0]])
     wide_px = float(np.ptp(across))
-    if wide_px > _ROLLS * max(span, 1.0) and wide_px > 4 * np.nanmedian(track.radius_px):
+    if wide_px > 3.0 * max(span, 1.0) and wide_px > 4 * np.nanmedian(track.radius_px):
         return (
             f"the ball never falls: it goes {wide_px:.0f} px across the picture and {span:.0f} "
             "px down, as a ball that rolls, or is filmed from above; at the next drop: let it fall "
@@ -601,7 +473,7 @@ def too_small(track: Track, span: float) -> str:
 def why_not(track: Track, whole: BounceSamples, impacts: list[int], *, fitted: bool) -> str:
     """Explain why no bounce could be fitted; `fitted` if any impact follows a free fall."""
     flight = free_flight(track)
-    one_flight = flight.flights == 1 and flight.share > _ONE_FLIGHT
+    one_flight = flight.flights == 1 and flight.share > 0.6
     if flight.is_carried:
         return (
             "no bounce is seen: the ball hardly flies, it is carried, held or rolls (free flight "
@@ -639,70 +511,46 @@ def _leaves_at(track: Track, whole: BounceSamples, impact: int) -> bool:
     """Return whether a fall ends at the picture's edge, without the ball about its end."""
     seconds = whole.seconds
     gap_s = np.diff(seconds[max(impact - 1, 0) : impact + 2]).max(initial=0.0)
-    if gap_s < _MAX_GAP_PERIODS * float(np.median(np.diff(seconds))):
+    if gap_s < 1.9 * float(np.median(np.diff(seconds))):  # no picture of the ball is missing
         return False
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     axis = int(np.argmax(np.abs(down)))
     low = track.places_px[track.found][max(impact - 2, 0) : impact + 2, axis]
     edge = track.size_px[axis] - 1 if down[axis] > 0 else 0
-    near_px = max(_AT_EDGE * float(np.nanmedian(track.radius_px)), np.abs(np.diff(low)).max())
+    # Radii: a falling ball is out of it one picture later.
+    near_px = max(2.0 * float(np.nanmedian(track.radius_px)), np.abs(np.diff(low)).max())
     return bool(np.abs(low - edge).min() < near_px)
 
 
 # ---- Drop of a track: the first plausible bounce, its camera, and its heights
 
-_MIN_SPAN_PX = 15.0  # below it no bounce is told from the noise of a track; the checks ask for 40
-_MARGIN_S = 0.5  # kept before what is fitted, to be seen in a review
 # Least noise [px] of positions in whole pixels, and of others. Rounding to whole pixels is no
 # noise: a ball that lies still is always rounded the same way.
 _WHOLE_PX_NOISE, _MIN_NOISE_PX = 0.45, 0.1
-
 _STRAIGHT = 0.0015  # fraction of the span by which a good lens may distort the vertical
-# Fractions of the drop's fall from which another fall before it, or after it, is reported.
-_EARLIER, _LATER = 1.1, 0.8
-
-_MAX_CANDIDATES = 6  # impacts that may be the first of a drop: what moves before it is a hand's
-_MAX_CUTS = 3  # times that the end of a track is left out
-# Rms residual, as a fraction of the fall, and restitution: what has more is no drop.
-_NO_DROP, _ENDLESS = 0.05, 0.995
-
-# Of a drop: fall times seen after the impact, and logarithm of its height over the track's.
-_MIN_SEEN, _MAX_LOG_SIZE = 0.3, 1.2
 
 
 @dataclass(frozen=True, eq=False)
 class FilmedDrop:
-    """One drop in a track, and its camera.
+    """One drop in a track, and its camera."""
 
-    Attributes:
-        track: the ball in every picture.
-        down_px: unit vector of the image's vertical, shape (2,).
-        posterior: of the ball, with its fit.
-        projection: where its heights are in the picture, by that fit; on the log's time.
-        end_s: when what the ball does after its first impact ends in the picture, on the drop's
-            clock: lifted, or long not found.
-        used: which pictures the drop is made of, shape (T,) of the track.
-        sideways: distance from the image's vertical [drop heights], shape (used pictures,).
-        drop: its heights by the projection, contact at 0.
-        left_out: how many impacts are before it, after deeper falls, that no drop could be fitted
-            from.
-        later_s: impacts after it, after falls as deep, on the drop's clock.
-        flights: how many it is made of where the ball bounces otherwise after them; None where not.
-        uneven_s: when its clock jumps, after the second impact: what comes later is left out; None
-            where it does not.
-    """
-
-    track: Track
-    down_px: Array
-    posterior: BallPosterior
-    projection: Projection
+    track: Track  # the ball in every picture
+    down_px: Array  # unit vector of the image's vertical, shape (2,)
+    posterior: BallPosterior  # of the ball, with its fit
+    projection: Projection  # where its heights are in the picture, by that fit; on the log's time
+    # When what the ball does after its first impact ends in the picture, on the drop's clock:
+    # lifted, or long not found.
     end_s: float
-    used: NDArray[np.bool_]
-    sideways: Array
-    drop: Drop
+    used: NDArray[np.bool_]  # which pictures the drop is made of, shape (T,) of the track
+    sideways: Array  # distance from the image's vertical [drop heights], shape (used pictures,)
+    drop: Drop  # its heights by the projection, contact at 0
+    # How many impacts are before it, after deeper falls, that no drop could be fitted from.
     left_out: int
-    later_s: tuple[float, ...]
+    later_s: tuple[float, ...]  # impacts after it, after falls as deep, on the drop's clock
+    # How many it is made of where the ball bounces otherwise after them; None where not.
     flights: int | None = None
+    # When its clock jumps, after the second impact: what comes later is left out; None where it
+    # does not.
     uneven_s: float | None = None
 
     @property
@@ -725,11 +573,7 @@ class _NoDropError(Exception):
 
 
 def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> FilmedDrop:
-    """Find and fit the first drop in a track; its clock is 0 at `start_ns`.
-
-    Raises:
-        NotFoundError: there is none; the message says why.
-    """
+    """Find and fit the first drop in a track; its clock is 0 at `start_ns`."""
     known = _usable(track)
     if len(known) < MIN_SAMPLES:
         raise NotFoundError(
@@ -739,7 +583,7 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     along = -(track.places_px[known] @ down)
     span = float(np.ptp(along))
-    if span < _MIN_SPAN_PX:
+    if span < 15.0:  # no bounce is told from the noise of a track; the checks ask for 40
         raise NotFoundError(too_small(track, span))
     least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _MIN_NOISE_PX
     noise_px = max(noise_of(along), least_px)
@@ -764,7 +608,8 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
     before_s = projection.impact_s - projection.fall_time_s / 4
     before = whole.part(0, int(np.searchsorted(seconds, before_s)))
     later = whole.part(int(np.searchsorted(seconds, fit.samples.seconds[-1])), len(seconds))
-    begin = int(np.searchsorted(seconds, fit.samples.seconds[0] - _MARGIN_S))
+    # Half a second more is seen in a review.
+    begin = int(np.searchsorted(seconds, fit.samples.seconds[0] - 0.5))
     last = int(np.searchsorted(seconds, fit.samples.seconds[-1], side="right"))
     used = np.zeros(len(track.stamps_ns), dtype=bool)
     used[known[begin:last]] = True
@@ -778,8 +623,8 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
         used=used,
         sideways=(across - np.median(across)) / projection.span,
         drop=_drop(seconds[begin:last], along[begin:last], projection, whole.noise, begin),
-        left_out=len(_deep_falls_s(before, _EARLIER * projection.span)),
-        later_s=tuple(_deep_falls_s(later, _LATER * projection.span)),
+        left_out=len(_deep_falls_s(before, 1.1 * projection.span)),
+        later_s=tuple(_deep_falls_s(later, 0.8 * projection.span)),
         flights=found.flights,
         uneven_s=uneven_s,
     )
@@ -858,36 +703,31 @@ def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first:
         flight_restitution=fit.bounce.restitution,
         flight_restitution_sd=float("nan"),
         gravity_m_s2=gravity,
-        flight_gravity_m_s2=float("nan"),
         fall_s=(fit.impact_s, fit.impact_s),
         flight_s=(fit.impact_s, fit.impact_s),
         noise_m=noise_px / fit.span * height_m,
-        rest_s=float("nan"),
         rest_m=0.0 if len(lying) > 5 else float("nan"),
         rest_tolerance_m=height_m,
     )
 
 
 def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
-    """Fit from the first impact that may be the first one; return the impacts from there on.
-
-    Raises:
-        _NoDropError: from none of them on the track is a drop's.
-    """
+    """Fit from the first impact that may be the first one; return the impacts from there on."""
     impacts = film_impacts(whole.seconds, whole.positions, whole.noise)
     span = float(np.ptp(whole.positions))
     fitted = False
     plausible: list[tuple[FilmFit, list[int]]] = []
-    for at in range(min(len(impacts), _MAX_CANDIDATES)):
+    for at in range(min(len(impacts), 6)):  # more of what moves before a drop is a hand's
         found = fit_from(whole, impacts[at:])
         if found is None:
             continue
         fitted = True
         view = found.fit.projection()
-        seen = view.fall_times(found.fit.samples.seconds[-1:])[0] > _MIN_SEEN
-        size = abs(np.log(view.span / span)) < _MAX_LOG_SIZE
-        bounces = view.residual_rms / view.span < _NO_DROP
-        if seen and size and bounces and view.bounce.restitution <= _ENDLESS:
+        # 0.3 fall times are seen after the impact.
+        seen = view.fall_times(found.fit.samples.seconds[-1:])[0] > 0.3
+        size = abs(np.log(view.span / span)) < 1.2  # of the height over the track's
+        bounces = view.residual_rms / view.span < 0.05
+        if seen and size and bounces and view.bounce.restitution <= 0.995:
             plausible.append((found, impacts[at:]))
             if is_good(found.fit):
                 break
@@ -897,13 +737,9 @@ def _find_fit(whole: BounceSamples) -> tuple[FilmFit, list[int]]:
 
 
 def _trusted_fit(whole: BounceSamples) -> tuple[FilmFit, list[int], float | None]:
-    """Fit the track before its `late_fault`; return its impacts, when a clock is at fault [s].
-
-    Raises:
-        _NoDropError: see `_find_fit`.
-    """
+    """Fit the track before its `late_fault`; return its impacts, when a clock is at fault [s]."""
     (found, impacts), uneven_s = _find_fit(whole), None
-    for _ in range(_MAX_CUTS):
+    for _ in range(3):
         fault = late_fault(found.fit)
         if fault is None:
             break
@@ -937,9 +773,6 @@ def _deep_falls_s(samples: BounceSamples, least_px: float) -> list[float]:
 # Where pictures are lost on their way, those around the loss may be a tick earlier or later. A ball
 # that falls is elsewhere a tick later, so its flight in the other pictures shows which.
 
-_ROUNDS = 2
-_MIN_PX = 0.3  # standard deviation of a place, at least
-_MAX_COST = 12.0  # log likelihood that a single place may cost: a wrong one is not the ball's
 _AFTER_RELEASE = -0.95  # fall times from which on the ball flies for sure
 
 
@@ -952,7 +785,7 @@ def placed_by_motion(
     stamps of `arrivals`, which are of all pictures.
     """
     numbers = np.searchsorted(arrivals.stamps_ns, track.stamps_ns)
-    for _ in range(_ROUNDS):
+    for _ in range(2):
         clock = arrivals.clock
         if clock is None or not clock.unsure.any():
             break
@@ -998,8 +831,8 @@ def _misfit(film: FilmedDrop, along: Array, seconds: Array) -> Array:
     times = fit.fall_times(flat)
     heights = fit.bounce.heights(np.maximum(times, _AFTER_RELEASE))
     off = (fit.positions(heights, flat).reshape(seconds.shape) - along[:, None]) / max(
-        fit.residual_rms, _MIN_PX
+        fit.residual_rms, 0.3
     )
-    cost = np.minimum(0.5 * off**2, _MAX_COST)
+    cost = np.minimum(0.5 * off**2, 12.0)  # a single wrong place is not the ball's
     flies = (times >= _AFTER_RELEASE) & (flat <= film.end_s)
     return np.where(flies.reshape(seconds.shape) & np.isfinite(off), cost, 0.0)

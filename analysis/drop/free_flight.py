@@ -29,24 +29,16 @@ Indices = NDArray[np.intp]  # of samples, increasing
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """First impact of a drop.
+    """First impact of a drop."""
 
-    Attributes:
-        impact_s: its time [s].
-        contact_m: height at contact [m].
-        impact_speed_m_s: just before, positive.
-        flight_restitution: ratio of the speeds after and before, by the parabolas of fall and
-            flight alone; NaN where too little of the first flight is seen.
-        flight_restitution_sd: its standard error; NaN likewise.
-        gravity_m_s2: fitted acceleration of fall and flight together.
-    """
-
-    impact_s: float
-    contact_m: float
-    impact_speed_m_s: float
+    impact_s: float  # its time [s]
+    contact_m: float  # height at contact [m]
+    impact_speed_m_s: float  # just before, positive
+    # Ratio of the speeds after and before, by the parabolas of fall and flight alone; NaN where too
+    # little of the first flight is seen.
     flight_restitution: float
-    flight_restitution_sd: float
-    gravity_m_s2: float
+    flight_restitution_sd: float  # its standard error; NaN likewise
+    gravity_m_s2: float  # fitted acceleration of fall and flight together
 
     @property
     def fall_time_s(self) -> float:
@@ -61,15 +53,10 @@ class Impact:
 
 @dataclass(frozen=True, eq=False)
 class ImpactFit(Impact):
-    """Fitted impact, on a clock of the caller's.
+    """Fitted impact, on a clock of the caller's."""
 
-    Attributes:
-        contact_sd_m: standard error of the contact's height [m].
-        fall: parabola of the fall, highest power first, shape (3,).
-    """
-
-    contact_sd_m: float
-    fall: Array
+    contact_sd_m: float  # standard error of the contact's height [m]
+    fall: Array  # parabola of the fall, highest power first, shape (3,)
 
 
 def meet(clock: Array, heights: Array, fall: Indices, flight: Indices, noise: float) -> ImpactFit:
@@ -128,7 +115,7 @@ def gravity_of(clock: Array, heights: Array, indices: Indices, noise: float) -> 
     design = np.column_stack([np.ones_like(times), times, times**2])
     solution, *_ = np.linalg.lstsq(design, heights[indices], rcond=None)
     sd = 2 * noise * np.sqrt(max(np.linalg.pinv(design.T @ design)[2, 2], 0.0))
-    return float(-2 * solution[2]) if sd < _SURE_GRAVITY else float("nan")
+    return float(-2 * solution[2]) if sd < 0.5 else float("nan")
 
 
 def _crossing(coefficients: NDArray[Any]) -> Array:
@@ -143,36 +130,18 @@ def _crossing(coefficients: NDArray[Any]) -> Array:
 
 # ---- Samples of the fall, of the first flight and of the rest
 
-# Samples that fix an acceleration, and its standard error [m/s²] beyond which it is not fixed.
-_MIN_COUNT, _SURE_GRAVITY = 4, 0.5
-
-# Samples of a flight from which on its own curvature is known, and how much more than the fall's
-# that may be.
-_PARABOLA, _FASTER = 6, 1.8
-
+_MIN_COUNT = 4  # samples that fix an acceleration
 MIN_DROP_M = 0.02  # a lower fall lasts 64 ms: a camera of 60 Hz sees it in four pictures
-# Lower parts of a descent that are tried as its free fall, the largest first.
-_FALL_FRACTIONS = (0.95, 0.8, 0.6, 0.4, 0.25)
-
-_MIN_FALL = 4  # samples of a fall: one more than its parabola has coefficients
 _REST_WINDOW_S = 0.25  # longer than the top of a bounce stays within the tolerance of a rest
-# Samples that are looked through at first: a ball rests soon, whatever the recording's length.
-_FIRST_BLOCK = 256
 
 
 def fall_samples(
     clock: Array, heights: Array, start: int, index: int, noise: float
 ) -> tuple[Indices, Array]:
-    """Select the samples of the free fall before an impact, and fit their parabola.
+    """Select the samples of the free fall before an impact, and fit their parabola, shape (3,).
 
-    It is the largest lower part of the way down that is a parabola, from `start` on: the ball may
-    have been held, carried or lowered by hand before.
-
-    Returns:
-        Their indices, at least 4, and the least-squares parabola, highest power first, shape (3,).
-
-    Raises:
-        NotFoundError: nothing before the impact is a free fall.
+    It is the largest lower part of the way down, 4 samples or more from `start` on, that is a
+    parabola: the ball may have been held, carried or lowered by hand before.
     """
     low = float(heights[index])
     top, first = low, index
@@ -182,11 +151,11 @@ def fall_samples(
     depth = top - low
     if depth < max(MIN_DROP_M, 15 * noise):
         raise NotFoundError(f"the ball falls by only {1000 * depth:.0f} mm", GOOD_DROP)
-    for fraction in _FALL_FRACTIONS:
+    for fraction in (0.95, 0.8, 0.6, 0.4, 0.25):  # the largest first
         high = np.flatnonzero(heights[first : index - 1] > low + fraction * depth)
         begin = first + (int(high[-1]) + 1 if len(high) else 0)
         fall = np.arange(begin, index - 1)
-        if len(fall) < _MIN_FALL:
+        if len(fall) < 4:  # one more than its parabola has coefficients
             continue
         parabola = np.polyfit(clock[fall], heights[fall], 2)
         residuals = heights[fall] - np.polyval(parabola, clock[fall])
@@ -240,9 +209,9 @@ def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise:
             return False
         times = clock[begin:stop]
         curve = fall[0]
-        if stop - begin > _PARABOLA:  # the air slows a fall more than a flight
+        if stop - begin > 6:  # the air slows a fall more than a flight
             free = float(np.polyfit(times - times.mean(), heights[begin:stop], 2)[0])
-            curve = float(np.clip(free, _FASTER * fall[0], fall[0]))
+            curve = float(np.clip(free, 1.8 * fall[0], fall[0]))
         straight = heights[begin:stop] - curve * times**2
         off = straight - np.polyval(np.polyfit(times, straight, 1), times)
         return bool(np.abs(off).max() < tolerance)
@@ -271,7 +240,7 @@ def rest_and_end(
     width = int(np.ceil(_REST_WINDOW_S / float(np.median(np.diff(clock))))) + 1
     third = width // 3
     sag = impact.gravity_m_s2 * (_REST_WINDOW_S / 3) ** 2
-    begin, size = index + 1, _FIRST_BLOCK
+    begin, size = index + 1, 256  # a ball rests soon, whatever the recording's length
     while third and end - begin >= width:
         block = heights[begin : min(begin + size + width - 1, end)]
         windows = np.lib.stride_tricks.sliding_window_view(block, width)
@@ -296,69 +265,37 @@ def rest_and_end(
 
 # ---- All drops of a recording, from corners of its slope
 
-# Below that neither a fall and a flight (5 and 3 samples) nor a noise can be told.
-_MIN_SAMPLES = 10
-
-# Over which a slope is taken: in it a ball gains .25 m/s, little beside an impact's jump.
-_SLOPE_WINDOW_S = 0.025
-
-# An impact, as fractions: of the fastest fall, before it; of the sharpest corner, at it.
-_FAST, _SHARP = 0.12, 0.15
-
-# Before an impact, where the noise is estimated anew: most of a log may be rest, and quieter.
-_NOISE_WINDOW_S = 0.4
-
+_MIN_SAMPLES = 10  # for a fall and a flight (5 and 3 samples), and for a noise
 _MARGIN_S = 1.0  # kept before the release and of the rest, to be seen in a review
-_MAX_FALL_TIMES = 40  # after the impact: a ball of restitution .95 has come to rest by then
-# Fraction off standard gravity from which any other drop of the recording is preferred.
-_ODD_GRAVITY = 0.2
-
-_ROUGH = 0.05  # of a restitution by parabolas: what a short or bent flight may be off
 _MAX_OUTLIERS = 8  # more of them are no exception: then it is the recording that is in doubt
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Drop(Impact):
-    """One drop: its first impact, and the samples around it.
+    """One drop: its first impact, and the samples around it."""
 
-    Attributes:
-        first: index of its first sample in the recording: a second before the release.
-        seconds: times of its samples [s], shape (T,); until the ball rests or is lifted again.
-        heights_m: heights there [m], shape (T,).
-        release_s: when the ball was let go, or would have been for this fall [s].
-        release_m: height there [m].
-        flight_gravity_m_s2: fitted acceleration of the first flight alone, in which the air adds to
-            gravity on the way up as much as it takes from it on the way down; NaN where too little
-            of it is seen.
-        fall_s: times of the first and the last sample of the fall that is a parabola [s].
-        flight_s: the same of the first flight; twice the impact's where too little is seen.
-        noise_m: standard deviation of the samples about a smooth curve [m].
-        rest_s: when the ball begins to rest [s]; NaN where it is not seen to.
-        rest_m: height where the ball comes to rest [m]; NaN where it is not seen to.
-        rest_tolerance_m: how far from the contact that may be on one table [m].
-        launched: whether the ball already flew at the first sample: it was thrown, or bounced
-            before. Its release is then that sample.
-        is_free: whether fall or flight have about the gravity of the earth.
-        scale_known: whether the heights are in true metres.
-        touching: how many samples were left out because the ball was on the ground in them.
-    """
-
-    first: int
-    seconds: Array
-    heights_m: Array
-    release_s: float
-    release_m: float
-    flight_gravity_m_s2: float
+    first: int  # index of its first sample in the recording: a second before the release
+    seconds: Array  # times of its samples [s], shape (T,); until the ball rests or is lifted again
+    heights_m: Array  # heights there [m], shape (T,)
+    release_s: float  # when the ball was let go, or would have been for this fall [s]
+    release_m: float  # height there [m]
+    # Fitted acceleration of the first flight alone, in which the air adds to gravity on the way up
+    # as much as it takes from it on the way down; NaN where too little of it is seen.
+    flight_gravity_m_s2: float = float("nan")
+    # Times of the first and the last sample of the fall that is a parabola [s].
     fall_s: tuple[float, float]
+    # The same of the first flight; twice the impact's where too little is seen.
     flight_s: tuple[float, float]
-    noise_m: float
-    rest_s: float
-    rest_m: float
-    rest_tolerance_m: float
+    noise_m: float  # standard deviation of the samples about a smooth curve [m]
+    rest_s: float = float("nan")  # when the ball begins to rest [s]; NaN where it is not seen to
+    rest_m: float = float("nan")  # height there [m]; NaN likewise
+    rest_tolerance_m: float = 0.0  # how far from the contact that may be on one table [m]
+    # Whether the ball already flew at the first sample: it was thrown, or bounced before. Its
+    # release is then that sample.
     launched: bool = False
-    is_free: bool = True
-    scale_known: bool = True
-    touching: int = 0
+    is_free: bool = True  # whether fall or flight have about the gravity of the earth
+    scale_known: bool = True  # whether the heights are in true metres
+    touching: int = 0  # how many samples were left out because the ball was on the ground in them
 
     @property
     def table_m(self) -> float:
@@ -370,14 +307,9 @@ class Drop(Impact):
 
 
 def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
-    """Find all drops in a recording, in order; each ends where the ball is lifted again.
+    """Find all drops in heights [m] at times [s]; each ends where the ball is lifted again.
 
-    Args:
-        seconds: sample times [s], shape (T,), increasing.
-        heights_m: heights of the ball [m], shape (T,), up positive, finite.
-
-    Raises:
-        NotFoundError: there is none; the message says why.
+    Raises `NotFoundError` with the reason where there is none.
     """
     if len(seconds) < _MIN_SAMPLES:
         raise NotFoundError(f"{len(seconds)} samples of the ball are too few for a drop", DENSER)
@@ -386,11 +318,12 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
     if span < max(MIN_DROP_M, 20 * noise):
         moved = f"the ball does not fall: it moves by {1000 * span:.1f} mm in all"
         raise NotFoundError(moved, GOOD_DROP)
-    width = max(2, round(_SLOPE_WINDOW_S / float(np.median(np.diff(seconds)))))
+    # In 25 ms a ball gains .25 m/s, little beside an impact's jump.
+    width = max(2, round(0.025 / float(np.median(np.diff(seconds)))))
     impacts: list[int] = []
     if len(heights_m) > 2 * width:
         slopes = run_slopes(seconds, heights_m, width)
-        impacts = slope_corners(slopes, width, _FAST * min(slopes[:-width].min(), 0.0), _SHARP)
+        impacts = slope_corners(slopes, width, 0.12 * min(slopes[:-width].min(), 0.0), 0.15)
     drops: list[Drop] = []
     odd: list[Drop] = []
     reasons: list[NotFoundError] = []
@@ -404,7 +337,12 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
             reasons.append(reason)
             continue
         later = [at for at in impacts if seconds[at] > drop.impact_s + drop.fall_time_s / 4]
-        if _is_free(drop, float(seconds[later[0]]) if later else drop.impact_s):
+        # Whether fall or flight, until the next fall ends, has about the gravity of the earth.
+        next_s = float(seconds[later[0]]) if later else drop.impact_s
+        inner = np.flatnonzero((drop.seconds > drop.impact_s) & (drop.seconds < next_s))[1:-1]
+        between = gravity_of(drop.seconds, drop.heights_m, inner, drop.noise_m)
+        seen = (drop.gravity_m_s2, drop.flight_gravity_m_s2, between)
+        if any(abs(one / GRAVITY_M_S2 - 1) < 0.2 for one in seen):
             drops.append(drop)
             end = drop_end
         else:  # a hand may lower a ball along a parabola too
@@ -417,16 +355,9 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
 def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
     """Flag single samples that no ball can have been at: marker swaps, dropped detections.
 
-    Such a sample leaves both neighbours farther than a fall through the whole height could. The
-    whole height is measured without the 4 highest and lowest samples, so that a few outliers do not
-    hide themselves.
-
-    Args:
-        seconds: times [s], shape (T,), increasing.
-        heights_m: heights [m], shape (T,).
-
-    Returns:
-        Shape (T,); nothing where there seem to be more than 8.
+    Such a sample leaves both neighbours farther than a fall through the whole height could. That
+    height is measured without the 4 highest and lowest samples, or a few outliers would hide
+    themselves.
     """
     found = np.zeros(len(heights_m), dtype=bool)
     each_end = _MAX_OUTLIERS // 2
@@ -442,16 +373,7 @@ def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
 
 
 def run_slopes(seconds: Array, heights: Array, width: int) -> Array:
-    """Return the slope a second of each run of width + 1 samples, between its halves' means.
-
-    Args:
-        seconds: shape (T,).
-        heights: in any unit, shape (T,).
-        width: of a run [sample periods], at least 1.
-
-    Returns:
-        Shape (T - width,).
-    """
+    """Return each slope a second over width + 1 samples, by the means of halves, (T - width,)."""
     half = (width + 1) // 2
     values = np.stack([heights, seconds])
     sums = np.cumsum(values - values[:, :1], axis=1)
@@ -462,13 +384,10 @@ def run_slopes(seconds: Array, heights: Array, width: int) -> Array:
 
 
 def slope_corners(slopes: Array, width: int, fast: float, sharp: float) -> list[int]:
-    """Locate the samples at which a fast fall ends within a sample or two, in order.
+    """Locate the samples at which a fall with a slope below `fast` ends within a sample or two.
 
-    Args:
-        slopes: see `run_slopes`, shape (T - width,).
-        width: of the runs [sample periods]; corners nearer than that are one.
-        fast: slope below which a fall is fast.
-        sharp: fraction of the largest change of slope below which there is no corner.
+    Of corners nearer than `width` (see `run_slopes`) one counts; `sharp` is a fraction of the
+    largest.
     """
     before, after = slopes[:-width], slopes[width:]  # of sample i + width
     change = np.where((before < fast) & (after > 0.5 * before), after - before, 0.0)
@@ -486,13 +405,15 @@ def _fit_drop(
 ) -> tuple[Drop, int]:
     """Fit the drop that first hits the table near sample `index`; return it and its end."""
     clock = seconds - seconds[index]
-    before = heights[max(start, int(np.searchsorted(clock, -_NOISE_WINDOW_S))) : index]
+    # Most of a log may be rest, and quieter.
+    before = heights[max(start, int(np.searchsorted(clock, -0.4))) : index]
     noise = max(noise, noise_of(before)) if len(before) >= _MIN_SAMPLES else noise
     fall, parabola = fall_samples(clock, heights, start, index, noise)
     flight = flight_samples(clock, heights, index, parabola, noise)
     if len(flight):
         impact = meet(clock, heights, fall, flight, noise)
-        if impact.flight_restitution < -_ROUGH - 3 * impact.flight_restitution_sd:
+        # A short or bent flight may be .05 off.
+        if impact.flight_restitution < -0.05 - 3 * impact.flight_restitution_sd:
             raise NotFoundError("the ball falls on: it hits nothing there", GOOD_DROP)
     else:
         near = heights[index - 1 : index + 4]
@@ -518,7 +439,7 @@ def _fit_drop(
         raise NotFoundError("the ball does not bounce: it stays where it lands", GOOD_DROP)
     release_s, release_m = release(clock, heights, start, int(fall[-1]), impact)
     first = max(start, int(np.searchsorted(clock, release_s - _MARGIN_S)))
-    last_s = impact.impact_s + _MAX_FALL_TIMES * impact.fall_time_s
+    last_s = impact.impact_s + 40 * impact.fall_time_s  # a ball of restitution .95 lies still
     if len(rest):
         last_s = min(last_s, clock[rest[0]] + _MARGIN_S)
     last = min(end, int(np.searchsorted(clock, last_s)))
@@ -546,23 +467,8 @@ def _fit_drop(
     return drop, end
 
 
-def _is_free(drop: Drop, next_s: float) -> bool:
-    """Return whether fall or flight, until the next fall ends, has about the gravity of the earth.
-
-    The air may slow the fall by far more than the flight.
-    """
-    inner = np.flatnonzero((drop.seconds > drop.impact_s) & (drop.seconds < next_s))[1:-1]
-    between = gravity_of(drop.seconds, drop.heights_m, inner, drop.noise_m)
-    seen = (drop.gravity_m_s2, drop.flight_gravity_m_s2, between)
-    return any(abs(one / GRAVITY_M_S2 - 1) < _ODD_GRAVITY for one in seen)
-
-
 def _has_rebound(since: Array, heights: Array, impact: Impact, noise: float) -> bool:
-    """Return whether the ball rises after the impact by more than chance would have it.
-
-    Raises:
-        NotFoundError: the recording ends too early to tell.
-    """
+    """Return whether the ball rises after the impact by more than chance would have it."""
     contact, depth = impact.contact_m, impact.drop_height_m
     early = (since > 0) & (since < 0.25 * impact.fall_time_s)
     if not early.any():

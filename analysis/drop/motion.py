@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.drop import DENSER, GOOD_DROP, RIGHT_LENGTHS
-from tunenet_logs.analysis.drop.bounce_fit import MIN_SAMPLES
-from tunenet_logs.analysis.drop.bounce_model import BounceSamples, Projection
+from tunenet_logs.analysis.drop.bounce_fit import MIN_SAMPLES, BounceFit
+from tunenet_logs.analysis.drop.bounce_model import BounceSamples, Projection, ideal_heights
 from tunenet_logs.analysis.drop.bounce_posterior import (
     SLOPE_AND_DRAG,
     ball_posterior,
@@ -50,21 +51,14 @@ from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2, PAP
 
 # ---- Clock without contacts: a simulator's are far shorter than those of a ball that was heard
 
-_WHILE_TOUCHING = 1e-3  # fraction of a contact's time that still passes, so that stamps increase
-
 
 @dataclass(frozen=True, eq=False)
 class ContactClock:
-    """Clock of the log, and one that almost stands still while the ball touches.
+    """Clock of the log, and one that almost stands still while the ball touches."""
 
-    Attributes:
-        log_s: when contacts begin and end, one after the other, shape (2 N,); none where they
-            last no time.
-        free_s: the same on the other clock, shape (2 N,).
-    """
-
+    # When contacts begin and end, one after the other, shape (2 N,); none where they last no time.
     log_s: Array
-    free_s: Array
+    free_s: Array  # the same on the other clock, shape (2 N,)
 
     def to_free(self, seconds: Array) -> Array:
         """Convert times on the log's clock to the contact-free one, shape (T,)."""
@@ -87,7 +81,8 @@ def contact_clock(detection: AnyDetection) -> ContactClock:
     lasts_s = ball.contact * fall_s
     ends_s = view.impact_s + fall_s * ends
     log_s = np.column_stack([ends_s - lasts_s, ends_s]).ravel()
-    passed = np.ones(len(log_s)) * (1 - _WHILE_TOUCHING) * lasts_s
+    # A little time passes, so that stamps increase.
+    passed = np.ones(len(log_s)) * (1 - 1e-3) * lasts_s
     passed[::2] = 0.0
     return ContactClock(log_s, log_s - np.cumsum(passed))
 
@@ -103,76 +98,50 @@ def _moved(seconds: Array, known: Array, wanted: Array) -> Array:
 
 # ---- Equivalent ball for simulators without air: one restitution, the same at every impact
 
-# Restitutions that are tried, and then differences from the best of them: the cost has many minima.
-_GRID = np.linspace(0.02, 1.0, 99)
-_FINE = np.linspace(-0.01, 0.01, 81)
-
-_MAX_SPEEDS = 20  # impacts that are listed
-
 
 def equivalents(view: Projection, seconds: Array, heights: Array) -> Equivalents | None:
     """Fit drag-free balls, dropped alike: to the first rebound, and to all samples.
 
-    Args:
-        view: of the tuned ball.
-        seconds: of the samples from the release to the last bounce in view, shape (T,).
-        heights: observed there [drop heights], shape (T,).
+    Those are of heights [drop heights] from the release to the last bounce in view, shape (T,).
     """
     if not len(seconds):
         return None
     ball = view.bounce
-    starts, speeds = ball.flights(_later(view, float(seconds[-1])))
+    starts, speeds = ball.flights(max((float(seconds[-1]) - view.impact_s) / view.fall_time_s, 0.0))
     if not len(starts) or not speeds[0]:
         return None
-    rise = _rebound(ball, float(speeds[0]))
+    # The height [drop heights] of a ball that leaves with a speed.
+    speed = float(speeds[0])
+    rise = (
+        speed**2 / 4
+        if ball.drag < 1e-7
+        else float(np.log1p(ball.drag * speed**2 / 2) / (2 * ball.drag))
+    )
     release_s = view.impact_s - view.fall_time_s * ball.fall_time
     times = (seconds - release_s) / view.fall_time_s - 1.0  # it falls for one fall time
-    best = _best(times, heights, _GRID)
-    best = _best(times, heights, np.clip(best + _FINE, 0.0, 1.0))
+    best = _best(times, heights, np.linspace(0.02, 1.0, 99))  # the cost has many minima
+    best = _best(times, heights, np.clip(best + np.linspace(-0.01, 0.01, 81), 0.0, 1.0))
     return Equivalents(
         _equivalent(float(np.sqrt(rise)), view, times, heights),
         _equivalent(best, view, times, heights),
     )
 
 
-def _later(view: Projection, until_s: float) -> float:
-    return max((until_s - view.impact_s) / view.fall_time_s, 0.0)
-
-
-def _rebound(ball: Bounce, speed: float) -> float:
-    """Return the height [drop heights] of a ball that leaves with a speed."""
-    if ball.drag < 1e-7:
-        return speed**2 / 4
-    return float(np.log1p(ball.drag * speed**2 / 2) / (2 * ball.drag))
-
-
 def _best(times: Array, heights: Array, tried: Array) -> float:
     """Return the least-squares restitution, all of them compared at once."""
-    kept = tried[:, None]
-    after = np.maximum(times, 0.0)
-    bouncing = 1 - after * (1 - kept) / (2 * np.maximum(kept, 1e-9))  # e^n when flight n begins
-    inside = np.clip(kept, 1e-9, 1 - 1e-9)
-    speeds = inside ** np.floor(np.log(np.maximum(bouncing, 1e-12)) / np.log(inside))
-    since = after - 2 * inside * (1 - speeds) / (1 - inside)
-    flying = np.where(bouncing > 0, np.maximum(since * (2 * inside * speeds - since), 0.0), 0.0)
-    falling = 1 - np.maximum(times + 1, 0.0) ** 2
-    off = np.where(times < 0, falling, flying) - heights
+    off = ideal_heights(tried[:, None], times) - heights
     return float(tried[int(np.argmin(np.einsum("rt,rt->r", off, off)))])
-
-
-def _rms(restitution: float, times: Array, heights: Array) -> float:
-    off = replace(_AIRLESS, restitution=restitution).heights(times) - heights
-    return float(np.sqrt(np.mean(off**2)))
 
 
 def _equivalent(restitution: float, view: Projection, times: Array, heights: Array) -> Equivalent:
     restitution = float(np.clip(restitution, 0.0, 1.0))
     starts, _ = replace(_AIRLESS, restitution=restitution).flights(float(times[-1]))
-    count = min(int(np.count_nonzero(starts <= times[-1])), _MAX_SPEEDS)
+    count = min(int(np.count_nonzero(starts <= times[-1])), 20)  # impacts that are listed
     first_m_s = GRAVITY_M_S2 * view.fall_time_s
+    off = replace(_AIRLESS, restitution=restitution).heights(times) - heights
     return Equivalent(
         restitution,
-        100 * _rms(restitution, times, heights),
+        100 * float(np.sqrt(np.mean(off**2))),
         tuple(first_m_s * restitution**bounce for bounce in range(max(count, 1))),
     )
 
@@ -181,25 +150,6 @@ _AIRLESS = Bounce(0.5)  # a ball with one restitution and no air
 
 
 # ---- Comparison of the last rollout with every sample in view, and the hold-out
-
-_AFTER_FALLS = 1.0  # fall times after the last bounce in view that the curves show
-_BEFORE_FALLS = 0.25  # fall times before the release: enough to see that the ball was still
-_CLEAR_HOP = 0.003  # of the drop height: a lower bounce is not in view
-_HOP_SDS = 3.0  # standard deviations of the noise, likewise
-_MAX_LEFT_OUT = 0.05  # fraction of the samples that may be something else than the ball
-# A sample farther from the simulation than so much noise and this fraction of the drop height is
-# something else, as long as few are.
-_FAR_SDS, _FAR = 6.0, 0.01
-
-# Standard deviations that noise may add to a mean square: one in twenty has more.
-_CHANCE_SDS = 1.64
-
-_MIN_BENDS = 20  # samples whose third differences tell their noise
-# Impacts in the first part: before the second one no fit can know how the ball bounces.
-_MIN_BEGUN = 2
-
-# Part of the time that the held-out fit sees, and samples that are to be foretold.
-_BEGUN, _MIN_HELD_OUT = 0.6, 6
 
 _SAME_S = 2e-9  # stamps that differ by less are of one moment
 
@@ -227,21 +177,51 @@ def simulated_m(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
     return seconds, heights * (detection.drop.drop_height_m if detection.physical else rig_m)
 
 
+class _FittedView(NamedTuple):
+    """Samples that a ball was fitted to, and that fit's camera."""
+
+    fit: BounceFit
+    view: Projection
+    samples: BounceSamples
+    noise: float  # of the samples by themselves, in their unit
+
+    @property
+    def relative_noise(self) -> float:
+        """Noise in drop heights."""
+        return self.noise / self.view.span
+
+    def inside(self, detection: AnyDetection, seconds: Array) -> NDArray[np.bool_]:
+        """Return which times are from the release to the last bounce in view."""
+        end_s = last_bounce_s(self.view, float(seconds[-1]), self.relative_noise)
+        return (seconds >= detection.drop.release_s) & (seconds <= end_s)
+
+
+def _fitted_view(detection: AnyDetection) -> _FittedView | None:
+    """Return what a detection's ball was fitted to; None where the preset fits none."""
+    posterior = detection.posterior if detection.physical else None
+    if posterior is None:
+        return None
+    samples = detection.observed
+    count, noise = len(samples.positions), samples.own_noise
+    least = noise / 2 if count > 20 else noise
+    noise = max(surer_noise_of(samples.positions), least) if count > 3 else least
+    return _FittedView(posterior.fit, posterior.fit.projection(), samples, noise)
+
+
 @lru_cache(maxsize=1)
 def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
     """Compare the last rollout with every sample in view; None where there is no camera for it.
 
     The checks and the record ask for the same one: it is kept until the next.
     """
-    view = _view(detection)
-    if view is None:
+    seen = _fitted_view(detection)
+    if seen is None:
         return None
-    samples = detection.observed
+    _, view, samples, noise = seen
     simulated_s, heights = simulated(detection, last)
     at, rows = matched(samples.seconds, simulated_s)
     seconds, positions, heights = samples.seconds[at], samples.positions[at], heights[rows]
-    noise = _noise(samples)
-    inside = in_view(detection, seconds, noise / view.span)
+    inside = seen.inside(detection, seconds)
     if np.count_nonzero(inside) < MIN_SAMPLES:
         return None
     off = view.positions(heights[inside], seconds[inside]) - positions[inside]
@@ -255,24 +235,23 @@ def simulation_fit(detection: AnyDetection, last: Step) -> SimulationFit | None:
         held_out_percent=held_out_percent(detection),
         samples=int(np.count_nonzero(kept)),
         left_out=int(np.count_nonzero(~kept)) + detection.outliers,
-        noise=noise if is_film or tells_speed(detection) else noise / view.span,
-        unit="px" if is_film else "m" if tells_speed(detection) else "1",
+        noise=noise if is_film or detection.tells_speed else noise / view.span,
+        unit="px" if is_film else "m" if detection.tells_speed else "1",
     )
 
 
 def fit_excess_percent(detection: AnyDetection) -> float | None:
     """Return how far the fit is from the samples in view, beyond their noise [%]."""
-    view = _view(detection)
-    if view is None or detection.posterior is None:
+    seen = _fitted_view(detection)
+    if seen is None:
         return None
-    samples = detection.observed
-    noise = _noise(samples)
-    seen = samples.only(in_view(detection, samples.seconds, noise / view.span))
-    if len(seen.seconds) < MIN_SAMPLES:
+    samples, noise = seen.samples, seen.relative_noise
+    samples = samples.only(seen.inside(detection, samples.seconds))
+    if len(samples.seconds) < MIN_SAMPLES:
         return None
-    off = np.abs(seen.residuals(detection.posterior.fit.unknowns)) / view.span
-    off = off[_of_the_ball(off, noise / view.span)]
-    return 100 * excess(float(np.sqrt(np.mean(off**2))), noise / view.span)
+    off = np.abs(samples.residuals(seen.fit.unknowns)) / seen.view.span
+    off = off[_of_the_ball(off, noise)]
+    return 100 * excess(float(np.sqrt(np.mean(off**2))), noise)
 
 
 def held_out_percent(detection: AnyDetection) -> float | None:
@@ -281,30 +260,31 @@ def held_out_percent(detection: AnyDetection) -> float | None:
     The noise, and what chance makes of it in few samples, is taken off; None where too little is
     seen in either part.
     """
-    view = _view(detection)
-    if view is None:
+    seen = _fitted_view(detection)
+    if seen is None:
         return None
-    seen = detection.observed
-    seconds, noise = seen.seconds, _noise(seen)
-    inside = in_view(detection, seconds, noise / view.span)
+    view, samples, noise = seen.view, seen.samples, seen.relative_noise
+    seconds = samples.seconds
+    inside = seen.inside(detection, seconds)
     if not inside.any():
         return None
     begin_s, end_s = detection.drop.release_s, float(seconds[inside][-1])
-    until_s = begin_s + _BEGUN * (end_s - begin_s)
+    until_s = begin_s + 0.6 * (end_s - begin_s)
     rest = inside & (seconds > until_s)
     impacts = view.impacts(until_s)
-    if len(impacts) < _MIN_BEGUN:
+    if len(impacts) < 2:  # before the second no fit can know how the ball bounces
         return None
     fit = detection.begun(until_s)
-    if fit is None or np.count_nonzero(rest) < _MIN_HELD_OUT:
+    if fit is None or np.count_nonzero(rest) < 6:
         return None
     begun = ball_posterior(fit).fit
-    later = seen.only(rest)
+    later = samples.only(rest)
     off = np.abs(replace(later, bends_s=begun.samples.bends_s).residuals(begun.unknowns))
-    off = np.maximum(off - _blurred(seen, view, later.seconds), 0.0) / view.span
-    off = off[_of_the_ball(off, noise / view.span)]
-    chance = 1 + _CHANCE_SDS * np.sqrt(2 / len(off))  # of a mean square of so few samples
-    return 100 * excess(float(np.sqrt(np.mean(off**2))), noise / view.span * np.sqrt(chance))
+    off = np.maximum(off - _blurred(samples, view, later.seconds), 0.0) / view.span
+    off = off[_of_the_ball(off, noise)]
+    # One in twenty has more.
+    chance = 1 + 1.64 * np.sqrt(2 / len(off))  # of a mean square of so few samples
+    return 100 * excess(float(np.sqrt(np.mean(off**2))), noise * np.sqrt(chance))
 
 
 def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
@@ -315,30 +295,17 @@ def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
         fit=simulation_fit(detection, last) if detection.physical else None,
         equivalents=_equivalents(detection),
         unidentifiable=_unidentifiable(detection, trace),
-        unknown=() if tells_speed(detection) else (DRAG.name,),
+        unknown=() if detection.tells_speed else (DRAG.name,),
         units=detection.units,
         sound=None if detection.ear is None else detection.ear.share,
     )
-
-
-def tells_speed(detection: AnyDetection) -> bool:
-    """Return whether metres and seconds are known; a film's scale is its clock, if it has one."""
-    return detection.tells_speed
-
-
-def in_view(detection: AnyDetection, seconds: Array, noise: float) -> NDArray[np.bool_]:
-    """Return which times are from release to last bounce in view; noise in drop heights."""
-    posterior, drop = detection.posterior, detection.drop
-    assert posterior is not None
-    end_s = last_bounce_s(posterior.fit.projection(), float(seconds[-1]), noise)
-    return (seconds >= drop.release_s) & (seconds <= end_s)
 
 
 def last_bounce_s(view: Projection, until_s: float, noise: float) -> float:
     """Return when the last bounce ends that is high enough to be seen, and in view [s]."""
     last = (until_s - view.impact_s) / view.fall_time_s
     starts, speeds = view.bounce.flights(last)
-    high = speeds**2 / 4 > max(_CLEAR_HOP, _HOP_SDS * noise)
+    high = speeds**2 / 4 > max(0.003, 3.0 * noise)  # lower ones are not in view
     ends = int(np.flatnonzero(high)[-1]) + 1 if high.any() else 0
     return view.impact_s + view.fall_time_s * float(starts[min(ends, len(starts) - 1)])
 
@@ -359,17 +326,6 @@ def _blurred(samples: BounceSamples, view: Projection, seconds: Array) -> Array:
     return np.where(near, np.maximum(np.abs(early - at), np.abs(late - at)), 0.0)
 
 
-def _noise(samples: BounceSamples) -> float:
-    """Estimate the samples' noise by themselves, in their unit."""
-    least = samples.own_noise / 2 if len(samples.positions) > _MIN_BENDS else samples.own_noise
-    return max(surer_noise_of(samples.positions), least) if len(samples.positions) > 3 else least
-
-
-def _view(detection: AnyDetection) -> Projection | None:
-    posterior = detection.posterior if detection.physical else None
-    return None if posterior is None else posterior.fit.projection()
-
-
 def matched(seconds: Array, of_rollout: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the indices of samples and of the rollout's at the same moments."""
     rows = np.clip(np.searchsorted(of_rollout, seconds - _SAME_S), 0, len(of_rollout) - 1)
@@ -379,23 +335,23 @@ def matched(seconds: Array, of_rollout: Array) -> tuple[NDArray[np.intp], NDArra
 
 def _of_the_ball(off: Array, noise: float) -> NDArray[np.bool_]:
     """Flag all samples but those far off, as long as these are few; in drop heights."""
-    far = off > _FAR_SDS * noise + _FAR
-    return ~far if np.count_nonzero(far) <= _MAX_LEFT_OUT * len(off) else np.ones_like(far)
+    far = off > 6.0 * noise + 0.01  # farther off it is something else, as long as few are
+    return ~far if np.count_nonzero(far) <= 0.05 * len(off) else np.ones_like(far)
 
 
 def _curves(detection: AnyDetection, last: Step) -> Curves | None:
     """Return both curves; None where they share fewer than two stamps."""
     drop = detection.drop
-    samples, view = detection.observed, _view(detection)
-    seconds, noise = samples.seconds, _noise(samples)
-    if view is None:
-        heights_m, end_s = drop.heights_m - drop.table_m, float(drop.seconds[-1])
-        seconds = drop.seconds
+    seen, seconds = _fitted_view(detection), drop.seconds
+    if seen is None:
+        heights_m, end_s = drop.heights_m - drop.table_m, float(seconds[-1])
     else:
-        heights_m = view.heights(samples.positions, seconds) * drop.drop_height_m
-        end_s = last_bounce_s(view, float(seconds[-1]), noise / view.span)
-        end_s += _AFTER_FALLS * drop.fall_time_s
-    inside = (seconds >= drop.release_s - _BEFORE_FALLS * drop.fall_time_s) & (seconds <= end_s)
+        view, seconds = seen.view, seen.samples.seconds
+        heights_m = view.heights(seen.samples.positions, seconds) * drop.drop_height_m
+        end_s = last_bounce_s(view, float(seconds[-1]), seen.relative_noise)
+        end_s += drop.fall_time_s
+    # A quarter of a fall time before the release is enough to see that the ball was still.
+    inside = (seconds >= drop.release_s - 0.25 * drop.fall_time_s) & (seconds <= end_s)
     inside &= np.isfinite(heights_m)
     every = max(1, -(-int(np.count_nonzero(inside)) // MAX_SAMPLES))
     seconds, heights_m = seconds[inside][::every], heights_m[inside][::every]
@@ -403,14 +359,14 @@ def _curves(detection: AnyDetection, last: Step) -> Curves | None:
         return None
     simulated_s, rollout_m = simulated_m(detection, last)
     curve_m = np.full(len(seconds), np.nan)
-    if view is None:  # the paper's simulator has stamps of its own
+    if seen is None:  # the paper's simulator has stamps of its own
         curve_m = np.interp(seconds, simulated_s, rollout_m)
     else:
         at, rows = matched(seconds, simulated_s)
         curve_m[at] = rollout_m[rows]
     if np.count_nonzero(np.isfinite(curve_m)) < 2:
         return None
-    if not tells_speed(detection):  # drop heights are all that is known
+    if not detection.tells_speed:  # drop heights are all that is known
         heights_m, curve_m = heights_m / drop.drop_height_m, curve_m / drop.drop_height_m
     return Curves(int(detection.start_ns), seconds, heights_m, curve_m)
 
@@ -424,13 +380,13 @@ def _unidentifiable(detection: AnyDetection, trace: Trace) -> tuple[str, ...]:
 
 
 def _equivalents(detection: AnyDetection) -> Equivalents | None:
-    view = _view(detection)
-    if view is None:
+    seen = _fitted_view(detection)
+    if seen is None:
         return None
-    samples = detection.observed
-    seen = samples.only(in_view(detection, samples.seconds, _noise(samples) / view.span))
-    found = equivalents(view, seen.seconds, view.heights(seen.positions, seen.seconds))
-    if found is None or tells_speed(detection):
+    samples = seen.samples.only(seen.inside(detection, seen.samples.seconds))
+    heights = seen.view.heights(samples.positions, samples.seconds)
+    found = equivalents(seen.view, samples.seconds, heights)
+    if found is None or detection.tells_speed:
         return found
     first, over_all = (replace(one, speeds_m_s=()) for one in (found.first, found.all))
     return Equivalents(first, over_all)
@@ -446,22 +402,13 @@ NO_FALL = (
 )
 
 _HIGHEST_SIMULATED_M = 1000.0  # of a drop in the log's unit of length
-# Samples after the end of a recording that a rollout may have, for each that was recorded.
-_MAX_MISSING = 100
-
 _SHORT = 1e-5  # of a speed that is a difference of two heights [fall times]
 
 
 def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
-    """Set up a simulator with the drop's own height, stamps and release.
+    """Pose the estimation problem, with a simulator of the drop's own height, stamps and release.
 
-    Args:
-        detection: the drop.
-        initial: restitution, slope and drag [1/m], or the first of these, shape (P,).
-
-    Raises:
-        NotFoundError: the track shows no drop, or the simulator cannot be set up like it.
-        UsageError: the initial value is out of bounds.
+    `initial` are restitution, slope and drag [1/m], or the first of these.
     """
     try:
         if detection.drop.drop_height_m > _HIGHEST_SIMULATED_M:
@@ -500,17 +447,6 @@ def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
     )
 
 
-def _at_launch(detection: AnyDetection, drop_height_m: float) -> tuple[float, float]:
-    """Return height over contact [m] and upward speed [m/s] of a thrown ball's first sample."""
-    posterior = detection.posterior
-    if posterior is None:
-        raise NotFoundError("too few samples of the ball's flights are seen", DENSER)
-    view = posterior.fit.projection()
-    at = view.fall_times(np.array([detection.drop.release_s]))[0]
-    low, here, high = view.bounce.heights(at + _SHORT * np.array([-1.0, 0.0, 1.0])) * drop_height_m
-    return max(float(here), 0.0), float((high - low) / (2 * _SHORT * view.fall_time_s))
-
-
 def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
     """Build the rig whose rollouts show the same drop at the same stamps."""
     drop, start_ns = detection.drop, detection.start_ns
@@ -522,14 +458,24 @@ def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
     seconds = detection.observed.seconds
     wanted_s = drop.impact_s + (CANONICAL_SPAN + 1) * drop.fall_time_s
     missing = max(0, int(np.ceil((wanted_s - seconds[-1]) / period_s)))
-    if missing > _MAX_MISSING * len(seconds):
+    if missing > 100 * len(seconds):
         raise UsageError("its stamps are too uneven: most are close together, and some far apart")
     seconds = np.concatenate([seconds, seconds[-1] + period_s * np.arange(1, missing + 1)])
     seconds = contact_clock(detection).to_free(seconds)
     first_s = min(float(seconds[0]), drop.release_s)
     gap_m, speed_m_s = CALIBRATED.gravity_m_s2 * drop.fall_time_s**2 / 2, 0.0
     if drop.launched:
-        gap_m, speed_m_s = _at_launch(detection, gap_m)
+        # Height over contact [m] and upward speed [m/s] of a thrown ball's first sample.
+        posterior = detection.posterior
+        if posterior is None:
+            raise NotFoundError("too few samples of the ball's flights are seen", DENSER)
+        view = posterior.fit.projection()
+        at = view.fall_times(np.array([detection.drop.release_s]))[0]
+        low, here, high = view.bounce.heights(at + _SHORT * np.array([-1.0, 0.0, 1.0])) * gap_m
+        gap_m, speed_m_s = (
+            max(float(here), 0.0),
+            float((high - low) / (2 * _SHORT * view.fall_time_s)),
+        )
     rig = DropRig(
         gap_m=gap_m,
         speed_m_s=speed_m_s,

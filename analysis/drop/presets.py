@@ -8,7 +8,7 @@ air's drag times the drop height. So one network serves every drop height, table
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -59,12 +59,10 @@ from tunenet_logs.terminal import Progress
 CANONICAL_PER_FALL = 32
 CANONICAL_BEFORE = 28
 CANONICAL_SPAN = 4
-
 # The simulation of the TuneNet paper: samples and ball.
 PAPER_RATE_HZ = 60.0
 PAPER_SAMPLES = 400
 PAPER_RADIUS_M = 0.5
-_PAPER_UNIT_M = 5.0  # its highest drop: with it z is from 0 to about 1
 
 
 def canonical_axis() -> Array:
@@ -120,9 +118,7 @@ def rollout_drop(
         fall_s=(rig.hold_s, impact_s),
         flight_s=(impact_s, impact_s),
         noise_m=0.0,
-        rest_s=float("nan"),
         rest_m=rig.radius_m,
-        rest_tolerance_m=0.0,
     )
 
 
@@ -160,7 +156,7 @@ def paper_rollout(episode: Episode) -> Observation:
 
 def paper_unit_heights(episode: Episode) -> Observation:
     """Return z from 0 to about 1 [5 m], for a paper's network that sees a video beside it."""
-    heights = episode.signals[TOPIC].values[:, 2] / _PAPER_UNIT_M
+    heights = episode.signals[TOPIC].values[:, 2] / 5.0  # its highest drop
     return Observation(heights[:, None].copy(), paper_axis(), "time [s]", ("z [5 m]",))
 
 
@@ -201,20 +197,10 @@ def _between_impacts(times: Array, heights: Array, wanted: Array) -> Array:
 # A rollout to make: rig, settings, values.
 Plan = tuple[DropRig, ContactSettings, Mapping[str, float]]
 
-# The paper's training data: heights of the ball's centre, restitutions, and number of pairs.
-PAPER_HEIGHT_M = (4.0, 5.0)
-PAPER_RESTITUTION = (0.3, 0.7)
+PAPER_HEIGHT_M = (4.0, 5.0)  # of the ball's centre in the paper's training data
+PAPER_RESTITUTION = (0.3, 0.7)  # there, likewise
 _PAPER_PAIRS = 800
-
-# Drops to train for. The observation leaves both out: they only vary how it is sampled.
-_GAP_M = (0.3, 5.0)
-_RATES_HZ = (60.0, 120.0, 240.0)
-
-# Drag times drop height, of balls to train for: more than a table-tennis ball's from 3 m.
-_MAX_DRAG = 0.5
-
-# Rollouts, and pairs that are drawn among them: a pair costs nothing more.
-_ROLLOUTS, _PAIRS = 4096, 204_800
+_RATES_HZ = (60.0, 120.0, 240.0)  # that vary how the observation is sampled
 
 
 @lru_cache(maxsize=1)
@@ -269,14 +255,15 @@ def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progr
 
 def _canonical_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
     """Simulate real balls, evenly over their ranges; any rig will do, so heights and rates vary."""
-    count = count or _PAIRS
-    rollouts = min(_ROLLOUTS, 2 * count)
+    count = count or 204_800
+    rollouts = min(4096, 2 * count)  # a pair among them costs nothing more
     rng = np.random.default_rng(seed)
-    ranges = np.array([one.training_range for one in (RESTITUTION, SLOPE)] + [(0.0, _MAX_DRAG)])
+    # More than a table-tennis ball's from 3 m.
+    ranges = np.array([one.training_range for one in (RESTITUTION, SLOPE)] + [(0.0, 0.5)])
     shares = (np.arange(rollouts) + rng.random((3, rollouts))) / rollouts
     shares = np.array([rng.permutation(share) for share in shares])
     values = (ranges[:, :1] + np.ptp(ranges, axis=1)[:, None] * shares).T
-    gaps = rng.uniform(*_GAP_M, rollouts)
+    gaps = rng.uniform(*(0.3, 5.0), rollouts)
     rates = rng.choice(_RATES_HZ, rollouts)
     plans: list[Plan] = []
     for gap, rate, (restitution, slope, drag) in zip(gaps, rates, values.tolist(), strict=True):
@@ -289,16 +276,16 @@ def _canonical_pairs(count: int | None, seed: int, workers: Workers, progress: P
     return PairSet(observations, values, *mixed_pairs(values, count, rng))
 
 
-def _paper_training(name: str, recipe: Recipe) -> Training:
-    purpose = Purpose(
-        task="drop",
-        preset=name,
-        observation="z, 400 samples at 60 Hz from the release",
-        inputs=PAPER_SAMPLES,
-        outputs=1,
-        rates_hz=(PAPER_RATE_HZ,),
-    )
-    return Training(purpose, PaperNetwork(), recipe, _paper_pairs)
+def _paper_training(
+    task: str,
+    name: str,
+    observation: str,
+    recipe: Recipe,
+    make_pairs: Callable[[int | None, int, Workers, Progress], PairSet],
+) -> Training:
+    rates_hz = (PAPER_RATE_HZ,)
+    purpose = Purpose(task, name, observation, inputs=PAPER_SAMPLES, outputs=1, rates_hz=rates_hz)
+    return Training(purpose, PaperNetwork(), recipe, make_pairs)
 
 
 OUR_TRAINING = Recipe(
@@ -339,22 +326,16 @@ PAPERS_TEXT = Recipe(
     batch=50,
 )
 
-PAPERS_CODE = Recipe(
-    optimizer="sgd",
-    learning_rate=1e-1,
-    decay=0.99,
-    decay_epochs=1,
-    weight_decay=1e-2,
-    loss="squared",
-    scaling="raw",
-    epochs=200,
-    batch=50,
+PAPERS_CODE = replace(
+    PAPERS_TEXT, learning_rate=1e-1, decay_epochs=1, loss="squared", scaling="raw"
 )
+
+_PAPERS_VIEW = "z, 400 samples at 60 Hz from the release"
 
 TRAININGS = {
     "default": _OURS,
-    "paper": _paper_training("paper", PAPERS_TEXT),
-    "paper-code": _paper_training("paper-code", PAPERS_CODE),
+    "paper": _paper_training("drop", "paper", _PAPERS_VIEW, PAPERS_TEXT, _paper_pairs),
+    "paper-code": _paper_training("drop", "paper-code", _PAPERS_VIEW, PAPERS_CODE, _paper_pairs),
 }
 
 PRESETS = presets_of(TRAININGS, REAL_BALL, (RESTITUTION,))
@@ -362,9 +343,6 @@ PRESETS = presets_of(TRAININGS, REAL_BALL, (RESTITUTION,))
 
 # ---- Presets of the filmed drop: what a network sees of simulation and video
 
-PAPER_SIZE_PX = (100, 100)
-_PAPER_FOV_DEG = 60.0
-_PAPER_NOISE_PX = 0.2
 
 # A drop to simulate: rig, restitution, and the seed of the camera that films it, or None.
 FilmPlan = tuple[DropRig, float, int | None]
@@ -386,18 +364,12 @@ def _observe_paper_plans(plans: Sequence[FilmPlan]) -> Array:
 
 
 def paper_rows(positions_m: Array, rng: np.random.Generator) -> Array:
-    """Project a ball into one of the paper's cameras: y, 0 at the top, 1 at the bottom.
-
-    Args:
-        positions_m: of the ball, shape (T, 3).
-        rng: draws the camera and the noise of the track.
-
-    Returns:
-        Shape (T,), NaN where the ball is out of the picture.
-    """
-    camera = _paper_camera(rng)
+    """Project a ball, (T, 3), into a random camera of the paper: y from 0 at the top to 1."""
+    distance, angle = rng.uniform(5.0, 10.0), rng.uniform(0.0, 2 * np.pi)
+    place = (distance * np.cos(angle), distance * np.sin(angle), rng.uniform(5.0, 8.0))
+    camera = PinholeCamera(place, (0.0, 0.0, 2.0), (100, 100), 60.0)
     places = camera.image_from_world(positions_m)
-    places = places + rng.normal(0.0, 1.0, places.shape) * _PAPER_NOISE_PX
+    places = places + rng.normal(0.0, 1.0, places.shape) * 0.2
     inside = np.all((places > 0) & (places < np.array(camera.size_px) - 1), axis=1)
     return np.where(inside, places[:, 1], np.nan) / camera.size_px[1]
 
@@ -406,13 +378,6 @@ def filled(rows: Array) -> Array:
     """Fill missing rows by linear interpolation, for a network that needs every one."""
     known, numbers = np.isfinite(rows), np.arange(len(rows))
     return np.interp(numbers, numbers[known], rows[known])
-
-
-def _paper_camera(rng: np.random.Generator) -> PinholeCamera:
-    """Draw a camera as the paper does; at 60 degrees hardly any drop leaves the picture."""
-    distance, angle = rng.uniform(5.0, 10.0), rng.uniform(0.0, 2 * np.pi)
-    place = (distance * np.cos(angle), distance * np.sin(angle), rng.uniform(5.0, 8.0))
-    return PinholeCamera(place, (0.0, 0.0, 2.0), PAPER_SIZE_PX, _PAPER_FOV_DEG)
 
 
 def _filmed_paper_pairs(
@@ -435,17 +400,11 @@ def _filmed_paper_pairs(
 
 FILM_TRAININGS = {
     "default": TRAININGS["default"],  # the canonical observation knows no camera
-    "paper": Training(
-        Purpose(
-            task="drop-video",
-            preset="paper",
-            observation="z [5 m] of the simulation, y of the picture from 0 to 1, 400 samples at "
-            "60 Hz from the release",
-            inputs=PAPER_SAMPLES,
-            outputs=1,
-            rates_hz=(PAPER_RATE_HZ,),
-        ),
-        PaperNetwork(),
+    "paper": _paper_training(
+        "drop-video",
+        "paper",
+        "z [5 m] of the simulation, y of the picture from 0 to 1, 400 samples at 60 Hz from the "
+        "release",
         PAPERS_TEXT,
         _filmed_paper_pairs,
     ),
@@ -459,7 +418,6 @@ FILM_PRESETS = presets_of(FILM_TRAININGS, REAL_BALL, (RESTITUTION,))
 _CLOSE = 1e-9  # change of the restitution that ends a search: far below what any recording tells
 _LOW = 0.15  # below it a flight may be too short to be seen, and the cost has one minimum
 _MIN_SAMPLES = 4  # of a fall, and of a flight: one more than a parabola has coefficients
-_LOW_FRACTION = 0.3  # a flight is over below this fraction of its height: it is fitted up to there
 
 
 class FlightSecant(Estimator):
@@ -571,19 +529,12 @@ def _duration(observation: Observation) -> float:
 
 
 def first_flight_s(seconds: Array, heights: Array) -> float:
-    """Measure the duration of the flight between the first two impacts.
+    """Measure the duration of the flight between the first two impacts; 0 where it is not seen.
 
     The first impact is where the parabolas of fall and flight meet, the second one where the
     flight's is as low again. So the second impact itself, which falls anywhere in the step of an
     engine, plays no part: the duration changes evenly with the restitution. Drag biases it, alike
     in two curves that are compared.
-
-    Args:
-        seconds: times of the samples, shape (T,), increasing, from before the first impact.
-        heights: heights there, shape (T,), finite, in any unit.
-
-    Returns:
-        In the unit of `seconds`; 0 where the ball is not seen to leave the table and come back.
     """
     low = heights < (heights.max() + heights.min()) / 2
     stops = np.flatnonzero(low[:-1] & (np.diff(heights) >= 0))
@@ -593,7 +544,7 @@ def first_flight_s(seconds: Array, heights: Array) -> float:
     rest = float(np.quantile(heights[impact:], 0.05))  # the table, where most samples rest on it
     least = 6 * noise_of(heights) + 1e-3 * float(np.ptp(heights))
     top = np.maximum.accumulate(heights[impact:])
-    over = (top > rest + least) & (heights[impact:] < rest + _LOW_FRACTION * (top - rest))
+    over = (top > rest + least) & (heights[impact:] < rest + 0.3 * (top - rest))
     if not over.any():
         return 0.0
     flight = slice(impact + 1, impact + int(np.argmax(over)))

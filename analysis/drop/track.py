@@ -16,7 +16,7 @@ from tunenet_logs.analysis.drop import GOOD_DROP, LET_GO, RIGHT_LENGTHS
 from tunenet_logs.analysis.drop.detection import DropDetection
 from tunenet_logs.analysis.drop.film import film_impacts
 from tunenet_logs.analysis.drop.free_flight import Drop, find_drops, outliers
-from tunenet_logs.analysis.drop.launched import chains_in, launched_drops
+from tunenet_logs.analysis.drop.launched import FlownHeights
 from tunenet_logs.analysis.drop.motion import fit_excess_percent
 from tunenet_logs.analysis.record import Units
 from tunenet_logs.analysis.statistics import noise_of
@@ -30,43 +30,18 @@ from tunenet_logs.recorders.simulators.known import Ball
 # A body that nothing touches moves on a parabola, and all parabolas of one recording have the same
 # acceleration; its direction says what is down. A hand, a rest or a slope shares it with nothing.
 
-# Samples in which an acceleration is looked for: a tenth of a second at 60 Hz, and at 1 kHz.
-_WINDOWS = (7, 11, 17, 27, 43, 69, 109)
-
 _BLOCK = 2000  # windows that are fitted at a time: a log of an hour has tens of thousands
 _MAX_SHARED = 1500  # windows that are compared, each with each
-_ALIKE = 0.1  # fraction by which the air, and noise, move an acceleration of free flight
 _SURE_SDS = 8.0  # standard errors that an acceleration is away from none
-# Residual of a window's parabola, in standard deviations of the noise and in its own size.
-_SMOOTH_SDS, _SMOOTH = 3.0, 2e-3
-
-_STILL = 1e-3  # of the noisiest axis' noise: one with less was not measured
-# Windows that have to share an acceleration, and fewer where it was expected.
-_MIN_FREE, _MIN_EXPECTED = 20, 6
-
-_EXPECTED = 0.2  # fraction that an acceleration may be off the expected one
-# An axis of the recording that is so near to the vertical is the vertical.
-_SNAP = np.cos(np.radians(3.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """Acceleration that the free flights of a recording share.
+    """Acceleration that the free flights of a recording share."""
 
-    Attributes:
-        size: in the recording's units.
-        up: unit vector against it, shape (3,).
-        noise: standard deviation of a position, by the flights' own residuals.
-    """
-
-    size: float
-    up: Array
-    noise: float
-
-    @property
-    def tilt_deg(self) -> float:
-        """Angle between up and the nearest axis [degrees]."""
-        return float(np.degrees(np.arccos(np.clip(np.abs(self.up).max(), 0.0, 1.0))))
+    size: float  # in the recording's units
+    up: Array  # unit vector against it, shape (3,)
+    noise: float  # standard deviation of a position, by the flights' own residuals
 
     @property
     def up_name(self) -> str:
@@ -76,19 +51,20 @@ class Gravity:
 
 
 def gravity_in(seconds: Array, positions: Array, expected: float | None = None) -> Gravity | None:
-    """Estimate the acceleration that free flights share; None where there are none.
+    """Estimate the acceleration that free flights of positions, (T, 3), share; None without any.
 
-    Args:
-        seconds: on any clock, shape (T,), increasing.
-        positions: in any unit, shape (T, 3), finite.
-        expected: where the units are known: only what is near it counts.
+    Where the units are known, only what is near the `expected` one counts.
     """
     noises = np.array([noise_of(axis) if len(axis) > 4 else 0.0 for axis in positions.T])
     sure = _SURE_SDS if expected is None else _SURE_SDS / 2
-    found = [_accelerations(seconds, positions, noises, width, sure) for width in _WINDOWS]
+    # From a tenth of a second at 60 Hz to one at 1 kHz.
+    found = [
+        _accelerations(seconds, positions, noises, width, sure)
+        for width in (7, 11, 17, 27, 43, 69, 109)
+    ]
     vectors, offs, weights = (np.concatenate(parts) for parts in zip(*found, strict=True))
     if expected is not None:
-        near = np.abs(np.linalg.norm(vectors, axis=1) / expected - 1) < _EXPECTED
+        near = np.abs(np.linalg.norm(vectors, axis=1) / expected - 1) < 0.2
         vectors, offs, weights = vectors[near], offs[near], weights[near]
     if len(vectors) > _MAX_SHARED:
         best = np.argsort(weights, kind="stable")[-_MAX_SHARED:]
@@ -97,17 +73,18 @@ def gravity_in(seconds: Array, positions: Array, expected: float | None = None) 
         return None
     sizes = np.linalg.norm(vectors, axis=1)
     apart = np.linalg.norm(vectors[:, None] - vectors, axis=2)
-    alike = apart < _ALIKE * np.minimum(sizes[:, None], sizes)
+    # The air, and noise, move an acceleration of free flight.
+    alike = apart < 0.1 * np.minimum(sizes[:, None], sizes)
     most = int((alike @ weights).argmax())
     members = alike[most]
-    if weights[members].sum() < (_MIN_FREE if expected is None else _MIN_EXPECTED):
+    if weights[members].sum() < (20 if expected is None else 6):  # windows that share it
         return None
     mean = np.average(vectors[members], axis=0, weights=weights[members])
     up = -mean / np.linalg.norm(mean)
     axis = int(np.abs(up).argmax())
-    if abs(up[axis]) > _SNAP:
+    if abs(up[axis]) > np.cos(np.radians(3.0)):  # so near to the vertical it is the vertical
         up = np.sign(up[axis]) * np.eye(3)[axis]
-    moving = np.count_nonzero(noises > _STILL * noises.max())
+    moving = np.count_nonzero(noises > 1e-3 * noises.max())  # one with less noise was not measured
     noise = float(np.median(offs[members]) / np.sqrt(max(moving, 1)))
     return Gravity(float(-mean @ up), up, noise)
 
@@ -137,11 +114,7 @@ def _accelerations(
 def _parabolas(
     clock: Array, values: Array, noises: Array, sure: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit W windows of times, shape (W, T), and positions, shape (W, T, 3).
-
-    Returns:
-        Accelerations, shape (W, 3), residuals, shape (W,), and which of them are sure, shape (W,).
-    """
+    """Fit W windows: accelerations, (W, 3), residuals, (W,), and which of them are sure, (W,)."""
     lasts, width = np.ptp(clock, axis=1), clock.shape[1]
     clock = 2 * (clock - clock.mean(axis=1, keepdims=True)) / lasts[:, None]
     design = np.stack([np.ones_like(clock), clock, clock**2], axis=2)
@@ -156,7 +129,7 @@ def _parabolas(
         np.linalg.norm(rms, axis=1), 0.5 * noise
     )
     off = np.linalg.norm(rms, axis=1)
-    kept = (size > sure * error) & (off < _SMOOTH_SDS * noise + _SMOOTH * size)
+    kept = (size > sure * error) & (off < 3.0 * noise + 2e-3 * size)
     return 8 * curve / lasts[:, None] ** 2, off, kept
 
 
@@ -164,27 +137,18 @@ def _parabolas(
 
 _MIN_HEIGHT_SAMPLES = 12  # samples in which impacts are looked for
 _FARTHEST = 1e6  # a coordinate beyond it is a marker for "none"
-_MAX_SAMPLES = 20_000  # that are looked through: of more every second, third, ..
-_MIN_NOISE = 1e-4  # of what the heights span: a simulator's have none
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedHeight:
-    """Height of a position signal.
+    """Height of a position signal."""
 
-    Attributes:
-        signal: that it is of.
-        seconds: since the signal's first sample, rising, shape (T,).
-        heights: over the lowest one, in the signal's unit, shape (T,).
-        impacts: samples at which a fast fall ends.
-        is_free: whether something falls freely in it, which tells what is up; else the axis along
-            which it moves most is drawn.
-    """
-
-    signal: Signal
-    seconds: Array
-    heights: Array
-    impacts: tuple[int, ...]
+    signal: Signal  # that it is of
+    seconds: Array  # since the signal's first sample, rising, shape (T,)
+    heights: Array  # over the lowest one, in the signal's unit, shape (T,)
+    impacts: tuple[int, ...]  # samples at which a fast fall ends
+    # Whether something falls freely in it, which tells what is up; else the axis along which it
+    # moves most is drawn.
     is_free: bool
 
 
@@ -208,7 +172,7 @@ def recorded_height(signal: Signal) -> RecordedHeight | None:
     if len(seconds) < 2:
         return None
     rising = np.concatenate([[True], seconds[1:] > np.maximum.accumulate(seconds)[:-1]])
-    every = max(1, -(-np.count_nonzero(rising) // _MAX_SAMPLES))
+    every = max(1, -(-np.count_nonzero(rising) // 20_000))  # more are looked through in steps
     seconds, values = seconds[rising][::every], values[rising][::every]
     gravity = gravity_in(seconds, values) if len(seconds) >= _MIN_HEIGHT_SAMPLES else None
     spans = np.ptp(values, axis=0) * np.array([0.5, 0.75, 1.0])  # z, if in doubt
@@ -217,7 +181,7 @@ def recorded_height(signal: Signal) -> RecordedHeight | None:
     heights = heights - heights.min()
     impacts: list[int] = []
     if len(seconds) >= _MIN_HEIGHT_SAMPLES and heights.max() > 0:
-        noise = max(noise_of(heights), _MIN_NOISE * float(heights.max()))
+        noise = max(noise_of(heights), 1e-4 * float(heights.max()))  # a simulator's have none
         impacts = film_impacts(seconds, heights, noise)
     return RecordedHeight(signal, seconds, heights, tuple(impacts), gravity is not None)
 
@@ -226,35 +190,17 @@ def recorded_height(signal: Signal) -> RecordedHeight | None:
 
 _MIN_TRACK_SAMPLES = 15  # samples of a track in which something may be left out
 _MAX_LENGTH = 8  # samples that a tracker stays with another thing
-# Least size of a jump: in median steps of the samples around it, and in spans of the track.
-_JUMP, _JUMP_SPAN = 3.0, 0.1
-
-_BACK = 0.6  # of a jump: how near to its beginning the way back ends
-_MAX = 0.2  # of all samples, that are left out as jumps
 _AROUND = 9  # samples before and behind, whose steps a step is compared with
-_MOVING = 0.02  # of the track's span, that it moves before and behind a repeated picture
-# Between repeated pictures: how many must be seen, and which part of them be multiples of one.
-_MIN_GAPS, _REGULAR = 3, 0.6
-
 _MAX_CYCLE = 12  # stamps from one repeated picture to the next
-_MAX_MISSING = 4  # stamps of a film for each that was tracked
-# Of the smaller step beside it: how far a tracker sees the same picture's ball from itself.
-_NEAR = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class BallAlone:
-    """Track without samples that are no places of the ball.
+    """Track without samples that are no places of the ball."""
 
-    Attributes:
-        signal: what is left.
-        jumps_ns: stamps of the jumps left out, shape (J,).
-        words: what was left out, for the user.
-    """
-
-    signal: Signal
-    jumps_ns: NDArray[np.int64]
-    words: tuple[str, ...]
+    signal: Signal  # what is left
+    jumps_ns: NDArray[np.int64]  # stamps of the jumps left out, shape (J,)
+    words: tuple[str, ...]  # what was left out, for the user
 
 
 def ball_alone(signal: Signal) -> BallAlone | None:
@@ -281,10 +227,20 @@ def without_jumps(signal: Signal) -> Signal | None:
     if count < _MIN_TRACK_SAMPLES:
         return None
     low, high = np.quantile(values, (0.02, 0.98), axis=0)
-    least = _JUMP_SPAN * float(np.linalg.norm(high - low))
+    # A jump is 3 median steps and a tenth of the track long; its way back ends near its beginning.
+    least = 0.1 * float(np.linalg.norm(high - low))
     steps = np.diff(values, axis=0)
     sizes = np.linalg.norm(steps, axis=1)
-    far = np.flatnonzero((sizes > least) & (sizes > _JUMP * _medians(sizes)))
+    # The median of the steps around each, itself among them; shape (T - 1,).
+    padded = np.pad(sizes, _AROUND, mode="reflect")
+    far = np.flatnonzero(
+        (sizes > least)
+        & (
+            sizes
+            > 3.0
+            * np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1), axis=1)
+        )
+    )
     left = np.zeros(count, bool)
     at = 0
     while at < len(far) - 1:
@@ -293,12 +249,12 @@ def without_jumps(signal: Signal) -> Signal | None:
             if back - away > _MAX_LENGTH:
                 break
             missed = float(np.linalg.norm(values[back + 1] - values[away]))
-            if missed < _BACK * min(sizes[away], sizes[back]):
+            if missed < 0.6 * min(sizes[away], sizes[back]):
                 left[away + 1 : back + 1] = True
                 at = int(np.searchsorted(far, back))
                 break
         at += 1
-    return _kept(signal, ~left) if 0 < left.sum() <= _MAX * count else None
+    return _kept(signal, ~left) if 0 < left.sum() <= 0.2 * count else None
 
 
 def without_repeats(signal: Signal) -> Signal | None:
@@ -310,11 +266,12 @@ def without_repeats(signal: Signal) -> Signal | None:
         return None
     low, high = np.quantile(signal.values, (0.02, 0.98), axis=0)
     sizes = np.linalg.norm(np.diff(signal.values, axis=0), axis=1)
-    moving = sizes > _MOVING * float(np.linalg.norm(high - low))
+    moving = sizes > 0.02 * float(np.linalg.norm(high - low))
     left = np.zeros((2, len(signal.values)), bool)
     beside = moving[:-2] & moving[2:]
     left[0, 2:-1] = (sizes[1:-1] == 0) & beside
-    left[1, 2:-1] = (sizes[1:-1] <= _NEAR * np.minimum(sizes[:-2], sizes[2:])) & beside
+    # A tracker sees the same picture's ball so near to itself.
+    left[1, 2:-1] = (sizes[1:-1] <= 0.1 * np.minimum(sizes[:-2], sizes[2:])) & beside
     if not left[0].any():
         return None
     return _even(signal, left[1]) or _kept(signal, ~left[0])
@@ -332,12 +289,12 @@ def _even(signal: Signal, repeated: NDArray[np.bool_]) -> Signal | None:
     seen = numbers[repeated]
     gaps = np.diff(seen)
     is_film = np.abs(stamps - numbers * step_ns).max() < 0.1 * step_ns
-    is_film &= bool(np.diff(numbers).min() > 0 and numbers[-1] < _MAX_MISSING * len(numbers))
-    if len(gaps) < _MIN_GAPS or not is_film:
+    is_film &= bool(np.diff(numbers).min() > 0 and numbers[-1] < 4 * len(numbers))
+    if len(gaps) < 3 or not is_film:
         return None
     fits = [np.count_nonzero(gaps % every == 0) for every in range(_MAX_CYCLE + 1) if every]
     every = max(range(3, _MAX_CYCLE + 1), key=lambda one: (fits[one - 1], one))
-    if fits[every - 1] < _REGULAR * len(gaps):
+    if fits[every - 1] < 0.6 * len(gaps):
         return None
     regular = np.concatenate([[False], gaps % every == 0, [False]])
     seen = seen[regular[1:] | regular[:-1]]
@@ -358,12 +315,6 @@ def _even(signal: Signal, repeated: NDArray[np.bool_]) -> Signal | None:
     return replace(signal, stamps_ns=evenly_ns, values=signal.values[keep])
 
 
-def _medians(sizes: Array) -> Array:
-    """Return the median of the steps around each, itself among them; shape (T - 1,)."""
-    padded = np.pad(sizes, _AROUND, mode="reflect")
-    return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1), axis=1)
-
-
 def _kept(signal: Signal, keep: NDArray[np.bool_]) -> Signal:
     return replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
 
@@ -374,18 +325,11 @@ def _kept(signal: Signal, keep: NDArray[np.bool_]) -> Signal:
 
 # Units of length, and their metres, the likeliest first.
 _UNITS = (("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("ft", 0.3048), ("in", 0.0254))
-
 # Units in which times may be that were taken as seconds.
 _CLOCKS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("min", 60.0))
-
-# Fraction that a fall's acceleration may be off gravity for its unit to be known: the air.
-_MAX_UNIT_ERROR = 0.12
-
+_MAX_UNIT_ERROR = 0.12  # fraction that a fall may be off gravity: the air
 # Rates at which a ball is recorded; another one that gravity implies is a wrong unit's.
 _RATES_HZ = (5.0, 50_000.0)
-
-# A drop of which neither unit nor rate is known is simulated as one of this height.
-_NOMINAL_DROP_M = 1.0
 
 
 def units_words(units: Units) -> str:
@@ -413,83 +357,63 @@ def named_units(signal: Signal) -> Units:
 
 @dataclass(frozen=True, eq=False)
 class Scaled:
-    """Track in metres and seconds, as far as these can be known.
+    """Track in metres and seconds, as far as these can be known."""
 
-    Attributes:
-        signal: its values in m, its stamps in ns from the same first stamp.
-        size: its metres in one unit of the log.
-        units: what is known of the log's.
-    """
-
-    signal: Signal
-    size: float
-    units: Units
+    signal: Signal  # its values in m, its stamps in ns from the same first stamp
+    size: float  # its metres in one unit of the log
+    units: Units  # what is known of the log's
 
 
 def scaled_by_gravity(signal: Signal, gravity: Gravity, height: float) -> Scaled:
     """Scale a track to units in which it falls with the gravity of the earth.
 
-    Args:
-        signal: positions in any unit.
-        gravity: of its free flights, in its own units and the seconds of its stamps.
-        height: of its first drop, in its own unit.
+    `gravity`, and the `height` of its first drop, are in its own units and the seconds of its
+    stamps.
     """
     ratio = GRAVITY_M_S2 / gravity.size  # metres in a unit, where the seconds are true
     near = next((one for one in _UNITS if abs(one[1] / ratio - 1) < _MAX_UNIT_ERROR), None)
     if signal.counts_frames:
-        return _with_rate_by_gravity(signal, ratio, height)
-    rate_hz = signal.rate_hz
-    if signal.unit == "m":
-        if near is not None and near[1] == 1.0:
-            return Scaled(signal, 1.0, Units(1.0, "named", rate_hz, "clock"))
-        return _contradicted(signal, ratio, near)
-    if signal.unit == UNSTATED and near is not None:
-        units = Units(near[1], "gravity", rate_hz, "clock")
-        return _scaled(signal, near[1], 1.0, units)
-    if signal.unit == UNSTATED:
-        for _, size in _CLOCKS:
-            if abs(size**2 * ratio - 1) < 2 * _MAX_UNIT_ERROR:
-                return _scaled(signal, 1.0, size, Units(1.0, "gravity", rate_hz / size, "gravity"))
-    return scaled_alone(signal, gravity)
+        # Infer the rate of a track that counts frames, 1e9 / FRAME_NS of them a second.
+        if signal.unit == "m":
+            stretch = float(np.sqrt(1 / ratio))  # true seconds in one of the stamps
+            rate_hz = 1e9 / FRAME_NS / stretch
+            if _RATES_HZ[0] < rate_hz < _RATES_HZ[1]:
+                units = Units(1.0, "named", rate_hz, "gravity")
+                return _scaled(signal, 1.0, stretch, units)
+        size = 1.0 / height
+        stretch = float(np.sqrt(size / ratio))
+        return _scaled(signal, size, stretch, Units(None, None, None, None))
+    rate_hz, is_metres = signal.rate_hz, signal.unit == "m"
+    falls = f"falls with {GRAVITY_M_S2 / ratio:.4g} m/s²"
+    if near is not None and (is_metres or signal.unit == UNSTATED):
+        name, size = near
+        units = Units(size, "gravity", rate_hz, "clock")
+        if is_metres and size == 1.0:
+            units = replace(units, length_by="named")
+        elif is_metres:
+            doubt = f"{falls}: the lengths are in {name}, it seems"
+            units = replace(units, doubt=doubt, remedy=f"say --length-unit {name}")
+        return _scaled(signal, size, 1.0, units)
+    for name, size in _CLOCKS if is_metres or signal.unit == UNSTATED else ():
+        if abs(size**2 * ratio - 1) < 2 * _MAX_UNIT_ERROR:
+            units = Units(1.0, "gravity", rate_hz / size, "gravity")
+            if is_metres:
+                doubt = f"{falls}: the stamps are in {name}, it seems, not in s"
+                remedy = "record true times"
+                units = replace(units, length_by="named", doubt=doubt, remedy=remedy)
+            return _scaled(signal, 1.0, size, units)
+    alone = scaled_alone(signal, gravity)
+    if not is_metres:
+        return alone
+    doubt = f"{falls}: lengths are in pixels or scaled, or the clock is wrong"
+    remedy = "record lengths in m and the true times"
+    return replace(alone, units=replace(alone.units, doubt=doubt, remedy=remedy))
 
 
 def scaled_alone(signal: Signal, gravity: Gravity) -> Scaled:
     """Scale a track whose unit cannot be determined, by its own clock: of pixels, or of a scale."""
     ratio = GRAVITY_M_S2 / gravity.size
     return _scaled(signal, ratio, 1.0, Units(None, None, signal.rate_hz, "clock"))
-
-
-def _with_rate_by_gravity(signal: Signal, ratio: float, height: float) -> Scaled:
-    """Infer the rate of a track that counts frames, 1e9 / FRAME_NS of them a second."""
-    if signal.unit == "m":
-        stretch = float(np.sqrt(1 / ratio))  # true seconds in one of the stamps
-        rate_hz = 1e9 / FRAME_NS / stretch
-        if _RATES_HZ[0] < rate_hz < _RATES_HZ[1]:
-            units = Units(1.0, "named", rate_hz, "gravity")
-            return _scaled(signal, 1.0, stretch, units)
-    size = _NOMINAL_DROP_M / height
-    stretch = float(np.sqrt(size / ratio))
-    return _scaled(signal, size, stretch, Units(None, None, None, None))
-
-
-def _contradicted(signal: Signal, ratio: float, near: tuple[str, float] | None) -> Scaled:
-    """Scale a track in "metres" that does not fall as metres do."""
-    rate_hz = signal.rate_hz
-    falls = f"falls with {GRAVITY_M_S2 / ratio:.4g} m/s²"
-    if near is not None:
-        name, size = near
-        doubt = f"{falls}: the lengths are in {name}, it seems"
-        units = Units(size, "gravity", rate_hz, "clock", doubt, f"say --length-unit {name}")
-        return _scaled(signal, size, 1.0, units)
-    for name, size in _CLOCKS:
-        if abs(size**2 * ratio - 1) < 2 * _MAX_UNIT_ERROR:
-            doubt = f"{falls}: the stamps are in {name}, it seems, not in s"
-            remedy = "record true times" if signal.unit == "m" else "name their unit"
-            units = Units(1.0, "named", rate_hz / size, "gravity", doubt, remedy)
-            return _scaled(signal, 1.0, size, units)
-    doubt = f"{falls}: lengths are in pixels or scaled, or the clock is wrong"
-    units = Units(None, None, rate_hz, "clock", doubt, "record lengths in m and the true times")
-    return _scaled(signal, ratio, 1.0, units)
 
 
 def _scaled(signal: Signal, size: float, stretch: float, units: Units) -> Scaled:
@@ -511,42 +435,22 @@ _AXES = {
     for sign in (1, -1)
 }
 
-_MIN_COUNT = 10  # samples in which a bounce can be
 # Of the drop height, and of gravity: a drop from rest that is farther off is looked at again.
 _MAX_EXCESS_PERCENT, _WITHIN_GRAVITY = 0.5, 0.05
-
-_LOWEST = 0.005  # quantile of a recording's heights that no single bad sample moves
-# Of the drop height: beside others, a track that is farther off is no ball's.
-_NO_BALL_PERCENT = 5.0
-
-# Of the drop height, and of the noise, below the contact: there it was not the table's.
-_SUNK, _SUNK_SDS = 0.03, 6.0
-
 _UNSURE = 0.035  # half width of an interval from which on a bounce of a thrown ball tells nothing
 
 
 @dataclass(frozen=True, eq=False)
 class PositionTrack:
-    """Positions of one thing that may be a ball.
+    """Positions of one thing that may be a ball."""
 
-    Attributes:
-        signal: positions in any unit.
-        start_ns: where the drop's clock is 0: the first sample of the log's signal.
-        physical: whether the preset simulates the ball itself.
-        ball: what was dropped, as far as it is known.
-    """
-
-    signal: Signal
-    start_ns: int
-    physical: bool
-    ball: Ball
+    signal: Signal  # positions in any unit
+    start_ns: int  # where the drop's clock is 0: the first sample of the log's signal
+    physical: bool  # whether the preset simulates the ball itself
+    ball: Ball  # what was dropped, as far as it is known
 
     def part(self, start_s: float | None, end_s: float | None) -> PositionTrack:
-        """Select a part [s since the first sample], without samples that hold no position.
-
-        Raises:
-            NotFoundError: nothing is left.
-        """
+        """Select a part [s since the first sample], without samples that hold no position."""
         signal, seconds = self.signal, self.signal.seconds
         keep: NDArray[np.bool_] = np.all(np.abs(signal.values) < _FARTHEST, axis=1)  # NaN is not
         if start_s is not None:
@@ -555,15 +459,14 @@ class PositionTrack:
             keep &= seconds <= end_s
         signal = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
         if not len(signal.stamps_ns):
-            raise NotFoundError("no sample with a position (in the part that was selected)", _PART)
+            raise NotFoundError(
+                "no sample with a position (in the part that was selected)",
+                "give --start and --end of a part in which the ball is seen, or leave them out",
+            )
         return replace(self, signal=signal)
 
     def detect(self) -> DropDetection:
-        """Detect the first drop, from rest if the ball moves like that, else the first free bounce.
-
-        Raises:
-            NotFoundError: there is none; the message says why.
-        """
+        """Detect the first drop from rest if the ball moves like that, else the first bounce."""
         signal, usual, reason = self.signal, None, None
         if not signal.counts_frames and signal.unit in ("m", UNSTATED):
             in_metres = replace(self, signal=replace(signal, unit="m"))
@@ -603,13 +506,15 @@ class PositionTrack:
     def _free(self) -> DropDetection | None:
         """Detect the drop by the gravity of the recording's own flights; None without any."""
         signal = self.signal
-        if not self.physical or len(signal.stamps_ns) < _MIN_COUNT:
+        if not self.physical or len(signal.stamps_ns) < 10:  # too few for a bounce
             return None
         is_timed = signal.unit in ("m", UNSTATED) and not signal.counts_frames
         shared = gravity_in(signal.seconds, signal.values)
         usual = gravity_in(signal.seconds, signal.values, GRAVITY_M_S2) if is_timed else None
         if shared is None and usual is None and signal.unit == "m" and is_timed:
-            usual = self._usual_gravity()
+            spans = np.ptp(self.signal.values, axis=0) * np.array([0.5, 0.75, 1.0])
+            up = np.eye(3)[int(spans.argmax())]
+            usual = Gravity(GRAVITY_M_S2, up, noise_of(self.signal.values @ up))
         best: DropDetection | None = None
         for gravity in (shared, usual):
             found = None if gravity is None else self._falling_with(gravity)
@@ -622,7 +527,7 @@ class PositionTrack:
         """Detect the drop by one gravity of the recording; None where there is none."""
         signal = self.signal
         along = signal.values @ gravity.up
-        chains = chains_in(signal.seconds, along, gravity.size, gravity.noise)
+        chains = FlownHeights(signal.seconds, along, gravity.size, gravity.noise).chains()
         if not chains:
             return None
         first = chains[0]
@@ -646,19 +551,10 @@ class PositionTrack:
             pass
         return track.launched(scaled.units, gravity, gravity.noise * scaled.size)
 
-    def _usual_gravity(self) -> Gravity:
-        """Guess gravity along the axis of most motion, z if in doubt: flights are short."""
-        spans = np.ptp(self.signal.values, axis=0) * np.array([0.5, 0.75, 1.0])
-        up = np.eye(3)[int(spans.argmax())]
-        return Gravity(GRAVITY_M_S2, up, noise_of(self.signal.values @ up))
-
     def from_rest(self, units: Units, ups: Iterable[tuple[str, Array]]) -> DropDetection:
         """Detect the first drop of a ball that was let go at rest.
 
         `units` are the log's, this track's metres and seconds; of `ups`, the likeliest comes first.
-
-        Raises:
-            NotFoundError: there is none.
         """
         signal = self.signal
         low, high = np.quantile(signal.values, (0.001, 0.999), axis=0)
@@ -687,12 +583,13 @@ class PositionTrack:
     def launched(self, units: Units, gravity: Gravity, noise_m: float) -> DropDetection | None:
         """Detect the first bounce between free flights that the fit explains; None without any."""
         signal, along = self.signal, self.signal.values @ gravity.up
-        drops = launched_drops(self._seconds, along, GRAVITY_M_S2, noise_m)
+        drops = FlownHeights(self._seconds, along, GRAVITY_M_S2, noise_m).drops()
         best: DropDetection | None = None
         for number, drop in enumerate(drops):
             others = (*drops[:number], *drops[number + 1 :])
             found = self._detection([drop], units, gravity.up_name, gravity.up, signal)
-            sunk_m = max(drop.contact_m - float(np.quantile(along, _LOWEST)), 0.0)
+            # No single bad sample moves it.
+            sunk_m = max(drop.contact_m - float(np.quantile(along, 0.005)), 0.0)
             found = replace(found, others=others, sunk_m=sunk_m)
             if found.posterior is None or np.ptp(found.posterior.interval95[0]) > 2 * _UNSURE:
                 continue
@@ -748,7 +645,7 @@ def moves_as_found(detection: DropDetection) -> bool:
 def is_something_else(detection: DropDetection) -> bool:
     """Return whether what was found moves so unlike a ball that it is none."""
     apart = fit_excess_percent(detection) if detection.physical else 0.0
-    return apart is None or apart > _NO_BALL_PERCENT
+    return apart is None or apart > 5.0
 
 
 def _excess(detection: DropDetection) -> float:
@@ -761,7 +658,8 @@ def _may_be(detection: DropDetection) -> bool:
     """Return whether it falls about as bodies do, and never below where it bounced."""
     drop = detection.drop
     after_m = drop.heights_m[drop.seconds > drop.impact_s]
-    lowest_m = drop.contact_m - _SUNK * drop.drop_height_m - _SUNK_SDS * drop.noise_m
+    # Below that it was not the table's.
+    lowest_m = drop.contact_m - 0.03 * drop.drop_height_m - 6.0 * drop.noise_m
     return drop.is_free and (not len(after_m) or float(after_m.min()) > lowest_m)
 
 
@@ -779,9 +677,6 @@ def _why_not(detection: DropDetection) -> NotFoundError:
         "is it caught by hand?",
         "at the next drop: let the ball fall onto the middle of a large, level surface",
     )
-
-
-_PART = "give --start and --end of a part in which the ball is seen, or leave them out"
 
 
 def _sideways(values: Array, up: Array) -> Array:

@@ -20,20 +20,14 @@ from tunenet_logs.recorders.simulators.base import Parameter, Simulator
 class Observation:
     """The paper's o: a curve on a fixed grid, input of a network or a cost.
 
-    Attributes:
-        values: float64, shape (L, C); NaN where the episode shows nothing.
-        axis: The L points of the grid, increasing.
-        axis_name: What the axis is, with its unit.
-        value_names: What the C channels are, with their units.
-
     Raises:
         ValueError: Shapes disagree.
     """
 
-    values: Array
-    axis: Array
-    axis_name: str
-    value_names: tuple[str, ...]
+    values: Array  # float64, shape (L, C); NaN where the episode shows nothing
+    axis: Array  # The L points of the grid, increasing
+    axis_name: str  # What the axis is, with its unit
+    value_names: tuple[str, ...]  # What the C channels are, with their units
 
     def __post_init__(self) -> None:
         expected = (len(self.axis), len(self.value_names))
@@ -58,38 +52,23 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class ExtraEstimate:
-    """Quantity that an exact fit identifies beside the tuned parameters.
+    """Quantity that an exact fit identifies beside the tuned parameters."""
 
-    Attributes:
-        name: The field's standard term, e.g. "payload_com".
-        unit: Of all its numbers.
-        values: Shape (C,).
-        interval95: Lower and upper end for each, shape (C, 2).
-    """
-
-    name: str
-    unit: str
-    values: Array
-    interval95: Array
+    name: str  # The field's standard term, e.g. "payload_com"
+    unit: str  # Of all its numbers
+    values: Array  # Shape (C,)
+    interval95: Array  # Lower and upper end for each, shape (C, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """Result of an experiment's exact fit.
+    """Result of an experiment's exact fit."""
 
-    Attributes:
-        values: Of the tuned parameters, shape (P,).
-        interval95: Lower and upper end for each, shape (P, 2).
-        extra: Other quantities that were identified.
-        detail: The fit itself, for the experiment's own checks and review.
-        path: Iterates, each of shape (P,) or more, if the fit is iterative.
-    """
-
-    values: Array
-    interval95: Array
-    extra: tuple[ExtraEstimate, ...] = ()
-    detail: Any = None
-    path: tuple[Array, ...] = ()
+    values: Array  # Of the tuned parameters, shape (P,)
+    interval95: Array  # Lower and upper end for each, shape (P, 2)
+    extra: tuple[ExtraEstimate, ...] = ()  # Other quantities that were identified
+    detail: Any = None  # The fit itself, for the experiment's own checks and review
+    path: tuple[Array, ...] = ()  # Iterates, each of shape (P,) or more, if the fit is iterative
 
 
 class Problem:
@@ -177,31 +156,21 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One iterate: the method's answer after a number of rollouts.
+    """One iterate: the method's answer after a number of rollouts."""
 
-    Attributes:
-        values: Shape (P,).
-        rollouts: Simulator runs that led to it.
-        evaluation: Its own rollout, if the method made one.
-    """
-
-    values: Array
-    rollouts: int
-    evaluation: Evaluation | None = None
+    values: Array  # Shape (P,)
+    rollouts: int  # Simulator runs that led to it
+    evaluation: Evaluation | None = None  # Its own rollout, if the method made one
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Iterates of one estimation, the initial guess first, by increasing rollouts.
-
-    Attributes:
-        fit: The exact fit whose values the last step has; None if no fit ended it.
-        method: Name of what was done, if less than the estimator's name says; else "".
-    """
+    """Iterates of one estimation, the initial guess first, by increasing rollouts."""
 
     steps: tuple[Step, ...]
+    # The exact fit whose values the last step has; None if no fit ended it
     fit: FitResult | None = None
-    method: str = ""
+    method: str = ""  # Name of what was done, if less than the estimator's name says; else ""
 
     @property
     def estimate(self) -> Array:
@@ -215,15 +184,11 @@ class Trace:
 
 @dataclass(frozen=True)
 class Setup:
-    """Arguments that a method may be built from.
+    """Arguments that a method may be built from."""
 
-    Attributes:
-        model: The network for the task and preset; None for a method that uses none.
-        seed: Of the stochastic methods.
-    """
-
+    # The network for the task and preset; None for a method that uses none
     model: Model | None = None
-    seed: int = 0
+    seed: int = 0  # Of the stochastic methods
 
 
 class Estimator(ABC):

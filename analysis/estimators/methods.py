@@ -8,6 +8,7 @@ on the target without another rollout. What is left of the budget goes to a loca
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -29,12 +30,31 @@ from tunenet_logs.analysis.tunenet.network import Model
 from tunenet_logs.episode import Array
 from tunenet_logs.errors import NotFoundError
 
-# ---- Brent's method on the cost: a baseline for one parameter.
-
-_CLOSE = 1e-6  # [parameter] at which it ends
+# ---- Searches by an external optimizer: baselines.
 
 
-class Brent(Estimator):
+class _SearchMethod(Estimator):
+    """Optimizer that calls for the cost of rollouts; the answer is the best rollout."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self._seed = seed
+
+    @classmethod
+    def build(cls, setup: Setup) -> Estimator:
+        """See `Estimator.build`."""
+        return cls(setup.seed)
+
+    def estimate(self, problem: Problem, rollouts: int) -> Trace:
+        """Return the best rollout so far; see `Estimator.estimate`."""
+        search = Search(problem, rollouts)
+        return search.run(lambda: self.optimize(search, problem))
+
+    @abstractmethod
+    def optimize(self, search: Search, problem: Problem) -> None:
+        """Search until it is done or the budget is spent."""
+
+
+class Brent(_SearchMethod):
     """Bounded Brent search (golden section and parabolic steps) over one parameter's range.
 
     It ignores the initial guess, and finds one local minimum of the cost: there are dozens.
@@ -43,61 +63,36 @@ class Brent(Estimator):
     name = "brent"
     takes_one_parameter = True
 
-    def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """Return the best rollout so far; see `Estimator.estimate`."""
+    def optimize(self, search: Search, problem: Problem) -> None:
+        """See `_SearchMethod.optimize`."""
         from scipy.optimize import minimize_scalar
 
         check_one_parameter(problem, self.name)
-        search = Search(problem, rollouts)
-        options = {"xatol": _CLOSE, "maxiter": max(rollouts, 1)}
-        return search.run(
-            lambda: minimize_scalar(
-                search.cost, bounds=problem.ranges[0], method="bounded", options=options
-            )
-        )
+        options = {"xatol": 1e-6, "maxiter": max(search.left, 1)}  # [parameter] at which it ends
+        bounds = problem.ranges[0]
+        minimize_scalar(search.cost, bounds=bounds, method="bounded", options=options)
 
 
-# ---- CMA-ES (Hansen 2016) with the parameters scaled to their ranges: a baseline.
+class ScaledCmaEs(_SearchMethod):
+    """CMA-ES (Hansen 2016) on the L2 norm of the residual, in shares of the ranges.
 
-
-_SIGMA = 0.3  # of each range, around the initial guess
-# Of pycma; one parameter gets a second coordinate beside it, on which nothing depends.
-_MIN_DIMENSIONS = 2
-
-
-class ScaledCmaEs(Estimator):
-    """CMA-ES on the L2 norm of the residual, from the initial guess, which is evaluated first.
-
-    Population size and bounds handling are pycma's. The answer is the best rollout; a budget's
-    remainder is spent on part of a generation.
-
-    Args:
-        seed: Of its sampling.
+    It begins at the initial guess, which is evaluated first. Population size and bounds handling
+    are pycma's. The answer is the best rollout; a budget's remainder is spent on part of a
+    generation.
     """
 
     name = "cma-es"
 
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
-
-    @classmethod
-    def build(cls, setup: Setup) -> ScaledCmaEs:
-        """See `Estimator.build`."""
-        return cls(setup.seed)
-
-    def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """Return the best rollout so far; see `Estimator.estimate`."""
-        search = Search(problem, rollouts)
-        return search.run(lambda: self._optimize(search, problem))
-
-    def _optimize(self, search: Search, problem: Problem) -> None:
+    def optimize(self, search: Search, problem: Problem) -> None:
+        """See `_SearchMethod.optimize`."""
         cma = needed("cma")
 
-        count = len(problem.searched)
+        size = len(problem.searched)
         rng = np.random.default_rng(self._seed)
         low, high = problem.ranges.T
-        shares = np.full(max(count, _MIN_DIMENSIONS), 0.5)
-        shares[:count] = (problem.start - low) / (high - low)
+        # pycma wants two dimensions: one parameter gets a second one, on which nothing depends.
+        shares = np.full(max(size, 2), 0.5)
+        shares[:size] = (problem.start - low) / (high - low)
         options = {
             "bounds": [0.0, 1.0],
             "randn": lambda *shape: rng.standard_normal(shape),
@@ -106,39 +101,35 @@ class ScaledCmaEs(Estimator):
             "verb_log": 0,
         }
         search.cost(problem.start)
-        strategy = cma.CMAEvolutionStrategy(shares, _SIGMA, options)
+        # The first population spreads over .3 of each range, around the initial guess.
+        strategy = cma.CMAEvolutionStrategy(shares, 0.3, options)
         while not strategy.stop():
             points = strategy.ask()
-            values = [low + (high - low) * point[:count] for point in points]
+            values = [low + (high - low) * point[:size] for point in points]
             strategy.tell(points, [search.cost(one) for one in values])
 
 
-# ---- Multi-start trust-region least squares: a baseline.
-
-
-class LeastSquares(Estimator):
+class LeastSquares(_SearchMethod):
     """Trust-region reflective least squares (scipy) on the residual, from one start after another.
 
     The first start is the initial guess; the others spread evenly over the ranges. Rollouts for
     derivatives are charged like any other.
-
-    Args:
-        step: Relative step of the finite differences. A narrow one measures the slope of the local
-            minimum it lies in, one of dozens; one wider than those measures the underlying slope,
-            which leads further.
     """
 
     name = "least-squares"
 
     def __init__(self, step: float = 0.06) -> None:
+        super().__init__()
         self._step = step
 
-    def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """Return the best rollout so far; see `Estimator.estimate`."""
-        search = Search(problem, rollouts)
-        return search.run(lambda: self._optimize(search, problem))
+    @classmethod
+    def build(cls, setup: Setup) -> LeastSquares:
+        """See `Estimator.build`; it needs no seed."""
+        del setup
+        return cls()
 
-    def _optimize(self, search: Search, problem: Problem) -> None:
+    def optimize(self, search: Search, problem: Problem) -> None:
+        """See `_SearchMethod.optimize`."""
         from scipy.optimize import least_squares
 
         bounds = np.array([one.bounds for one in problem.searched]).T
@@ -150,26 +141,38 @@ class LeastSquares(Estimator):
 
 def _starts(first: Array, ranges: Array) -> Iterator[Array]:
     """Yield the first start, then 1/2, 1/4, 3/4, 1/8, ... of the ranges (van der Corput)."""
+    from scipy.stats import qmc
+
     yield first
     low, high = ranges.T
-    index = 1
+    sequence = qmc.Halton(1, scramble=False).fast_forward(1)  # past its 0
     while True:
-        yield low + (high - low) * _reversed_bits(index)
-        index += 1
+        yield low + (high - low) * float(sequence.random(1)[0, 0])
 
 
-def _reversed_bits(index: int) -> float:
-    """Return the van der Corput radical inverse in base 2: 1, 2, 3 gives 1/2, 1/4, 3/4."""
-    value, share = 0.0, 0.5
-    while index:
-        value += share * (index & 1)
-        index, share = index >> 1, share / 2
-    return value
+class Tpe(_SearchMethod):
+    """Tree-structured Parzen estimator (Bergstra et al. 2011), optuna's; the guess first."""
+
+    name = "tpe"
+
+    def optimize(self, search: Search, problem: Problem) -> None:
+        """See `_SearchMethod.optimize`."""
+        optuna = needed("optuna")
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self._seed))
+        names = [one.name for one in problem.searched]
+        study.enqueue_trial(dict(zip(names, problem.start.tolist(), strict=True)))
+        while search.left:
+            trial = study.ask()
+            values = [
+                trial.suggest_float(name, low, high)
+                for name, (low, high) in zip(names, problem.ranges.tolist(), strict=True)
+            ]
+            study.tell(trial, search.cost(np.array(values)))
 
 
 # ---- TuneNet: iterative residual tuning (algorithm 1 of Allevato et al. 2019), and the exact fit.
-
-_MAX_SHOWN = 5  # iterates of a fit, each of which gets a rollout to be shown
 
 
 class TuneNet(Estimator):
@@ -247,36 +250,24 @@ def fitted(trace: Trace, problem: Problem) -> Trace:
     fit = problem.exact_fit(trace.estimate)
     if fit is None:
         return trace
-    on_the_way = [
-        Step(values[: len(fit.values)], problem.rollouts) for values in _thinned(fit.path[1:-1])
-    ]
+    # A few iterates of the fit, each of which gets a rollout to be shown.
+    path = fit.path[1:-1]
+    shown = path[:: len(path) // 5 + 1]
+    on_the_way = [Step(values[: len(fit.values)], problem.rollouts) for values in shown]
     return Trace((*trace.steps, *on_the_way, Step(fit.values, problem.rollouts)), fit)
-
-
-def _thinned(path: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Decimate the iterates of a fit."""
-    return path[:: len(path) // _MAX_SHOWN + 1]
 
 
 # ---- Secant steps through pairs of rollouts, after the network's steps or without.
 
 # Two steps find the basin of a cost that has dozens; where eight lines do not end, no more will.
 _NETWORK_STEPS, _LINE_STEPS = 2, 8
-
 # Points of the local scan, and its half width in standard errors of the last line.
 _SCAN, _SCAN_SDS = 13, 4.0
-
-# Half width of the scan [parameter]: its minimum, and that where no line was found.
-_MIN_REACH, _BLIND_REACH = 1e-4, 0.03
-
-_MIN_LINE_SAMPLES = 4  # twice the unknowns of a line
 _PROBE = 0.01  # step [parameter] to a second point: inside the basin, and well above rounding
 # Standard errors within which longer beginnings must agree with shorter ones (Lepski's rule).
 _CONSISTENT_SDS = 3.0
-
 # With 16 samples or more, chance hardly leaves a third of the noise's variance.
 _ENOUGH, _CHANCE = 16, 3.0
-
 _SAME = 1e-10  # differences [parameter, or of a curve] below it are rounding
 
 
@@ -285,27 +276,16 @@ Visit = tuple[float, Array]  # a value and the misfit of its rollout
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Secant through two rollouts, solved for the target.
+    """Secant through two rollouts, solved for the target."""
 
-    Attributes:
-        value: The parameter there.
-        sd: Its standard error.
-        samples: Length of the beginning of the episode that was fitted; 0 if none was.
-        before: The rollout that it starts from.
-    """
-
-    value: float
-    sd: float
-    samples: int
-    before: Visit
+    value: float  # the parameter there
+    sd: float  # its standard error
+    samples: int  # length of the beginning of the episode that was fitted; 0 if none was
+    before: Visit  # the rollout that it starts from
 
 
 class RolloutLine(Estimator):
-    """Secant steps through two rollouts, for one parameter.
-
-    Args:
-        model: The network that takes the first steps; None to start without one.
-    """
+    """Secant steps through two rollouts, for one parameter."""
 
     name = "line"
     takes_one_parameter = True
@@ -337,9 +317,29 @@ class RolloutLine(Estimator):
             if k >= network_steps and line is None:
                 break
         if rollouts > problem.rollouts:
-            reach = max(_SCAN_SDS * line.sd, _MIN_REACH) if line else _BLIND_REACH
+            # Half width of the scan [parameter]: its minimum, and that where no line was found
+            reach = max(_SCAN_SDS * line.sd, 1e-4) if line else 0.03
             search = Search(problem, rollouts, least=_cost(_best(visited)))
-            steps += _local_search(search, problem, values, reach)
+            # Scan `reach` to either side, then run Brent's method about the best value.
+            from scipy.optimize import minimize_scalar
+
+            def cost(value: float) -> float:
+                return search.cost(np.array([value]))
+
+            def optimize() -> None:
+                places = values[0] + np.linspace(-reach, reach, _SCAN)
+                places = np.unique(problem.clamp(places[:, None])[:, 0])
+                costs = [cost(place) for place in places]
+                best = int(np.argmin(costs))
+                low, high = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
+                minimize_scalar(
+                    cost,
+                    bounds=(low, high),
+                    method="bounded",
+                    options={"xatol": 1e-3 * (high - low)},
+                )
+
+            steps += list(search.run(optimize).steps[1:])
         return Trace(tuple(steps))
 
 
@@ -375,7 +375,11 @@ def _next_line(visited: list[Visit], line: Line | None, problem: Problem) -> Lin
         if size[0] > size[1]:
             return replace(line, value=(here[0] + before[0]) / 2)
     if all(abs(value - visited[-1][0]) <= _SAME for value, _ in visited):
-        return _probe(visited[-1], problem)
+        # A nearby value, for a second rollout where all so far were one.
+        visit = visited[-1]
+        here = visit[0]
+        beside = float(problem.clamp(np.array([here + _PROBE]))[0])
+        return Line(beside if beside > here else here - _PROBE, _PROBE, 0, visit)
     return line_through(visited, problem)
 
 
@@ -384,14 +388,7 @@ def line_through(visited: list[Visit], problem: Problem) -> Line | None:
 
     Least squares of residual + slope x change = 0 over the first n samples, for the largest n whose
     answer is within 3 standard errors of every shorter beginning's (Lepski's rule): where the line
-    bends, longer beginnings contradict shorter ones.
-
-    Args:
-        visited: Value and residual of each rollout so far, shape (L * C,).
-        problem: For the target, whose noise is estimated by its third differences.
-
-    Returns:
-        None if two rollouts do not differ, or too little moves.
+    bends, longer beginnings contradict shorter ones. `visited` (L * C,).
     """
     here, misfit = visited[-1]
     others = [one for one in visited[:-1] if abs(one[0] - here) > _SAME]
@@ -400,7 +397,7 @@ def line_through(visited: list[Visit], problem: Problem) -> Line | None:
     there, other = min(others, key=lambda one: abs(one[0] - here))
     slope = (misfit - other) / (here - there)
     count = np.cumsum(np.abs(slope) > _SAME, dtype=np.intp)
-    usable = np.flatnonzero(count >= _MIN_LINE_SAMPLES)
+    usable = np.flatnonzero(count >= 4)  # twice the unknowns of a line
     if not len(usable):
         return None
     power = np.cumsum(slope * slope)[usable]
@@ -415,13 +412,6 @@ def line_through(visited: list[Visit], problem: Problem) -> Line | None:
     return Line(float(values[chosen]), float(sds[chosen]), samples, visited[-1])
 
 
-def _probe(visit: Visit, problem: Problem) -> Line:
-    """Return a nearby value, for a second rollout where all so far were one."""
-    here = visit[0]
-    beside = float(problem.clamp(np.array([here + _PROBE]))[0])
-    return Line(beside if beside > here else here - _PROBE, _PROBE, 0, visit)
-
-
 def _noise_variance(problem: Problem, left: Array, count: NDArray[np.intp]) -> float:
     """Estimate the noise variance by third differences, or less if a line leaves less."""
     columns = problem.target.values.T
@@ -429,64 +419,3 @@ def _noise_variance(problem: Problem, left: Array, count: NDArray[np.intp]) -> f
     noise = float(np.mean([noise_of(one) ** 2 for one in seen]))
     least = left[count >= _ENOUGH].min(initial=np.inf)
     return min(noise, _CHANCE * float(least))
-
-
-def _local_search(search: Search, problem: Problem, values: Array, reach: float) -> list[Step]:
-    """Scan `reach` to either side, then run Brent's method about the best value."""
-    from scipy.optimize import minimize_scalar
-
-    def cost(value: float) -> float:
-        return search.cost(np.array([value]))
-
-    def optimize() -> None:
-        places = values[0] + np.linspace(-reach, reach, _SCAN)
-        places = np.unique(problem.clamp(places[:, None])[:, 0])
-        costs = [cost(place) for place in places]
-        best = int(np.argmin(costs))
-        low, high = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
-        minimize_scalar(
-            cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)}
-        )
-
-    return list(search.run(optimize).steps[1:])
-
-
-# ---- Tree-structured Parzen estimator (Bergstra et al. 2011): a baseline.
-
-
-class Tpe(Estimator):
-    """optuna's TPE sampler on the cost, over the ranges, the initial guess first.
-
-    Args:
-        seed: Of its sampling.
-    """
-
-    name = "tpe"
-
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
-
-    @classmethod
-    def build(cls, setup: Setup) -> Tpe:
-        """See `Estimator.build`."""
-        return cls(setup.seed)
-
-    def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """Return the best rollout so far; see `Estimator.estimate`."""
-        search = Search(problem, rollouts)
-        return search.run(lambda: self._optimize(search, problem))
-
-    def _optimize(self, search: Search, problem: Problem) -> None:
-        optuna = needed("optuna")
-
-        optuna.logging.set_verbosity(optuna.logging.WARNING)
-        study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self._seed))
-        names = [one.name for one in problem.searched]
-        study.enqueue_trial(dict(zip(names, problem.start.tolist(), strict=True)))
-        while search.left:
-            trial = study.ask()
-            values = [
-                trial.suggest_float(name, low, high)
-                for name, (low, high) in zip(names, problem.ranges.tolist(), strict=True)
-            ]
-            study.tell(trial, search.cost(np.array(values)))

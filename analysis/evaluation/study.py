@@ -161,15 +161,10 @@ _MADE_BY = "tunenet_eval"  # the first column of every table: the experiment
 
 @dataclass(frozen=True)
 class FigurePlace:
-    """Destination of an experiment's figures.
+    """Destination of an experiment's figures."""
 
-    Attributes:
-        experiment: by name.
-        place: of the file.
-    """
-
-    experiment: str
-    place: OutputPlace
+    experiment: str  # by name
+    place: OutputPlace  # of the file
 
     @classmethod
     def of(cls, experiment: str, form: str, path: Path, *, overwrite: bool) -> FigurePlace:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 import re
 import runpy
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from string import Template
 from typing import Any, Literal, assert_never
 
 import numpy as np
@@ -32,100 +33,61 @@ from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.recorders.simulators.known import BALLS
 from tunenet_logs.terminal import one_line, short_name
 
-_MAX_LOST = 0.99  # of the fall's energy, to the air: nearer to terminal speed, no height follows
-
 # Who says a number: the tuning, the user, or nobody.
 Source = Literal["record", "option", "assumed"]
 
 
 @dataclass(frozen=True)
 class Sourced:
-    """A number and its source.
+    """A number and its source."""
 
-    Attributes:
-        value: In the unit that the field's name has.
-        source: Where it comes from.
-    """
-
-    value: float
-    source: Source
+    value: float  # in the unit that the field's name has
+    source: Source  # where it comes from
 
 
 @dataclass(frozen=True)
 class ExportOrigin:
-    """Provenance of an exported record. Texts are untrusted, each one line: see `xml_comment`.
+    """Provenance of an exported record. Texts are untrusted, each one line: see `xml_comment`."""
 
-    Attributes:
-        log: The file's name.
-        reason: Why the verdict is not "ok"; None if it is.
-        log_sha256: Of the log; "" if unknown.
-        date: When it was tuned, ISO 8601; "" if unknown.
-        version: Of this package, which exports.
-        tuned_by: Version that tuned; "" if unknown.
-    """
-
-    log: str
+    log: str  # the file's name
     verdict: Verdict
-    reason: str | None
-    log_sha256: str
-    date: str
-    version: str
-    tuned_by: str
+    reason: str | None  # why the verdict is not "ok"; None if it is
+    log_sha256: str  # of the log; "" if unknown
+    date: str  # when it was tuned, ISO 8601; "" if unknown
+    version: str  # of this package, which exports
+    tuned_by: str  # version that tuned; "" if unknown
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedDrop:
-    """Recorded drop, to compare an engine's own with.
+    """Recorded drop, to compare an engine's own with."""
 
-    Attributes:
-        curves: Observed heights.
-        impact_s: The first impact, on the curves' clock.
-        last_s: The last impact that was seen.
-    """
-
-    curves: Curves
-    impact_s: float
-    last_s: float
+    curves: Curves  # observed heights
+    impact_s: float  # the first impact, on the curves' clock
+    last_s: float  # the last impact that was seen
 
 
 @dataclass(frozen=True, eq=False)
 class ExportedBall:
-    """Bouncing ball, for an engine with one restitution and no air.
-
-    Attributes:
-        restitution: Value for the engine, from 0 to 1.
-        meaning: Of that number, in words.
-        speed_m_s: Impact speed that it is meant for.
-        tuned: Restitution at the first impact, as tuned.
-        law: Restitution over speed, as tuned; relative to `first_speed_m_s`.
-        first_speed_m_s: Of the recorded first impact; None if unknown.
-        slope: Of the law; None if not reported.
-        drag: Of the air [1/m]; None if not reported.
-        equivalents: For simulators without air; None if the record has none.
-        radius_m: Of the ball.
-        mass_kg: Of the ball.
-        drop_height_m: Of its underside over the floor, in a fall without air.
-        step_s: The engine's time step; None for its default here.
-        observed: Of a ball dropped from rest; None if its metres are unknown.
-        friction: None: a drop does not identify it.
-    """
+    """Bouncing ball, for an engine with one restitution and no air."""
 
     origin: ExportOrigin
-    restitution: float
-    meaning: str
-    speed_m_s: Sourced
-    tuned: Estimate
-    law: SpeedLaw
-    first_speed_m_s: float | None
-    slope: Estimate | None
-    drag: Estimate | None
-    equivalents: Equivalents | None
-    radius_m: Sourced
-    mass_kg: Sourced
-    drop_height_m: Sourced
-    step_s: float | None = None
+    restitution: float  # value for the engine, from 0 to 1
+    meaning: str  # of that number, in words
+    speed_m_s: Sourced  # impact speed that it is meant for
+    tuned: Estimate  # restitution at the first impact, as tuned
+    law: SpeedLaw  # restitution over speed, as tuned; relative to `first_speed_m_s`
+    first_speed_m_s: float | None  # of the recorded first impact; None if unknown
+    slope: Estimate | None  # of the law; None if not reported
+    drag: Estimate | None  # of the air [1/m]; None if not reported
+    equivalents: Equivalents | None  # for simulators without air; None if the record has none
+    radius_m: Sourced  # of the ball
+    mass_kg: Sourced  # of the ball
+    drop_height_m: Sourced  # of its underside over the floor, in a fall without air
+    step_s: float | None = None  # the engine's time step; None for its default here
+    # of a ball dropped from rest; None if its metres are unknown
     observed: ObservedDrop | None = None
-    friction: None = None
+    friction: None = None  # None: a drop does not identify it
 
     @property
     def drag_1_m(self) -> float:
@@ -139,7 +101,8 @@ class ExportedBall:
         if speed_m_s.source == "record" and self.first_speed_m_s is not None:
             speed_m_s = Sourced(self.first_speed_m_s, "record")
         if height_m.source == "record" and self.first_speed_m_s is not None and self.drag_1_m:
-            lost = min(self.drag_1_m * self.first_speed_m_s**2 / GRAVITY_M_S2, _MAX_LOST)
+            # At more than 99 % of the fall's energy lost to the air, no height follows.
+            lost = min(self.drag_1_m * self.first_speed_m_s**2 / GRAVITY_M_S2, 0.99)
             left = -math.log1p(-lost)
             height_m = Sourced(left / (2 * self.drag_1_m), "record")
         return replace(
@@ -151,25 +114,19 @@ class ExportedBall:
         )
 
     @property
-    def moment_kg_m2(self) -> float:
-        """Moment of inertia of a solid ball about its centre."""
-        return solid_sphere(self.mass_kg.value, self.radius_m.value).inertia_kg_m2[0]
+    def inertial(self) -> Inertial:
+        """Inertia of a solid ball about its centre."""
+        return solid_sphere(self.mass_kg.value, self.radius_m.value)
 
 
 @dataclass(frozen=True, eq=False)
 class ExportedPayload:
-    """Payload of an arm.
-
-    Attributes:
-        mass: As tuned [kg].
-        com: As tuned, in the tool frame [m]; None if unidentifiable.
-        radius_m: Of the solid ball whose inertia the tuning assumes.
-    """
+    """Payload of an arm."""
 
     origin: ExportOrigin
-    mass: Estimate
-    com: Estimate | None
-    radius_m: float
+    mass: Estimate  # as tuned [kg]
+    com: Estimate | None  # as tuned, in the tool frame [m]; None if unidentifiable
+    radius_m: float  # of the solid ball whose inertia the tuning assumes
 
     @property
     def mass_kg(self) -> float:
@@ -191,90 +148,6 @@ class ExportedPayload:
         """Inertia about the centre of mass, along the tool frame's axes."""
         ball = solid_sphere(self.mass_kg, self.radius_m)
         return Inertial(ball.mass_kg, self.com_m, ball.inertia_kg_m2)
-
-
-# ---- Card: a tuning as plain data, for engines without a file format here.
-
-
-def ball_card(ball: ExportedBall, notes: list[str]) -> dict[str, Any]:
-    """Build the card of a ball; `notes` are the remarks that other files have as comments."""
-    known = ball.equivalents
-    return {
-        "kind": "ball",
-        "verdict": ball.origin.verdict,
-        "reason": ball.origin.reason,
-        "restitution": {
-            "value": ball.restitution,
-            "unit": "1",
-            "at_speed": asdict(ball.speed_m_s) | {"unit": "m/s"},
-            "meaning": ball.meaning,
-        },
-        "tuned": {
-            known.name: _estimate(known) for known in (ball.tuned, ball.slope, ball.drag) if known
-        },
-        "law": {
-            "restitution": ball.law.restitution,
-            "slope": ball.law.slope,
-            "at_speed_m_s": ball.first_speed_m_s,
-            "formula": "restitution * (speed / at_speed)**-slope",
-        },
-        "equivalent": known
-        and {
-            name: {"restitution": one.restitution, "rms_percent": one.rms_percent}
-            for name, one in (("first", known.first), ("all", known.all))
-        },
-        "ball": {
-            "radius": asdict(ball.radius_m) | {"unit": "m"},
-            "mass": asdict(ball.mass_kg) | {"unit": "kg"},
-            "drop_height": asdict(ball.drop_height_m) | {"unit": "m"},
-            "friction": ball.friction,
-        },
-        "provenance": _provenance(ball.origin),
-        "notes": notes,
-    }
-
-
-def payload_card(payload: ExportedPayload, notes: list[str]) -> dict[str, Any]:
-    """Build the card of a payload; `notes` as in `ball_card`."""
-    xx, xy, xz, yy, yz, zz = payload.inertial.inertia_kg_m2
-    return {
-        "kind": "payload",
-        "verdict": payload.origin.verdict,
-        "reason": payload.origin.reason,
-        "tuned": {known.name: _estimate(known) for known in (payload.mass, payload.com) if known},
-        "payload": {
-            "mass_kg": payload.mass_kg,
-            "com_m": list(payload.com_m),
-            "frame": "the arm's tool frame",
-            "inertia_kg_m2": {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz},
-            "inertia_of": f"a solid ball of {payload.radius_m:g} m radius, assumed",
-        },
-        "provenance": _provenance(payload.origin),
-        "notes": notes,
-    }
-
-
-def _estimate(known: Estimate) -> dict[str, Any]:
-    return {
-        "value": _plain(known.value),
-        "interval95": _plain(known.interval95),
-        "unit": one_line(known.unit),
-    }
-
-
-def _plain(value: Any) -> Any:
-    """Convert tuples to lists, which every format has."""
-    return [_plain(one) for one in value] if isinstance(value, tuple) else value
-
-
-def _provenance(origin: ExportOrigin) -> dict[str, str]:
-    return {
-        "log": origin.log,
-        "log_sha256": origin.log_sha256,
-        "date": origin.date,
-        "tuned_by": origin.tuned_by,
-        "exported_by": origin.version,
-    }
 
 
 # ---- Comments in the languages of the exported files.
@@ -301,36 +174,21 @@ def _without_double_dashes(line: str) -> str:
 
 # Of a ball that nobody describes: a small one, as dense as water, from a table's height.
 _RADIUS_M, _DENSITY_KG_M3, _DROP_HEIGHT_M = 0.02, 1000.0, 1.0
-
-_ANY_SPEED_M_S = 3.0  # of a law whose impact speed is not known: it is used at no other one
 _MASS, _COM = "payload_mass", "payload_com"  # the names of a payload's estimates
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Options of an export; None where not given.
+    """Options of an export; None where not given."""
 
-    Attributes:
-        speed_m_s: Impact speed that the restitution is for.
-        radius_m: Of the ball.
-        mass_kg: Of the ball.
-        step_s: Of the engine.
-    """
-
-    speed_m_s: float | None = None
-    radius_m: float | None = None
-    mass_kg: float | None = None
-    step_s: float | None = None
+    speed_m_s: float | None = None  # impact speed that the restitution is for
+    radius_m: float | None = None  # of the ball
+    mass_kg: float | None = None  # of the ball
+    step_s: float | None = None  # of the engine
 
 
 def exported(record: Record, options: ExportOptions) -> ExportedBall | ExportedPayload:
-    """Convert a record to what an engine's file is written from.
-
-    Raises:
-        NotFoundError: The tuning was rejected.
-        LogError: It holds no values, or some that no engine can have.
-        UsageError: An option does not apply to it.
-    """
+    """Convert a record to what an engine's file is written from."""
     if record.verdict == "rejected":
         raise NotFoundError(
             f"this tuning was rejected ({one_line(record.reason)}); record again and tune that log"
@@ -341,7 +199,26 @@ def exported(record: Record, options: ExportOptions) -> ExportedBall | ExportedP
             "again with --preset default"
         )
     if record.task == "payload":
-        return _payload(record, options)
+        for name, value in vars(options).items():
+            if value is not None:
+                option = name.rpartition("_m_s")[0] or name.partition("_")[0]
+                raise UsageError(f"--{option} is for a ball, and this is a payload: leave it out")
+        mass, com = record.estimate(_MASS), record.estimate(_COM)
+        if mass is None or not isinstance(mass.value, float):
+            raise LogError(f"holds no {_MASS}; tune the log again")
+        if com is not None and not (isinstance(com.value, tuple) and len(com.value) == 3):
+            raise LogError(f"{_COM} is not three numbers; tune the log again")
+        payload = ExportedPayload(_origin(record), mass, com, PAYLOAD_RADIUS_M)
+        try:
+            Payload(payload.mass_kg, payload.com_m)
+        except UsageError as error:
+            raise LogError(f"{error}; tune the log again") from error
+        if payload.mass_kg <= 0:
+            raise LogError(
+                "its payload weighs nothing: there is nothing to mount",
+                "tune a log in which it holds something",
+            )
+        return payload
     if record.estimate(RESTITUTION.name) is None:
         raise LogError("holds neither a restitution nor a payload; tune the log again")
     return _ball(record, options)
@@ -367,13 +244,20 @@ def _ball(record: Record, options: ExportOptions) -> ExportedBall:
     speed_m_s = None if first is None else first.impact_speed_m_s
     if speed_m_s is not None and not 0 < speed_m_s < 1e4:
         raise LogError(f"impact_speed {speed_m_s:g} is none; tune the log again")
-    law = SpeedLaw(
-        _number(tuned), 0.0 if slope is None else _number(slope), speed_m_s or _ANY_SPEED_M_S
-    )
-    height_m = _drop_height(record, speed_m_s)
+    # A law whose impact speed is not known is used at no other one: any will do.
+    law = SpeedLaw(_number(tuned), 0.0 if slope is None else _number(slope), speed_m_s or 3.0)
+    equivalents, curves = record.motion.equivalents, record.motion.curves
+    # A fall without air from the drop height lasts as long as the recorded one.
+    height_m = Sourced(_DROP_HEIGHT_M, "assumed")
+    if speed_m_s is not None:
+        starts = equivalents.first.speeds_m_s if equivalents is not None else ()
+        height_m = Sourced((starts or (speed_m_s,))[0] ** 2 / (2 * GRAVITY_M_S2), "record")
     restitution, meaning, speed = _restitution(record, law, options, speed_m_s, height_m)
     radius_m, mass_kg = _body(record, options)
-    is_from_rest = height_m.source == "record" and record.motion.equivalents is not None
+    observed = None
+    if height_m.source == "record" and equivalents is not None and curves is not None:
+        first, last = record.rebounds[0], record.rebounds[-1]
+        observed = ObservedDrop(curves, first.impact_s, last.impact_s)
     return ExportedBall(
         origin=_origin(record),
         restitution=restitution,
@@ -384,29 +268,13 @@ def _ball(record: Record, options: ExportOptions) -> ExportedBall:
         first_speed_m_s=speed_m_s,
         slope=slope,
         drag=_optional(record, DRAG.name, 0.0, 10.0),
-        equivalents=record.motion.equivalents,
+        equivalents=equivalents,
         radius_m=radius_m,
         mass_kg=mass_kg,
         drop_height_m=height_m,
         step_s=options.step_s,
-        observed=_observed(record) if is_from_rest else None,
+        observed=observed,
     )
-
-
-def _observed(record: Record) -> ObservedDrop | None:
-    if record.motion.curves is None:
-        return None
-    first, last = record.rebounds[0], record.rebounds[-1]
-    return ObservedDrop(record.motion.curves, first.impact_s, last.impact_s)
-
-
-def _drop_height(record: Record, speed_m_s: float | None) -> Sourced:
-    """Return the height from which a fall without air lasts as long as the recorded one."""
-    if speed_m_s is None:
-        return Sourced(_DROP_HEIGHT_M, "assumed")
-    if record.motion.equivalents is not None and record.motion.equivalents.first.speeds_m_s:
-        speed_m_s = record.motion.equivalents.first.speeds_m_s[0]
-    return Sourced(speed_m_s**2 / (2 * GRAVITY_M_S2), "record")
 
 
 def _restitution(
@@ -449,29 +317,6 @@ def _body(record: Record, options: ExportOptions) -> tuple[Sourced, Sourced]:
     return radius, Sourced(float(f"{_DENSITY_KG_M3 * volume_m3:.3g}"), "assumed")
 
 
-def _payload(record: Record, options: ExportOptions) -> ExportedPayload:
-    for name, value in vars(options).items():
-        if value is not None:
-            option = name.rpartition("_m_s")[0] or name.partition("_")[0]
-            raise UsageError(f"--{option} is for a ball, and this is a payload: leave it out")
-    mass, com = record.estimate(_MASS), record.estimate(_COM)
-    if mass is None or not isinstance(mass.value, float):
-        raise LogError(f"holds no {_MASS}; tune the log again")
-    if com is not None and not (isinstance(com.value, tuple) and len(com.value) == 3):
-        raise LogError(f"{_COM} is not three numbers; tune the log again")
-    payload = ExportedPayload(_origin(record), mass, com, PAYLOAD_RADIUS_M)
-    try:
-        Payload(payload.mass_kg, payload.com_m)
-    except UsageError as error:
-        raise LogError(f"{error}; tune the log again") from error
-    if payload.mass_kg <= 0:
-        raise LogError(
-            "its payload weighs nothing: there is nothing to mount",
-            "tune a log in which it holds something",
-        )
-    return payload
-
-
 def _known(record: Record, name: str, low: float, high: float) -> Estimate:
     known = record.estimate(name)
     if known is None or not isinstance(known.value, float):
@@ -496,9 +341,6 @@ def _number(known: Estimate) -> float:
 
 
 # ---- Header of every exported file: provenance and meaning of its numbers.
-
-
-_MAX_REASON_CHARACTERS = 200  # of a verdict's reason
 
 
 def ball_lines(ball: ExportedBall) -> list[str]:
@@ -530,7 +372,9 @@ def one_restitution_lines(ball: ExportedBall) -> list[str]:
     lines = ["Not expressed here: a restitution that depends on speed, and the air's drag."]
     if ball.law.slope and ball.first_speed_m_s is not None:
         speeds = (ball.speed_m_s.value * factor for factor in (0.5, 1.0, 2.0))
-        told = ", ".join(f"{_at(ball, speed):.3f} at {speed:.2f} m/s" for speed in speeds)
+        told = ", ".join(
+            f"{float(ball.law.at(np.array(speed))):.3f} at {speed:.2f} m/s" for speed in speeds
+        )
         lines.append(f"The tuned law says {told}: for another one, export again for that speed.")
     return lines
 
@@ -562,7 +406,7 @@ def origin_lines(origin: ExportOrigin) -> list[str]:
         f"Verdict: {origin.verdict}.",
     ]
     if origin.verdict == "suspect":
-        reason = short_name(origin.reason or "no reason is given", _MAX_REASON_CHARACTERS)
+        reason = short_name(origin.reason or "no reason is given", 200)
         lines.append(f"WARNING: this tuning is suspect: {reason}")
     return lines
 
@@ -603,14 +447,35 @@ def _at_words(speed_m_s: float | None) -> str:
     return ", of unknown speed" if speed_m_s is None else f" of {speed_m_s:.2f} m/s"
 
 
-def _at(ball: ExportedBall, speed_m_s: float) -> float:
-    return float(ball.law.at(np.array(speed_m_s)))
+# ---- Texts: a template filled with what every engine's file says; a Python file, run.
 
 
-# ---- Python files: run one, as a user would.
+def filled(
+    template: str,
+    comment: Callable[[Iterable[str]], str],
+    item: ExportedBall | ExportedPayload,
+    remarks: Iterable[str] = (),
+    number: Callable[[float], str] = repr,
+    **more: float | str,
+) -> str:
+    """Fill a file's template; `more` are an engine's own numbers, `step` its default time step."""
+    (x, y, z), (xx, xy, xz, yy, yz, zz) = item.inertial.com_m, item.inertial.inertia_kg_m2
+    values: dict[str, Any] = {"x": x, "y": y, "z": z, "mass": item.inertial.mass_kg}
+    values |= {"xx": xx, "xy": xy, "xz": xz, "yy": yy, "yz": yz, "zz": zz}
+    if isinstance(item, ExportedBall):
+        lines = [*ball_lines(item), *remarks]
+        radius_m, height_m = item.radius_m.value, item.drop_height_m.value
+        values |= {"radius": radius_m, "height": height_m, "centre": radius_m + height_m}
+        values |= {"restitution": item.restitution, "gravity": GRAVITY_M_S2, **more}
+        values |= {} if item.step_s is None else {"step": item.step_s}
+    else:
+        lines = payload_lines(item)
+    shown = {name: one if isinstance(one, str) else number(one) for name, one in values.items()}
+    text = (Path(__file__).parent / "templates" / f"{template}.tmpl").read_text("utf-8")
+    return Template(text).substitute(shown, head=comment(lines))
 
 
 def dropped_by(path: Path, height_m: float, seconds: float) -> tuple[Array, Array]:
-    """Run the function `drop` of a Python file; see `CanDrop`."""
+    """Run the function `drop` of a Python file, as a user would; see `CanDrop`."""
     times_s, heights_m = runpy.run_path(str(path))["drop"](height_m, seconds)
     return np.asarray(times_s, np.float64), np.asarray(heights_m, np.float64)

@@ -1,17 +1,12 @@
 """Write a tuning as an engine's files, and check one: its engine drops the ball again.
 
-The engine runs in a child process, which contains its output, libraries and crashes: `python -P -m
-tunenet_logs.analysis.export.files ENGINE FILE HEIGHT_M SECONDS`. The last line of its output is a
-JSON with what `CanDrop.dropped` returns.
+The engine runs in the sandbox, which contains its output, libraries and crashes.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import subprocess
-import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import pairwise
@@ -24,7 +19,6 @@ from tunenet_logs.analysis.export.exported import (
     ExportedBall,
     ExportedPayload,
     ExportOptions,
-    ObservedDrop,
     exported,
 )
 from tunenet_logs.analysis.export.registry import (
@@ -36,6 +30,7 @@ from tunenet_logs.analysis.export.registry import (
 )
 from tunenet_logs.episode import Array
 from tunenet_logs.errors import UsageError
+from tunenet_logs.formats.sandbox import Sandbox, SandboxError
 from tunenet_logs.recorders.simulators.ball import lands_after_s
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.terminal import short_name
@@ -50,22 +45,18 @@ LIMIT_S = 300.0  # wall time that an engine may take: some compile themselves fi
 _MAX_SECONDS, _MAX_BOUNCES = 10.0, 6  # that are simulated, and that are listed
 # Of the drop height: the first rebound and later ones, below which an engine only settles.
 _LOWEST_FIRST, _LOWEST_REBOUND = 0.002, 0.02
-
 _LAST_WORDS = 200  # characters of what an engine said last
 
 
 @dataclass(frozen=True)
 class DropCheck:
-    """How an engine moved the ball of an exported file.
+    """How an engine moved the ball of an exported file."""
 
-    Attributes:
-        effective: Restitution of each bounce: the root of the rebound's height over the height
-            before it; with air, of the energies right after and before it.
-        rms_percent: RMS difference from the recording, from the release to the last impact seen
-            [% of the drop height]; None without a recording in metres.
-    """
-
+    # restitution of each bounce: the root of the rebound's height over the height before it; with
+    # air, of the energies right after and before it
     effective: tuple[float, ...]
+    # RMS difference from the recording, from the release to the last impact seen [% of the drop
+    # height]; None without a recording in metres
     rms_percent: float | None
 
 
@@ -75,47 +66,55 @@ def checked(engine: ExportFormat, path: Path, ball: ExportedBall) -> DropCheck |
         return f"nothing here runs a file for {engine.NAME}"
     if find_spec(engine.LIBRARY) is None:
         return f"{engine.NAME} is not installed"
-    height_m, seconds = ball.drop_height_m.value, _seconds(ball)
-    words = [sys.executable, "-P", "-m", __name__, engine.NAME, str(path)]
+    # The time to simulate: the recording's, and that of the listed bounces.
+    fall_s = math.sqrt(2 * ball.drop_height_m.value / GRAVITY_M_S2)
+    bounces = sum(2 * ball.restitution**k for k in range(1, _MAX_BOUNCES + 1))
+    recorded_s = 0.0
+    if ball.observed is not None:
+        recorded_s = ball.observed.last_s - ball.observed.impact_s
+    height_m = ball.drop_height_m.value
+    seconds = min(max(fall_s * (1.1 + bounces), fall_s + recorded_s), _MAX_SECONDS)
+    box = Sandbox(memory_bytes=None, cpu_s=None, wall_s=LIMIT_S, environment={})
     try:
-        result = subprocess.run(  # noqa: S603 (ourselves, on a file that we have written)
-            [*words, repr(height_m), repr(seconds)],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=LIMIT_S,
-            env={**os.environ, "PYTHONPATH": _import_path()},
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"{engine.NAME} took longer than {LIMIT_S:.0f} s"
-    if result.returncode:
-        last = next(reversed(result.stderr.split("\n")[:-1]), "without a word")
+        with box:
+            _, fall = box.ask(dropped, engine.NAME, str(path.absolute()), height_m, seconds)
+    except SandboxError as error:
+        if error.kind == "time":
+            return f"{engine.NAME} took longer than {LIMIT_S:.0f} s"
+        last = f"{error.raised}: {error.said}" if error.raised else f"code {error.code}"
         return f"{engine.NAME} ended with: {short_name(last, _LAST_WORDS)}"
-    fall = json.loads(result.stdout.rstrip().rpartition("\n")[2])
-    times_s, heights_m = np.array(fall["seconds"]), np.array(fall["heights_m"])
+    times_s, heights_m = fall["seconds"], fall["heights_m"]
     has_air = hasattr(engine, "HAS_AIR")
     by_bounce = restitutions_at_impacts if has_air else effective_restitutions
     seen, rms_percent = ball.observed, None
     if seen is not None:
         drag_1_m = ball.drag_1_m if has_air else 0.0
         fall_s = lands_after_s(float(heights_m[0]), 0.0, GRAVITY_M_S2, drag_1_m)
-        rms_percent = _rms_percent(times_s, heights_m, seen, seen.impact_s - fall_s)
+        # The RMS difference from the recording, whose clock reads `release_s` at release.
+        release_s = seen.impact_s - fall_s
+        since_s = seen.curves.seconds - release_s
+        until_s = min(float(times_s[-1]), seen.last_s - release_s)
+        compared = (since_s >= 0) & (since_s <= until_s) & np.isfinite(seen.curves.observed_m)
+        if np.any(compared):
+            simulated_m = np.interp(since_s[compared], times_s, heights_m)
+            off_m = simulated_m - seen.curves.observed_m[compared]
+            rms_percent = 100 * float(np.sqrt(np.mean(off_m**2))) / float(heights_m[0])
     return DropCheck(by_bounce(heights_m, float(times_s[1])), rms_percent)
 
 
-def _import_path() -> str:
-    """Return a PYTHONPATH by which the child imports this same package."""
-    here = str(Path(__file__).parents[3])
-    return os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+def dropped(
+    name: str, path: str, height_m: float, seconds: float
+) -> Iterator[tuple[None, dict[str, Array]]]:
+    """Drop the ball of an exported file, in the sandbox."""
+    engine = cast("CanDrop", export_format(name))
+    times_s, heights_m = engine.dropped(Path(path), height_m, seconds)
+    yield None, {"seconds": np.asarray(times_s, float), "heights_m": np.asarray(heights_m, float)}
 
 
 def effective_restitutions(heights_m: Array, _period_s: float = 0.0) -> tuple[float, ...]:
     """Measure the restitution of each bounce without air, from the apex heights.
 
-    Args:
-        heights_m: Of its underside, evenly spaced in time from the release on, shape (T,).
+    `heights_m` (T,).
     """
     middle = heights_m[1:-1]
     turns = 1 + np.flatnonzero((middle > heights_m[:-2]) & (middle >= heights_m[2:]))
@@ -130,11 +129,7 @@ def effective_restitutions(heights_m: Array, _period_s: float = 0.0) -> tuple[fl
 def restitutions_at_impacts(heights_m: Array, period_s: float) -> tuple[float, ...]:
     """Measure each bounce's restitution in air, from the energies a step before and after it.
 
-    Contacts take one step, in which the drag is negligible.
-
-    Args:
-        heights_m: Of its underside, evenly spaced in time from the release on, shape (T,).
-        period_s: Sampling period.
+    Contacts take one step, in which the drag is negligible. `heights_m` (T,).
     """
     middle = heights_m[1:-1]
     turns = 1 + np.flatnonzero((middle < heights_m[:-2]) & (middle <= heights_m[2:]))
@@ -153,53 +148,13 @@ def _top(around_m: Array) -> float:
     return middle - (after - before) ** 2 / (8 * bend) if bend else middle
 
 
-def _seconds(ball: ExportedBall) -> float:
-    """Return the time to simulate: the recording's, and that of the listed bounces."""
-    fall_s = math.sqrt(2 * ball.drop_height_m.value / GRAVITY_M_S2)
-    bounces = sum(2 * ball.restitution**k for k in range(1, _MAX_BOUNCES + 1))
-    recorded_s = 0.0
-    if ball.observed is not None:
-        recorded_s = ball.observed.last_s - ball.observed.impact_s
-    return min(max(fall_s * (1.1 + bounces), fall_s + recorded_s), _MAX_SECONDS)
-
-
-def _rms_percent(
-    times_s: Array, heights_m: Array, seen: ObservedDrop, release_s: float
-) -> float | None:
-    """Return the RMS difference from the recording, whose clock reads `release_s` at release."""
-    since_s = seen.curves.seconds - release_s
-    until_s = min(float(times_s[-1]), seen.last_s - release_s)
-    compared = (since_s >= 0) & (since_s <= until_s) & np.isfinite(seen.curves.observed_m)
-    if not np.any(compared):
-        return None
-    off_m = np.interp(since_s[compared], times_s, heights_m) - seen.curves.observed_m[compared]
-    return 100 * float(np.sqrt(np.mean(off_m**2))) / float(heights_m[0])
-
-
-# ---- Child process: drop the ball of an exported file.
-
-
-def main() -> None:
-    """Drop the ball of an exported file."""
-    name, path, height_m, seconds = sys.argv[1:]
-    engine = cast("CanDrop", export_format(name))
-    times_s, heights_m = engine.dropped(Path(path), float(height_m), float(seconds))
-    fall = {"seconds": times_s.tolist(), "heights_m": heights_m.tolist()}
-    print(f"\n{json.dumps(fall)}", flush=True)
-
-
 # ---- Files: the texts of a tuning in an engine's format.
 
 
 def exported_for(
     engine: ExportFormat, record: Record, said: ExportOptions
 ) -> ExportedBall | ExportedPayload:
-    """Convert a record to what an engine's file expresses.
-
-    Raises:
-        UsageError: An option does not apply to it, or to the engine.
-        TuneNetError: As `exported`.
-    """
+    """Convert a record to what an engine's file expresses."""
     if said.step_s is not None and engine.STEP_S is None:
         raise UsageError(f"a file for {engine.NAME} holds no time step: leave --step out")
     item = exported(record, said)
@@ -213,8 +168,7 @@ def export_texts(
 ) -> dict[Path, str]:
     """Return paths and texts of the files to write; the engine's own, which is `path`, comes first.
 
-    Raises:
-        UsageError: The name does not end as the engine's files do.
+    The name ends as the engine's files do.
     """
     if path.suffix != engine.SUFFIX:
         raise UsageError(f"{path}: is for {engine.NAME}; give -o a name that ends {engine.SUFFIX}")
@@ -222,15 +176,7 @@ def export_texts(
 
 
 def engine_format(name: str) -> ExportFormat:
-    """Return the format of that name.
-
-    Raises:
-        UsageError: There is none; the message lists those that exist.
-    """
+    """Return the format of that name."""
     if name not in FORMATS:
         raise UsageError(f"nothing is exported to {name!r}; choose one of: {', '.join(FORMATS)}")
     return export_format(name)
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from tunenet_logs.analysis.export.exported import ExportedBall, ExportedPayload
     from tunenet_logs.episode import Array
 
-# Modules by the name that `--to` takes; each has what `ExportFormat` names.
+# Modules, or a member of one, by the name that `--to` takes; each has what `ExportFormat` names.
 FORMATS: Mapping[str, str] = {
     "pybullet": "tunenet_logs.analysis.export.pybullet",
     "mujoco": "tunenet_logs.analysis.export.mujoco",
@@ -20,8 +20,8 @@ FORMATS: Mapping[str, str] = {
     "drake": "tunenet_logs.analysis.export.drake",
     "newton": "tunenet_logs.analysis.export.newton",
     "isaac": "tunenet_logs.analysis.export.isaac",
-    "yaml": "tunenet_logs.analysis.export.yaml_card",
-    "json": "tunenet_logs.analysis.export.json_card",
+    "yaml": "tunenet_logs.analysis.export.cards:YAML_CARD",
+    "json": "tunenet_logs.analysis.export.cards:JSON_CARD",
 }
 
 
@@ -85,7 +85,9 @@ class CanDrop(Protocol):
 
 def export_format(name: str) -> ExportFormat:
     """Import one of `FORMATS`."""
-    return cast("ExportFormat", import_module(FORMATS[name]))
+    module, _, member = FORMATS[name].partition(":")
+    found = import_module(module)
+    return cast("ExportFormat", getattr(found, member) if member else found)
 
 
 def usual_suffix(engine: ExportFormat) -> str:

@@ -27,37 +27,24 @@ from tunenet_logs.recorders.simulators.arm.description import Arm
 from tunenet_logs.terminal import one_line, short_name
 
 _KIND, _VERSION = "tunenet-logs arm card", 1
-
 # Of a file: that of an arm with as many joints as any may have, and half as much again.
 MAX_CARD_BYTES = 16_000_000
-
 # In a card, and in a name in it. An arm of 32 joints has 1026 terms.
 _MAX_RUNS, _MAX_TERMS, _MAX_CHARACTERS = 1000, 1200, 500
-
 _MAX = 1e15  # of a number: what the best sensor says of the largest arm in a day is less
-_ROUNDING = 1e-6  # how far below 0 an eigenvalue may be, by the largest, where variances are 1
 _REMEDY = "give the file that tunenet-tune --save-arm-card wrote, or write it anew"
 
 
 @dataclass(frozen=True, eq=False)
 class ArmCard:
-    """What runs of one arm identified of it.
+    """What runs of one arm identified of it."""
 
-    Attributes:
-        arm_sha256: Of the arm's description, a URDF (`Arm.urdf`).
-        joints: Names in its logs, from base to tool.
-        runs: "log" (a name) and "sha256" of each run that it is from.
-        terms: Names of the arm's own terms, of which there are K.
-        learnt: Normal equations of these terms, shapes (K, K) and (K,).
-        file: Its name; "" if it was not read from a file.
-    """
-
-    arm_sha256: str
-    joints: tuple[str, ...]
-    runs: tuple[Mapping[str, str], ...]
-    terms: tuple[str, ...]
-    learnt: NormalEquations
-    file: str = ""
+    arm_sha256: str  # of the arm's description, a URDF (`Arm.urdf`)
+    joints: tuple[str, ...]  # names in its logs, from base to tool
+    runs: tuple[Mapping[str, str], ...]  # "log" (a name) and "sha256" of each run that it is from
+    terms: tuple[str, ...]  # names of the arm's own terms, of which there are K
+    learnt: NormalEquations  # normal equations of these terms, shapes (K, K) and (K,)
+    file: str = ""  # its name; "" if it was not read from a file
 
     @property
     def sha256s(self) -> frozenset[str]:
@@ -65,11 +52,7 @@ class ArmCard:
         return frozenset(run["sha256"] for run in self.runs)
 
     def check_arm(self, arm: Arm, joints: tuple[str, ...]) -> None:
-        """Refuse another arm than the card's, by description and joint names.
-
-        Raises:
-            NotFoundError: They differ.
-        """
+        """Refuse another arm than the card's, by description and joint names."""
         place = f"--arm-card {self.file}"
         if len(joints) != len(self.joints):
             raise NotFoundError(
@@ -89,11 +72,7 @@ class ArmCard:
             )
 
     def check_new(self, path: Path, sha256: str) -> None:
-        """Refuse a run that the card is from already: it would count twice.
-
-        Raises:
-            UsageError: It is one of them.
-        """
+        """Refuse a run that the card is from already: it would count twice."""
         for run in self.runs:
             if sha256 and run["sha256"] == sha256:
                 raise UsageError(
@@ -125,11 +104,7 @@ def card_text(card: ArmCard) -> str:
 
 
 def read_arm_card(path: Path) -> ArmCard:
-    """Read a card.
-
-    Raises:
-        UsageError: It cannot be read, is something else, or has invalid values.
-    """
+    """Read a card."""
     try:
         return card_in(read_small_file(path, MAX_CARD_BYTES), path.name)
     except LogError as error:
@@ -142,11 +117,7 @@ def read_arm_card(path: Path) -> ArmCard:
 
 
 def card_in(data: bytes, file: str) -> ArmCard:
-    """Parse a card from a file's bytes; `file` is its name.
-
-    Raises:
-        ValueError: They are none.
-    """
+    """Parse a card from a file's bytes; `file` is its name."""
     try:
         return _card(parse_json(data), file)
     except (TypeError, LookupError) as error:
@@ -166,7 +137,20 @@ def _card(fields: Any, file: str) -> ArmCard:
     precision = np.zeros((count, count))
     precision[np.tril_indices(count)] = lower
     precision += np.tril(precision, -1).T
-    learnt = NormalEquations(_semidefinite(precision), _numbers(fields, "gradient", count))
+    # Project a precision, shape (K, K), onto semidefinite matrices to undo rounding.
+    diagonal = np.diag(precision)
+    shown = diagonal > 0
+    if diagonal.min() < 0 or np.any(precision[~shown]):
+        raise ValueError("precision is no sum of squares")
+    root = np.sqrt(np.where(shown, diagonal, 1.0))
+    values, axes = np.linalg.eigh(precision / root[:, None] / root)
+    # How far below 0 an eigenvalue may be, by the largest, where variances are 1
+    if values[0] < -1e-6 * values[-1]:
+        raise ValueError("precision is no sum of squares")
+    whole = (axes * np.maximum(values, 0.0)) @ axes.T
+    learnt = NormalEquations(
+        np.outer(root * shown, root * shown) * whole, _numbers(fields, "gradient", count)
+    )
     runs = fields.get("runs")
     if not isinstance(runs, list) or not 1 <= len(runs) <= _MAX_RUNS:
         raise ValueError(f"runs are no list of 1 to {_MAX_RUNS}")
@@ -208,21 +192,3 @@ def _numbers(fields: Mapping[str, Any], name: str, count: int) -> Array:
         if type(value) not in (int, float) or not math.fabs(value) <= _MAX:
             raise ValueError(f"{short_name(value)} in {name} is no number up to {_MAX:g}")
     return np.array(values, dtype=np.float64)
-
-
-def _semidefinite(precision: Array) -> Array:
-    """Project a precision, shape (K, K), onto semidefinite matrices to undo rounding.
-
-    Raises:
-        ValueError: An eigenvalue is negative by more than rounding.
-    """
-    diagonal = np.diag(precision)
-    shown = diagonal > 0
-    if diagonal.min() < 0 or np.any(precision[~shown]):
-        raise ValueError("precision is no sum of squares")
-    root = np.sqrt(np.where(shown, diagonal, 1.0))
-    values, axes = np.linalg.eigh(precision / root[:, None] / root)
-    if values[0] < -_ROUNDING * values[-1]:
-        raise ValueError("precision is no sum of squares")
-    whole = (axes * np.maximum(values, 0.0)) @ axes.T
-    return np.outer(root * shown, root * shown) * whole

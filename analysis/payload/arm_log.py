@@ -8,9 +8,10 @@ that of the log's joint names.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import eq
 from pathlib import Path
 
@@ -23,7 +24,6 @@ from tunenet_logs.reader import check_start, no_topic
 from tunenet_logs.recorders.simulators.arm.description import Arm, read_arm
 from tunenet_logs.recorders.simulators.arm.known import (
     DEFAULT,
-    KnownArm,
     arms_called,
     in_words,
     known_arm,
@@ -35,34 +35,20 @@ from tunenet_logs.timing.stamps import part_on_grid
 
 # Names that end in a number too, but not in that of a joint of the arm.
 _NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
-
 # A joint's name that says no more than its number: a driver's other topic may give it.
 _GENERIC = re.compile(r"(?:joint|axis|j|a)?[_\- .]*(\d+)", re.I)
-
 _TURN_RAD = 2 * np.pi
-
 # An angle further beyond its joint's limits, or of more turns, is odd: calibration explains less,
 # and few joints turn more than twice.
 _SLACK_RAD = 0.3
 _MAX_TURNS = 2.1
-
 _DEGREES_SHARE = 1 / 3  # of the joints that turn: as many have odd angles where they are in degrees
-# A speed over this multiple of its joint's limit, or over this one, is odd: no arm reaches it.
-_LIMIT_FACTOR, _MAX_SPEED_RAD_S = 3.0, 15.0
-
 # A tenth of the samples must be odd: fewer are glitches.
 _FAST_QUANTILE, _BEYOND_FRACTION = 0.9, 0.1
-
-# Ticks and clock in turn; the ticks of a regular driver stay the same after two or three.
-_CLOCK_ITERATIONS = 5
-
 # Fraction of the samples that may lie outside of their messages, beyond this fraction of the time
 # between two messages: some messages are late.
 _MAX_OUTSIDE = 0.05
 _CLOCK_SLACK = 0.15
-
-_MAX_TICK_MEDIANS = 3.0  # median times between new samples, from one to the next: more is a rest
-_MIN_TICKS = 20  # fewer samples fit an even clock by chance
 
 
 def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ...]:
@@ -71,16 +57,6 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
     Drivers give a joint several names: `j2s7s300_joint_3`, `left_joint_3`, `joint3`. So names are
     compared whole, then by suffix, then by trailing number. Columns that are only numbered, as many
     as the arm has joints, are its joints from base to tool.
-
-    Args:
-        joints: The arm's, base to tool.
-        columns: Of a signal; may be more than the arm's, in any order.
-
-    Returns:
-        An index into `columns` for each joint.
-
-    Raises:
-        NotFoundError: A joint has no column, or several; the message lists what is there.
     """
     for rule in (eq, _is_ending, _is_joint_number, _is_number):
         matches = [[k for k, name in enumerate(columns) if rule(joint, name)] for joint in joints]
@@ -135,16 +111,7 @@ def _is_numbered(joint: str, name: str, before: str) -> bool:
 
 
 def in_newton_metres(effort: Signal, arm: Arm, constants: Sequence[float]) -> Signal:
-    """Convert efforts that are currents [A] to torques.
-
-    Args:
-        effort: Of all joints, and perhaps of others.
-        arm: Whose joints they are.
-        constants: Torque constants [N·m/A], one per joint from base to tool, or one for all.
-
-    Raises:
-        NotFoundError: There are fewer or more of them; the message says how many are wanted.
-    """
+    """Convert currents [A] to torques by constants [N·m/A], one per joint or one for all."""
     if len(constants) not in (1, len(arm.joints)):
         raise NotFoundError(
             f"--torque-constants has {len(constants)} numbers, the arm {len(arm.joints)} joints: "
@@ -160,15 +127,7 @@ def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str
 
     Degrees are detected as radians that put many joints outside their limits, or over many turns. A
     speed that no arm has is no sign of the unit: wrong stamps give it, too, and so does a second
-    publisher; nor is one joint whose turns a driver counts.
-
-    Args:
-        seconds: Stamps [s], shape (T,).
-        values: As the driver gives them, shape (T, J); of a prismatic joint in m.
-        arm: Whose they are.
-
-    Returns:
-        Angles [rad] (or [m]) without jumps of whole turns, shape (T, J), and remarks.
+    publisher; nor is one joint whose turns a driver counts. `seconds` (T,) [s], `values` (T, J).
     """
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
     remarks: list[str] = []
@@ -217,7 +176,9 @@ def _too_fast(seconds: Array, values: Array, arm: Arm) -> NDArray[np.bool_]:
     steps = np.diff(values, axis=0)
     steps -= _TURN_RAD * np.round(steps / _TURN_RAD)
     speeds = np.quantile(np.abs(steps) / np.diff(seconds)[:, None], _FAST_QUANTILE, axis=0)
-    fastest = [min(_LIMIT_FACTOR * one.max_velocity_rad_s, _MAX_SPEED_RAD_S) for one in arm.joints]
+    # A speed over this multiple of its joint's limit, or over this one, is odd: no arm reaches it
+    # [rad/s]
+    fastest = [min(3.0 * one.max_velocity_rad_s, 15.0) for one in arm.joints]
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
     return turns & (speeds > np.array(fastest))
 
@@ -229,26 +190,21 @@ def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:
     was measured some time since the message before. If all that fits one uniform clock (fitted by
     alternating least squares: the nearest tick of each sample, then a line through the ticks), it
     gives far better stamps than the messages do: their beat with it would look like a tremor. While
-    the arm rests, no sample is new for many ticks.
-
-    Args:
-        before: Time of the message before each new sample's [s], shape (T,); the first has none.
-        seconds: Time of the message that shows it first [s], shape (T,).
-
-    Returns:
-        Times [s], shape (T,), and the clock's period [s].
+    the arm rests, no sample is new for many ticks. `before` (T,) [s], `seconds` (T,) [s].
     """
-    if len(seconds) < _MIN_TICKS:
+    if len(seconds) < 20:  # fewer samples fit an even clock by chance
         return None
     begins, ends = before[1:], seconds[1:]
     middles = (begins + ends) / 2
     steps = np.diff(middles)
-    usual = steps[steps <= _MAX_TICK_MEDIANS * np.median(steps)]
+    # Median times between new samples, from one to the next: more is a rest
+    usual = steps[steps <= 3.0 * np.median(steps)]
     period = float(np.mean(usual))
     rested = np.where(steps <= usual.max(), 1.0, np.round(steps / period))
     ticks = np.cumsum(np.concatenate([[1.0], rested]))
     start = 0.0
-    for _ in range(_CLOCK_ITERATIONS):
+    # Ticks and clock in turn; the ticks of a regular driver stay the same after two or three
+    for _ in range(5):
         period, start = np.polyfit(ticks, middles, 1)
         ticks = np.round((middles - start) / period)
     times = start + period * ticks
@@ -261,11 +217,7 @@ def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:
 
 
 def check_joints(joints: Sequence[str], of_log: Sequence[str]) -> None:
-    """Refuse runs of another arm, by the names of its joints, as many as in the log.
-
-    Raises:
-        NotFoundError: They differ; generic names match any.
-    """
+    """Refuse runs of another arm, by the names of its joints, as many as in the log."""
     for other, own in zip(joints, of_log, strict=True):
         if other != own and not (_GENERIC.fullmatch(other) or _GENERIC.fullmatch(own)):
             raise NotFoundError(
@@ -278,150 +230,98 @@ def check_joints(joints: Sequence[str], of_log: Sequence[str]) -> None:
 # Repeats come in runs that end in a step as large as the motion beside them is fast. While the arm
 # rests, samples repeat too, but the step after them is small for their time: these count.
 
-# Share and number of runs that repeat a sample while the arm moves, from which on a driver
-# publishes faster than it measures: two measured values are equal now and then, a driver is
-# stuck once.
-_STALE_FRACTION, _MIN_STALE_RUNS = 0.03, 3
-
-# Of the way that the speed beside a run, and that of the whole motion, would make in its time: a
-# step after it that is smaller is none of a motion that went on.
-_STILL_FRACTION, _SLOW_FRACTION = 0.4, 0.1
-
-# Of the smallest change of a joint: a value that changes by less was only rounded meanwhile.
-_COARSE_STEPS = 1.5
-
-# Before and after a run, where its speed is looked for: the longer of both.
-_BESIDE_S, _BESIDE_MESSAGES = 0.15, 4
-
-# Of a driver that repeats samples: the same for longer was measured several times.
-_REST_PERIODS = 2.5
-
 _TURNS = (0.0, 2 * np.pi, 360.0)  # by which angles jump that are cut to a turn, in rad or degrees
 
 
 @dataclass(frozen=True, eq=False)
 class NewSamples:
-    """New samples of a signal.
+    """New samples of a signal."""
 
-    Attributes:
-        seconds: When each was measured [s], shape (T,), increasing.
-        rows: Of the signal, shape (T,).
-        repeated: Fraction of recorded samples that only repeat one, rests aside.
-        late_s: Maximum delay from measurement to stamp; 0 if its time is known.
-        rests: First and last time of each rest [s], shape (R, 2).
-    """
-
-    seconds: Array
-    rows: NDArray[np.int64]
-    repeated: float
-    late_s: float
-    rests: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Runs:
-    """Runs of equal samples.
-
-    Attributes:
-        begins: Index of the first of each, shape (R,).
-        ends: Index behind the last of each, shape (R,).
-        still: Whether a run of several is of an arm at rest, shape (R,).
-    """
-
-    begins: NDArray[np.int64]
-    ends: NDArray[np.int64]
-    still: NDArray[np.bool_]
-
-    @property
-    def lengths(self) -> NDArray[np.int64]:
-        """Number of samples of each, shape (R,)."""
-        return self.ends - self.begins
-
-    @property
-    def owner(self) -> NDArray[np.int64]:
-        """Index of the run of each sample, shape (N,)."""
-        return np.repeat(np.arange(len(self.begins)), self.lengths)
+    seconds: Array  # when each was measured [s], shape (T,), increasing
+    rows: NDArray[np.int64]  # of the signal, shape (T,)
+    repeated: float  # fraction of recorded samples that only repeat one, rests aside
+    late_s: float  # maximum delay from measurement to stamp; 0 if its time is known
+    rests: Array  # first and last time of each rest [s], shape (R, 2)
 
 
 def new_samples(seconds: Array, values: Array, rests: Array | None = None) -> NewSamples:
     """Find the new samples of a signal, and when they were measured.
 
-    Args:
-        seconds: Of its messages [s], shape (N,), increasing; two or more.
-        values: Shape (N, J).
-        rests: When the arm rests [s], shape (R, 2): only then does a value that stays the same
-            count. None if the signal itself shows it: positions do.
+    `seconds` (N,) [s], `rests` (R, 2) [s] (None if the signal itself shows it: positions do).
     """
-    runs = _runs_of(seconds, values)
-    repeats = runs.lengths - 1
-    moving = ~runs.still
-    stale_runs = np.count_nonzero(repeats[moving])
-    stale = int(repeats[moving].sum())
-    repeated = stale / (stale + len(runs.begins))
-    if stale_runs < max(_MIN_STALE_RUNS, _STALE_FRACTION * len(runs.begins)):
-        owner = runs.owner
-        keep = runs.still[owner] & _within(seconds, rests)
-        keep[runs.begins] = True
+    firsts, lengths, still = _runs_of(seconds, values)
+    owner = np.repeat(np.arange(len(firsts)), lengths)  # the run of each sample
+    stale_runs = np.count_nonzero(lengths[~still] > 1)
+    stale = int((lengths[~still] - 1).sum())
+    repeated = stale / (stale + len(firsts))
+    spans = np.column_stack([seconds[firsts], seconds[firsts + lengths - 1]])
+    # Share and number of runs that repeat a sample while the arm moves, from which on a driver
+    # publishes faster than it measures: two measured values are equal now and then, a driver is
+    # stuck once
+    if stale_runs < max(3, 0.03 * len(firsts)):
+        keep = still[owner] & _within(seconds, rests)
+        keep[firsts] = True
         rows = np.flatnonzero(keep)
-        spans = _spans(seconds, runs, runs.still)
-        return NewSamples(seconds[rows], rows, repeated, 0.0, spans)
-    begins, before = seconds[runs.begins], seconds[np.maximum(runs.begins - 1, 0)]
+        return NewSamples(seconds[rows], rows, repeated, 0.0, spans[still])
+    begins, before = seconds[firsts], seconds[np.maximum(firsts - 1, 0)]
     lasts = np.diff(np.append(begins, seconds[-1]))
     clock = even_clock(before, begins)
     late_s = 0.0 if clock else float(np.median(np.diff(seconds)))
-    measured, period_s = clock or (begins, float(np.mean(lasts[moving])))
-    resting = runs.still & (lasts > _REST_PERIODS * period_s)
-    more, rows = _in_rests(seconds, runs, resting, measured, period_s)
+    measured, period_s = clock or (begins, float(np.mean(lasts[~still])))
+    # What stays the same for longer was measured several times, while the arm rested.
+    resting = still & (lasts > 2.5 * period_s)
+    ticks = np.floor((seconds - measured[owner]) / period_s).astype(np.int64)
+    ticks[firsts] = 0
+    is_first = np.diff(ticks, prepend=0) > 0
+    times = measured[owner] + period_s * ticks
+    behind = np.append(measured[1:], np.inf)[owner]
+    keep = resting[owner] & is_first & (ticks > 0) & (times < behind - period_s / 2)
+    more, rows = times[keep], np.flatnonzero(keep)
     inside = _within(more, rests)
     times = np.concatenate([measured, more[inside]])
     order = np.argsort(times)
-    rows = np.concatenate([runs.begins, rows[inside]])
-    return NewSamples(times[order], rows[order], repeated, late_s, _spans(seconds, runs, resting))
+    rows = np.concatenate([firsts, rows[inside]])
+    return NewSamples(times[order], rows[order], repeated, late_s, spans[resting])
 
 
-def _runs_of(seconds: Array, values: Array) -> _Runs:
-    """Find runs of equal samples, and which of them are rests."""
+def _runs_of(
+    seconds: Array, values: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Find runs of equal samples: their first ones, their lengths, and which are rests, (R,)."""
     changes = np.any(values[1:] != values[:-1], axis=1)
     begins = np.concatenate([[0], np.flatnonzero(changes) + 1])
     ends = np.append(begins[1:], len(values))
     lengths = ends - begins
-    steps = _within_a_turn(np.diff(values[begins], axis=0))
+    # Remove the jumps of wrapped angles from steps.
+    steps = np.diff(values[begins], axis=0)
+    ways = np.stack([np.abs(np.abs(steps) - turn) for turn in _TURNS])
+    nearest = np.array(_TURNS)[np.argmin(ways, axis=0)]
+    steps = steps - np.sign(steps) * nearest
     places = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
     places = places[np.repeat(np.arange(len(begins)), lengths)]
     # The step after each run: the last one has none.
     after = np.append(np.abs(steps).max(axis=1), 0.0)
     nonzero = np.where(steps == 0, np.inf, np.abs(steps))
     smallest = np.min(nonzero, axis=0, initial=np.inf)
-    coarse = np.append(np.all(np.abs(steps) <= _COARSE_STEPS * smallest, axis=1), True)
+    # A value that changes by less than 1.5 of a joint's smallest change was only rounded
+    # meanwhile.
+    coarse = np.append(np.all(np.abs(steps) <= 1.5 * smallest, axis=1), True)
     period_s = float(np.median(np.diff(seconds)))
-    reach = max(_BESIDE_MESSAGES, int(np.ceil(_BESIDE_S / period_s)))
+    # Before and after a run, where its speed is looked for: the longer of both [s]
+    reach = max(4, int(np.ceil(0.15 / period_s)))
     left, right = np.maximum(begins - 1, 0), np.minimum(ends, len(values) - 1)
     first, last = np.maximum(left - reach, 0), np.minimum(right + reach, len(values) - 1)
     ways = np.abs(places[left] - places[first]).max(axis=1)
     ways += np.abs(places[last] - places[right]).max(axis=1)
     beside = ways / np.maximum(left - first + last - right, 1)
-    usual = _weighted_median(after / lengths, after)
-    most = lengths * np.maximum(_STILL_FRACTION * beside, _SLOW_FRACTION * usual)
-    return _Runs(begins, ends, (lengths > 1) & (coarse | (after <= most)))
-
-
-def _within_a_turn(steps: Array) -> Array:
-    """Remove the jumps of wrapped angles from steps."""
-    ways = np.stack([np.abs(np.abs(steps) - turn) for turn in _TURNS])
-    nearest = np.array(_TURNS)[np.argmin(ways, axis=0)]
-    return steps - np.sign(steps) * nearest
-
-
-def _weighted_median(values: Array, weights: Array) -> float:
-    """Return the weighted median; 0 without weights."""
-    order = np.argsort(values)
-    sums = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(sums, sums[-1] / 2)])
-
-
-def _spans(seconds: Array, runs: _Runs, chosen: NDArray[np.bool_]) -> Array:
-    """Return first and last time of some runs [s], shape (R, 2)."""
-    return np.column_stack([seconds[runs.begins[chosen]], seconds[runs.ends[chosen] - 1]])
+    # The median of the speeds of all runs, by the way that each makes.
+    order = np.argsort(after / lengths)
+    sums = np.cumsum(after[order])
+    usual = float((after / lengths)[order][np.searchsorted(sums, sums[-1] / 2)])
+    # Of the way that the speed beside a run, and that of the whole motion, would make in its
+    # time: a step after it that is smaller is none of a motion that went on
+    most = lengths * np.maximum(0.4 * beside, 0.1 * usual)
+    return begins, lengths, (lengths > 1) & (coarse | (after <= most))
 
 
 def _within(seconds: Array, rests: Array | None) -> NDArray[np.bool_]:
@@ -432,78 +332,34 @@ def _within(seconds: Array, rests: Array | None) -> NDArray[np.bool_]:
     return (at >= 0) & (seconds <= rests[np.maximum(at, 0), 1])
 
 
-def _in_rests(
-    seconds: Array,
-    runs: _Runs,
-    resting: NDArray[np.bool_],
-    measured: Array,
-    period_s: float,
-) -> tuple[Array, NDArray[np.int64]]:
-    """Return times [s] and rows that a sample-repeating driver measured while the arm rested.
-
-    Args:
-        seconds: Of the messages [s], shape (N,).
-        runs: Of equal samples.
-        resting: Which of them are rests, shape (R,).
-        measured: When the first of each run was measured [s], shape (R,).
-        period_s: Between measurements [s].
-    """
-    owner = runs.owner
-    ticks = np.floor((seconds - measured[owner]) / period_s).astype(np.int64)
-    ticks[runs.begins] = 0
-    is_first = np.diff(ticks, prepend=0) > 0
-    times = measured[owner] + period_s * ticks
-    behind = np.append(measured[1:], np.inf)[owner]
-    keep = resting[owner] & is_first & (ticks > 0) & (times < behind - period_s / 2)
-    return times[keep], np.flatnonzero(keep)
-
-
 # ---- Samples of all fields, in the arm's order of joints
 
 # Units of the fields that a payload is found from: what has one is of joints, whatever its name.
 JOINT_UNITS = ("N·m", "rad")
 
-# What to do where there are no torques.
-_RECORD_REMEDY = (
-    "record the driver's JointState with position and effort, or its joint_torques topic beside it"
-)
-
 # In the reason why a channel is not used: it would have been torques.
 _TORQUES = re.compile(r"no torques|no measurement|not a measurement")
-
-_MAX_REASONS = 3  # channels of which a refusal says why they are not used
 _MIN_SAMPLES = 20  # of a field: fewer determine neither a motion nor a rate
 # Between knots of a spline through positions: no arm's acceleration has finer detail.
 MIN_KNOT_S = 0.04
-
 # Of a motion that is fitted, whose torques become a few hundred means: of a longer one they are so
 # far apart that a motion which repeats itself looks like a drift. How often it is looked at to find
 # where it moves most, and parts that move as much as this fraction of the most.
 _MAX_S, _LOOKED_AT_S, _MUCH_ALIKE = 600.0, 0.1, 0.9
-
 # Of a spline through positions: some minutes of rest between two motions, or so many a sample.
 _KNOTS, _KNOTS_A_SAMPLE = 50_000, 4
 
 
 @dataclass(frozen=True, eq=False)
 class JointSamples:
-    """Fresh samples of one field of all joints.
+    """Fresh samples of one field of all joints."""
 
-    Attributes:
-        topic: Where it came from.
-        seconds: Since the log's first sample [s], shape (T,), increasing.
-        values: Shape (T, J), in the arm's order of joints [rad, rad/s or N·m].
-        repeated: Fraction of recorded samples that only repeat one, rests aside.
-        late_s: Maximum delay from measurement to stamp; 0 if its time is known.
-        rests: First and last time of each rest [s], shape (R, 2).
-    """
-
-    topic: str
-    seconds: Array
-    values: Array
-    repeated: float
-    late_s: float
-    rests: Array
+    topic: str  # where it came from
+    seconds: Array  # since the log's first sample [s], shape (T,), increasing
+    values: Array  # shape (T, J), in the arm's order of joints [rad, rad/s or N·m]
+    repeated: float  # fraction of recorded samples that only repeat one, rests aside
+    late_s: float  # maximum delay from measurement to stamp; 0 if its time is known
+    rests: Array  # first and last time of each rest [s], shape (R, 2)
 
     def __post_init__(self) -> None:
         for array in (self.seconds, self.values, self.rests):
@@ -517,23 +373,14 @@ class JointSamples:
 
 @dataclass(frozen=True, eq=False)
 class ArmLog:
-    """Log of an arm.
+    """Log of an arm."""
 
-    Attributes:
-        joints: Names in the log, in the arm's order.
-        position: [rad], unwrapped.
-        velocity: [rad/s] as reported by the driver; None if it is not.
-        effort: [N·m] as reported by the driver, in its sign convention.
-        warnings: What was converted or is doubtful.
-        left_out: Samples missing from torques and positions.
-    """
-
-    joints: tuple[str, ...]
-    position: JointSamples
-    velocity: JointSamples | None
-    effort: JointSamples
-    warnings: tuple[str, ...]
-    left_out: tuple[LeftOut, ...] = ()
+    joints: tuple[str, ...]  # names in the log, in the arm's order
+    position: JointSamples  # [rad], unwrapped
+    velocity: JointSamples | None  # [rad/s] as reported by the driver; None if it is not
+    effort: JointSamples  # [N·m] as reported by the driver, in its sign convention
+    warnings: tuple[str, ...]  # what was converted or is doubtful
+    left_out: tuple[LeftOut, ...] = ()  # samples missing from torques and positions
 
     @property
     def constant(self) -> NDArray[np.bool_]:
@@ -545,26 +392,19 @@ def read_arm_log(
     episode: Episode,
     arm: Arm,
     *,
-    topic: str | None = None,
-    start_s: float | None = None,
+    topic: str | None = None,  # preferred if several would do; it must have joints of the arm
+    start_s: float | None = None,  # since the first sample; None for all
     end_s: float | None = None,
-    torque_constants: Sequence[float] = (),
+    torque_constants: Sequence[float] = (),  # of currents [N·m/A], one per joint or one for all
 ) -> ArmLog:
-    """Find the joints of an arm in an episode.
-
-    Args:
-        episode: A log's.
-        arm: Whose joints are looked for.
-        topic: Preferred if several would do; it must have joints of the arm.
-        start_s: Where to begin [s since the first sample]; None for there.
-        end_s: Where to end [s since the first sample]; None for the last.
-        torque_constants: For efforts that are currents [N·m/A], one per joint or one for all.
-
-    Raises:
-        NotFoundError: There are no torques, no such joints or topic, or too few samples.
-    """
-    if topic is not None:
-        topic = _checked_topic(episode, arm, topic)
+    """Find the joints of an arm in an episode."""
+    if topic is not None:  # without the name of one of its fields
+        preferred = (one for one in episode.signals_of(topic) if one.unit in JOINT_UNITS)
+        named = _with_joints(preferred, arm)
+        if named is None:
+            usable = (one for one in episode.signals.values() if one.unit in JOINT_UNITS)
+            raise no_topic(topic, set(map(_topic, usable)))
+        topic = _topic(named)
     if torque_constants and "N·m" not in {signal.unit for signal in episode.signals.values()}:
         raise NotFoundError(
             f"no efforts to take as currents (there: {listed(episode.signals, FEW_NAMES)})",
@@ -585,9 +425,7 @@ def read_arm_log(
     last_ns = max(int(signal.stamps_ns[-1]) for signal in used)
     check_start(start_s, (last_ns - first_ns) * 1e-9)
     part = (-np.inf if start_s is None else start_s, np.inf if end_s is None else end_s)
-    part, cut = _bounded(position, first_ns, part)
-    part, more = _busiest(position, first_ns, part)
-    cut += more
+    part, cut = _fitted_part(position, first_ns, part)
     try:
         positions = _fresh(position, arm, first_ns, part)
         if velocity is not None:
@@ -613,30 +451,24 @@ def most_knots(samples: int) -> int:
     return max(_KNOTS, _KNOTS_A_SAMPLE * samples)
 
 
-def _bounded(
+def _fitted_part(
     position: Signal, first_ns: int, part: tuple[float, float]
 ) -> tuple[tuple[float, float], list[str]]:
-    """Cut a log at a pause too long for a spline; return first and last time, and remarks."""
-    seconds = (position.stamps_ns - first_ns).astype(np.float64) * 1e-9
-    seconds = seconds[(seconds >= part[0]) & (seconds <= part[1])]
-    if len(seconds) < _MIN_SAMPLES:
-        return part, []
-    knot_s = max(float(np.median(np.diff(seconds))), MIN_KNOT_S)
-    keep, words = part_on_grid(seconds, knot_s * most_knots(len(seconds)))
-    if not words:
-        return part, []
-    return (float(seconds[keep[0]]), float(seconds[keep[-1]])), list(words)
-
-
-def _busiest(
-    position: Signal, first_ns: int, part: tuple[float, float]
-) -> tuple[tuple[float, float], list[str]]:
-    """Return the `_MAX_S` of a long log in which the arm moves most, and remarks."""
+    """Choose the part of a log that is fitted: its first and last time [s], and remarks."""
     seconds = (position.stamps_ns - first_ns).astype(np.float64) * 1e-9
     rows = np.flatnonzero((seconds >= part[0]) & (seconds <= part[1]))
+    if len(rows) < _MIN_SAMPLES:
+        return part, []
+    # It is cut at a pause too long for a spline.
+    knot_s = max(float(np.median(np.diff(seconds[rows]))), MIN_KNOT_S)
+    keep, words = part_on_grid(seconds[rows], knot_s * most_knots(len(rows)))
+    if words:
+        rows = rows[keep[0] : keep[-1] + 1]
+        part = float(seconds[rows[0]]), float(seconds[rows[-1]])
     seconds = seconds[rows]
     if len(seconds) < _MIN_SAMPLES or seconds[-1] - seconds[0] <= _MAX_S:
-        return part, []
+        return part, list(words)
+    # Of a long one, that in which the arm moves most.
     thinned = np.searchsorted(seconds, np.arange(seconds[0], seconds[-1], _LOOKED_AT_S))
     steps = np.abs(np.diff(position.values[rows[thinned]], axis=0))
     ways = np.concatenate([[0.0], np.cumsum(np.nansum(steps, axis=1))])
@@ -644,80 +476,59 @@ def _busiest(
     ends = np.minimum(np.searchsorted(seconds[thinned], begins + _MAX_S), len(ways) - 1)
     moved = ways[ends] - ways[np.searchsorted(seconds[thinned], begins)]
     begin = float(begins[np.argmax(moved >= _MUCH_ALIKE * moved.max())])
-    words = (
+    more = (
         f"{seconds[-1] - seconds[0]:.0f} s are more than is fitted at once: the {_MAX_S:.0f} s "
         f"from {begin:.0f} s on, where the arm moves most, are used; name others with --start and "
         "--end"
     )
-    return (begin, begin + _MAX_S), [words]
+    return (begin, begin + _MAX_S), [*words, more]
 
 
-def _checked_topic(episode: Episode, arm: Arm, topic: str) -> str:
-    """Return the topic that a user named, without the name of one of its fields.
-
-    Raises:
-        NotFoundError: It has no joints, or none of them is the arm's.
-    """
+def _with_joints(signals: Iterable[Signal], arm: Arm) -> Signal | None:
+    """Return the first signal with all joints, None of none; raise why no one has them."""
     reasons: list[NotFoundError] = []
-    for signal in episode.signals_of(topic):
-        if signal.unit not in JOINT_UNITS:
-            continue
-        try:
-            match_joints(arm.joint_names, signal.columns)
-        except NotFoundError as error:
-            reasons.append(NotFoundError(f"{_topic(signal)}: {error.what}", error.remedy))
-        else:
-            return _topic(signal)
-    if reasons:
-        raise reasons[0]
-    usable = {_topic(signal) for signal in episode.signals.values() if signal.unit in JOINT_UNITS}
-    raise no_topic(topic, usable)
-
-
-def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -> Signal:
-    """Pick the signal of that unit with all joints: the preferred topic's, else one that moves."""
-    there = [signal for signal in episode.signals.values() if signal.unit == unit]
-    if not there:
-        left_out = _left_out(episode, unit)
-        raise NotFoundError(
-            f"no {what} in this log (there: {listed(episode.signals, FEW_NAMES)}){left_out}",
-            _RECORD_REMEDY,
-        )
-    is_still: dict[str, bool] = {}
-    for signal in there:
-        measured = signal.values[:, np.isfinite(signal.values).any(axis=0)]
-        finite = measured[np.isfinite(measured).all(axis=1)]
-        is_still[signal.name] = not len(finite) or bool(np.all(np.ptp(finite, axis=0) == 0))
-    reasons: list[NotFoundError] = []
-    for signal in sorted(
-        there, key=lambda signal: (_topic(signal) != topic, is_still[signal.name])
-    ):
+    for signal in signals:
         try:
             match_joints(arm.joint_names, signal.columns)
         except NotFoundError as error:
             reasons.append(NotFoundError(f"{_topic(signal)}: {error.what}", error.remedy))
         else:
             return signal
-    raise reasons[0]
+    if reasons:
+        raise reasons[0]
+    return None
 
 
-def _left_out(episode: Episode, unit: str) -> str:
-    """Say why the log's torques, if any, were not used."""
-    reasons = [
-        f"{channel.topic}: {channel.skipped}"
-        for channel in episode.channels
-        if unit == "N·m" and channel.skipped and _TORQUES.search(channel.skipped)
-    ]
-    reasons.sort(key=lambda reason: "--torque-constants" not in reason)
-    return ": " + "; ".join(reasons[:_MAX_REASONS]) if reasons else ""
+def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -> Signal:
+    """Pick the signal of that unit with all joints: the preferred topic's, else one that moves."""
+    there = [signal for signal in episode.signals.values() if signal.unit == unit]
+    if not there:
+        # Say why the log's torques, if any, were not used.
+        reasons = [
+            f"{channel.topic}: {channel.skipped}"
+            for channel in episode.channels
+            if unit == "N·m" and channel.skipped and _TORQUES.search(channel.skipped)
+        ]
+        reasons.sort(key=lambda reason: "--torque-constants" not in reason)
+        left_out = ": " + "; ".join(reasons[:3]) if reasons else ""
+        raise NotFoundError(
+            f"no {what} in this log (there: {listed(episode.signals, FEW_NAMES)}){left_out}",
+            "record the driver's JointState with position and effort, or its joint_torques topic "
+            "beside it",
+        )
+    is_still: dict[str, bool] = {}
+    for signal in there:
+        measured = signal.values[:, np.isfinite(signal.values).any(axis=0)]
+        finite = measured[np.isfinite(measured).all(axis=1)]
+        is_still[signal.name] = not len(finite) or bool(np.all(np.ptp(finite, axis=0) == 0))
+    ordered = sorted(there, key=lambda one: (_topic(one) != topic, is_still[one.name]))
+    found = _with_joints(ordered, arm)
+    assert found is not None
+    return found
 
 
 def _measured(effort: Signal, arm: Arm) -> Signal:
-    """Return measured torques; 0 for a joint whose torque is never a number.
-
-    Raises:
-        NotFoundError: No sensor gives these.
-    """
+    """Return measured torques; 0 for a joint whose torque is never a number."""
     columns = match_joints(arm.joint_names, effort.columns)
     is_measured: NDArray[np.bool_] = np.any(np.isfinite(effort.values), axis=0)
     if not is_measured[list(columns)].any():
@@ -745,21 +556,10 @@ def _fresh(
     signal: Signal,
     arm: Arm,
     first_ns: int,
-    part: tuple[float, float],
-    rests: Array | None = None,
+    part: tuple[float, float],  # first and last time that count [s since `first_ns`]
+    rests: Array | None = None,  # of the arm [s], shape (R, 2); None if the signal shows them
 ) -> JointSamples:
-    """Extract the fresh samples of a signal.
-
-    Args:
-        signal: Of one field.
-        arm: Whose joints.
-        first_ns: Stamp of the log's first sample.
-        part: First and last time that count [s since `first_ns`].
-        rests: When the arm rests [s], shape (R, 2); None if the signal itself shows it.
-
-    Raises:
-        NotFoundError: They are too few.
-    """
+    """Extract the fresh samples of a signal."""
     columns = match_joints(arm.joint_names, signal.columns)
     seconds = (signal.stamps_ns - first_ns).astype(np.float64) * 1e-9
     values = signal.values[:, columns]
@@ -789,100 +589,54 @@ def _topic(signal: Signal) -> str:
 
 # Joints that are only numbered, one fewer than the default arm has.
 _SIX = tuple(f"joint_{number}" for number in range(1, 7))
-
 _OTHER = "--urdf FILE --tool-link LINK for any other"
-
-
-@dataclass(frozen=True)
-class ChosenArm:
-    """Arm that a log is taken to be of.
-
-    Attributes:
-        arm: Its joints named as in the log, if its drivers have several names for them.
-        remarks: Why this one, and what is not known of it.
-    """
-
-    arm: Arm
-    remarks: tuple[str, ...]
 
 
 def which_arm(
     episode: Episode, named: str | tuple[Path, str] | None, topic: str | None
-) -> ChosenArm:
-    """Choose the arm of a log.
+) -> tuple[Arm, tuple[str, ...]]:
+    """Choose the arm of a log, its joints named as there; say why, and what is not known of it.
 
-    Args:
-        episode: The log's.
-        named: A known arm's name, or a URDF and the link that holds the payload; None if the user
-            names none.
-        topic: Channel to go by; None for all, those with torques first.
-
-    Raises:
-        UsageError: The name is no arm's, or the URDF is invalid.
-        NotFoundError: No arm is named, and it could be several, none of them the default.
+    The user's arm is a known one's name, or a URDF and the link that holds the payload; without
+    one, the topic's joint names go first, else those of torques.
     """
     if isinstance(named, tuple):
         arm = read_arm(*named)
-        return ChosenArm(arm, arm.remarks)
-    there = _columns(episode, topic)
-    if named is not None:
-        known = known_arm(named)
-        return _chosen(known, there, f"arm: {known.words}, as --arm says")
-    for columns in there:
-        if called := arms_called(columns):
-            return _by_names(called, columns, there)
-    seven = known_arm(DEFAULT).joint_names[0]
-    has_torques = any(signal.unit in ("N·m", "A") for signal in episode.signals.values())
-    if has_torques and not any(_fits(seven, columns) for columns in there):
-        for columns in there:
-            if _fits(_SIX, columns):
-                raise NotFoundError(
-                    "joints that do not say whose they are "
-                    f"({listed(map(short_name, columns), FEW_NAMES)})",
-                    f"name the arm with --arm, such as --arm jaco6, or {_OTHER}",
-                )
-    return _default(there)
-
-
-def _by_names(
-    called: tuple[KnownArm, ...], columns: Sequence[str], there: Sequence[Sequence[str]]
-) -> ChosenArm:
-    """Choose the usual one of the arms that have these names."""
-    first, *others = called
-    if first.is_said_by_names:
-        variants = f"; with another hand, or none: {in_words(others)}" if others else ""
-        return _chosen(first, there, f"arm: {first.words}, by its joints' names{variants}")
-    if _fits(known_arm(DEFAULT).joint_names[0], columns):
-        return _default(there)
-    raise NotFoundError(
-        f"its joints are those of {' or '.join(one.words for one in called)}, and their names do "
-        f"not say which: add {in_words(called)}, or {_OTHER}"
-    )
-
-
-def _default(there: Sequence[Sequence[str]]) -> ChosenArm:
-    known = known_arm(DEFAULT)
-    return _chosen(
-        known,
-        there,
-        f"the joints' names do not say which arm this is: taken for a {known.words}; name "
-        f"it with --arm, or {_OTHER}",
-    )
-
-
-def _chosen(known: KnownArm, there: Sequence[Sequence[str]], why: str) -> ChosenArm:
-    """Build a known arm, its joints named as the columns that have all of them."""
-    columns = next((one for one in there if known.names_in(one)), ())
-    doubts = (f"arm: {known.doubt}",) if known.doubt else ()
-    return ChosenArm(known.arm(columns), (why, *doubts))
-
-
-def _columns(episode: Episode, topic: str | None) -> list[tuple[str, ...]]:
-    """List the joint names of each field, the preferred topic's and those of torques first."""
+        return arm, arm.remarks
     fields = [signal for signal in episode.signals.values() if signal.unit in JOINT_UNITS]
     wanted = {signal.name for signal in episode.signals_of(topic)} if topic else set()
     fields.sort(key=lambda signal: (signal.name not in wanted, signal.unit != "N·m"))
-    return list(dict.fromkeys(signal.columns for signal in fields))
+    there = list(dict.fromkeys(signal.columns for signal in fields))
+    known = default = known_arm(DEFAULT)
+    why = (
+        f"the joints' names do not say which arm this is: taken for a {default.words}; name "
+        f"it with --arm, or {_OTHER}"
+    )
+    said = next((columns for columns in there if arms_called(columns)), None)
+    has_torques = any(signal.unit in ("N·m", "A") for signal in episode.signals.values())
+    if named is not None:
+        known = known_arm(named)
+        why = f"arm: {known.words}, as --arm says"
+    elif said is not None:  # the usual one of the arms that have these names
+        first, *others = called = arms_called(said)
+        if first.is_said_by_names:
+            variants = f"; with another hand, or none: {in_words(others)}" if others else ""
+            known, why = first, f"arm: {first.words}, by its joints' names{variants}"
+        elif not _fits(default.joint_names[0], said):
+            raise NotFoundError(
+                f"its joints are those of {' or '.join(one.words for one in called)}, and their "
+                f"names do not say which: add {in_words(called)}, or {_OTHER}"
+            )
+    elif has_torques and not any(_fits(default.joint_names[0], columns) for columns in there):
+        for six in filter(partial(_fits, _SIX), there):
+            raise NotFoundError(
+                "joints that do not say whose they are "
+                f"({listed(map(short_name, six), FEW_NAMES)})",
+                f"name the arm with --arm, such as --arm jaco6, or {_OTHER}",
+            )
+    columns = next((one for one in there if known.names_in(one)), ())
+    doubts = (f"arm: {known.doubt}",) if known.doubt else ()
+    return known.arm(columns), (why, *doubts)
 
 
 def _fits(joints: Sequence[str], columns: Sequence[str]) -> bool:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from tunenet_logs.analysis.checks import Check
+from tunenet_logs.analysis.checks import Check, CheckSpec, at_least, at_most, table, within
 from tunenet_logs.analysis.payload.arm_log import ArmLog
 from tunenet_logs.analysis.payload.torque_fit import FitResidual, PayloadFit
 from tunenet_logs.analysis.payload.torque_model import ArmMotion
@@ -17,161 +18,218 @@ from tunenet_logs.terminal import listed, short_name
 
 T = TypeVar("T")
 
-# A recording that shows a mass: slower, shorter or more still, friction and offsets hide it. The
-# repeated samples are a fraction of all but those of an arm at rest, which are no gap either.
-_MIN_HZ = 8.0
-_MIN_S, _REJECT_S = 3.0, 1.0
-_MIN_SPAN_RAD = 0.3
-_MAX_GAP_S = 0.3
-_MAX_REPEATED = 0.7
-
-# Velocities of the driver are like the positions' derivatives, and these below a multiple of the
-# joint's limit: else positions or stamps are wrong.
-_MIN_CORRELATION = 0.8
-_FAST_FACTOR = 1.5
-
-# Residuals by what joints are built for. Those of a good fit are a torque sensor's noise, half a
-# percent; a simulated arm has no friction and no offsets, so that more remains.
-_MAX_RMS, _REJECT_RMS, _MAX_SIMULATED = 0.03, 0.08, 0.15
-
-# Of the square of a standard normal variable: makes a median an rms without spikes.
-_CHI2_MEDIAN = 0.455
-
-# No arm leaves this fraction of its torques' variance unexplained, where they vary by more than
-# noise does, by what its joints are built for.
-_REJECT_FRACTION = 0.5
-_LIVELY = 0.03
-
-# Natural log of the Bayes factor, and what speaks against an owner's own word. It comes of models
-# that are linear about an empty arm, which are wrong by tens on an arm with much friction:
-# strangers' arms whose weight was taken for a payload led by 4 to 13, the paper's circle is right
-# by 29.
-_SURE_ODDS, _CONTRADICTED = 15.0, -10.0
-
-_MAX_LAG_S = 0.1  # drivers' filters are faster: more is two clocks
-_TYPICAL_SDS = 8.0  # of a term's prior: beyond it something else is wrong with the arm
-# Half of a 95 % interval that is of use, by what the arm weighs, or by the payload's mass where
-# that is more; and of none at all.
-_SURE_SHARE, _SURE_FRACTION, _REJECT_SHARE = 0.03, 0.1, 0.4
-
-# Times its highest torque at which a joint's torques are not this arm's, or not in N·m. Scales of
+_LOST_PERCENT = 8.0  # of what joints are built for, rms, from which on torques are no arm's
+# [%] of its highest torque at which a joint's torques are not this arm's, or not in N·m. Scales of
 # friction grow with such torques until they explain them.
-_NO_ARM_LIFTS = 5.0
+_NO_ARM_LIFTS = 500.0
+_TILT_ADVICE = "an arm that does not stand upright needs its tilt in the base joint (--urdf)"
+_TARE_ADVICE = "record the empty gripper too and give it with --tare"
+_LONGER_ADVICE = "record longer, the payload far out to the side, the hand turning"
+_CONTRADICTION_ADVICE = (
+    "check what --gravity and --effort-sign say: another convention fits far better"
+)
 
-# Standard deviations below 0 at which a mass is an error of the model or of the tare.
-_BELOW_SDS = 4.0
+PAYLOAD = table(
+    CheckSpec(
+        "long enough",
+        at_least(3, "s", ".1f .0f", fatal=1),
+        seen="{value} s of torques with their motion",
+        measures="the duration of the torques with their motion",
+        cause="the recording began too late",
+        advice="record 5 s of one smooth motion",
+    ),
+    CheckSpec(
+        "the arm moves",
+        at_least(0.3, "rad", ".2f g"),  # less is hidden by friction and offsets
+        seen="the joint that moves most turns by {value} rad",
+        measures="the motion of the joint that moves most",
+        cause="the arm stands still",
+        advice="move all joints by half a turn or so, the payload far out to the side",
+    ),
+    CheckSpec(
+        "every torque changes",
+        at_most(0),
+        measures="joints whose torque is constant; they are left out",
+        passes="none",
+        cause="a sensor is missing",
+        advice="check that the driver measures the torque of every joint",
+    ),
+    CheckSpec(
+        "rate",
+        at_least(8, "Hz"),
+        seen="positions are new at {log.position.rate_hz:.0f} Hz, torques at "
+        "{log.effort.rate_hz:.0f} Hz",
+        measures="the rate of new positions and of new torques",
+        cause="the driver is at its slowest",
+        advice="raise the driver's rate",
+    ),
+    CheckSpec(
+        "samples are new",
+        at_most(70, "%"),
+        seen="{value} % of the samples repeat the one before, rests aside",
+        measures="samples that repeat the one before, rests aside",
+        cause="the recorder is faster than its driver",
+        advice="record at the rate at which the driver measures",
+    ),
+    CheckSpec(
+        "no gaps",
+        at_most(0.3, "s", ".2f g"),
+        seen="longest time without a new sample {value} s",
+        measures="the longest time without a new sample, rests aside",
+        cause="the machine did not keep up, or the driver was stuck",
+        advice="record on a machine that keeps up, or a shorter part with --start and --end",
+    ),
+    CheckSpec(
+        "speeds are an arm's",
+        at_most(150, "%"),
+        seen="{joint} moves at {value} % of its highest speed",
+        measures="each joint's speed beside its highest",
+        cause="degrees are taken for rad, bad stamps, another arm",
+        advice="check the unit of the positions and the stamps, or name the arm with --urdf",
+    ),
+    CheckSpec(
+        "velocities agree",
+        at_least(0.8, "", ".2f g"),
+        seen="correlation {value} with the positions' derivatives",
+        wanted="wanted: over {limit}",
+        more=", {factor:.2f} times them; they are not used",
+        measures="the correlation of the driver's velocities, which are not used, with the "
+        "positions' derivatives",
+        cause="positions and velocities are on different clocks",
+        advice="check that positions are stamped when they are measured",
+    ),
+    CheckSpec(
+        "torques fit the arm",
+        at_most(3, "%", ".1f .0f", fatal=_LOST_PERCENT),
+        seen="{lost}{value} % of what the joints are built for are left, rms",
+        more="; torques change by {spread:.1f} %",
+        measures="the torques that are left (rms); a good fit leaves a sensor's noise, half a "
+        "percent",
+        passes="at most {limit} % of what the joints are built for",
+        if_not="s; r over 8, or where no arm explains the torques",
+        cause="another arm, another unit, torques of other joints",
+        advice="check that torques and positions are of the same joints, in N·m, and the arm "
+        f"(--arm, --urdf); {_TILT_ADVICE}",
+    ),
+    CheckSpec(
+        # Of models that are linear about an empty arm, which are wrong by tens on an arm with much
+        # friction: strangers' arms whose weight was taken for a payload led by 4 to 13, the
+        # paper's circle is right by 29.
+        "sign and gravity",
+        at_least(15),
+        seen="{meant}",
+        wanted="log evidence {value} over {others}; wanted: {limit} or more",
+        measures="the log evidence of what the driver means by torque, over the next convention; "
+        "of a stated one over any other",
+        passes="{limit} or more; of a stated one -10",
+        cause="the payload is too light, or moved too little; what was stated is wrong",
+        advice="say it with --gravity and --effort-sign, or move the payload far out to the side, "
+        "so that its weight shows",
+    ),
+    CheckSpec(
+        "lag",
+        within(100, "ms"),  # drivers' filters are faster: more is two clocks
+        seen="torques are {value} ms behind the positions",
+        measures="how far the torques are behind the positions",
+        cause="stamps are not those of the measurement",
+        advice="stamp positions and torques with one clock, when they are measured",
+    ),
+    CheckSpec(
+        "friction and sensors are usual",
+        at_most(8, "prior standard deviations", ".1f .0f"),
+        seen="{term.name} is {term.value:+.3g}, {value} times what is usual",
+        measures="the most unusual term of friction, sensors and links",
+        cause="sensors were not set to zero, the base is not level",
+        advice="set the torque sensors to zero in the candle pose, and check the arm (--urdf)",
+    ),
+    CheckSpec(
+        "within what the arm lifts",
+        at_most(100, "%", fatal=_NO_ARM_LIFTS),
+        seen="{lost}{signed_kg:.3f} kg",
+        wanted="0 or more",
+        more="; {joint} at {value} % of its highest torque",
+        measures="each torque beside its joint's limit; and how far the mass is below 0",
+        passes="at most {limit} %; at most 4 standard deviations",
+        cause="the arm's model is wrong",
+        advice="check the arm's model (--arm, --urdf), and its zero with a --tare",
+    ),
+    CheckSpec(
+        "simulation fits",
+        at_most(15, "%", ".1f .0f"),  # a simulated arm has no friction and no offsets
+        seen="measured and simulated torques differ by {value} % of what the joints are built for, "
+        "rms, friction and offsets included",
+        measures="the measured less the simulated torques, friction and all (rms)",
+        passes="at most {limit} % of what the joints are built for",
+        cause="`--preset paper` on a real arm",
+        advice="use the preset default, or check the arm (--urdf)",
+    ),
+    CheckSpec(
+        "sure enough",
+        at_most(3, "kg", ".3f .2f"),
+        seen="95 % interval of ±{value} kg",
+        measures="half of the 95 % interval of the mass",
+        passes="at most {limit} % of what the arm weighs (0.16 kg for a Jaco) or 10 % of the "
+        "payload, whichever is more",
+        if_not="s; r over 40 % of what the arm weighs",
+        cause="no tare; a motion that carries little information",
+        advice=f"{_TARE_ADVICE}; with one, {_LONGER_ADVICE}",
+    ),
+)
 
+_CHI2_MEDIAN = 0.455  # of a standard normal's square: makes a median an rms without spikes
+_LIVELY = 0.03  # of what joints are built for: torques that vary by less are noise
+_REJECT_FRACTION = 0.5  # of lively torques' variance, which no arm leaves unexplained
+_CONTRADICTED = -10.0  # log evidence that speaks against an owner's own word
+_BELOW_SDS = 4.0  # below 0, at which a mass is an error of the model or of the tare
+_SURE_FRACTION, _REJECT_SHARE = 0.1, 0.4  # of the payload's mass; of what the arm weighs
 _CONVENTION_WORDS = {
     (1, True): "the joints' torques, with gravity",
     (-1, True): "torques with the sign opposite to the joints', with gravity",
     (1, False): "the joints' torques, without the arm's gravity",
     (-1, False): "torques with the sign opposite to the joints', without the arm's gravity",
 }
-_TILT_ADVICE = "an arm that does not stand upright needs its tilt in the base joint (--urdf)"
-_ZERO_ADVICE = "set the torque sensors to zero in the candle pose, and check the arm (--urdf)"
-_ARM_ADVICE = (
-    "check that torques and positions are of the same joints, in N·m, and the arm (--arm, --urdf); "
-    f"{_TILT_ADVICE}"
-)
-_CONVENTION_ADVICE = (
-    "say it with --gravity and --effort-sign, or move the payload far out to the side, so that its "
-    "weight shows"
-)
-_CONTRADICTION_ADVICE = (
-    "check what --gravity and --effort-sign say: another convention fits far better"
-)
-_TARE_ADVICE = "record the empty gripper too and give it with --tare"
 
 
 def arm_checks(log: ArmLog, motion: ArmMotion, arm: Arm) -> list[Check]:
     """Check an arm's log, independent of its payload."""
     position, velocity, _ = motion.at(motion.seconds)
-    length_s = float(motion.seconds[-1] - motion.seconds[0])
-    spans = np.ptp(position, axis=0)
     constant = [name for name, same in zip(log.joints, log.constant, strict=True) if same]
+    detail = "the torque of every joint changes"
+    if constant:
+        detail = f"no change in the torque of {listed(map(short_name, constant))}: left out"
     slow_hz = min(log.position.rate_hz, log.effort.rate_hz)
     repeated = max(log.position.repeated, log.effort.repeated)
     gap_s = max(float(np.diff(field.seconds).max()) for field in (log.position, log.effort))
-    return [
-        Check(
-            "long enough",
-            length_s >= _MIN_S,
-            f"{length_s:.1f} s of torques with their motion (wanted: {_MIN_S:.0f} or more)",
-            fatal=length_s < _REJECT_S,
-            advice="record 5 s of one smooth motion",
-        ),
-        Check(
-            "the arm moves",
-            float(spans.max()) >= _MIN_SPAN_RAD,
-            f"the joint that moves most turns by {spans.max():.2f} rad (wanted: "
-            f"{_MIN_SPAN_RAD} or more)",
-            advice="move all joints by half a turn or so, the payload far out to the side",
-        ),
-        Check(
-            "every torque changes",
-            not constant,
-            f"no change in the torque of {listed(map(short_name, constant))}: left out"
-            if constant
-            else "the torque of every joint changes",
-            advice="check that the driver measures the torque of every joint",
-        ),
-        Check(
-            "rate",
-            slow_hz >= _MIN_HZ,
-            f"positions are new at {log.position.rate_hz:.0f} Hz, torques at "
-            f"{log.effort.rate_hz:.0f} Hz (wanted: {_MIN_HZ:.0f} or more)",
-            advice="raise the driver's rate",
-        ),
-        Check(
-            "samples are new",
-            repeated <= _MAX_REPEATED,
-            f"{100 * repeated:.0f} % of the samples repeat the one before, rests aside (at most "
-            f"{100 * _MAX_REPEATED:.0f})",
-            advice="record at the rate at which the driver measures",
-        ),
-        Check(
-            "no gaps",
-            gap_s <= _MAX_GAP_S,
-            f"longest time without a new sample {gap_s:.2f} s (at most {_MAX_GAP_S})",
-            advice="record on a machine that keeps up, or a shorter part with --start and --end",
-        ),
-        *_speed_checks(log, motion, velocity, arm),
-    ]
-
-
-def _speed_checks(log: ArmLog, motion: ArmMotion, velocity: Array, arm: Arm) -> list[Check]:
-    """Check speeds, (T, J) [rad/s], against the arm's limits and the driver's velocities."""
+    # Speeds beside the arm's limits.
     limits = np.array([joint.max_velocity_rad_s for joint in arm.joints])
     fractions = np.quantile(np.abs(velocity), 0.99, axis=0) / limits
-    worst = int(np.argmax(fractions))
-    speed_check = Check(
-        "speeds are an arm's",
-        float(fractions[worst]) < _FAST_FACTOR,
-        f"{arm.joints[worst].name} moves at {100 * fractions[worst]:.0f} % of its highest speed "
-        f"(at most {100 * _FAST_FACTOR:.0f})",
-        advice="check the unit of the positions and the stamps, or name the arm with --urdf",
-    )
+    fastest = int(np.argmax(fractions))
+    checks = [
+        PAYLOAD["long enough"].measured(float(motion.seconds[-1] - motion.seconds[0])),
+        PAYLOAD["the arm moves"].measured(float(np.ptp(position, axis=0).max())),
+        PAYLOAD["every torque changes"].measured(len(constant), detail=detail),
+        PAYLOAD["rate"].measured(slow_hz, log=log),
+        PAYLOAD["samples are new"].measured(100 * repeated),
+        PAYLOAD["no gaps"].measured(gap_s),
+        PAYLOAD["speeds are an arm's"].measured(
+            100 * fractions[fastest], joint=arm.joints[fastest].name
+        ),
+    ]
+    # The driver's velocities beside the positions' derivatives.
     if log.velocity is None:
-        return [speed_check]
+        return checks
     seconds = log.velocity.seconds
     inside = (seconds > motion.seconds[0]) & (seconds < motion.seconds[-1])
     measured = log.velocity.values[inside]
     if len(measured) < 3:
-        return [speed_check]
+        return checks
     _, derived, _ = motion.at(seconds[inside])
     power = float(np.sqrt(np.sum(measured**2) * np.sum(derived**2)))
     if not power:
-        return [speed_check]
+        return checks
     correlation = float(np.sum(measured * derived)) / power
     factor = float(np.sqrt(np.sum(measured**2) / np.sum(derived**2)))
-    velocity_check = Check(
-        "velocities agree",
-        correlation > _MIN_CORRELATION,
-        f"correlation {correlation:.2f} with the positions' derivatives (wanted: over "
-        f"{_MIN_CORRELATION}), {factor:.2f} times them; they are not used",
-        advice="check that positions are stamped when they are measured",
-    )
-    return [speed_check, velocity_check]
+    return [*checks, PAYLOAD["velocities agree"].measured(correlation, factor=factor)]
 
 
 def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog, *, is_stated: bool) -> list[Check]:
@@ -179,35 +237,27 @@ def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog, *, is_stated: bool) -
 
     `is_stated` is whether the user states the driver's torque convention.
     """
-    tare_checks = [
-        _arm_check(
-            f"{name}: torques fit the arm",
-            residual,
-            0.0,
-            f"record the tare anew, and {_ARM_ADVICE}",
-        )
-        for name, residual in numbered("tare", fit.tare_residuals)
-    ]
     usual = [term for term in fit.nuisances if term.group != "hoses and gears"]
     worst = max(usual, key=lambda term: abs(term.value) / term.prior_sd)
-    sds = abs(worst.value) / worst.prior_sd
     return [
-        *tare_checks,
-        _arm_check("torques fit the arm", fit.residual, fit.arm_odds, _ARM_ADVICE),
-        _convention_check(fit, is_stated=is_stated),
-        Check(
-            "lag",
-            abs(fit.lag_s) < _MAX_LAG_S,
-            f"torques are {1000 * fit.lag_s:.0f} ms behind the positions (at most "
-            f"{1000 * _MAX_LAG_S:.0f} either way)",
-            advice="stamp positions and torques with one clock, when they are measured",
+        *(
+            _arm_check(residual, 0.0, f"{name}: ")
+            for name, residual in numbered("tare", fit.tare_residuals)
         ),
-        Check(
-            "friction and sensors are usual",
-            sds < _TYPICAL_SDS,
-            f"{worst.name} is {worst.value:+.3g}, {sds:.1f} times what is usual (at most "
-            f"{_TYPICAL_SDS:.0f})",
-            advice=_TILT_ADVICE if worst.group == "tilt" else _ZERO_ADVICE,
+        _arm_check(fit.residual, fit.arm_odds),
+        PAYLOAD["sign and gravity"].measured(
+            fit.convention_odds,
+            _CONTRADICTED if is_stated else None,
+            advice=_CONTRADICTION_ADVICE if is_stated else None,
+            meant=_CONVENTION_WORDS[fit.convention.sign, fit.convention.has_gravity]
+            + (", as stated" if is_stated else ""),
+            others="any other" if is_stated else "the next",
+        ),
+        PAYLOAD["lag"].measured(1000 * fit.lag_s),
+        PAYLOAD["friction and sensors are usual"].measured(
+            abs(worst.value) / worst.prior_sd,
+            advice=_TILT_ADVICE if worst.group == "tilt" else None,
+            term=worst,
         ),
         _lift_check(fit, arm, log),
     ]
@@ -219,78 +269,59 @@ def numbered(what: str, things: Sequence[T]) -> list[tuple[str, T]]:
     return list(zip(names, things, strict=True))
 
 
-def _convention_check(fit: PayloadFit, *, is_stated: bool) -> Check:
-    """Check whether the driver's torque convention is certain."""
-    meant = _CONVENTION_WORDS[fit.convention.sign, fit.convention.has_gravity]
-    if is_stated:
-        return Check(
-            "sign and gravity",
-            fit.convention_odds > _CONTRADICTED,
-            f"{meant}, as stated (log evidence {fit.convention_odds:.0f} over any other; wanted: "
-            f"{_CONTRADICTED:.0f} or more)",
-            advice=_CONTRADICTION_ADVICE,
-        )
-    return Check(
-        "sign and gravity",
-        fit.convention_odds > _SURE_ODDS,
-        f"{meant} (log evidence {fit.convention_odds:.0f} over the next; wanted: "
-        f"{_SURE_ODDS:.0f} or more)",
-        advice=_CONVENTION_ADVICE,
-    )
-
-
-def _arm_check(name: str, residual: FitResidual, arm_odds: float, advice: str) -> Check:
+def _arm_check(residual: FitResidual, arm_odds: float, tare: str = "") -> Check:
     """Check whether any arm explains these torques."""
+    spec = PAYLOAD["torques fit the arm"]
     left = residual.residual_nm / residual.scales_nm
     rms = float(np.sqrt(np.median(left**2, axis=0).mean() / _CHI2_MEDIAN))
     moving = (residual.effort_nm - np.mean(residual.effort_nm, axis=0)) / residual.scales_nm
     spread = float(np.sqrt(np.mean(moving**2)))
-    lost = rms > _REJECT_RMS or arm_odds < 0
+    lost = arm_odds < 0 or 100 * rms > _LOST_PERCENT
     if spread > _LIVELY:
         lost |= float(np.mean(left**2)) / spread**2 > _REJECT_FRACTION
-    detail = (
-        f"{100 * rms:.1f} % of what the joints are built for are left, rms (at most "
-        f"{100 * _MAX_RMS:.0f}); torques change by {100 * spread:.1f} %"
+    check = spec.measured(
+        100 * rms,
+        passed=100 * rms < spec.limit.value and not lost,
+        fatal=lost,
+        advice=f"record the tare anew, and {spec.advice}" if tare else None,
+        lost="these torques fit no arm, of either sign: " if lost else "",
+        spread=100 * spread,
     )
-    if lost:
-        detail = f"these torques fit no arm, of either sign: {detail}"
-    return Check(name, rms < _MAX_RMS and not lost, detail, fatal=lost, advice=advice)
+    return replace(check, name=f"{tare}{check.name}")
 
 
 def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
     """Check whether the arm can hold such a mass."""
+    spec = PAYLOAD["within what the arm lifts"]
     limits = np.array([joint.max_effort_nm for joint in arm.joints])
-    fractions = np.quantile(np.abs(log.effort.values), 0.99, axis=0) / limits
-    worst = int(np.argmax(fractions))
-    below = -fit.held.signed_kg / fit.held.sd_kg
-    zero = "that the tare's gripper was empty" if fit.tare_residuals else "its zero with a --tare"
-    lost = bool(fractions[worst] > _NO_ARM_LIFTS)
-    detail = (
-        f"{fit.held.signed_kg:.3f} kg (0 or more); {arm.joints[worst].name} at "
-        f"{100 * fractions[worst]:.0f} % of its highest torque"
-    )
-    return Check(
-        "within what the arm lifts",
-        float(fractions[worst]) < 1 and below < _BELOW_SDS,
-        f"these torques fit no arm of this size: {detail}" if lost else detail,
-        fatal=lost,
-        advice=_ARM_ADVICE if lost else f"check the arm's model (--arm, --urdf), and {zero}",
+    percents = 100 * np.quantile(np.abs(log.effort.values), 0.99, axis=0) / limits
+    worst = int(np.argmax(percents))
+    below_sds = -fit.held.signed_kg / fit.held.sd_kg
+    is_lost = percents[worst] > _NO_ARM_LIFTS
+    advice = PAYLOAD["torques fit the arm"].advice if is_lost else None
+    if fit.tare_residuals and not is_lost:
+        advice = "check the arm's model (--arm, --urdf), and that the tare's gripper was empty"
+    return spec.measured(
+        percents[worst],
+        passed=percents[worst] < spec.limit.value and below_sds < _BELOW_SDS,
+        advice=advice,
+        lost="these torques fit no arm of this size: " if is_lost else "",
+        signed_kg=fit.held.signed_kg,
+        joint=arm.joints[worst].name,
     )
 
 
 def sure_check(fit: PayloadFit, arm: Arm) -> Check:
     """Check whether the interval is narrow enough to be of use."""
+    spec = PAYLOAD["sure enough"]
     low, high = fit.held.interval95
-    half = (high - low) / 2
+    half_kg = (high - low) / 2
     arm_kg = sum(joint.link.mass_kg for joint in arm.joints)
-    most_kg = max(_SURE_SHARE * arm_kg, _SURE_FRACTION * fit.held.mass_kg)
-    longer = "record longer, the payload far out to the side, the hand turning"
-    return Check(
-        "sure enough",
-        half < most_kg,
-        f"95 % interval of ±{half:.3f} kg (at most {most_kg:.2f})",
-        fatal=half > _REJECT_SHARE * arm_kg,
-        advice=longer if fit.tare_residuals else _TARE_ADVICE,
+    return spec.measured(
+        half_kg,
+        max(spec.limit.value / 100 * arm_kg, _SURE_FRACTION * fit.held.mass_kg),
+        fatal=half_kg > _REJECT_SHARE * arm_kg,
+        advice=_LONGER_ADVICE if fit.tare_residuals else _TARE_ADVICE,
     )
 
 
@@ -302,10 +333,4 @@ def simulation_check(residual_nm: Array, scales_nm: Array) -> Check:
         scales_nm: Rated torque of each joint [N·m], shape (J,).
     """
     rms = float(np.sqrt(np.mean((residual_nm / scales_nm) ** 2)))
-    return Check(
-        "simulation fits",
-        rms < _MAX_SIMULATED,
-        f"measured and simulated torques differ by {100 * rms:.1f} % of what the joints are built "
-        f"for, rms, friction and offsets included (at most {100 * _MAX_SIMULATED:.0f})",
-        advice="use the preset default, or check the arm (--urdf)",
-    )
+    return PAYLOAD["simulation fits"].measured(100 * rms)

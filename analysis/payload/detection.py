@@ -15,6 +15,7 @@ import numpy as np
 
 from tunenet_logs.analysis.estimators.base import Observation
 from tunenet_logs.analysis.experiment import Training, drop_invalid_samples, presets_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.arm_card import ArmCard
 from tunenet_logs.analysis.payload.arm_log import JOINT_UNITS, ArmLog, check_joints, read_arm_log
 from tunenet_logs.analysis.payload.torque_fit import PayloadFit, fit_payload
@@ -25,7 +26,6 @@ from tunenet_logs.analysis.payload.torque_model import (
     Convention,
     arm_motion,
 )
-from tunenet_logs.analysis.selection import Selection
 from tunenet_logs.analysis.tunenet.network import (
     HomogeneousNetwork,
     PairSet,
@@ -61,7 +61,6 @@ from tunenet_logs.timing.stamps import jump_warnings, trim_clock_jumps
 
 # Joints that a reading is taken of, those that feel a payload most: a Jaco has as many.
 READINGS = 7
-
 # What the paper's network sees: 5 s of a Jaco's torques (Allevato et al. 2019).
 PAPER_RATE_HZ = 60.0
 PAPER_SAMPLES = 300
@@ -71,19 +70,14 @@ _NEAR_S = 0.05  # to the nearest torque: between samples further apart nothing i
 # Phases that the search for the circle begins with, some degrees apart; then it halves its step,
 # down to microseconds.
 _COARSE, _HALVINGS = 64, 16
-
 # The paper's simulator, masses that networks learn from, and pairs (Allevato et al. 2019).
 PAPER_GRAVITY_M_S2 = (0.0, 0.0, -10.0)
 PAPER_MASS_KG = (0.0, 1.0)
 _PAPER_PAIRS = 1000
-
 # Random motions of our network, and masses along each: all 30 ordered pairs of a motion are learnt
 # from, so that a pair costs little simulation.
 _PATHS, _MASSES = 512, 6
-
 _RATE_HZ = 20.0  # of a motion's samples: readings are sums over them, which more would not change
-# Standard deviation of half of a motion's masses about the others: a last iteration's pairs.
-_NEAR_KG = 0.1
 
 
 def payload_readings(effort_nm: Array, empty_nm: Array, per_kg_nm: Array) -> Observation:
@@ -91,15 +85,8 @@ def payload_readings(effort_nm: Array, empty_nm: Array, per_kg_nm: Array) -> Obs
 
     Torques beyond those of the empty arm are projected on what a kilogram adds; their sum over all
     joints is the least-squares mass. Means are removed from both, and so sensor offsets. Joints are
-    ordered by how much of a payload they feel.
-
-    Args:
-        effort_nm: Along a motion [N·m], shape (T, J).
-        empty_nm: With an empty gripper, along the same motion [N·m], shape (T, J).
-        per_kg_nm: What a kilogram adds to that [N·m], shape (T, J).
-
-    Returns:
-        Values in kg, shape (7, 1); 0 for joints that the arm lacks.
+    ordered by how much of a payload they feel. `effort_nm` (T, J) [N·m], `empty_nm` (T, J) [N·m],
+    `per_kg_nm` (T, J) [N·m].
     """
     felt = per_kg_nm - per_kg_nm.mean(axis=0)
     beyond = effort_nm - empty_nm
@@ -114,13 +101,7 @@ def payload_readings(effort_nm: Array, empty_nm: Array, per_kg_nm: Array) -> Obs
 def paper_torques(seconds: Array, effort_nm: Array, phase_s: float = 0.0) -> Observation:
     """Resample seven torques at 60 Hz over the first 5 s of the paper's circle.
 
-    Args:
-        seconds: Of the torques [s], shape (T,), increasing.
-        effort_nm: [N·m], shape (T, 7).
-        phase_s: How far along the circle the arm is at 0 s [s].
-
-    Returns:
-        Values in N·m, shape (300, 7); NaN where there are no torques.
+    `seconds` (T,) [s], `effort_nm` (T, 7) [N·m].
     """
     axis = np.arange(PAPER_SAMPLES) / PAPER_RATE_HZ
     along = (seconds + phase_s) % CIRCLE_S
@@ -135,11 +116,7 @@ def paper_torques(seconds: Array, effort_nm: Array, phase_s: float = 0.0) -> Obs
 
 
 def circle_phase_s(path: JointPath) -> tuple[float, float]:
-    """Find a motion's phase on the paper's circle at 0 s, and its worst distance from it [rad].
-
-    Raises:
-        NotFoundError: It is the motion of another arm.
-    """
+    """Find a motion's phase on the paper's circle at 0 s, and its worst distance from it [rad]."""
     if path.position_rad.shape[1] != PAPER_JOINTS:
         raise NotFoundError("the paper's network knows the Jaco alone; use --preset default")
 
@@ -198,7 +175,8 @@ def _readings_pairs(count: int | None, seed: int, workers: Workers, progress: Pr
     paths = _PATHS if count is None else -(-count // each)
     masses = rng.uniform(*PAPER_MASS_KG, (paths, _MASSES))
     half = _MASSES // 2
-    near = masses[:, :half] + _NEAR_KG * rng.standard_normal((paths, half))
+    # Half of a motion's masses lie .1 kg (sd) from the others: a last iteration's pairs.
+    near = masses[:, :half] + 0.1 * rng.standard_normal((paths, half))
     masses[:, half:] = np.clip(near, *PAPER_MASS_KG)
     seeds = rng.integers(2**31, size=paths)
     plans = [
@@ -211,20 +189,6 @@ def _readings_pairs(count: int | None, seed: int, workers: Workers, progress: Pr
     return PairSet(observations, masses.reshape(-1, 1), proposed[:count], target[:count])
 
 
-def _paper_recipe(scaling: str) -> Recipe:
-    return Recipe(
-        optimizer="sgd",
-        learning_rate=1e-2,
-        decay=0.99,
-        decay_epochs=50,
-        weight_decay=1e-3,
-        loss="norm",
-        scaling=scaling,
-        epochs=1000,
-        batch=50,
-    )
-
-
 def _paper_training(name: str, scaling: str) -> Training:
     purpose = Purpose(
         task="payload",
@@ -234,7 +198,22 @@ def _paper_training(name: str, scaling: str) -> Training:
         outputs=1,
         rates_hz=(PAPER_RATE_HZ,),
     )
-    return Training(purpose, PaperNetwork(), _paper_recipe(scaling), _paper_pairs)
+    return Training(
+        purpose,
+        PaperNetwork(),
+        Recipe(
+            optimizer="sgd",
+            learning_rate=1e-2,
+            decay=0.99,
+            decay_epochs=50,
+            weight_decay=1e-3,
+            loss="norm",
+            scaling=scaling,
+            epochs=1000,
+            batch=50,
+        ),
+        _paper_pairs,
+    )
 
 
 _OURS = Training(
@@ -264,7 +243,6 @@ TRAININGS = {
     "paper": _paper_training("paper", "unit-inputs"),
     "paper-code": _paper_training("paper-code", "z-score"),
 }
-
 PRESETS = presets_of(TRAININGS, (PAYLOAD_MASS,), (PAYLOAD_MASS,))
 
 
@@ -273,11 +251,6 @@ PRESETS = presets_of(TRAININGS, (PAYLOAD_MASS,), (PAYLOAD_MASS,))
 EFFORT = f"{TOPIC}.effort"  # the simulated torques
 # Of the paper's circle, which takes 5 s: its network fills in what little is missing.
 _MIN_OF_CIRCLE_S = 4.0
-
-# From the paper's circle at any joint: a controller's error, and no other motion.
-_OFF_CIRCLE_RAD = 0.1
-
-_SAME_FRACTION = 0.5  # of a log's torques, bit by bit in a tare: no other run repeats as many
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,12 +261,8 @@ class Tare:
     motion: ArmMotion
 
 
-def read_tares(arm: Arm, log: ArmLog, selection: Selection) -> tuple[Tare, ...]:
-    """Read a selection's empty runs, all different; see `read_tare`.
-
-    Raises:
-        NotFoundError: One cannot be used, is no empty run, or occurs twice.
-    """
+def read_tares(arm: Arm, log: ArmLog, selection: TuneOptions) -> tuple[Tare, ...]:
+    """Read a selection's empty runs, all different; see `read_tare`."""
     found: list[Tare] = []
     for tare in selection.tares:
         one = read_tare(tare, arm, log, selection)
@@ -308,21 +277,12 @@ def _is_same_run(known: ArmLog, other: ArmLog) -> bool:
     """Return whether most torques of one log occur bit by bit in the other."""
     there = {row.tobytes() for row in known.effort.values}
     same = sum(row.tobytes() in there for row in other.effort.values)
-    return same > _SAME_FRACTION * len(other.effort.values)
+    # No other run repeats half of a log's torques bit by bit.
+    return same > 0.5 * len(other.effort.values)
 
 
-def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: Selection) -> Tare:
-    """Read an empty run.
-
-    Args:
-        tare: Its log, or an episode.
-        arm: Whose joints are looked for.
-        log: Of the run with the payload.
-        selection: How that log was read, and a preferred topic; None for that of its torques.
-
-    Raises:
-        NotFoundError: It cannot be used, or is no empty run.
-    """
+def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: TuneOptions) -> Tare:
+    """Read an empty run as the log was read; NotFoundError where it is none."""
     name = f" {tare}" if isinstance(tare, Path) else ""
     try:
         recorded = read_episode(tare, selection.reading) if isinstance(tare, Path) else tare
@@ -335,7 +295,7 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: Selection)
             episode,
             arm,
             topic=prefer if has_joints else None,
-            torque_constants=selection.torque_constants,
+            torque_constants=selection.effort_constants,
         )
         check_joints(empty.joints, log.joints)
         mass_kg = episode.info.truth.get(PAYLOAD_MASS.name, 0.0)
@@ -355,7 +315,7 @@ def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: Selection)
         raise NotFoundError(f"--tare{name}: {reason}", error.remedy) from error
 
 
-def conventions_of(selection: Selection) -> tuple[Convention, ...]:
+def conventions_of(selection: TuneOptions) -> tuple[Convention, ...]:
     """Return the torque conventions that the user's statements leave possible."""
     sign = {"joint": 1, "load": -1, None: None}[selection.effort_sign]
     full = {"included": True, "compensated": False, None: None}[selection.gravity]
@@ -372,30 +332,19 @@ class PayloadDetection:
 
     The driver's torque convention (sign, with or without the arm's weight) is identified by the
     fit, which is made when first needed, and is the result of the method "fit" too.
-
-    Attributes:
-        physical: Whether the preset observes the arm's own motion, or the paper's circle.
-        arm: Without a payload.
-        log: Fresh samples of its joints.
-        start_ns: Origin of the log's clock.
-        motion: Joint motion at any time.
-        tares: Runs with an empty gripper.
-        conventions: Possible torque conventions, as far as the user does not state one.
-        warnings: For the user.
-        card: What other runs identified of the arm; None for nothing.
-        gain: Usual error of the torques, as a fraction.
     """
 
-    physical: bool
-    arm: Arm
-    log: ArmLog
-    start_ns: int
-    motion: ArmMotion
-    tares: tuple[Tare, ...]
+    physical: bool  # whether the preset observes the arm's own motion, or the paper's circle
+    arm: Arm  # without a payload
+    log: ArmLog  # fresh samples of its joints
+    start_ns: int  # origin of the log's clock
+    motion: ArmMotion  # joint motion at any time
+    tares: tuple[Tare, ...]  # runs with an empty gripper
+    # possible torque conventions, as far as the user does not state one
     conventions: tuple[Convention, ...]
-    warnings: tuple[str, ...]
-    card: ArmCard | None = None
-    gain: float = GAIN
+    warnings: tuple[str, ...]  # for the user
+    card: ArmCard | None = None  # what other runs identified of the arm; None for nothing
+    gain: float = GAIN  # usual error of the torques, as a fraction
 
     @property
     def topic(self) -> str:
@@ -425,32 +374,13 @@ class PayloadDetection:
 
     @cached_property
     def fit(self) -> PayloadFit:
-        """Fit of payload and nuisance terms to the torques.
-
-        Raises:
-            NotFoundError: The mass is over the highest that any arm holds.
-        """
-        fit = self._fitted([tare.motion for tare in self.tares])
-        most_kg = PAYLOAD_MASS.bounds[1]
-        if fit.held.mass_kg > most_kg:
-            raise NotFoundError(
-                f"these torques hold {fit.held.mass_kg:.3g} kg, over {most_kg:g} kg",
-                "say their unit with --effort-unit, or record torques in N·m",
-            )
-        return fit
-
-    def _fitted(self, empty: Sequence[ArmMotion]) -> PayloadFit:
-        """Fit with the card as a prior, if there is one.
-
-        Raises:
-            NotFoundError: The card has numbers that are no arm's.
-        """
+        """Fit of payload and nuisance terms to the torques."""
         known = self.card.learnt if self.card else None
         try:
-            return fit_payload(
+            fit = fit_payload(
                 self.arm,
                 self.motion,
-                empty,
+                [tare.motion for tare in self.tares],
                 conventions=self.conventions,
                 known=known,
                 gain=self.gain,
@@ -462,6 +392,13 @@ class PayloadDetection:
                 f"--arm-card {self.card.file}: what it says of the arm and these torques go "
                 "together with no arm; write the card anew"
             ) from error
+        most_kg = PAYLOAD_MASS.bounds[1]
+        if fit.held.mass_kg > most_kg:
+            raise NotFoundError(
+                f"these torques hold {fit.held.mass_kg:.3g} kg, over {most_kg:g} kg",
+                "say their unit with --effort-unit, or record torques in N·m",
+            )
+        return fit
 
     @cached_property
     def phase_s(self) -> float | None:
@@ -473,7 +410,8 @@ class PayloadDetection:
         if self.physical:
             return None
         phase_s, off_rad = circle_phase_s(self.path)
-        if off_rad > _OFF_CIRCLE_RAD:
+        # A controller is this far off the circle [rad], another motion farther.
+        if off_rad > 0.1:
             raise NotFoundError(
                 "the paper's network knows one motion, the circle of `tunenet-record --simulate "
                 f"payload`; this one is up to {off_rad:.2f} rad off it: use --preset default"

@@ -12,6 +12,7 @@ import numpy as np
 from tunenet_logs.analysis.checks import Check, CrossCheck
 from tunenet_logs.analysis.estimators.base import ExtraEstimate, FitResult, Problem, Step, Trace
 from tunenet_logs.analysis.experiment import Claim, Preset, Tuning
+from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.payload.arm_card import (
     MAX_CARD_BYTES,
     ArmCard,
@@ -43,7 +44,6 @@ from tunenet_logs.analysis.payload.torque_model import (
     arm_terms,
 )
 from tunenet_logs.analysis.record import Motion, Rebound
-from tunenet_logs.analysis.selection import Selection, Subject
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.reader import said_unused, without_commands
@@ -62,12 +62,7 @@ if TYPE_CHECKING:
 
 
 def save_arm_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
-    """Write what a tuning identified of its arm, added to the card that it was made with.
-
-    Raises:
-        LogError: There is nothing to write, or a file in its place may not be replaced.
-        OSError: It cannot be written.
-    """
+    """Write what a tuning identified of its arm, added to the card that it was made with."""
     detection = tuning.detection
     provenance = tuning.provenance
     is_payload = isinstance(detection, PayloadDetection) and tuning.verdict != "rejected"
@@ -104,8 +99,6 @@ def card_place(path: Path, card: ArmCard | None, *, overwrite: bool) -> OutputPl
 
 # ---- Cross-check: a secant through two rollouts in another engine's inverse dynamics
 
-_OFFSET_SHARE = 0.01  # usual offset of a sensor, by what its joint is built for
-
 
 def secant(
     arm: Arm,
@@ -121,15 +114,7 @@ def secant(
 
     Torques are linear in the mass, so the arm without a payload and with 1 kg, driven along the
     logged motion, give it by least squares in closed form. Only sensor offsets are removed.
-
-    Args:
-        arm: Without a payload.
-        motion: While it held it.
-        convention: The driver's torque convention.
-        lag_s: Of the torques behind the positions [s].
-        com_m: The payload's centre of mass in the tool frame.
-        scales_nm: Rated torque of each joint [N·m], shape (J,).
-        tares: While it held nothing: the mass that this gives for them is subtracted.
+    `scales_nm` (J,) [N·m].
     """
     arm = arm.without_limits()
     masses_kg = []
@@ -142,7 +127,8 @@ def secant(
         residual = convention.sign * run.effort - empty_nm
         # An offset of normal prior is projected out of both, less so where the noise is large.
         noise = np.var(residual - np.mean(residual, axis=0), axis=0)
-        offsets = (_OFFSET_SHARE * scales_nm) ** 2
+        # Usual offset of a sensor, by what its joint is built for
+        offsets = (0.01 * scales_nm) ** 2
         free = offsets / (offsets + noise / len(residual))
         residual -= free * np.mean(residual, axis=0)
         slopes -= free * np.mean(slopes, axis=0)
@@ -156,7 +142,6 @@ def secant(
 # How far the cross-check may be off, by what the arm weighs and by the payload's mass: it has no
 # friction.
 _AGREEMENT, _TARED_AGREEMENT = (0.06, 0.1), (0.03, 0.05)
-
 _DISAGREEMENT = "record the empty gripper along the same motion and name it with --tare"
 _TARED_DISAGREEMENT = (
     "record the tare and the log within minutes of each other, along the same motion, sensors "
@@ -183,21 +168,20 @@ class PayloadExperiment:
             return Claim.CERTAIN
         return Claim.POSSIBLE if "rad" in units else Claim.NONE
 
-    def detect(self, episode: Episode, selection: Selection, preset: str) -> PayloadDetection:
+    def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> PayloadDetection:
         """Read the arm's motion, and its empty runs; see `Experiment.detect`."""
         episode = without_commands(episode)
-        chosen = which_arm(episode, selection.arm, selection.topic)
-        arm = chosen.arm
+        arm, remarks = which_arm(episode, selection.told_arm, selection.topic)
         log = read_arm_log(
             episode,
             arm,
             topic=selection.topic,
             start_s=selection.start_s,
             end_s=selection.end_s,
-            torque_constants=selection.torque_constants,
+            torque_constants=selection.effort_constants,
         )
         motion = arm_motion(log)
-        warnings = [*chosen.remarks, *log.warnings]
+        warnings = [*remarks, *log.warnings]
         card = selection.arm_card
         if card is not None:
             card.check_arm(arm, log.joints)
@@ -210,7 +194,7 @@ class PayloadExperiment:
             for field in fields
             for signal in episode.signals_of(field.topic)
         )
-        are_currents = selection.of_currents and not said_unused(
+        are_currents = bool(selection.torque_constants) and not said_unused(
             "--torque-constants", episode.warnings
         )
         return PayloadDetection(
@@ -227,12 +211,7 @@ class PayloadExperiment:
         )
 
     def problem(self, detection: PayloadDetection, initial: Array) -> Problem:
-        """Pose the problem of an arm driven along its path; `initial` has the shape (1,) [kg].
-
-        Raises:
-            NotFoundError: The preset cannot use the motion or the torques.
-            UsageError: The initial value is out of bounds.
-        """
+        """Pose the problem of an arm driven along its path; `initial` has the shape (1,) [kg]."""
 
         def exact_fit(start: Array) -> FitResult:
             """Fit the torques; they are linear in the mass, so no start is needed."""

@@ -24,31 +24,18 @@ from tunenet_logs.episode import Array
 # Time constants, and variances by the white one's, that are tried.
 _TIMES_S = (0.05, 0.15, 0.5, 1.5, 5.0)
 _RATIOS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-
 _SPIKE_SDS = 3.5  # residual beyond which a sample counts for less: 1 of 2000 where noise is normal
-_MIN_SHARE = 2e-5  # of what a joint is built for: no sensor's noise is less
-# Factor by which noise falls at most from one estimate to the next: a first fit that happens to be
-# near a joint's torques would give it all the weight.
-_MAX_FALL = 25.0
 
 
 @dataclass(frozen=True, eq=False)
 class SeriesNoise:
-    """Noise of one joint's torques in one run.
+    """Noise of one joint's torques in one run."""
 
-    Attributes:
-        seconds: Of the samples [s], shape (T,).
-        weights: Of each sample's white noise: 1, less for spikes, shape (T,).
-        white_nm: Standard deviation of the white part.
-        wander_nm: Of the Ornstein-Uhlenbeck part; 0 for none.
-        time_s: Its time constant.
-    """
-
-    seconds: Array
-    weights: Array
-    white_nm: float
-    wander_nm: float
-    time_s: float
+    seconds: Array  # of the samples [s], shape (T,)
+    weights: Array  # of each sample's white noise: 1, less for spikes, shape (T,)
+    white_nm: float  # standard deviation of the white part
+    wander_nm: float  # of the Ornstein-Uhlenbeck part; 0 for none
+    time_s: float  # its time constant
 
     @cached_property
     def _wander(self) -> tuple[Array, float]:
@@ -104,14 +91,7 @@ def estimated(
     """Estimate the noise of a fit's residuals by maximum likelihood.
 
     All time constants and variances of all joints are one banded system, without a link between
-    them: one call instead of hundreds.
-
-    Args:
-        before: Noise that the fit was made with.
-        residual_nm: Of one run [N·m], shape (T, J).
-        fitted: Degrees of freedom that the fit used of each joint, shape (J,).
-        least_nm: Least noise of a sensor, shape (J,).
-        roughly: Whether a coarse grid of time constants and variances suffices.
+    them: one call instead of hundreds. `residual_nm` (T, J) [N·m], `fitted` (J,), `least_nm` (J,).
     """
     from scipy.linalg import cho_solve_banded, cholesky_banded
 
@@ -143,13 +123,17 @@ def estimated(
     plain = np.sum(weighed * residual_nm, axis=0) / count
     power, log_dets = np.vstack([plain, power]), np.vstack([np.zeros(joints), log_dets])
     scores = -0.5 * (count * np.log(np.maximum(power, 1e-300)) + log_dets)
+    # What is under the least noise of a sensor is rounding, and shows no correlation.
+    scores[1:, plain <= least_nm**2] = -np.inf
     best = np.argmax(scores, axis=0)
     renewed: list[SeriesNoise] = []
     for joint, choice in enumerate(best.tolist()):
         time_s, ratio = (1.0, 0.0) if choice == 0 else tried[choice - 1]
         freedom = max(count - float(fitted[joint]), 1.0)
         white = float(np.sqrt(power[choice, joint] * count / freedom))
-        white = max(white, float(least_nm[joint]), before[joint].white_nm / _MAX_FALL)
+        # Factor by which noise falls at most from one estimate to the next: a first fit that
+        # happens to be near a joint's torques would give it all the weight
+        white = max(white, float(least_nm[joint]), before[joint].white_nm / 25.0)
         wander = white * float(np.sqrt(ratio))
         renewed.append(SeriesNoise(seconds, weights[:, joint], white, wander, time_s))
     return tuple(renewed)
@@ -158,10 +142,7 @@ def estimated(
 def _walk(seconds: Array, time_s: float, sd: float) -> tuple[Array, float]:
     """Return the banded Ornstein-Uhlenbeck inverse covariance, shape (2, T), and its log det.
 
-    Args:
-        seconds: Stamps [s], shape (T,).
-        time_s: Time constant.
-        sd: Standard deviation.
+    `seconds` (T,) [s].
     """
     alike = np.exp(-np.diff(seconds) / time_s)
     own = 1 / np.maximum(1 - alike**2, 1e-12)
@@ -184,39 +165,25 @@ def unknown(seconds: Array, sd_nm: float) -> SeriesNoise:
 # Bounds of a scale's logarithm: a thousandth; twelve times what is usual; three times that of what
 # a maker or a calibration states. More of that would make any arm fit any torques.
 _MIN, _MAX, _MAX_KNOWN = -7.0, 2.5, 1.1
-
 # Groups of the last kind; hoses without a bound would carry an arm's weight.
 KNOWN = ("links", "gain", "tilt", "zeros", "lag", "hoses and gears")
-
 # How fast a scale's prior falls below and above 1: in so many logarithms to a third.
 _DOWN, _UP = 2.5, 0.6
-
 # Logarithms of scales that are averaged over.
 _GRID = np.array([-7.0, -4.0, -2.5, -1.5, -0.75, 0.0, 0.5, 1.0, 1.6, 2.3])
-
 _IDEAL_ODDS = float(np.log(0.3 / 0.7))  # natural log of the odds that a log is a simulator's
 _FLOOR = 1e-12  # of a variance, by the largest: rounding makes no variance 0
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Weighted normal equations: the sufficient statistics of linear least squares.
+    """Weighted normal equations: the sufficient statistics of linear least squares."""
 
-    Attributes:
-        precision: A^T W A, shape (N, N).
-        gradient: A^T W y, of the log likelihood at 0, shape (N,).
-    """
-
-    precision: Array
-    gradient: Array
+    precision: Array  # a^T W A, shape (N, N)
+    gradient: Array  # a^T W y, of the log likelihood at 0, shape (N,)
 
     def marginal(self, kept: NDArray[np.int64], sds: Array) -> NormalEquations:
-        """Marginalise all but some terms (Schur complement).
-
-        Args:
-            kept: Indices of the terms that stay, shape (K,).
-            sds: Of the others' priors about 0, shape (N,); those of the kept terms do not count.
-        """
+        """Marginalise all but some terms (Schur complement): `kept` (K,), `sds` (N,)."""
         others = np.setdiff1d(np.arange(len(sds)), kept)
         scale = sds[others]
         # In units of the priors, so that one of width 0 is no special case.
@@ -241,19 +208,12 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class TermPosterior:
-    """Gaussian posterior of all terms.
+    """Gaussian posterior of all terms."""
 
-    Attributes:
-        means: Shape (N,).
-        root: R of the covariance R^T R, shape (N, N).
-        sds: Of the priors, shape (N,).
-        log_evidence: Of the samples under these priors, up to a constant that all priors share.
-    """
-
-    means: Array
-    root: Array
-    sds: Array
-    log_evidence: float
+    means: Array  # shape (N,)
+    root: Array  # R of the covariance R^T R, shape (N, N)
+    sds: Array  # of the priors, shape (N,)
+    log_evidence: float  # of the samples under these priors, up to a constant that all priors share
 
     @cached_property
     def covariance(self) -> Array:
@@ -291,15 +251,7 @@ def likeliest_scales(
     start: Mapping[str, float],
     steps: int,
 ) -> dict[str, float]:
-    """Find the logarithm of each group's prior scale by evidence maximisation.
-
-    Args:
-        normal: The samples.
-        sds: Priors at scale 1, shape (N,).
-        groups: Indices of the terms of each.
-        start: Initial logarithms.
-        steps: Of a quasi-Newton search.
-    """
+    """Find the logarithm of each group's prior scale by evidence maximisation: `sds` (N,)."""
     from scipy.optimize import minimize
 
     names = tuple(groups)
@@ -340,16 +292,7 @@ def averaged(
 ) -> tuple[Array, Array]:
     """Marginalise the posterior of some terms over the groups' scales.
 
-    To first order: the changes by each group's scale are added up.
-
-    Args:
-        found: At the likeliest scales.
-        groups: Indices of the terms of each.
-        logs: Logarithms of the likeliest scales.
-        interest: Indices of the terms that are wanted, shape (I,).
-
-    Returns:
-        Means and covariance, shapes (I,) and (I, I).
+    To first order: the changes by each group's scale are added up. `interest` (I,).
     """
     count = len(interest)
     means, covariance = found.means[interest], found.covariance[np.ix_(interest, interest)]
@@ -386,18 +329,7 @@ def without(
     logs: Mapping[str, float],
     absent: Sequence[str],
 ) -> tuple[TermPosterior, float]:
-    """Compute the posterior without some groups, as in a simulation, and its probability.
-
-    Args:
-        normal: The samples.
-        found: With all groups.
-        groups: Indices of the terms of each.
-        logs: Logarithms of the likeliest scales.
-        absent: Groups that are not there.
-
-    Returns:
-        The posterior, and its probability by Bayes factor; 3 of 10 logs are such a priori.
-    """
+    """Compute the posterior without some groups, as in a simulation, and its probability."""
     gone = [name for name in absent if name in groups]
     sds = scaled(found.sds, groups, {name: _MIN - logs[name] for name in gone})
     ideal = posterior(normal, sds)

@@ -18,33 +18,7 @@ from numpy.typing import NDArray
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.payload.detection import EFFORT, PayloadDetection
 from tunenet_logs.analysis.payload.torque_fit import Nuisance, PayloadFit
-from tunenet_logs.analysis.review.drawing import (
-    FITTED,
-    ITERATION,
-    KEY_SHARES,
-    LOG_TIME,
-    MUTED,
-    OBSERVED,
-    WIDTH,
-    Color,
-    Iterates,
-    at_seconds,
-    by_iteration,
-    chart_view,
-    eye_controls,
-    filled,
-    iterates_view,
-    log_grid,
-    log_iterates,
-    log_key,
-    mixed,
-    ramp,
-    screen_radius,
-    send_scalars,
-    span_of,
-    ticked,
-    ticks,
-)
+from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.analysis.statistics import TWO_SIDED
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.arm.description import Arm, rotation_from_rpy
@@ -54,68 +28,41 @@ from tunenet_logs.recorders.simulators.arm.payload import PAYLOAD_MASS
 # ---- Data that the review draws: torques over the log's time
 
 _MAX_JOINTS = 8  # that are drawn, those that feel the payload most: more would be too small to read
-# Of one curve: more can neither be told apart nor be loaded soon.
-_MAX_CURVE_HZ, _MAX_SAMPLES = 120.0, 3000
-
-_BOLD, _FINE = 1.6, 0.8  # widths of the result's curve and of earlier iterations' [points]
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueCurve:
-    """Simulated torques of all joints, and how they are drawn.
+    """Simulated torques of all joints, and how they are drawn."""
 
-    Attributes:
-        name: "k=3", "refined", "fit".
-        label: The same with its mass, for a legend.
-        color: Of the line.
-        width: Of the line [points].
-        mass_kg: That they were simulated with.
-        effort_nm: [N·m], shape (T, J).
-    """
-
-    name: str
-    label: str
-    color: Color
-    width: float
-    mass_kg: float
-    effort_nm: Array
+    name: str  # "k=3", "refined", "fit"
+    label: str  # the same with its mass, for a legend
+    color: draw.Color  # of the line
+    width: float  # of the line [points]
+    mass_kg: float  # that they were simulated with
+    effort_nm: Array  # [N·m], shape (T, J)
 
 
 @dataclass(frozen=True, eq=False)
 class PayloadReviewData:
-    """Torques of one tuning, and the motion that they drive.
+    """Torques of one tuning, and the motion that they drive."""
 
-    Attributes:
-        arm: Without a payload.
-        seconds: Since the log's first sample [s], shape (T,).
-        position_rad: Of the joints [rad], shape (T, J).
-        observed_nm: Torques with the joint's sign, the arm's weight included [N·m], shape (T, J).
-        empty_nm: Of the model with an empty gripper [N·m], shape (T, J).
-        felt_nm_per_kg: RMS torque per kilogram at each joint [N·m/kg], shape (J,).
-        used: Joints whose torques count, shape (J,).
-        order: Joints that are drawn; those that feel the payload most first.
-        simulated: Torques of the rigid model, one per iteration; the last is the result.
-        fitted: Torques with friction, offsets and all that the fit finds; None without a fit.
-        fit: The fit itself; None without.
-        com_m: Position of the payload in the tool frame [m].
-        interval95: Of the mass [kg]; None if no valid one exists.
-        has_estimate: Whether there is a mass to report.
-    """
-
-    arm: Arm
-    seconds: Array
-    position_rad: Array
+    arm: Arm  # without a payload
+    seconds: Array  # since the log's first sample [s], shape (T,)
+    position_rad: Array  # of the joints [rad], shape (T, J)
+    # torques with the joint's sign, the arm's weight included [N·m], shape (T, J)
     observed_nm: Array
-    empty_nm: Array
-    felt_nm_per_kg: Array
-    used: NDArray[np.bool_]
-    order: tuple[int, ...]
+    empty_nm: Array  # of the model with an empty gripper [N·m], shape (T, J)
+    felt_nm_per_kg: Array  # RMS torque per kilogram at each joint [N·m/kg], shape (J,)
+    used: NDArray[np.bool_]  # joints whose torques count, shape (J,)
+    order: tuple[int, ...]  # joints that are drawn; those that feel the payload most first
+    # torques of the rigid model, one per iteration; the last is the result
     simulated: tuple[TorqueCurve, ...]
+    # torques with friction, offsets and all that the fit finds; None without a fit
     fitted: TorqueCurve | None
-    fit: PayloadFit | None
-    com_m: tuple[float, float, float]
-    interval95: tuple[float, float] | None
-    has_estimate: bool
+    fit: PayloadFit | None  # the fit itself; None without
+    com_m: tuple[float, float, float]  # position of the payload in the tool frame [m]
+    interval95: tuple[float, float] | None  # of the mass [kg]; None if no valid one exists
+    has_estimate: bool  # whether there is a mass to report
 
     @property
     def result(self) -> TorqueCurve:
@@ -132,9 +79,7 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
     """Collect the data from a tuning that found an arm's motion."""
     found: PayloadDetection = tuning.detection
     seconds = found.path.seconds
-    rate_hz = 1 / float(np.median(np.diff(seconds)))
-    every = max(round(rate_hz / _MAX_CURVE_HZ), -(-len(seconds) // _MAX_SAMPLES), 1)
-    kept = slice(None, None, every)
+    kept = slice(None, None, draw.drawn_every(seconds))
     felt = np.sqrt(np.mean(found.simulator.efforts_nm_per_kg**2, axis=0))
     fit = tuning.trace.fit.detail if tuning.trace and tuning.trace.fit else None
     fitted = None
@@ -142,7 +87,7 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
         # As the observed torques are drawn: with the arm's weight in them.
         effort_nm = (fit.predicted_nm + found.effort_nm - fit.effort_nm)[kept]
         label = "fit, with friction"
-        fitted = TorqueCurve("fit", label, FITTED, _BOLD, fit.held.mass_kg, effort_nm)
+        fitted = TorqueCurve("fit", label, draw.FITTED, draw.BOLD, fit.held.mass_kg, effort_nm)
     steps = tuning.trace.steps if tuning.trace else ()
     simulated: list[TorqueCurve] = []
     for k, step in enumerate(steps):
@@ -154,8 +99,8 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
             TorqueCurve(
                 name=name,
                 label=f"{name}  {mass_kg:.4f} kg",
-                color=ramp(k, len(steps)),
-                width=_BOLD if is_last else _FINE,
+                color=draw.ramp(k, len(steps)),
+                width=draw.BOLD if is_last else draw.FINE,
                 mass_kg=mass_kg,
                 effort_nm=step.evaluation.episode.signals[EFFORT].values[kept],
             )
@@ -182,30 +127,21 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
 # ---- 3D scene of the arm along its measured path, with its payload
 
 # Greys, so that the payload alone has a colour; the base's axes x, y, z as usual.
-_GROUND = (16, 18, 24)
 _LINES = (52, 55, 64)
 _ARM = (150, 156, 170)
 _JOINT = (92, 98, 114)
 _GRIPPER = (205, 208, 214)
 _AXES = ((230, 90, 90), (110, 200, 110), (100, 150, 255))
-
 # Radii of the first link and of the last one, in reaches of the arm as all sizes here: an arm of
 # any size looks the same.
 _THICK, _THIN = 0.042, 0.026
-
-_PALM_FRACTION = 0.5  # of the way from the last joint to the tool frame; the fingers are the rest
 # Half of the fingers' distance, in lengths of the gripper; their radius, in reaches.
 _GRIP, _FINGER = 0.3, 0.010
-
 # Radii of the payload, in reaches: it can be seen, and does not hide the arm.
 _MIN_SIZE, _MAX_SIZE = 0.018, 0.15
-
-_WATER_KG_M3 = 1000.0  # density of the ball that is drawn: the payload's is unknown
 # Tiles of the ground along each side, the length of one and of the base's axes, in reaches.
 _TILES, _TILE, _AXIS = 5, 0.3, 0.28
-
 _TRAIL_S = 1.0  # of the path behind the payload: shows which way it moves
-_LABEL = 0.055  # of the mass above the ball, in reaches
 _ASIDE_RAD = 0.85  # of the camera, from the path's front: links hide each other less
 _MARGIN = 0.04  # around the arm and its payload, in reaches
 _MAX_HZ = 30.0  # poses that are sent: a screen shows few more
@@ -224,7 +160,7 @@ def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
     at = [-half + tile * k for k in range(_TILES + 1)]
     lines = [[[x, -half, 0], [x, half, 0]] for x in at]
     lines += [[[-half, y, 0], [half, y, 0]] for y in at]
-    grid = rr.LineStrips3D(lines, colors=[_LINES], radii=screen_radius(0.6))
+    grid = rr.LineStrips3D(lines, colors=[_LINES], radii=draw.screen_radius(0.6))
     stream.log("scene/ground", grid, static=True)
     axes = rr.Arrows3D(
         vectors=_AXIS * reach_m * np.eye(3),
@@ -241,11 +177,17 @@ def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
         )
         is_tool = frame == len(data.arm.joints) + 1
         entity = "scene/arm/tool" if is_tool else f"scene/arm/link_{frame}"
-        stream.send_columns(entity, indexes=[at_seconds(seconds)], columns=columns)
+        stream.send_columns(entity, indexes=[draw.at_seconds(seconds)], columns=columns)
     if any(joint.is_prismatic for joint in data.arm.joints):
-        _log_slides(stream, seconds, poses, reach_m)
+        # Log the connections of links with prismatic joints.
+        strips = poses.position_m.astype(np.float32)
+        style = rr.LineStrips3D.from_fields(colors=[_JOINT], radii=[_FINGER * reach_m])
+        stream.log("scene/slides", style, static=True)
+        columns = rr.LineStrips3D.columns(strips=list(strips))
+        stream.send_columns("scene/slides", indexes=[draw.at_seconds(seconds)], columns=columns)
     radius_m = payload_radius_m(data.result.mass_kg, reach_m)
-    _log_payload(stream, data, seconds, poses, radius_m, radius_m + _LABEL * reach_m)
+    # The mass stands above the ball, by a part of the reach.
+    _log_payload(stream, data, seconds, poses, radius_m, radius_m + 0.055 * reach_m)
     return _view(poses, radius_m + _MARGIN * reach_m)
 
 
@@ -266,15 +208,16 @@ def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
     return rrb.Spatial3DView(
         origin="/scene",
         name="the arm along its measured path",
-        background=_GROUND,
+        background=draw.GROUND,
         line_grid=False,
-        eye_controls=eye_controls(points, azimuth_rad, margin_m),
+        eye_controls=draw.eye_controls(points, azimuth_rad, margin_m),
     )
 
 
 def payload_radius_m(mass_kg: float, reach_m: float) -> float:
     """Return the radius of a ball of water of that mass, clipped to what is visible."""
-    water_m = (3 * max(mass_kg, 0.0) / (4 * math.pi * _WATER_KG_M3)) ** (1 / 3)
+    # A ball of water is drawn, as the payload's density is unknown.
+    water_m = (3 * max(mass_kg, 0.0) / (4 * math.pi * 1000.0)) ** (1 / 3)
     return min(max(water_m, _MIN_SIZE * reach_m), _MAX_SIZE * reach_m)
 
 
@@ -295,8 +238,8 @@ def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
         label = rr.Points3D(
             [[0, 0, 0]],
             labels=[str(number)],
-            colors=[MUTED],
-            radii=screen_radius(0.1),
+            colors=[draw.MUTED],
+            radii=draw.screen_radius(0.1),
             show_labels=True,
         )
         stream.log(f"{entity}/number", label, static=True)
@@ -310,23 +253,13 @@ def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
     aside = next((axis for axis in axes.T[[1, 2]] if abs(axis @ tip) < 0.7 * length), axes[:, 0])
     aside = aside - (aside @ tip) / length**2 * tip
     aside *= _GRIP * length / np.linalg.norm(aside)
-    palm = _PALM_FRACTION * tip
+    # The palm is half of the way to the tool frame, the fingers are the rest.
+    palm = 0.5 * tip
     stream.log(entity, _capsules([((0, 0, 0), palm)], [radii[-1]], _ARM), static=True)
     fingers = [(palm + side * aside, tip + side * aside) for side in (-1, 1)]
     bones = [(palm - aside, palm + aside), *fingers]
     widths = [_FINGER * reach_m] * len(bones)
     stream.log(f"{entity}/gripper", _capsules(bones, widths, _GRIPPER), static=True)
-
-
-def _log_slides(
-    stream: rr.RecordingStream, seconds: Array, poses: LinkPoses, reach_m: float
-) -> None:
-    """Log the connections of links with prismatic joints."""
-    strips = poses.position_m.astype(np.float32)
-    style = rr.LineStrips3D.from_fields(colors=[_JOINT], radii=[_FINGER * reach_m])
-    stream.log("scene/slides", style, static=True)
-    columns = rr.LineStrips3D.columns(strips=list(strips))
-    stream.send_columns("scene/slides", indexes=[at_seconds(seconds)], columns=columns)
 
 
 def _log_payload(
@@ -339,7 +272,7 @@ def _log_payload(
 ) -> None:
     """Log a ball in the tool frame, its mass `label_m` above it, and its path."""
     result, at_m = data.result, np.array(data.com_m)
-    color = result.color if data.has_estimate else MUTED
+    color = result.color if data.has_estimate else draw.MUTED
     ball = rr.Ellipsoids3D(
         centers=[at_m], half_sizes=[[radius_m] * 3], colors=[color], fill_mode="solid"
     )
@@ -349,16 +282,16 @@ def _log_payload(
     style = rr.Points3D.from_fields(
         labels=[f"{result.mass_kg:.3f} kg" if data.has_estimate else "rejected"],
         colors=[color],
-        radii=screen_radius(0.1),
+        radii=draw.screen_radius(0.1),
         show_labels=True,
     )
     stream.log("scene/mass", style, static=True)
-    index = at_seconds(seconds)
+    index = draw.at_seconds(seconds)
     columns = rr.Points3D.columns(positions=centers + over)
     stream.send_columns("scene/mass", indexes=[index], columns=columns)
-    path = rr.LineStrips3D([centers], colors=[MUTED], radii=screen_radius(0.7))
+    path = rr.LineStrips3D([centers], colors=[draw.MUTED], radii=draw.screen_radius(0.7))
     stream.log("scene/path", path, static=True)
-    style = rr.LineStrips3D.from_fields(colors=[color], radii=screen_radius(1.8))
+    style = rr.LineStrips3D.from_fields(colors=[color], radii=draw.screen_radius(1.8))
     stream.log("scene/trail", style, static=True)
     begins = np.searchsorted(seconds, seconds - _TRAIL_S)
     trails = [centers[begin : end + 1] for end, begin in enumerate(begins)]
@@ -399,24 +332,16 @@ def _from_z(along: Array) -> Array:
 _PRIOR = (70, 74, 86)  # a grey behind the values: how large such terms usually are
 _CAP = 0.015  # half the width of an interval's ends, in heights of a chart
 _CHART_HEADROOM = 1.1  # of a chart's axis, over the largest value
-_MAX_MARKS = 16  # numbers of joints below a chart: more would overlap
-_MIN_BAR = 1e-3  # of the highest bar: a lower one is none
 _BAR = 0.3  # half a bar's width, of the width that a joint has
 
 
 @dataclass(frozen=True)
 class _Chart:
-    """Chart of terms of one kind, one per joint or more.
+    """Chart of terms of one kind, one per joint or more."""
 
-    Attributes:
-        endings: Of their names, before the joint's number.
-        title: With the unit.
-        scale: From the fit's unit to the chart's.
-    """
-
-    endings: tuple[str, ...]
-    title: str
-    scale: float = 1.0
+    endings: tuple[str, ...]  # of their names, before the joint's number
+    title: str  # with the unit
+    scale: float = 1.0  # from the fit's unit to the chart's
 
 
 _CHARTS = (
@@ -440,10 +365,30 @@ def log_terms(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.V
     felt = "what 1 kg does, dots: what is left [N·m]"
     if data.fitted is None:
         felt = "what 1 kg does to each joint [N·m]"
-    views: list[rrb.View] = [chart_view("felt", felt)]
+    views: list[rrb.View] = [draw.chart_view("felt", felt)]
     if data.fit is not None:
-        words = rr.TextDocument(_terms_words(data.fit), media_type="text/markdown")
-        stream.log("terms", words, static=True)
+        # Describe what no chart shows.
+        fit = data.fit
+        whose = "the joint's own" if fit.convention.sign > 0 else "the load's (the sign is turned)"
+        sentence = fit.identifiability[:1].upper() + fit.identifiability[1:]
+        weight = "with" if fit.convention.has_gravity else "without"
+        lines = [
+            "Dots and bars: by the log, 95 %. Boxes: before it, 95 %.",
+            f"The driver's torques are {whose}, {weight} the arm's weight in them; this leads by a "
+            f"log evidence of {fit.convention_odds:.0f}.",
+            f"{sentence}.",
+        ]
+        lags = [
+            f"{term.name} {round(1000 * term.value)} ± {1000 * TWO_SIDED * term.sd:.0f} ms"
+            for term in fit.nuisances
+            if term.group == "lag"
+        ]
+        lines.append(f"Torques behind positions: {', '.join(lags)}.")
+        lines.append(
+            f"Standard deviation of the mass: {fit.held.sd_kg:.4f} kg; the least that such torques "
+            f"allow: {fit.bound_kg:.4f} kg."
+        )
+        draw.log_words(stream, "terms", "\n\n".join(lines))
         views.append(rrb.TextDocumentView(origin="/terms", name="in words"))
     named = [
         (term.name.rpartition(" ")[0], term) for term in (data.fit.nuisances if data.fit else ())
@@ -453,33 +398,9 @@ def log_terms(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.V
         terms = [[term for name, term in named if name == ending] for ending in chart.endings]
         if all(terms):
             _log_chart(stream, f"sheets/terms_{number}", chart, terms)
-            views.append(chart_view(f"terms_{number}", chart.title))
+            views.append(draw.chart_view(f"terms_{number}", chart.title))
             number += 1
     return views
-
-
-def _terms_words(fit: PayloadFit) -> str:
-    """Describe what no chart shows."""
-    whose = "the joint's own" if fit.convention.sign > 0 else "the load's (the sign is turned)"
-    sentence = fit.identifiability[:1].upper() + fit.identifiability[1:]
-    weight = "with" if fit.convention.has_gravity else "without"
-    lines = [
-        "Dots and bars: by the log, 95 %. Boxes: before it, 95 %.",
-        f"The driver's torques are {whose}, {weight} the arm's weight in them; this leads by a "
-        f"log evidence of {fit.convention_odds:.0f}.",
-        f"{sentence}.",
-    ]
-    lags = [
-        f"{term.name} {round(1000 * term.value)} ± {1000 * TWO_SIDED * term.sd:.0f} ms"
-        for term in fit.nuisances
-        if term.group == "lag"
-    ]
-    lines.append(f"Torques behind positions: {', '.join(lags)}.")
-    lines.append(
-        f"Standard deviation of the mass: {fit.held.sd_kg:.4f} kg; the least that such torques "
-        f"allow: {fit.bound_kg:.4f} kg."
-    )
-    return "\n\n".join(lines)
 
 
 def _log_chart(
@@ -492,14 +413,14 @@ def _log_chart(
     reach = _CHART_HEADROOM * max(float(np.abs(ends).max()), TWO_SIDED * float(priors.max()), 1e-9)
     count = len(terms[0])
     x, marks = _joint_marks(count)
-    rows = [(-0.5 - value / (2 * reach), f"{value:g}") for value in ticks(-reach, reach, 2)]
-    log_grid(stream, sheet, WIDTH, rows, marks)
-    half = _BAR * WIDTH / count
+    rows = [(-0.5 - value / (2 * reach), f"{value:g}") for value in draw.ticks(-reach, reach, 2)]
+    draw.log_grid(stream, sheet, draw.WIDTH, rows, marks)
+    half = _BAR * draw.WIDTH / count
     boxes = rr.Boxes2D(
         centers=np.column_stack([x, np.full(count, -0.5)]),
         half_sizes=np.column_stack([np.full(count, half), TWO_SIDED * priors[0] / (2 * reach)]),
         colors=[_PRIOR],
-        radii=screen_radius(0.6),
+        radii=draw.screen_radius(0.6),
     )
     stream.log(f"{sheet}/prior", boxes, static=True)
     aside = (np.arange(len(terms)) - (len(terms) - 1) / 2) * 2 * half / len(terms)
@@ -510,12 +431,12 @@ def _log_chart(
     for at, bottom, top in zip(across.tolist(), low.tolist(), high.tolist(), strict=True):
         strips.append([[at, bottom], [at, top]])
         strips += [[[at - cap, end], [at + cap, end]] for end in (bottom, top)]
-    bars = rr.LineStrips2D(strips, colors=[FITTED], radii=screen_radius(0.9))
+    bars = rr.LineStrips2D(strips, colors=[draw.FITTED], radii=draw.screen_radius(0.9))
     stream.log(f"{sheet}/intervals", bars, static=True)
     dots = rr.Points2D(
         np.column_stack([across, -0.5 - values.ravel() / (2 * reach)]),
-        colors=[FITTED],
-        radii=screen_radius(3.5 if len(terms) == 1 else 2.5),
+        colors=[draw.FITTED],
+        radii=draw.screen_radius(3.5 if len(terms) == 1 else 2.5),
         draw_order=40.0,
     )
     stream.log(f"{sheet}/values", dots, static=True)
@@ -526,17 +447,18 @@ def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
     felt = data.felt_nm_per_kg
     x, marks = _joint_marks(len(felt))
     top = _CHART_HEADROOM * max(float(felt.max()), 1e-9)
-    rows = [(-value / top, f"{value:g}") for value in ticks(0.0, top, 2)]
-    log_grid(stream, "sheets/felt", WIDTH, rows, marks)
-    half = _BAR * WIDTH / len(felt)
+    rows = [(-value / top, f"{value:g}") for value in draw.ticks(0.0, top, 2)]
+    draw.log_grid(stream, "sheets/felt", draw.WIDTH, rows, marks)
+    half = _BAR * draw.WIDTH / len(felt)
+    # A bar below a thousandth of the axis is none.
     slabs = [
-        filled(at - half, at + half, -value / top, 0.0)
+        draw.filled(at - half, at + half, -value / top, 0.0)
         for at, value in zip(x, felt, strict=True)
-        if value > _MIN_BAR * top
+        if value > 1e-3 * top
     ]
     bars = rr.LineStrips2D(
         [strip for strips, _ in slabs for strip in strips],
-        colors=[mixed(data.result.color, 0.6)],
+        colors=[draw.mixed(data.result.color, 0.6)],
         radii=[radius for strips, radius in slabs for _ in strips],
         draw_order=10.0,
     )
@@ -545,8 +467,8 @@ def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
         rms_nm = np.sqrt(np.mean((data.fitted.effort_nm - data.observed_nm) ** 2, axis=0))
         dots = rr.Points2D(
             np.column_stack([x, -np.minimum(rms_nm / top, 1.0)]),
-            colors=[FITTED],
-            radii=screen_radius(4.0),
+            colors=[draw.FITTED],
+            radii=draw.screen_radius(4.0),
             draw_order=40.0,
         )
         stream.log("sheets/felt/left", dots, static=True)
@@ -554,68 +476,91 @@ def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
 
 def _joint_marks(count: int) -> tuple[Array, list[tuple[float, str]]]:
     """Return positions across a chart, shape (J,), and the marks below."""
-    x = (np.arange(count) + 0.5) / count * WIDTH
-    every = -(-count // _MAX_MARKS)
+    x = (np.arange(count) + 0.5) / count * draw.WIDTH
+    every = -(-count // 16)  # numbers of joints below a chart: more would overlap
     return x, [(float(x[index]), str(index + 1)) for index in range(0, count, every)]
 
 
 # ---- Plots of the torques, sheets of one iteration, and the layout of all
 
-_MANY_SAMPLES = 150  # above which dots of the usual size would hide the lines
 # Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond.
 _TYPICAL_QUANTILE, _HEADROOM = 0.98, 1.3
-
 # Joints that the first tab has room for, so that their axes have ticks; the others have a tab.
 _PLAYED = 4
-
-_COLUMNS = 3  # of a tab of residuals: titles and ticks fit on a laptop's screen
 # Of the axes of torques, of a payload's part of them, and of residuals (half of it): less would
 # make noise look like torque.
 _MIN_SPAN_NM, _MIN_SHEET_NM, _MIN_REACH_NM = 2.0, 0.5, 0.05
-
 _ROOM = 0.05  # above and below the curves of a sheet, of what they span
 _ONE_COLUMN = 3  # joints whose charts lie one over the other; more take two columns
-_MIN_SPAN_KG = 0.02  # of the mass's axis: less would make steps of a gram look large
 
 
 def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     """Log all views of a payload's review, and return their layout."""
     data = payload_review_data(tuning)
     masses_kg = [curve.mass_kg for curve in data.simulated]
-    iterates = Iterates(
+    # With a span under .02 kg steps of a gram would look large.
+    iterates = draw.Iterates(
         parameter="payload mass",
         unit=PAYLOAD_MASS.unit,
         names=tuple(curve.name for curve in data.simulated),
         values=tuple(masses_kg),
         colors=tuple(curve.color for curve in data.simulated),
-        span=span_of([*masses_kg, *(data.interval95 or ())], _MIN_SPAN_KG),
+        span=draw.span_of([*masses_kg, *(data.interval95 or ())], 0.02),
         interval95=data.interval95,
     )
     torques, residuals = _log_torques(stream, data)
-    key = _log_key(stream, data)
+    # Log the legend of the curves.
+    entries: list[tuple[str, list[draw.Color]]] = [("observed", [draw.OBSERVED])]
+    entries.append(("rigid arm, by iteration", [curve.color for curve in data.simulated]))
+    if data.fitted is not None:
+        entries.append((data.fitted.label, [data.fitted.color]))
+    key = draw.log_key(stream, entries)
     arm = log_arm(stream, data)
-    log_iterates(stream, iterates, float(data.seconds[0]))
-    sheets = _log_sheets(stream, data)
+    draw.log_iterates(stream, iterates, float(data.seconds[0]))
+    # What the iteration's payload adds to the empty arm's torque, over the observed torque.
+    sheets: list[rrb.View] = []
+    for joint in data.order:
+        empty = data.empty_nm[:, joint]
+        observed = data.observed_nm[:, joint] - empty
+        simulated = [curve.effort_nm[:, joint] - empty for curve in data.simulated]
+        fitted = data.fitted and (data.fitted.effort_nm[:, joint] - empty, data.fitted.color)
+        shown = np.concatenate([observed, *simulated, [0.0]])
+        reach = max(float(np.ptp(shown)), _MIN_SHEET_NM) * (1 + 2 * _ROOM)
+        low = float(shown.min() + shown.max() - reach) / 2
+        draw.log_sheet(
+            stream,
+            f"sheets/torque_{joint + 1}",
+            data.seconds,
+            observed,
+            np.column_stack(simulated),
+            [curve.color for curve in data.simulated],
+            (low, low + reach),
+            fitted=fitted,
+        )
+        title = f"{data.title(joint)} beyond the empty arm"
+        sheets.append(draw.chart_view(f"torque_{joint + 1}", title))
+    words = [_words(data, k) for k in range(len(data.simulated))]
+    step = draw.log_steps(stream, words, float(data.seconds[0]))
     terms = log_terms(stream, data)
     overlay = rrb.Horizontal(
         arm,
-        rrb.Vertical(key, rrb.Grid(*torques[:_PLAYED], grid_columns=2), row_shares=KEY_SHARES),
+        rrb.Vertical(key, rrb.Grid(*torques[:_PLAYED], grid_columns=2), row_shares=draw.KEY_SHARES),
         rrb.TextDocumentView(origin="/result", name="result"),
         column_shares=[3.6, 6, 4.6],
-        name=f"overlay (timeline {LOG_TIME})",
+        name=f"overlay (timeline {draw.LOG_TIME})",
     )
-    step = rrb.TextDocumentView(origin="/step", name="iteration")
     scrub = rrb.Horizontal(
         rrb.Grid(*sheets, grid_columns=2 if len(sheets) > _ONE_COLUMN else 1),
-        rrb.Vertical(step, iterates_view(iterates)),
+        rrb.Vertical(step, draw.iterates_view(iterates)),
         column_shares=[5, 4],
-        name=f"scrub (timeline {ITERATION})",
+        name=f"scrub (timeline {draw.ITERATION})",
     )
     others = rrb.Grid(*terms, grid_columns=3, name="what else is in the torques")
-    name = f"what is left (timeline {LOG_TIME})"
-    tabs = [overlay, rrb.Grid(*residuals, grid_columns=_COLUMNS, name=name), scrub, others]
+    name = f"what is left (timeline {draw.LOG_TIME})"
+    # Of three columns titles and ticks fit on a laptop's screen.
+    tabs = [overlay, rrb.Grid(*residuals, grid_columns=3, name=name), scrub, others]
     if len(torques) > _PLAYED:
-        name = f"other joints (timeline {LOG_TIME})"
+        name = f"other joints (timeline {draw.LOG_TIME})"
         tabs.insert(1, rrb.Grid(*torques[_PLAYED:], grid_columns=2, name=name))
     return rrb.Tabs(*tabs, active_tab=0)
 
@@ -628,7 +573,8 @@ def _log_torques(
     A torque's axis fits the observed and the result; earlier iterates may run off. That of
     residuals has the scale of the result's of most joints.
     """
-    size = 1.0 if len(data.seconds) > _MANY_SAMPLES else 1.5
+    # Of more samples, dots of the usual size would hide the lines.
+    size = 1.0 if len(data.seconds) > 150 else 1.5
     curves = {"iterations": data.simulated}
     if data.fitted is not None:
         curves["fit"] = (data.fitted,)
@@ -643,122 +589,23 @@ def _log_torques(
         observed = data.observed_nm[:, joint]
         for name, lines in curves.items():
             values = np.column_stack([line.effort_nm[:, joint] for line in lines])
-            _log_lines(stream, f"{torque}/{name}", lines, data.seconds, values)
-            _log_lines(
-                stream, f"{residual}/{name}", lines, data.seconds, values - observed[:, None]
-            )
-        points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
+            style = [(line.label, line.color, line.width) for line in lines]
+            draw.log_lines(stream, f"{torque}/{name}", data.seconds, values, style)
+            off_nm = values - observed[:, None]
+            draw.log_lines(stream, f"{residual}/{name}", data.seconds, off_nm, style)
+        points = rr.SeriesPoints(colors=[draw.OBSERVED], names=["observed"], marker_sizes=[size])
         stream.log(f"{torque}/observed", points, static=True)
-        send_scalars(stream, f"{torque}/observed", data.seconds, observed)
+        draw.send_scalars(stream, f"{torque}/observed", data.seconds, observed)
         shown = np.concatenate([observed, best.effort_nm[:, joint]])
         low, high = float(shown.min()), float(shown.max())
         more = max(0.0, _MIN_SPAN_NM - (high - low)) / 2
         reach = _HEADROOM * max(float(usual[joint]), least)
         unused = "" if data.used[joint] else ", not used"
         title = data.title(joint, "torque") + unused
-        torques.append(_plot(torque, title, low - more, high + more))
+        torques.append(draw.plot_view(torque, title, (low - more, high + more)))
         title = data.title(joint, "simulated - observed")
-        residuals.append(_plot(residual, title, -reach, reach))
+        residuals.append(draw.plot_view(residual, title, (-reach, reach)))
     return torques, residuals
-
-
-def _plot(entity: str, title: str, low: float, high: float) -> rrb.View:
-    """Build a plot whose axis shows these values and has ticks."""
-    return rrb.TimeSeriesView(
-        origin=f"/{entity}",
-        name=title,
-        axis_y=rrb.ScalarAxis(range=ticked(low, high)),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
-
-
-def _log_key(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
-    """Log the legend of the curves."""
-    entries: list[tuple[str, list[Color]]] = [("observed", [OBSERVED])]
-    entries.append(("rigid arm, by iteration", [curve.color for curve in data.simulated]))
-    if data.fitted is not None:
-        entries.append((data.fitted.label, [data.fitted.color]))
-    return log_key(stream, entries)
-
-
-def _log_lines(
-    stream: rr.RecordingStream,
-    entity: str,
-    curves: Sequence[TorqueCurve],
-    seconds: Array,
-    values: Array,
-) -> None:
-    """Log several curves as one entity, values of shape (T, curves)."""
-    style = rr.SeriesLines(
-        colors=[curve.color for curve in curves],
-        names=[curve.label for curve in curves],
-        widths=[curve.width for curve in curves],
-        aggregation_policy="Off",
-    )
-    stream.log(entity, style, static=True)
-    send_scalars(stream, entity, seconds, values)
-
-
-def _log_sheets(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.View]:
-    """Log per joint the observed torque and what the iteration's payload adds to the empty arm's.
-
-    The entity `step` describes the iteration.
-    """
-    indexes = by_iteration(len(data.simulated), float(data.seconds[0]))
-    for joint in data.order:
-        _log_sheet(stream, data, joint, indexes)
-    stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
-    for index, chosen in indexes:
-        words = rr.TextDocument.columns(text=[_words(data, k) for k in chosen])
-        stream.send_columns("step", indexes=[index], columns=words)
-    return [
-        chart_view(f"torque_{joint + 1}", f"{data.title(joint)} beyond the empty arm")
-        for joint in data.order
-    ]
-
-
-def _log_sheet(
-    stream: rr.RecordingStream,
-    data: PayloadReviewData,
-    joint: int,
-    indexes: Sequence[tuple[rr.TimeColumn, range]],
-) -> None:
-    """Log what payloads add to a joint's torque, over the observed torque, which stays."""
-    sheet = f"sheets/torque_{joint + 1}"
-    empty = data.empty_nm[:, joint]
-    observed = data.observed_nm[:, joint] - empty
-    simulated = [curve.effort_nm[:, joint] - empty for curve in data.simulated]
-    fitted = None if data.fitted is None else data.fitted.effort_nm[:, joint] - empty
-    shown = np.concatenate([observed, *simulated, [0.0]])
-    reach = max(float(np.ptp(shown)), _MIN_SHEET_NM) * (1 + 2 * _ROOM)
-    low = float(shown.min() + shown.max() - reach) / 2
-    start_s, width_s = data.seconds[0], data.seconds[-1] - data.seconds[0]
-    x = (data.seconds - start_s) / width_s * WIDTH
-
-    def points(values: Array) -> Array:
-        return np.column_stack([x, -(values - low) / reach])
-
-    rows = [(-(value - low) / reach, f"{value:g}") for value in ticks(low, low + reach, 3)]
-    marks = [
-        (float((second - start_s) / width_s * WIDTH), f"{second:g} s")
-        for second in ticks(start_s, data.seconds[-1])
-    ]
-    log_grid(stream, sheet, WIDTH, rows, marks)
-    dots = rr.Points2D(points(observed), colors=[OBSERVED], radii=screen_radius(1.2))
-    stream.log(f"{sheet}/observed", dots, static=True)
-    if data.fitted is not None and fitted is not None:
-        line = rr.LineStrips2D(
-            [points(fitted)], colors=[data.fitted.color], radii=screen_radius(0.9)
-        )
-        stream.log(f"{sheet}/fit", line, static=True)
-    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.4), draw_order=40.0)
-    stream.log(f"{sheet}/simulated", style, static=True)
-    for index, chosen in indexes:
-        strips = rr.LineStrips2D.columns(
-            strips=[points(simulated[k]) for k in chosen],
-            colors=[data.simulated[k].color for k in chosen],
-        )
-        stream.send_columns(f"{sheet}/simulated", indexes=[index], columns=strips)
 
 
 def _words(data: PayloadReviewData, k: int) -> str:

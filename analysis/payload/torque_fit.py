@@ -56,34 +56,22 @@ from tunenet_logs.recorders.simulators.arm.description import PAYLOAD_RADIUS_M, 
 
 Three = tuple[float, float, float]
 Pair = tuple[float, float]
-
 MIN_MASS_KG = 0.05  # below which a payload has no centre of mass that torques show
 # Of each axis of a centre of mass: its interval is then narrower than a hand.
 _IDENTIFIABLE_SD_M = 0.012
-
-_MAX_M = 0.5  # of a centre along an axis: no hand holds a thing by a point further away
-# Standard deviation of a moment of inertia, by the largest one: with more it is unidentifiable.
-_TOLD_SHARE = 0.2
-
 # Bodies that are drawn, and how many of them there must be.
 _DRAWS, _MIN_DRAWS, _SEED = 4000, 200, 17
 
 
 @dataclass(frozen=True)
 class Centre:
-    """Centre of mass of the payload in the tool frame.
+    """Centre of mass of the payload in the tool frame."""
 
-    Attributes:
-        com_m: x, y, z [m].
-        sds_m: Standard deviation of each [m].
-        mass_kg: That it is the centre of.
-        kg_for_m: Error of a mass that is fitted with the centre in the tool frame, per metre that
-            the centre is off along x, y, z.
-    """
-
-    com_m: Three
-    sds_m: Three
-    mass_kg: float
+    com_m: Three  # x, y, z [m]
+    sds_m: Three  # standard deviation of each [m]
+    mass_kg: float  # that it is the centre of
+    # error of a mass that is fitted with the centre in the tool frame, per metre that the centre
+    # is off along x, y, z
     kg_for_m: Three
 
     @property
@@ -94,7 +82,8 @@ class Centre:
     @property
     def likely_m(self) -> Three:
         """Centre of mass for a simulation: the tool frame's origin if this one cannot be."""
-        can_be = self.mass_kg > MIN_MASS_KG and max(map(abs, self.com_m)) < _MAX_M
+        # No hand holds a thing by a point half a metre away.
+        can_be = self.mass_kg > MIN_MASS_KG and max(map(abs, self.com_m)) < 0.5
         return self.com_m if can_be else (0.0, 0.0, 0.0)
 
     @property
@@ -115,61 +104,28 @@ class Centre:
 
 @dataclass(frozen=True)
 class Inertia:
-    """Moments of inertia about the centre of mass, along the tool frame's axes.
+    """Moments of inertia about the centre of mass, along the tool frame's axes."""
 
-    Attributes:
-        kg_m2: xx, xy, yy, xz, yz, zz.
-        interval95: Of each.
-    """
-
-    kg_m2: tuple[float, ...]
-    interval95: tuple[Pair, ...]
+    kg_m2: tuple[float, ...]  # xx, xy, yy, xz, yz, zz
+    interval95: tuple[Pair, ...]  # of each
 
 
 @dataclass(frozen=True)
 class Held:
-    """Payload of the arm.
+    """Payload of the arm."""
 
-    Attributes:
-        mass_kg: 0 or more.
-        interval95: Of the mass [kg]; from 0 if it is not significant.
-        signed_kg: Mass as fitted, which may be below 0.
-        sd_kg: Its standard deviation.
-        centre: Of mass, whether identifiable or not.
-        inertia: None if unidentifiable.
-    """
-
-    mass_kg: float
-    interval95: Pair
-    signed_kg: float
-    sd_kg: float
-    centre: Centre
-    inertia: Inertia | None
+    mass_kg: float  # 0 or more
+    interval95: Pair  # of the mass [kg]; from 0 if it is not significant
+    signed_kg: float  # mass as fitted, which may be below 0
+    sd_kg: float  # its standard deviation
+    centre: Centre  # of mass, whether identifiable or not
+    inertia: Inertia | None  # None if unidentifiable
 
 
 def held(means: Array, covariance: Array) -> Held:
     """Build a payload from the Gaussian posterior of its terms, shapes (10,) and (10, 10)."""
     signed_kg, sd_kg = float(means[MASS]), float(np.sqrt(covariance[MASS, MASS]))
-    centre = _centre(means, covariance)
-    inertia = _inertia(means, covariance) if centre.is_identifiable else None
-    interval95 = _interval(signed_kg, sd_kg)
-    return Held(max(signed_kg, 0.0), interval95, signed_kg, sd_kg, centre, inertia)
-
-
-def _interval(mean_kg: float, sd_kg: float) -> Pair:
-    """Return the 95 % interval of a Gaussian, truncated at 0 if its mean is hardly above."""
-    from scipy.special import ndtr, ndtri
-
-    if mean_kg > TWO_SIDED * sd_kg:
-        return mean_kg - TWO_SIDED * sd_kg, mean_kg + TWO_SIDED * sd_kg
-    above = float(ndtr(mean_kg / sd_kg))
-    # Far below 0, the part above it is an exponential's: the quantile by its tail.
-    end = mean_kg - sd_kg * float(ndtri(0.05 * above))
-    return 0.0, end
-
-
-def _centre(means: Array, covariance: Array) -> Centre:
-    """Divide first moments by the mass, with first-order error propagation."""
+    # Divide first moments by the mass, with first-order error propagation.
     mass_kg = max(float(means[MASS]), MIN_MASS_KG)
     com_m = means[CENTRE] / mass_kg
     # The error of a quotient to first order: its Jacobian by mass and first moments.
@@ -181,7 +137,19 @@ def _centre(means: Array, covariance: Array) -> Centre:
     x, y, z = com_m.tolist()
     sd_x, sd_y, sd_z = sds_m.tolist()
     kg_x, kg_y, kg_z = kg_for_m.tolist()
-    return Centre((x, y, z), (sd_x, sd_y, sd_z), float(means[MASS]), (kg_x, kg_y, kg_z))
+    centre = Centre((x, y, z), (sd_x, sd_y, sd_z), float(means[MASS]), (kg_x, kg_y, kg_z))
+    inertia = _inertia(means, covariance) if centre.is_identifiable else None
+    # The 95 % interval of a Gaussian, truncated at 0 if its mean is hardly above.
+    from scipy.special import ndtr, ndtri
+
+    if signed_kg > TWO_SIDED * sd_kg:
+        interval95 = signed_kg - TWO_SIDED * sd_kg, signed_kg + TWO_SIDED * sd_kg
+    else:
+        above = float(ndtr(signed_kg / sd_kg))
+        # Far below 0, the part above it is an exponential's: the quantile by its tail.
+        end = signed_kg - sd_kg * float(ndtri(0.05 * above))
+        interval95 = 0.0, end
+    return Held(max(signed_kg, 0.0), interval95, signed_kg, sd_kg, centre, inertia)
 
 
 def _inertia(means: Array, covariance: Array) -> Inertia | None:
@@ -203,7 +171,9 @@ def _inertia(means: Array, covariance: Array) -> Inertia | None:
     about = np.einsum("ni,ni->n", firsts, firsts)[:, None, None] * np.eye(3)
     own = tensors[there] - (about - np.einsum("ni,nj->nij", firsts, firsts)) / masses
     rows = own[:, *np.tril_indices(3)]
-    if np.std(rows, axis=0).max() > _TOLD_SHARE * np.abs(np.mean(rows, axis=0)).max():
+    # Standard deviation of a moment of inertia, by the largest one: with more it is
+    # unidentifiable
+    if np.std(rows, axis=0).max() > 0.2 * np.abs(np.mean(rows, axis=0)).max():
         return None
     lows, highs = np.quantile(rows, (0.025, 0.975), axis=0)
     return Inertia(
@@ -217,75 +187,46 @@ def _inertia(means: Array, covariance: Array) -> Inertia | None:
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One nuisance term.
+    """One nuisance term."""
 
-    Attributes:
-        name: In words.
-        group: That it is scaled with (`make_terms`).
-        value: Its mean [N·m, N·m for each rad/s or rad/s², m, rad, s, or a fraction].
-        sd: Standard deviation, in the same unit.
-        prior_sd: Of its prior about 0 at scale 1, in the same unit.
-    """
-
-    name: str
-    group: str
-    value: float
-    sd: float
-    prior_sd: float
+    name: str  # in words
+    group: str  # that it is scaled with (`make_terms`)
+    value: float  # its mean [N·m, N·m for each rad/s or rad/s², m, rad, s, or a fraction]
+    sd: float  # standard deviation, in the same unit
+    prior_sd: float  # of its prior about 0 at scale 1, in the same unit
 
 
 @dataclass(frozen=True, eq=False)
 class FitResidual:
-    """Residual of a fit to the torques of one run.
+    """Residual of a fit to the torques of one run."""
 
-    Attributes:
-        residual_nm: Measured less predicted, of the joints that were fitted [N·m], shape (T, U).
-        effort_nm: As measured, of the same [N·m], shape (T, U).
-        scales_nm: Rated torque of these joints [N·m], shape (U,).
-    """
-
+    # measured less predicted, of the joints that were fitted [N·m], shape (T, U)
     residual_nm: Array
-    effort_nm: Array
-    scales_nm: Array
+    effort_nm: Array  # as measured, of the same [N·m], shape (T, U)
+    scales_nm: Array  # rated torque of these joints [N·m], shape (U,)
 
 
 @dataclass(frozen=True, eq=False)
 class PayloadFit:
-    """Fit of the payload and all nuisance terms.
+    """Fit of the payload and all nuisance terms."""
 
-    Attributes:
-        held: Mass, centre of mass and inertia.
-        convention: Sign of the torques, and whether gravity is included.
-        convention_odds: Log evidence (natural) by which it leads the next one; below 0 if the
-            log speaks for one that the user excluded.
-        arm_odds: Log evidence over a model without an arm.
-        nuisances: All other terms.
-        bound_kg: Cramér-Rao bound of the mass's standard deviation, under the likeliest scales.
-        scales: Of each group of terms, relative to its usual size.
-        scales_nm: Rated torque of each joint [N·m], shape (J,).
-        seconds: Of the torques [s], shape (T,).
-        effort_nm: As measured, with the joint's sign [N·m], shape (T, J).
-        predicted_nm: By the fit [N·m], shape (T, J).
-        used: Joints that were fitted, shape (J,).
-        lag_s: Of the torques behind the positions [s].
-        tare_residuals: Of the empty runs' torques.
-        learnt: What all runs identify of the arm's own terms (`Terms.arms`), for later logs.
-    """
-
-    held: Held
-    convention: Convention
+    held: Held  # mass, centre of mass and inertia
+    convention: Convention  # sign of the torques, and whether gravity is included
+    # log evidence (natural) by which it leads the next one; below 0 if the log speaks for one
+    # that the user excluded
     convention_odds: float
-    arm_odds: float
-    nuisances: tuple[Nuisance, ...]
-    bound_kg: float
-    scales: Mapping[str, float]
-    scales_nm: Array
-    seconds: Array
-    effort_nm: Array
-    predicted_nm: Array
-    used: NDArray[np.bool_]
-    lag_s: float
-    tare_residuals: tuple[FitResidual, ...]
+    arm_odds: float  # log evidence over a model without an arm
+    nuisances: tuple[Nuisance, ...]  # all other terms
+    bound_kg: float  # cramér-Rao bound of the mass's standard deviation, under the likeliest scales
+    scales: Mapping[str, float]  # of each group of terms, relative to its usual size
+    scales_nm: Array  # rated torque of each joint [N·m], shape (J,)
+    seconds: Array  # of the torques [s], shape (T,)
+    effort_nm: Array  # as measured, with the joint's sign [N·m], shape (T, J)
+    predicted_nm: Array  # by the fit [N·m], shape (T, J)
+    used: NDArray[np.bool_]  # joints that were fitted, shape (J,)
+    lag_s: float  # of the torques behind the positions [s]
+    tare_residuals: tuple[FitResidual, ...]  # of the empty runs' torques
+    # what all runs identify of the arm's own terms (`Terms.arms`), for later logs
     learnt: NormalEquations
 
     @property
@@ -325,36 +266,23 @@ class PayloadFit:
 # Ripple, hoses and other unmodelled effects depend on the arm's configuration. Of two runs in the
 # same places at the same times, such effects are in the mean alone, not in the difference.
 
-# Root mean square and greatest distance of two runs along one path: how a controller repeats.
-_NEAR_RAD, _NEVER_BEYOND_RAD = 0.01, 0.05
-
 _OVERLAP = 0.9  # of the log that a tare along its path covers at least
 # Of the search for the time by which the one began later: positions a second, shifts that are
 # tried, and how often the step between them is halved then.
 _COARSE_HZ, _MAX_SHIFTS, _HALVINGS = 20.0, 400, 12
-
 _DRIFTS, _LAG = slice(-2, None), -OWN_TERMS - 3  # columns of a run's own terms
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueRows:
-    """Least-squares rows of a series of torques.
+    """Least-squares rows of a series of torques."""
 
-    Attributes:
-        seconds: [s], shape (T,).
-        left_nm: Residual at the linearisation point, shape (T, J).
-        columns: Terms that each joint's slopes are by, shape (J, C).
-        slopes: Shape (T, J, C).
-        own: Which of those columns belong to a joint alone.
-        used: Joints that count, shape (J,).
-    """
-
-    seconds: Array
-    left_nm: Array
-    columns: NDArray[np.int64]
-    slopes: Array
-    own: NDArray[np.int64]
-    used: NDArray[np.bool_]
+    seconds: Array  # [s], shape (T,)
+    left_nm: Array  # residual at the linearisation point, shape (T, J)
+    columns: NDArray[np.int64]  # terms that each joint's slopes are by, shape (J, C)
+    slopes: Array  # shape (T, J, C)
+    own: NDArray[np.int64]  # which of those columns belong to a joint alone
+    used: NDArray[np.bool_]  # joints that count, shape (J,)
 
     def after_nm(self, change: Array) -> Array:
         """Return the residual, (T, J), after the terms have changed by `change`, shape (N,)."""
@@ -429,7 +357,9 @@ def along(motion: ArmMotion, tare: ArmMotion) -> tuple[ArmMotion, NDArray[np.boo
         step /= 2
         best = min((best - step, best, best + step), key=off)
     rms, worst = off(best)
-    if rms > _NEAR_RAD or worst > _NEVER_BEYOND_RAD:
+    # Root mean square and greatest distance of two runs along one path: how a controller repeats
+    # [rad]
+    if rms > 0.01 or worst > 0.05:
         return None
     at = seconds + best
     inside = (at >= first) & (at <= last)
@@ -439,42 +369,24 @@ def along(motion: ArmMotion, tare: ArmMotion) -> tuple[ArmMotion, NDArray[np.boo
 
 # ---- Gauss-Newton over all terms at once: their values, their prior scales, and the noise
 
-# Lags, tilts and encoders' zeros are clipped here: torques are linear in them only while they are
-# small.
-_MAX_LAG_S, _MAX_TURN_RAD = 0.2, 0.2
 
 # Noise before anything is fitted, and of the best sensor, by what a joint is built for.
 _START_SHARE, _MIN_SHARE = 0.02, 2e-5
 
-_ANY_OFFSET = 2.5  # logarithm of a scale with which an offset explains any constant torque
-# Of the search for scales, in each iteration: it goes on where the last one ended. With 3 it stood
-# still for some, and a wrong convention looked likelier by 130.
-_SCALE_STEPS = 12
-
 
 @dataclass(frozen=True, eq=False)
 class GaussNewton:
-    """Gauss-Newton iterate of all terms.
+    """Gauss-Newton iterate of all terms."""
 
-    Attributes:
-        runs: The log and its tares.
-        terms: The unknowns.
-        convention: The driver's torque convention.
-        known: Prior information on the arm, about terms of 0; None for nothing.
-        noises: Of each series of rows (`rows_of`) and joint.
-        found: Posterior of the terms.
-        logs: Logarithms of the scale of each group.
-        log_evidence: Up to a constant that all models of these runs share.
-    """
-
-    runs: tuple[LoggedArm, ...]
-    terms: Terms
-    convention: Convention
+    runs: tuple[LoggedArm, ...]  # the log and its tares
+    terms: Terms  # the unknowns
+    convention: Convention  # the driver's torque convention
+    # prior information on the arm, about terms of 0; None for nothing
     known: NormalEquations | None
-    noises: tuple[Noises, ...]
-    found: TermPosterior
-    logs: Mapping[str, float] = field(default_factory=dict)
-    log_evidence: float = -np.inf
+    noises: tuple[Noises, ...]  # of each series of rows (`rows_of`) and joint
+    found: TermPosterior  # posterior of the terms
+    logs: Mapping[str, float] = field(default_factory=dict)  # logarithms of the scale of each group
+    log_evidence: float = -np.inf  # up to a constant that all models of these runs share
 
     @classmethod
     def start(
@@ -497,29 +409,20 @@ class GaussNewton:
         nothing = TermPosterior(np.zeros(len(sds)), np.diag(sds), sds, -np.inf)
         return cls(runs, terms, convention, known, noises, nothing)
 
-    def linearized(self) -> list[Linearization]:
-        """Linearise each run about the present terms."""
-        return [run.linearized(self.found.means, self.convention) for run in self.runs]
-
-    def rows(self, lines: Sequence[Linearization]) -> list[TorqueRows]:
-        """Build the least-squares rows of each run's linear model."""
-        return rows_of(self.runs, lines, self.convention)
-
     def fitted(self, rows: Sequence[TorqueRows], at: Array, *, roughly: bool) -> GaussNewton:
         """Solve linear models for the terms, their groups' scales, then the noise of the residual.
 
-        Args:
-            rows: Of linear models of these runs.
-            at: Terms about which they are linear, shape (N,).
-            roughly: Whether it is only to be compared with others. Sensor offsets are then free: a
-                convention shows in how torques change, not in what they are.
+        `at` (N,).
         """
         normal = self.normal_equations(rows, at)
         searched = self.groups
         if roughly:
             del searched["offset"]
-        logs = likeliest_scales(normal, self._sds, searched, self.logs, _SCALE_STEPS)
-        logs["offset"] = _ANY_OFFSET if roughly else logs["offset"]
+        # The search for scales goes on where the last one ended. With 3 steps it stood still for
+        # some, and a wrong convention looked likelier by 130.
+        logs = likeliest_scales(normal, self._sds, searched, self.logs, 12)
+        # With this logarithm of its scale an offset explains any constant torque.
+        logs["offset"] = 2.5 if roughly else logs["offset"]
         sds = scaled(self._sds, self.groups, logs)
         found = posterior(normal, sds)
         told = 1 - found.variances / np.maximum(sds, 1e-150) ** 2
@@ -530,7 +433,12 @@ class GaussNewton:
             target = series.after_nm(-at)
             for joint in np.flatnonzero(series.used).tolist():
                 evidence += own[joint].log_likelihood(target[:, joint])
-        found = self._clipped(found)
+        means = found.means.copy()
+        # Torques are linear in lags [s], tilts and encoders' zeros [rad] only while they are small.
+        for name in ("lag", "tilt", "zeros"):
+            indices, most = self.terms.of[name], 0.2
+            means[indices] = np.clip(means[indices], -most, most)
+        found = replace(found, means=means)
         least_nm = _MIN_SHARE * self.terms.scales_nm
         noises: list[Noises] = []
         for own, series in zip(self.noises, rows, strict=True):
@@ -538,10 +446,6 @@ class GaussNewton:
             fitted = told[series.columns[:, series.own]].sum(axis=1)
             noises.append(estimated(own, residual_nm, fitted, least_nm, roughly=roughly))
         return replace(self, noises=tuple(noises), found=found, logs=logs, log_evidence=evidence)
-
-    def with_usual_offsets(self) -> GaussNewton:
-        """Return a copy whose sensor offsets have their usual prior again."""
-        return replace(self, logs={**self.logs, "offset": 0.0})
 
     @property
     def groups(self) -> dict[str, NDArray[np.int64]]:
@@ -583,54 +487,27 @@ class GaussNewton:
         measured_nm = self.runs[run].torques_nm(self.convention)
         return measured_nm - lines[run].predicted_nm - lines[run].moved_nm(change)
 
-    def _clipped(self, found: TermPosterior) -> TermPosterior:
-        means = found.means.copy()
-        for name, most in (
-            ("lag", _MAX_LAG_S),
-            ("tilt", _MAX_TURN_RAD),
-            ("zeros", _MAX_TURN_RAD),
-        ):
-            indices = self.terms.of[name]
-            means[indices] = np.clip(means[indices], -most, most)
-        return replace(found, means=means)
-
 
 # ---- Fit of the payload: the likeliest convention, refined
-
-# Factor on standard deviations where runs share an arm: what a model of it lacks is in none of them
-# alone. By made arms of another generator, whose intervals held 88 to 92 % without it.
-_SHARED_SD = 1.2
 
 # Fits of linear models to choose a convention: of all four, then of those that may still win; and
 # of Gauss-Newton with the best.
 _COMPARISONS, _MORE_COMPARISONS, _ITERATIONS = 3, 6, 3
 
-# Log evidence by which a convention may be behind and still win: noise settles slowly.
-_MAX_BEHIND = 50.0
-
 
 def fit_payload(
     arm: Arm,
     motion: ArmMotion,
-    tares: Sequence[ArmMotion] = (),
+    tares: Sequence[ArmMotion] = (),  # while it held nothing: any motions will do
     *,
     conventions: Sequence[Convention] = CONVENTIONS,
-    known: NormalEquations | None = None,
-    gain: float = GAIN,
+    known: NormalEquations | None = None,  # of the arm's own terms, see `PayloadFit.learnt`
+    gain: float = GAIN,  # usual error of the torques of each joint, a fraction
 ) -> PayloadFit:
     """Fit mass, centre of mass and inertia of an arm's payload.
 
     Linear models of all torque conventions are compared by their evidence. Gauss-Newton refines the
     best one, and its posterior is marginalised over the scale of each group of terms.
-
-    Args:
-        arm: Without a payload.
-        motion: While it held it.
-        tares: While it held nothing, with the same driver: any motions will do.
-        conventions: Possible ones, as far as the user does not state one.
-        known: What other runs identified of the arm's own terms (`PayloadFit.learnt`).
-        gain: Usual error of the torques, as a fraction: of each joint alone, and, as far as it is
-            more than a driver's own, of all joints in common.
     """
     model = ArmModel(arm)
     motions: list[ArmMotion] = [motion]
@@ -650,11 +527,12 @@ def fit_payload(
         for number, (one, inside) in enumerate(zip(motions, covered, strict=True))
     )
     best, odds, arm_odds = _likeliest(runs, conventions, known)
-    for _ in range(_ITERATIONS - 1):
-        best = best.fitted(best.rows(best.linearized()), best.found.means, roughly=False)
-    at, lines = best.found.means, best.linearized()
-    rows = best.rows(lines)
-    best = best.fitted(rows, at, roughly=False)
+    at, lines, rows = best.found.means, [], []
+    for _ in range(_ITERATIONS):
+        at = best.found.means
+        lines = [run.linearized(at, best.convention) for run in runs]
+        rows = rows_of(runs, lines, best.convention)
+        best = best.fitted(rows, at, roughly=False)
     normal = best.normal_equations(rows, at)
     # A run to come drifts from these, even where one alone does not show what drifted.
     drifting = make_terms(arm, scales_nm, len(motions), drifts=True).sds
@@ -686,20 +564,29 @@ def _likeliest(
     }
     for _ in range(_MORE_COMPARISONS):
         leader = max(fit.log_evidence for fit in fits.values())
-        near = [one for one, fit in fits.items() if fit.log_evidence > leader - _MAX_BEHIND]
+        # Log evidence by which a convention may be behind and still win: noise settles slowly
+        near = [one for one, fit in fits.items() if fit.log_evidence > leader - 50.0]
         if len(near) == 1:
             break
         fits |= {one: _compared(fits[one], rows[one], 1) for one in near}
     best = max(conventions, key=lambda convention: fits[convention].log_evidence)
     evidence = fits[best].log_evidence
     others = [fit.log_evidence for convention, fit in fits.items() if convention != best]
-    no_arm = _compared(
-        GaussNewton.start(runs, best, known),
-        rows_of(runs, [_without_arm(line, runs[0].terms) for line in lines[best]], best),
-        _COMPARISONS,
-    )
+    # Without an arm: the torques of sensors and friction alone.
+    kept = np.isin(runs[0].terms.groups, ("offset", "friction", "drift", "warming"))
+    bare = [
+        replace(
+            line,
+            predicted_nm=np.zeros_like(line.predicted_nm),
+            slopes=line.slopes * kept[line.columns],
+        )
+        for line in lines[best]
+    ]
+    start = GaussNewton.start(runs, best, known)
+    no_arm = _compared(start, rows_of(runs, bare, best), _COMPARISONS)
     odds = evidence - max(others), evidence - no_arm.log_evidence
-    return fits[best].with_usual_offsets(), *odds
+    # From here on sensor offsets have their usual prior again.
+    return replace(fits[best], logs={**fits[best].logs, "offset": 0.0}), *odds
 
 
 def _compared(fit: GaussNewton, rows: Sequence[TorqueRows], count: int) -> GaussNewton:
@@ -707,13 +594,6 @@ def _compared(fit: GaussNewton, rows: Sequence[TorqueRows], count: int) -> Gauss
     for _ in range(count):
         fit = fit.fitted(rows, np.zeros(len(fit.terms.sds)), roughly=True)
     return fit
-
-
-def _without_arm(line: Linearization, terms: Terms) -> Linearization:
-    """Keep only the torques of sensors and friction."""
-    kept = np.isin(np.array(terms.groups), ("offset", "friction", "drift", "warming"))
-    slopes = line.slopes * kept[line.columns]
-    return Linearization(np.zeros_like(line.predicted_nm), line.columns, slopes)
 
 
 def _payload(fit: GaussNewton, normal: NormalEquations) -> tuple[Array, Array, float]:
@@ -724,7 +604,10 @@ def _payload(fit: GaussNewton, normal: NormalEquations) -> tuple[Array, Array, f
     own = np.arange(PAYLOAD_TERMS)
     means, covariance = averaged(fit.found, fit.groups, fit.logs, own)
     if len(fit.runs) > 1 or fit.known is not None:
-        covariance = _SHARED_SD**2 * covariance
+        # Factor on standard deviations where runs share an arm: what a model of it lacks is in
+        # none of them alone. By made arms of another generator, whose intervals held 88 to 92 %
+        # without it
+        covariance = 1.2**2 * covariance
     ideal, weight = without(normal, fit.found, fit.groups, fit.logs, NOT_SIMULATED)
     off = ideal.means[own] - means
     covariance = (1 - weight) * covariance + weight * ideal.covariance[np.ix_(own, own)]

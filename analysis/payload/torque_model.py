@@ -39,45 +39,23 @@ if TYPE_CHECKING:
 
 # Left out at both ends: a spline's second derivative is poor where samples are on one side.
 _ENDS_S = 0.25
-
-# A gap of the positions within which the motion is unknown: longer than both.
-_MAX_GAP_PERIODS, _MIN_GAP_S = 5.0, 0.25
-
 _MIN_TORQUES = 20  # samples; fewer do not determine the terms of a fit
-# A single sample is an outlier where it is off the middle of its neighbours by more than this angle
-# and this multiple of the median.
-_OUTLIER_RAD, _OUTLIER_FACTOR = 0.05, 20.0
-
 _MAX_TORQUES = 700  # samples of a fit: more cost time and add nothing, as an arm's motion is slow
-# Over which the torques of an arm hardly change: spans of samples that are averaged.
-_MEAN_SPAN_S = 0.05
-
 _DEGREE = 5  # of the spline: its second derivative is a cubic, smooth itself
 # Penalty weights that are compared: from interpolation to a parabola, four a decade.
 _STIFFNESSES = np.logspace(-9, 7, 65)
-
-# Of a degree of freedom in the score: with 1, cross-validation follows noise too often (Gu 2002).
-_DOF_COST = 1.4
-
 _WINDOW_KNOTS = 300  # over which the stiffness is chosen; a long recording has the same throughout
 _RIDGE = 1e-10  # fraction of the penalty that keeps knots without a sample determined
 
 
 @dataclass(frozen=True, eq=False)
 class ArmMotion:
-    """Torques, and the motion at any time between.
+    """Torques, and the motion at any time between."""
 
-    Attributes:
-        seconds: Of the torques [s], shape (T,).
-        effort: As reported by the driver [N·m], shape (T, J).
-        used: Joints whose torque is informative, shape (J,).
-        spline: Positions of all joints [rad] over time [s].
-    """
-
-    seconds: Array
-    effort: Array
-    used: NDArray[np.bool_]
-    spline: BSpline
+    seconds: Array  # of the torques [s], shape (T,)
+    effort: Array  # as reported by the driver [N·m], shape (T, J)
+    used: NDArray[np.bool_]  # joints whose torque is informative, shape (J,)
+    spline: BSpline  # positions of all joints [rad] over time [s]
 
     def at(self, seconds: Array) -> tuple[Array, Array, Array]:
         """Return positions [rad], velocities [rad/s] and accelerations [rad/s^2], each (T, J)."""
@@ -89,23 +67,23 @@ def arm_motion(log: ArmLog) -> ArmMotion:
     """Smooth the positions by P-splines, with generalised cross-validation.
 
     The first and last quarter of a second are left out, and torques in gaps of the positions.
-
-    Raises:
-        NotFoundError: Too few torques remain.
     """
     positions, efforts = log.position.seconds, log.effort.seconds
     angles = log.position.values
     # Single samples at which no arm can have been between the two beside them.
     off = np.zeros(len(angles))
     aside = np.abs(angles[1:-1] - (angles[2:] + angles[:-2]) / 2)
-    usual = np.maximum(_OUTLIER_FACTOR * np.median(aside, axis=0), _OUTLIER_RAD)
+    # A single sample is an outlier where it is off the middle of its neighbours by more than this
+    # angle and this multiple of the median [rad]
+    usual = np.maximum(20.0 * np.median(aside, axis=0), 0.05)
     off[1:-1] = np.max(aside / usual, axis=1)
     most = np.maximum(off, np.maximum(np.roll(off, 1), np.roll(off, -1)))
     inliers = ~((off > 1) & (off == most))
     spline = smoothing_spline(positions[inliers], angles[inliers], log.position.late_s)
     after = np.clip(np.searchsorted(positions, efforts), 1, len(positions) - 1)
     gaps = np.diff(positions)
-    most_s = max(_MAX_GAP_PERIODS * float(np.median(gaps)), _MIN_GAP_S)
+    # A gap of the positions within which the motion is unknown: longer than both [s]
+    most_s = max(5.0 * float(np.median(gaps)), 0.25)
     inside = (efforts > positions[0] + _ENDS_S) & (efforts < positions[-1] - _ENDS_S)
     keep = inside & (gaps[after - 1] < most_s)
     if np.count_nonzero(keep) < _MIN_TORQUES:
@@ -118,7 +96,8 @@ def arm_motion(log: ArmLog) -> ArmMotion:
         since = seconds - seconds[0]
         width = float(since[-1]) / (_MAX_TORQUES - 1)
         spans = (since / width).astype(np.int64)
-        near = since - spans * width < _MEAN_SPAN_S
+        # Over .05 s the torques of an arm hardly change: such spans are averaged.
+        near = since - spans * width < 0.05
         _, spans, counts = np.unique(spans[near], return_inverse=True, return_counts=True)
         rows = np.column_stack([seconds[near], effort[near]])
         sums = np.zeros((len(counts), rows.shape[1]))
@@ -129,13 +108,10 @@ def arm_motion(log: ArmLog) -> ArmMotion:
 
 
 def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpline:
-    """Fit a P-spline to each column of samples.
+    """Fit a P-spline to each column of samples at `seconds`, shape (T,), stamped up to `late_s`.
 
-    Args:
-        seconds: Of the samples [s], increasing, shape (T,).
-        values: Shape (T, C).
-        late_s: Maximum delay from measurement to stamp [s]. Such errors are correlated, which
-            cross-validation takes for the curve; so residuals stay at least as large as they make.
+    Errors of late stamps are correlated, which cross-validation takes for the curve: so residuals
+    stay at least as large as they make.
     """
     from scipy.interpolate import BSpline
     from scipy.sparse import dia_array
@@ -171,13 +147,8 @@ def _stiffnesses(design: Array, penalty: Array, values: Array, floor: Array) -> 
     """Choose each column's penalty weight, shape (C,), by generalised cross-validation.
 
     In the basis that makes both matrices diagonal (Demmler and Reinsch 1975) a stiffness only
-    shrinks each coordinate, so that all of them are compared at the cost of one.
-
-    Args:
-        design: Spline basis at each sample, shape (T, K).
-        penalty: Squared third differences, shape (K, K).
-        values: Shape (T, C).
-        floor: Least variance of the residuals, shape (C,).
+    shrinks each coordinate, so that all of them are compared at the cost of one. `design` (T, K),
+    `penalty` (K, K).
     """
     from scipy.linalg import eigh
 
@@ -188,7 +159,8 @@ def _stiffnesses(design: Array, penalty: Array, values: Array, floor: Array) -> 
     amounts = curves.T @ values
     shrinkage = 1 / (1 + _STIFFNESSES[:, None] * powers)
     squares = np.sum(values**2, axis=0) - 2 * shrinkage @ amounts**2 + shrinkage**2 @ amounts**2
-    freedom = len(values) - _DOF_COST * shrinkage.sum(axis=1)
+    # A degree of freedom costs 1.4: with 1, cross-validation follows noise too often (Gu 2002).
+    freedom = len(values) - 1.4 * shrinkage.sum(axis=1)
     scores = np.maximum(squares, 0.0) / np.maximum(freedom, 1e-3)[:, None] ** 2
     scores[freedom <= 0] = np.inf
     variance = squares / np.maximum(len(values) - shrinkage.sum(axis=1), 1.0)[:, None]
@@ -202,17 +174,14 @@ def _stiffnesses(design: Array, penalty: Array, values: Array, floor: Array) -> 
 
 # Mass [kg], first moments [kg·m] (3), and what the inertia is more than a ball's [kg·m²] (6).
 PAYLOAD_TERMS = 10
-
 MASS = 0
 CENTRE = slice(1, 4)
 INERTIA = slice(4, 10)
-
 CENTRE_SD_M = 0.05  # of a kilogram: where in a hand its centre may be
 INERTIA_SD_M2 = 0.003  # of a kilogram: how long it may be
 WAVES = 8  # harmonics of a joint's angle: hoses that pull, and the slower part of a gear's ripple
 # Of dry friction over speed, beside its sign: Stribeck's peak at three widths, and unevenness.
 SHAPES = 4
-
 # Usual ones. Of a joint's highest torque: offsets, friction (viscous for 1 rad/s), what depends on
 # the angle, drifts; rotors for 1 rad/s². A fraction: friction under load.
 _SIZES = {
@@ -226,23 +195,16 @@ _SIZES = {
     "warming": 0.003,
     "hoses and gears": 0.01,
 }
-
 # Of a torque that a driver reports, and of one made of a motor's current: constants that two
 # laboratories published for one kind of arm are 13 to 49 % apart.
 GAIN, CURRENT_GAIN = 0.02, 0.12
-
 # Errors of an arm's description: fractions, and of a centre for an arm of 1 m.
 _LINK_MASS, _LINK_CENTRE_M, _LINK_INERTIA = 0.04, 0.003, 0.2
-
 # Of a base about each level axis, of an encoder, of torques behind positions.
 _TILT_RAD, _ZERO_RAD, _LAG_S = 0.01, 0.005, 0.02
-
 # Of the highest torque of the joint that works hardest: where no log comes near it, the limits of a
 # description are nobody's.
 _MIN_LOAD = 0.25
-
-# A joint without a known limit is built for this share of the hardest one's work at least.
-_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,22 +212,14 @@ class Terms:
     """Unknowns of some runs of one arm, the payload's first.
 
     Those of one joint are stored together, in the order of `_of_joint`.
-
-    Attributes:
-        joints: Number of joints.
-        runs: Number of runs; the first one is the log, the others are its tares.
-        names: In words, of each of the N terms.
-        groups: That are scaled together, of each.
-        sds: Of the priors about 0 at scale 1, shape (N,); the payload's are per kilogram.
-        scales_nm: Rated torque of each joint [N·m], shape (J,).
     """
 
-    joints: int
-    runs: int
-    names: tuple[str, ...]
-    groups: tuple[str, ...]
-    sds: Array
-    scales_nm: Array
+    joints: int  # number of joints
+    runs: int  # number of runs; the first one is the log, the others are its tares
+    names: tuple[str, ...]  # in words, of each of the N terms
+    groups: tuple[str, ...]  # that are scaled together, of each
+    sds: Array  # of the priors about 0 at scale 1, shape (N,); the payload's are per kilogram
+    scales_nm: Array  # rated torque of each joint [N·m], shape (J,)
 
     @cached_property
     def of(self) -> dict[str, NDArray[np.int64]]:
@@ -287,7 +241,8 @@ def torque_scales_nm(arm: Arm, motions: Sequence[ArmMotion], empty_nm: Sequence[
         for torques in (motion.effort, own_nm):
             shown = np.maximum(shown, np.quantile(np.abs(torques), 0.99, axis=0))
     limits = np.array([joint.max_effort_nm for joint in arm.joints])
-    shown = np.maximum(shown, _SHARE * shown.max())
+    # A joint without a known limit is built for this share of the hardest one's work at least
+    shown = np.maximum(shown, 0.1 * shown.max())
     known = np.isfinite(limits)
     limits = np.where(known, limits, shown / _MIN_LOAD)
     load = float(np.max(shown / limits))
@@ -295,14 +250,9 @@ def torque_scales_nm(arm: Arm, motions: Sequence[ArmMotion], empty_nm: Sequence[
 
 
 def make_terms(arm: Arm, scales_nm: Array, runs: int, *, drifts: bool, gain: float = GAIN) -> Terms:
-    """Build the terms of an arm, for a log with its tares.
+    """Build the terms of an arm for a log with its tares, of rated torques (J,) [N·m].
 
-    Args:
-        arm: Whose joints and links.
-        scales_nm: Rated torque of each joint [N·m], shape (J,).
-        runs: 1 for a log alone.
-        drifts: Whether other runs share the offsets, so that each has its own drift of them.
-        gain: Usual error of the torques, as a fraction.
+    Where other runs share the offsets, each has its own drift of them.
     """
     numbers = range(1, len(arm.joints) + 1)
     axes = ("x", "y", "z")
@@ -349,9 +299,7 @@ NOT_SIMULATED = (
     *("offset", "friction", "friction at low speed", "friction under load", "rotor", "gain"),
     *("links", "tilt", "zeros", "hoses and gears", "drift", "warming"),
 )
-
 _MOMENTS = ("xx", "xy", "yy", "xz", "yz", "zz")
-
 # Of one joint: offset, viscous and dry friction, its shapes, load, rotor, gain, waves.
 OWN_TERMS = 6 + SHAPES + 2 * WAVES
 
@@ -385,17 +333,11 @@ def _of_joint(number: int, scale_nm: float, gain: float) -> list[tuple[str, str,
 
 # ---- Torques of a run, rigid and of the joints' own terms, linearised about any values
 
-# Speed below which dry friction fades: a motion's zero crossing is not known better.
-_SIGN_RAD_S = 0.015
-
 # Speeds over which friction falls from its peak: Stribeck's are between them.
 _SHAPE_RAD_S = (0.03, 0.1, 0.3)
-
 # Of one body in Pinocchio: mass, first moments (3), and the inertia about the joint's frame as xx,
 # xy, yy, xz, yz, zz, which is its lower triangle by rows.
 _BODY_PARAMETERS = 10
-
-_MIN_KG = 1e-6  # of a link, whatever a fit makes of it on its way
 # Of a joint's own terms: what is a gear's, between the arm and the sensor; and what is not.
 _OFFSET, _LOAD_WAY, _LOAD, _GAIN = 0, 2, 7, 9
 _GEAR = slice(1, 9)
@@ -404,15 +346,10 @@ _BESIDE = [_OFFSET, *range(10, OWN_TERMS)]
 
 @dataclass(frozen=True)
 class Convention:
-    """Torque convention of a driver.
+    """Torque convention of a driver."""
 
-    Attributes:
-        sign: +1 if it is the joint's torque, -1 if it is the load's.
-        has_gravity: Whether the arm's own weight is included.
-    """
-
-    sign: int
-    has_gravity: bool
+    sign: int  # +1 if it is the joint's torque, -1 if it is the load's
+    has_gravity: bool  # whether the arm's own weight is included
 
 
 CONVENTIONS = tuple(Convention(sign, full) for full in (True, False) for sign in (1, -1))
@@ -420,30 +357,36 @@ CONVENTIONS = tuple(Convention(sign, full) for full in (True, False) for sign in
 
 @dataclass(frozen=True, eq=False)
 class RigidTorques:
-    """Torques of a rigid arm along a motion, with its links and payload as fitted.
+    """Torques of a rigid arm along a motion, with its links and payload as fitted."""
 
-    Attributes:
-        total_nm: Shape (T, J).
-        slopes: By the payload's terms, the links', the tilt and the encoder zeros: (T, J, C).
-    """
-
-    total_nm: Array
-    slopes: Array
+    total_nm: Array  # shape (T, J)
+    slopes: Array  # by the payload's terms, the links', the tilt and the encoder zeros: (T, J, C)
 
 
 class ArmModel:
-    """Rigid-body model of the arm in Pinocchio.
-
-    Args:
-        arm: Checked numbers; it stands upright, but for a tilt.
-    """
+    """Rigid-body model of the arm in Pinocchio."""
 
     def __init__(self, arm: Arm) -> None:
         self._library: Any = import_module("pinocchio")
         self._model: Any = self._library.buildModelFromXML(arm.urdf())
         self._data: Any = self._model.createData()
         self._links = np.stack([one.toDynamicParameters() for one in self._model.inertias[1:]])
-        self._payload = _payload_parameters(arm)
+        # The last body's inertial parameters by the payload's terms, shape (10, 10).
+        rotation = rotation_from_rpy(arm.tool_from_last_rpy)
+        tool = np.array(arm.tool_from_last_m)
+        parameters = np.zeros((_BODY_PARAMETERS, PAYLOAD_TERMS))
+        parameters[0, MASS] = 1.0
+        parameters[1:4, MASS] = tool
+        parameters[1:4, CENTRE] = rotation
+        ball = 0.4 * PAYLOAD_RADIUS_M**2 * np.eye(3)
+        inertias = [ball + tool @ tool * np.eye(3) - np.outer(tool, tool)]
+        for axis in rotation.T:
+            crossed = np.outer(tool, axis)
+            inertias.append(2 * tool @ axis * np.eye(3) - crossed - crossed.T)
+        inertias += [rotation @ moment @ rotation.T for moment in moments()]
+        for column, inertia in enumerate(inertias):
+            parameters[4:, column] = inertia[np.tril_indices(3)]
+        self._payload = parameters
 
     def empty_nm(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Compute torques of the arm as described (Newton-Euler), along a motion of (T, J)."""
@@ -462,12 +405,7 @@ class ArmModel:
     ) -> RigidTorques:
         """Compute torques along a motion, with their derivatives by the terms (regressor).
 
-        Args:
-            position: Of each joint [rad], shape (T, J).
-            velocity: [rad/s], shape (T, J).
-            acceleration: [rad/s^2], shape (T, J).
-            values: Of the terms, shape (N,): the payload's, the links', tilt and zeros are used.
-            held: Whether the payload is there.
+        `position` (T, J) [rad], `velocity` (T, J) [rad/s], `acceleration` (T, J) [rad/s^2],
         """
         count = position.shape[1]
         first = PAYLOAD_TERMS
@@ -515,31 +453,9 @@ class ArmModel:
         self._model.gravity.linear = GRAVITY_M_S2 * np.array([*tilt, down])
         for index, body in enumerate(bodies, 1):
             own = body.copy()
-            own[0] = max(own[0], _MIN_KG)
+            # A link's mass [kg], whatever a fit makes of it on its way
+            own[0] = max(own[0], 1e-6)
             self._model.inertias[index] = self._library.Inertia.FromDynamicParameters(own)
-
-
-def _payload_parameters(arm: Arm) -> Array:
-    """Return the last body's inertial parameters by the payload's terms, shape (10, 10).
-
-    A payload's mass has the inertia of a solid ball. The square of its centre's offset is left out:
-    an arm's torques do not show it.
-    """
-    rotation = rotation_from_rpy(arm.tool_from_last_rpy)
-    tool = np.array(arm.tool_from_last_m)
-    parameters = np.zeros((_BODY_PARAMETERS, PAYLOAD_TERMS))
-    parameters[0, MASS] = 1.0
-    parameters[1:4, MASS] = tool
-    parameters[1:4, CENTRE] = rotation
-    ball = 0.4 * PAYLOAD_RADIUS_M**2 * np.eye(3)
-    inertias = [ball + tool @ tool * np.eye(3) - np.outer(tool, tool)]
-    for axis in rotation.T:
-        crossed = np.outer(tool, axis)
-        inertias.append(2 * tool @ axis * np.eye(3) - crossed - crossed.T)
-    inertias += [rotation @ moment @ rotation.T for moment in moments()]
-    for column, inertia in enumerate(inertias):
-        parameters[4:, column] = inertia[np.tril_indices(3)]
-    return parameters
 
 
 def moments() -> list[Array]:
@@ -553,23 +469,17 @@ def moments() -> list[Array]:
 
 
 def smooth_sign(velocity: Array) -> Array:
-    """Return the sign of velocities [rad/s], smoothed about 0 by a tanh."""
-    return np.tanh(velocity / _SIGN_RAD_S)
+    """Return the sign of velocities [rad/s], smoothed about 0, which is known to .015 rad/s."""
+    return np.tanh(velocity / 0.015)
 
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """Torques linearised about some values of the terms.
+    """Torques linearised about some values of the terms."""
 
-    Attributes:
-        predicted_nm: At these values [N·m], shape (T, J).
-        columns: Terms that each joint's slopes are by, shape (J, C).
-        slopes: Derivatives, shape (T, J, C).
-    """
-
-    predicted_nm: Array
-    columns: NDArray[np.int64]
-    slopes: Array
+    predicted_nm: Array  # at these values [N·m], shape (T, J)
+    columns: NDArray[np.int64]  # terms that each joint's slopes are by, shape (J, C)
+    slopes: Array  # derivatives, shape (T, J, C)
 
     def moved_nm(self, change: Array) -> Array:
         """Return the change of torques, (T, J), for a change of the terms, shape (N,)."""
@@ -578,21 +488,13 @@ class Linearization:
 
 @dataclass(frozen=True, eq=False)
 class LoggedArm:
-    """Torque model of one run.
+    """Torque model of one run."""
 
-    Attributes:
-        model: The arm's.
-        terms: Of all runs that are fitted together.
-        motion: This one's.
-        run: 0 for the log itself, from 1 for its tares.
-        covered: For a tare along the log's path, which of the log's times it covers; None for any
-            other run.
-    """
-
-    model: ArmModel
-    terms: Terms
-    motion: ArmMotion
-    run: int
+    model: ArmModel  # the arm's
+    terms: Terms  # of all runs that are fitted together
+    motion: ArmMotion  # this one's
+    run: int  # 0 for the log itself, from 1 for its tares
+    # for a tare along the log's path, which of the log's times it covers; None for any other run
     covered: NDArray[np.bool_] | None = None
 
     @property
@@ -625,7 +527,14 @@ class LoggedArm:
         zeros = values[first - 1 - joints : first - 1]
         said, velocity, acceleration = self.motion.at(seconds - values[columns[0, first - 1]])
         rigid = self.model.torques(said + zeros, velocity, acceleration, values, held=self.run == 0)
-        own = _own_features(rigid.total_nm, said, velocity, acceleration)
+        # The regressors of the joints' own terms, (T, J, OWN_TERMS); gains are 0.
+        way = smooth_sign(velocity)
+        slow = [way * np.exp(-((velocity / width) ** 2)) for width in _SHAPE_RAD_S]
+        angles = [wave * said for wave in range(1, WAVES + 1)]
+        waves = [turn(angle) for angle in angles for turn in (np.cos, np.sin)]
+        ones, load = np.ones_like(way), np.abs(rigid.total_nm) * way
+        gear = [velocity, way, *slow, way**2, load, acceleration]
+        own = np.stack([ones, *gear, np.zeros_like(way), *waves], axis=-1)
         gains = 1 + of_joint[:, _GAIN]
         carried = 1 + of_joint[:, _LOAD] * np.sign(rigid.total_nm) * own[..., _LOAD_WAY]
         felt_nm = rigid.total_nm + np.einsum("tjc,jc->tj", own[..., _GEAR], of_joint[:, _GEAR])
@@ -641,14 +550,3 @@ class LoggedArm:
         lags = -np.gradient(moving_nm, seconds, axis=0)[..., None]
         shared = rigid.slopes * (gains * carried)[..., None]
         return Linearization(moving_nm, columns, np.concatenate([shared, lags, own, drifts], -1))
-
-
-def _own_features(rigid_nm: Array, position: Array, velocity: Array, acceleration: Array) -> Array:
-    """Return the regressors of the joints' own terms, (T, J, OWN_TERMS); gains are 0."""
-    way = smooth_sign(velocity)
-    slow = [way * np.exp(-((velocity / width) ** 2)) for width in _SHAPE_RAD_S]
-    angles = [wave * position for wave in range(1, WAVES + 1)]
-    waves = [turn(angle) for angle in angles for turn in (np.cos, np.sin)]
-    ones, load = np.ones_like(way), np.abs(rigid_nm) * way
-    gear = [velocity, way, *slow, way**2, load, acceleration]
-    return np.stack([ones, *gear, np.zeros_like(way), *waves], axis=-1)

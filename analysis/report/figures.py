@@ -7,11 +7,10 @@ is None where there is nothing to draw.
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -24,14 +23,13 @@ from matplotlib.ticker import MaxNLocator
 from tunenet_logs.analysis.campaign import strobe
 from tunenet_logs.analysis.compare import (
     ComparedGroup,
-    ComparedQuantity,
     ComparedValue,
     Comparison,
     moved,
     restitution_value,
 )
 from tunenet_logs.analysis.presentation import quantity
-from tunenet_logs.analysis.record import Curves, Record
+from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.review.drawing import ReviewedFilm, ReviewedTorque
 from tunenet_logs.episode import Array, Picture
 from tunenet_logs.errors import LogError
@@ -86,23 +84,14 @@ _SETTINGS = {
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """Figure with its texts.
+    """Figure with its texts."""
 
-    Attributes:
-        name: Short, for a file's name.
-        title: Above it.
-        caption: What it shows; numbers in it are the record's.
-        alt: Alternative text.
-        figure: Drawn, not saved yet.
-        is_photo: Whether it is images rather than lines.
-    """
-
-    name: str
-    title: str
-    caption: str
-    alt: str
-    figure: Figure
-    is_photo: bool = False
+    name: str  # short, for a file's name
+    title: str  # above it
+    caption: str  # what it shows; numbers in it are the record's
+    alt: str  # alternative text
+    figure: Figure  # drawn, not saved yet
+    is_photo: bool = False  # whether it is images rather than lines
 
 
 def styled(draw: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -131,22 +120,9 @@ def drawable(text: str, most: int = 28) -> str:
     )
 
 
-def log_style(index: int) -> tuple[str, str]:
-    """Return colour and dash pattern of one of several logs' lines."""
-    return SERIES[index % len(SERIES)], PATTERNS[index // len(SERIES) % len(PATTERNS)]
-
-
-def mark_impacts(axes: Axes, seconds: list[float]) -> None:
-    """Draw thin lines at these times."""
-    for at_s in seconds:
-        axes.axvline(at_s, color=MUTED, linewidth=0.5, linestyle=(0, (2, 2)), zorder=0.5)
-
-
 # ---- Drop: heights, bounces and iterations, from the record alone.
 
-# Samples drawn of one curve: more cannot be told apart in a column, and make a page large.
-_MAX_CURVE_POINTS = 700
-
+_MAX_CURVE_POINTS = 700  # of one curve: more cannot be told apart, and make a page large
 _MAX_BOUNCES = 60  # drawn
 _MM = 1000.0
 
@@ -164,44 +140,28 @@ def thinned(count: int, most: int = _MAX_CURVE_POINTS) -> slice:
 @styled
 def curves_drawing(record: Record) -> Drawing | None:
     """Plot observed and simulated heights, and the residual; None without curves."""
-    curves = record.motion.curves
+    curves, fit = record.motion.curves, record.motion.fit
     if curves is None:
         return None
-    unit = "m" if in_metres(record) else "drop heights"
+    unit, factor, small = ("m", _MM, "mm") if in_metres(record) else ("drop heights", 100.0, "%")
     part = thinned(len(curves.seconds))
-    figure = new_figure(COLUMN_IN, 2.9)
-    _draw_curves(figure, record, curves, part, unit)
-    fit = record.motion.fit
-    span_s = float(curves.seconds[-1] - curves.seconds[0])
-    caption = f"Height over the table at the recording's own {len(curves.seconds)} samples"
-    if part.step and part.step > 1:
-        caption += f" (every {part.step}th is drawn)"
-    caption += "; below, what the simulated ball is higher by."
-    if fit is not None:
-        caption += (
-            f" Apart by {fit.rms_percent:.2f} % of the drop height, rms, of which the noise of the "
-            f"observation makes {fit.noise_percent:.2f} %; at worst {fit.worst_percent:.2f} %."
-        )
-    alt = f"Two curves of height over {span_s:.2f} s: observed points and the simulated line"
-    if fit is not None:
-        alt += f", {fit.rms_percent:.2f} % of the drop height apart, rms"
-    return Drawing("curves", "Observed and simulated", caption, alt + ".", figure)
-
-
-def _draw_curves(figure: Figure, record: Record, curves: Curves, part: slice, unit: str) -> None:
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.2])
     seconds = curves.seconds[part]
     observed, simulated = curves.observed_m[part], curves.simulated_m[part]
+    figure = new_figure(COLUMN_IN, 2.9)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1.2])
     upper.plot(seconds, observed, ".", color=OBSERVED, markersize=2.6, label="observed")
     upper.plot(seconds, simulated, color=SIMULATED, linewidth=1.1, label="simulated")
-    impacts = [one.impact_s for one in record.rebounds[:_MAX_BOUNCES]]
-    inside = [at_s for at_s in impacts if curves.seconds[0] <= at_s <= curves.seconds[-1]]
+    impacts_s = [one.impact_s for one in record.rebounds[:_MAX_BOUNCES]]
+    dotted = {"color": MUTED, "linewidth": 0.5, "linestyle": (0, (2, 2)), "zorder": 0.5}
     for axes in (upper, lower):
-        mark_impacts(axes, inside)
+        for at_s in impacts_s:
+            if curves.seconds[0] <= at_s <= curves.seconds[-1]:
+                axes.axvline(at_s, **dotted)
     upper.set_ylabel(f"height [{unit}]")
-    upper.set_ylim(bottom=min(0.0, _least(observed)) - 0.03 * _extent(observed))
+    seen = observed[np.isfinite(observed)]
+    least, extent = (float(seen.min()), float(np.ptp(seen))) if len(seen) else (0.0, 1.0)
+    upper.set_ylim(bottom=min(0.0, least) - 0.03 * extent)
     figure.legend(loc="outside upper right", ncols=2)
-    factor, small = (_MM, "mm") if unit == "m" else (100.0, "%")
     off = factor * (simulated - observed)
     lower.axhline(0, color=MUTED, linewidth=0.5)
     lower.plot(seconds, off, color=THIRD, linewidth=0.7)
@@ -210,16 +170,18 @@ def _draw_curves(figure: Figure, record: Record, curves: Curves, part: slice, un
     lower.set_ylim(-max(reach, 1e-3), max(reach, 1e-3))
     lower.set_ylabel(f"sim. − obs.\n[{small}]")
     lower.set_xlabel("time [s]")
-
-
-def _least(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.min()) if len(known) else 0.0
-
-
-def _extent(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.ptp(known)) if len(known) else 1.0
+    span_s = float(curves.seconds[-1] - curves.seconds[0])
+    caption = f"Height over the table at the recording's own {len(curves.seconds)} samples"
+    caption += f" (every {part.step}th is drawn)" if part.step and part.step > 1 else ""
+    caption += "; below, what the simulated ball is higher by."
+    alt = f"Two curves of height over {span_s:.2f} s: observed points and the simulated line"
+    if fit is not None:
+        caption += (
+            f" Apart by {fit.rms_percent:.2f} % of the drop height, rms, of which the noise of the "
+            f"observation makes {fit.noise_percent:.2f} %; at worst {fit.worst_percent:.2f} %."
+        )
+        alt += f", {fit.rms_percent:.2f} % of the drop height apart, rms"
+    return Drawing("curves", "Observed and simulated", caption, alt + ".", figure)
 
 
 @styled
@@ -236,12 +198,24 @@ def bounces_drawing(record: Record) -> Drawing | None:
     ]
     figure = new_figure(COLUMN_IN, 2.2)
     axes = figure.subplots()
-    if has_speed:
-        _draw_law(figure, record, np.array(places))
+    ends = tuned.interval95
+    law = restitution_value(
+        ComparedValue("", tuned.value, ends, record.verdict),  # pyright: ignore[reportArgumentType]
+        record,
+    )
+    if has_speed and law.slope is not None and law.speed_m_s is not None:
+        # e (v / v_1)^-p; its band has e's own error at its speed and p's beside it.
+        at_m_s = np.linspace(min(places), max(places), 60)
+        if law.slope_half is not None and law.interval95 is not None:
+            along = [moved(law, float(one)).interval95 or (0.0, 0.0) for one in at_m_s]
+            lows, highs = zip(*along, strict=True)
+            axes.fill_between(at_m_s, lows, highs, color=SIMULATED, alpha=0.18, linewidth=0)
+        tuned_law = law.value * (at_m_s / law.speed_m_s) ** -law.slope
+        axes.plot(at_m_s, tuned_law, color=SIMULATED, label="tuned law")
     values = [one.restitution for one in rebounds]
-    ends = [one.interval95 or (one.restitution, one.restitution) for one in rebounds]
-    below = [max(value - low, 0.0) for value, (low, _) in zip(values, ends, strict=True)]
-    above = [max(high - value, 0.0) for value, (_, high) in zip(values, ends, strict=True)]
+    alone = [one.interval95 or (one.restitution, one.restitution) for one in rebounds]
+    below = [max(value - low, 0.0) for value, (low, _) in zip(values, alone, strict=True)]
+    above = [max(high - value, 0.0) for value, (_, high) in zip(values, alone, strict=True)]
     axes.errorbar(
         places, values, (below, above), fmt="o", color=OBSERVED, markersize=3, capsize=2,
         elinewidth=0.8, label="each impact alone",
@@ -262,28 +236,6 @@ def bounces_drawing(record: Record) -> Drawing | None:
     alt = f"Points of restitution from {min(values):.3f} to {max(values):.3f}"
     alt += f" at {min(places):.2f} to {max(places):.2f} m/s." if has_speed else " by bounce."
     return Drawing("bounces", "Bounce by bounce", caption, alt, figure)
-
-
-def _draw_law(figure: Figure, record: Record, speeds_m_s: Array) -> None:
-    """Plot e (v / v_1)^-p; its band has e's own error at its speed and p's beside it."""
-    tuned = record.estimate("restitution")
-    assert tuned is not None
-    assert isinstance(tuned.value, float)
-    ends = tuned.interval95
-    value = restitution_value(
-        ComparedValue("", tuned.value, ends, record.verdict),  # pyright: ignore[reportArgumentType]
-        record,
-    )
-    if value.slope is None or value.speed_m_s is None:
-        return
-    at_m_s = np.linspace(speeds_m_s.min(), speeds_m_s.max(), 60)
-    axes = figure.axes[0]
-    along = [moved(value, float(one)) for one in at_m_s] if value.slope_half is not None else []
-    if along and value.interval95 is not None:
-        lows, highs = zip(*(one.interval95 or (0.0, 0.0) for one in along), strict=True)
-        axes.fill_between(at_m_s, lows, highs, color=SIMULATED, alpha=0.18, linewidth=0)
-    law = value.value * (at_m_s / value.speed_m_s) ** -value.slope
-    axes.plot(at_m_s, law, color=SIMULATED, label="tuned law")
 
 
 @styled
@@ -327,11 +279,10 @@ _MAX_CHARTS = 6
 @styled
 def overlay_drawing(comparison: Comparison) -> Drawing | None:
     """Plot observed and simulated heights of several drops from their first impact."""
+    pairs = zip(comparison.labels, comparison.records, strict=True)
     numbered = [
-        (number, label, record)
-        for number, (label, record) in enumerate(
-            zip(comparison.labels, comparison.records, strict=True), 1
-        )
+        (number, label, record, record.motion.curves)
+        for number, (label, record) in enumerate(pairs, 1)
         if record.motion.curves is not None and record.rebounds and record.estimates
     ]
     metres = [one for one in numbered if in_metres(one[2])]
@@ -340,21 +291,15 @@ def overlay_drawing(comparison: Comparison) -> Drawing | None:
         return None
     figure = new_figure(WIDE_IN, 3.0)
     axes = figure.subplots()
-    for place, (number, label, record) in enumerate(shown):
-        color, pattern = log_style(place)
-        curves = record.motion.curves
-        assert curves is not None
+    for place, (number, label, record, curves) in enumerate(shown):
+        color = SERIES[place % len(SERIES)]
+        pattern = PATTERNS[place // len(SERIES) % len(PATTERNS)]
         part = thinned(len(curves.seconds), _MAX_OVERLAY_POINTS)
-        seconds = curves.seconds[part] - first_impact_s(record)
+        first_s = (record.window or {}).get("impact_s", record.rebounds[0].impact_s)
+        seconds, name = curves.seconds[part] - first_s, f"{number}  {drawable(label)}"
         axes.plot(seconds, curves.observed_m[part], ".", color=color, markersize=2, alpha=0.5)
-        axes.plot(
-            seconds,
-            curves.simulated_m[part],
-            color=color,
-            linestyle=pattern,
-            linewidth=1.0,
-            label=f"{number}  {drawable(label)}",
-        )
+        line = {"color": color, "linestyle": pattern, "linewidth": 1.0}
+        axes.plot(seconds, curves.simulated_m[part], **line, label=name)
     axes.axvline(0, color=MUTED, linewidth=0.5)
     axes.set_xlabel("time from the first impact [s]")
     axes.set_ylabel("height [m]" if metres else "height [drop heights]")
@@ -362,15 +307,9 @@ def overlay_drawing(comparison: Comparison) -> Drawing | None:
     left = len(numbered) - len(shown)
     caption = "Heights from the first impact on: points as observed, lines as tuned."
     caption += f" {left} more drops are not drawn." if left else ""
-    labels = ", ".join(f"{number} {label}" for number, label, _ in shown)
+    labels = ", ".join(f"{number} {label}" for number, label, *_ in shown)
     alt = f"Curves of height over time of {len(shown)} drops: {labels}."
     return Drawing("curves", "Curves over each other", caption, alt, figure)
-
-
-def first_impact_s(record: Record) -> float:
-    """Return the time of the first impact, on the log's clock."""
-    window = record.window or {}
-    return window.get("impact_s", record.rebounds[0].impact_s if record.rebounds else 0.0)
 
 
 @styled
@@ -388,8 +327,18 @@ def values_drawing(comparison: Comparison, group: ComparedGroup) -> Drawing | No
     for axes in grid[len(charts) :]:
         axes.set_axis_off()
     numbers = {label: number for number, label in enumerate(comparison.labels, 1)}
+    places = {label: place for place, label in enumerate(labels)}
+    words: list[str] = []
     for index, (axes, one) in enumerate(zip(grid, charts, strict=False)):
-        _draw_values(axes, one, labels)
+        for value in one.values:
+            place = places.get(value.label)
+            if place is None:
+                continue
+            if value.interval95 is not None:
+                axes.plot(value.interval95, [place, place], color=SERIES[0], linewidth=1.2)
+            is_sure = value.verdict == "ok" and value.interval95 is not None
+            dot = {"color": SERIES[0], "markerfacecolor": SERIES[0] if is_sure else "white"}
+            axes.plot([value.value], [place], "o", **dot, markersize=4)
         names = [str(numbers[label]) for label in labels]
         if index % columns == 0:
             names = [f"{drawable(label, 22)}  {numbers[label]}" for label in labels]
@@ -397,30 +346,13 @@ def values_drawing(comparison: Comparison, group: ComparedGroup) -> Drawing | No
         axes.set_ylim(len(labels) - 0.5, -0.5)
         axes.grid(visible=False, axis="y")
         axes.set_title(drawable(quantity(one.name, one.unit)), pad=3)
+        values = [value.value for value in one.values]
+        ends = f"from {min(values):.4f} to {max(values):.4f}"
+        words.append(f"{one.name} {ends} in {len(values)} logs")
     caption = "Values with 95 % intervals; hollow: suspect, or without an interval."
     if len(group.labels) > len(labels):
         caption += f" {len(group.labels) - len(labels)} more logs are not drawn."
-    words = "; ".join(_in_words(one) for one in charts)
-    return Drawing("values", f"Values: {group.title}", caption, words, figure)
-
-
-def _draw_values(axes, one: ComparedQuantity, labels: Sequence[str]) -> None:  # noqa: ANN001
-    rows = {label: row for row, label in enumerate(labels)}
-    for value in one.values:
-        row = rows.get(value.label)
-        if row is None:
-            continue
-        color, _ = log_style(0)
-        if value.interval95 is not None:
-            axes.plot(value.interval95, [row, row], color=color, linewidth=1.2)
-        is_sure = value.verdict == "ok" and value.interval95 is not None
-        fill = color if is_sure else "white"
-        axes.plot([value.value], [row], "o", color=color, markerfacecolor=fill, markersize=4)
-
-
-def _in_words(one: ComparedQuantity) -> str:
-    values = [value.value for value in one.values if math.isfinite(value.value)]
-    return f"{one.name} from {min(values):.4f} to {max(values):.4f} in {len(values)} logs"
+    return Drawing("values", f"Values: {group.title}", caption, "; ".join(words), figure)
 
 
 def comparison_drawings(comparison: Comparison) -> list[Drawing]:
@@ -437,23 +369,16 @@ _TRACK, _IMPACT = "#ffffff", "#56b4e9"
 
 _STROBES, _MAX_FRAMES = 20, 8  # pictures in the strobe picture; single frames
 _ROOM = 0.18  # around the ball's path, of its longer side
-# Width over height of the crop, at least: a ball that falls straight is still seen in its place.
-_NARROWEST = 0.45
-_TALLEST_IN = 4.6
-
-# Maximum height of a frame, height of the time above it, and frames side by side: on a phone they
-# are still seen.
-_FRAME_IN, _TITLE_IN, _FRAME_COLUMNS = 2.6, 0.17, 4
-
-# Height over width of a crop from which all frames stand in one row; width of a time [in].
-_SLIM, _TIME_IN = 4.0, 0.5
-
+_NARROWEST = 0.45  # width over height of a crop: what a ball falls beside is still seen
+_TALLEST_IN = 4.6  # of the strobe picture
+_FRAME_IN, _TITLE_IN, _TIME_IN = 2.6, 0.17, 0.5  # highest frame; the time above it, and its width
+_FRAME_COLUMNS = 4  # frames side by side: on a phone they are still seen
+_SLIM = 4.0  # height over width of a crop from which all frames stand in one row
 _MIN_PX = 24  # sides of a crop
 _MAX_PX = 1280  # longer side of a picture in memory: a figure shows no more
 
 
-@dataclass(frozen=True, eq=False)
-class _Frame:
+class _Frame(NamedTuple):
     """Image, perhaps reduced, shape (H, W, 3); its time [s] and original size."""
 
     at_s: float
@@ -469,7 +394,10 @@ def strobe_drawing(film: ReviewedFilm) -> Drawing | None:
         return None
     picture = strobe([frame.picture for frame in frames])
     box = _box(film, frames[0].size_px)
-    height_in, width_in = _fitting(box)
+    left, right, bottom, top = box
+    ratio = (bottom - top) / (right - left)
+    width_in = min(COLUMN_IN, _TALLEST_IN / ratio)
+    height_in = width_in * ratio
     figure = new_figure(width_in, height_in)
     figure.set_layout_engine("none")
     axes = figure.add_axes((0, 0, 1, 1))
@@ -541,34 +469,28 @@ def _span(film: ReviewedFilm) -> tuple[float, float]:
 
 
 def _frames(film: ReviewedFilm, times: Array) -> list[_Frame]:
-    """Read the frames nearest to some times, each once, those of equal size."""
-    count = min(len(film.pictures), len(film.seconds))
-    if not count:
-        return []
-    nearest = {int(np.argmin(np.abs(film.seconds[:count] - at_s))) for at_s in times}
-    frames: list[_Frame] = []
-    for index in sorted(nearest):
-        with suppress(LogError):
-            frame = _frame(film, index)
-            if not frames or frame.size_px == frames[0].size_px:
-                frames.append(frame)
-    return frames
+    """Read the frames nearest to some times, each once, those of equal size that can be read.
 
-
-def _frame(film: ReviewedFilm, index: int) -> _Frame:
-    """Read one frame, downsampled to what a figure shows.
-
-    Raises:
-        LogError: It cannot be read.
+    They are downsampled to what a figure shows.
     """
     import cv2
 
-    picture = decode_image(film.pictures[index], "jpeg")
-    height, width = picture.shape[:2]
-    scale = min(1.0, _MAX_PX / max(width, height))
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    return _Frame(float(film.seconds[index]), np.asarray(small, np.uint8), (width, height))
+    count = min(len(film.pictures), len(film.seconds))
+    if not count:
+        return []
+    frames: list[_Frame] = []
+    for index in sorted({int(np.argmin(np.abs(film.seconds[:count] - at_s))) for at_s in times}):
+        with suppress(LogError):
+            picture = decode_image(film.pictures[index], "jpeg")
+            height, width = picture.shape[:2]
+            if frames and (width, height) != frames[0].size_px:
+                continue
+            scale = min(1.0, _MAX_PX / max(width, height))
+            size = (max(1, round(width * scale)), max(1, round(height * scale)))
+            small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+            at_s = float(film.seconds[index])
+            frames.append(_Frame(at_s, np.asarray(small, np.uint8), (width, height)))
+    return frames
 
 
 def _box(film: ReviewedFilm, size_px: tuple[int, int]) -> tuple[float, float, float, float]:
@@ -589,14 +511,6 @@ def _box(film: ReviewedFilm, size_px: tuple[int, int]) -> tuple[float, float, fl
     if right - left < _MIN_PX or bottom - top < _MIN_PX:
         return whole
     return left, right, bottom, top
-
-
-def _fitting(box: Sequence[float]) -> tuple[float, float]:
-    """Return height and width of a figure with this box [in]."""
-    left, right, bottom, top = box
-    ratio = (bottom - top) / (right - left)
-    width_in = min(COLUMN_IN, _TALLEST_IN / ratio)
-    return width_in * ratio, width_in
 
 
 def _show(

@@ -1,7 +1,7 @@
 """Render a report of tunings as one self-contained HTML page, and its figures as files for a paper.
 
-A page has the sections of its tunings, a comparison of several, and a campaign's tables. Figures
-are embedded within a budget of bytes: under 3 MB, a page goes through any mail.
+A page has the blocks of its tunings, a comparison of several, and a campaign's tables. Figures are
+embedded within a budget of bytes: under 3 MB, a page goes through any mail.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ import base64
 import io
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -32,19 +32,21 @@ from tunenet_logs.analysis.campaign import (
     read_tunings,
     restitutions_by_ball,
 )
-from tunenet_logs.analysis.compare import TEST_WORDS, ComparedGroup, Comparison, PairTest, compare
+from tunenet_logs.analysis.compare import Comparison, compare
 from tunenet_logs.analysis.presentation import (
     NEXT,
-    TuningSection,
-    caution_lines,
+    Block,
+    Cells,
+    Heading,
+    Items,
+    TextTable,
+    comparison_blocks,
     interval_words,
-    named_lines,
     number_words,
-    probability_words,
-    quantity,
-    section_of,
-    summary_lines,
-    value_words,
+    page_details,
+    page_facts,
+    page_todo,
+    page_values,
 )
 from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.report.figures import (
@@ -59,7 +61,7 @@ from tunenet_logs.analysis.report.figures import (
     styled,
     torques_drawing,
 )
-from tunenet_logs.analysis.result_files import Logs, check_place, in_words, logs_of, mark, marked
+from tunenet_logs.analysis.result_files import check_place, in_words, logs_of, mark, marked
 from tunenet_logs.analysis.review.drawing import ReviewedLog, read_back
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import real_path
@@ -70,28 +72,9 @@ from tunenet_logs.writing.owned_path import OutputPlace
 
 _MAX_ATTEMPTS = 300  # the others are counted
 
-Cells = tuple[str, ...]
 
-
-@dataclass(frozen=True)
-class CampaignSection:
-    """Tables of a campaign.
-
-    Attributes:
-        rates: Rows of whose, successes, rate and Wilson interval.
-        balls: Rows of ball, mean restitution, standard deviation and drops.
-        attempts: Rows of number, ball, drops, restitution, interval, outcome and reason.
-        notes: What is not in the tables.
-    """
-
-    rates: tuple[Cells, ...]
-    balls: tuple[Cells, ...]
-    attempts: tuple[Cells, ...]
-    notes: tuple[str, ...]
-
-
-def campaign_section(campaign: Campaign) -> CampaignSection:
-    """Build the tables of a campaign."""
+def campaign_blocks(campaign: Campaign) -> list[Block]:
+    """Make the blocks of a campaign."""
     attempts = campaign.attempts
     rates = [
         (
@@ -112,6 +95,16 @@ def campaign_section(campaign: Campaign) -> CampaignSection:
         )
         for ball in restitutions_by_ball(attempts)
     ]
+    blocks: list[Block] = [Heading("Campaign", 2)]
+    if rates:
+        heads = ("attempts", "successes", "rate", "95 % interval (Wilson)")
+        blocks += [Heading("Success"), TextTable(heads, rows=rates, title="success rates")]
+    if balls:
+        heads = ("ball", "mean", "standard deviation", "drops")
+        shown = TextTable(heads, balls, title="restitution by ball")
+        blocks += [Heading("Restitution by ball"), shown]
+    heads = ("attempt", "ball", "drops", "restitution", "95 % interval", "outcome", "why")
+    rows = [_attempt_row(attempt) for attempt in attempts[:_MAX_ATTEMPTS]]
     notes: list[str] = []
     if campaign.tuned_now:
         notes.append(
@@ -122,8 +115,7 @@ def campaign_section(campaign: Campaign) -> CampaignSection:
         notes.append(f"{campaign.unread} logs cannot be read.")
     if len(attempts) > _MAX_ATTEMPTS:
         notes.append(f"{len(attempts) - _MAX_ATTEMPTS} more attempts are not listed.")
-    rows = tuple(_attempt_row(attempt) for attempt in attempts[:_MAX_ATTEMPTS])
-    return CampaignSection(tuple(rates), tuple(balls), rows, tuple(notes))
+    return [*blocks, Heading("Attempts"), TextTable(heads, rows, title="attempts"), Items(notes)]
 
 
 def _attempt_row(attempt: Attempt) -> Cells:
@@ -197,51 +189,39 @@ def write_figure(figure: Figure, path: Path, kind: Kind, made: str) -> None:
     figure.savefig(path, format=kind, dpi=_PAPER_DPI, metadata=metadata)
 
 
-# ---- Tuning: its figures, within a budget of bytes.
+# ---- Figures of a page, within a budget of bytes.
 
 
 @dataclass(frozen=True)
-class DrawnFigure:
-    """Figure within a page.
+class EmbeddedFigures:
+    """Figures that are embedded: drawings, their data, and the shape of each on a page.
 
-    Attributes:
-        shape: "broad" for one of the page's whole width, "tall" for one beside two others, else "".
+    A shape is "broad" for the page's whole width, "tall" for one beside two others, else "".
     """
 
-    title: str
-    caption: str
-    alt: str
-    source: DataUri
-    is_photo: bool
-    shape: str
+    kind: ClassVar = "figures"
+    drawn: Sequence[tuple[Drawing, DataUri, str]]
+
+    @property
+    def size(self) -> int:
+        """Bytes of all."""
+        return sum(len(source) for _, source, _ in self.drawn)
 
 
-@dataclass(eq=False)
-class Room:
-    """Budget of bytes for figures."""
-
-    left: int
-    refused: list[str] = field(default_factory=list)
-
-    def take(self, drawings: Sequence[Drawing]) -> tuple[DrawnFigure, ...]:
-        """Embed the figures that fit the budget, in order."""
-        taken: list[DrawnFigure] = []
-        for drawing in drawings:
-            source = embedded(drawing)
-            if len(source) > self.left:
-                self.refused.append(drawing.title)
-                continue
-            self.left -= len(source)
-            words = drawing.title, drawing.caption, drawing.alt
-            taken.append(DrawnFigure(*words, source, drawing.is_photo, _shape(drawing)))
-        return tuple(taken)
-
-
-def _shape(drawing: Drawing) -> str:
-    width_in, height_in = drawing.figure.get_size_inches()
-    if width_in > 0.9 * WIDE_IN:
-        return "broad"
-    return "tall" if drawing.is_photo and height_in > 1.2 * width_in else ""
+def figures_within(drawings: Sequence[Drawing], left: int) -> tuple[EmbeddedFigures, list[str]]:
+    """Embed the figures that fit into so many bytes, in order; return the titles of the others."""
+    taken: list[tuple[Drawing, DataUri, str]] = []
+    refused: list[str] = []
+    for drawing in drawings:
+        source = embedded(drawing)
+        if len(source) > left:
+            refused.append(drawing.title)
+            continue
+        left -= len(source)
+        width_in, height_in = drawing.figure.get_size_inches()
+        shape = "tall" if drawing.is_photo and height_in > 1.2 * width_in else ""
+        taken.append((drawing, source, "broad" if width_in > 0.9 * WIDE_IN else shape))
+    return EmbeddedFigures(taken), refused
 
 
 def reviewed(record: Record, tuning: Path) -> tuple[ReviewedLog, str]:
@@ -263,13 +243,9 @@ def drawings_of(record: Record, seen: ReviewedLog) -> list[Drawing]:
     if film is not None:
         makers.append(lambda: frames_drawing(film, record))
     makers.append(lambda: iterations_drawing(record))
-    return list(_drawn(makers))
-
-
-def _drawn(makers: Sequence[Callable[[], Drawing | None]]) -> Iterator[Drawing]:
-    """Yield what can be drawn: invalid values may be too large for any chart."""
+    drawn: list[Drawing] = []
     for make in makers:
-        try:
+        try:  # invalid values may be too large for any chart
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 drawing = make()
@@ -278,8 +254,8 @@ def _drawn(makers: Sequence[Callable[[], Drawing | None]]) -> Iterator[Drawing]:
                     drawing.figure.set_layout_engine("none")
         except (ArithmeticError, ValueError, MemoryError):
             continue
-        if drawing is not None:
-            yield drawing
+        drawn += [] if drawing is None else [drawing]
+    return drawn
 
 
 def missing_words(record: Record, seen: ReviewedLog, why: str, refused: Sequence[str]) -> list[str]:
@@ -303,127 +279,23 @@ def missing_words(record: Record, seen: ReviewedLog, why: str, refused: Sequence
     return words
 
 
-# ---- Comparison: its figures and tables.
-
-_MAX_TESTS = 300  # of one group, those that differ first; the CSV has all
-
-
-@dataclass(frozen=True)
-class ComparedTable:
-    """Table of a group of comparable logs.
-
-    Attributes:
-        heads: Of the rows, one per log.
-        lines: Summary of each parameter's tests, in a sentence.
-        tests: Rows, one per pair and parameter.
-        more: Tests that are not shown.
-    """
-
-    title: str
-    heads: Cells
-    rows: tuple[Cells, ...]
-    lines: tuple[str, ...]
-    tests: tuple[Cells, ...]
-    more: int
-
-
-@dataclass(frozen=True)
-class ComparedSection:
-    """Figures and tables of a comparison.
-
-    Attributes:
-        test_words: Description of the test; "" if nothing was tested.
-        without: Rows of number, log, verdict and reason.
-    """
-
-    drawn: tuple[DrawnFigure, ...]
-    groups: tuple[ComparedTable, ...]
-    test_words: str
-    without: tuple[Cells, ...]
-
-
-def compared_section(comparison: Comparison, drawn: Sequence[DrawnFigure]) -> ComparedSection:
-    """Build the tables of a comparison beside its figures."""
-    numbers = {label: str(number) for number, label in enumerate(comparison.labels, 1)}
-    groups = tuple(_compared_table(group, numbers) for group in comparison.groups)
-    without = tuple(
-        (numbers[label], label, record.verdict, record.reason or "no reason is given")
-        for label, record in comparison.without_values
-    )
-    has_tests = any(group.tests for group in groups)
-    return ComparedSection(tuple(drawn), groups, TEST_WORDS if has_tests else "", without)
-
-
-def _compared_table(group: ComparedGroup, numbers: Mapping[str, str]) -> ComparedTable:
-    rows: dict[str, list[str]] = {label: [numbers[label], label] for label in group.labels}
-    heads = ["", "log"]
-    lines: list[str] = []
-    tests: list[tuple[str, PairTest]] = []
-    for one in group.quantities:
-        heads.append(quantity(one.name, one.unit))
-        cells = {value.label: value_words(value) for value in one.values}
-        has_speed = any(value.speed_m_s is not None for value in one.values)
-        speeds = {value.label: value.speed_m_s for value in one.values}
-        for label, row in rows.items():
-            row.append(cells.get(label, "-"))
-            if has_speed:
-                speed = speeds.get(label)
-                row.append("?" if speed is None else f"{speed:.2f}")
-        if has_speed:
-            heads.append("at [m/s]")
-        lines.append("; ".join([*summary_lines(one, numbers), *named_lines(one, numbers)]))
-        lines += [f"{one.name}, {caution}" for caution in caution_lines(one, numbers)]
-        tests += [(one.name, test) for test in one.tests]
-    tests.sort(key=lambda pair: not pair[1].differs)
-    shown = tuple(_test_row(name, test, numbers) for name, test in tests[:_MAX_TESTS])
-    more = max(0, len(tests) - _MAX_TESTS)
-    cells_of_logs = tuple(tuple(row) for row in rows.values())
-    return ComparedTable(group.title, tuple(heads), cells_of_logs, tuple(lines), shown, more)
-
-
-def _test_row(name: str, test: PairTest, numbers: Mapping[str, str]) -> Cells:
-    chance = "-" if test.corrected is None else probability_words(test.corrected)
-    said = "differs" if test.differs else "not distinguishable"
-    return (
-        name,
-        f"{numbers[test.first]} - {numbers[test.second]}",
-        number_words(test.difference),
-        interval_words(*test.interval95),
-        "-" if test.speed_m_s is None else f"{test.speed_m_s:.2f}",
-        chance,
-        "not compared" if test.corrected is None else said,
-        test.caution,
-    )
-
-
 # ---- Contents of a report: tunings, and a campaign if outcomes are among the files.
 
 
 @dataclass(frozen=True, eq=False)
 class Reported:
-    """Contents of a report.
+    """Contents of a report."""
 
-    Attributes:
-        title: Of the page; None for that of its tunings.
-        tunings: In their order.
-        campaigns: None, or the one whose outcomes are among the files.
-    """
-
-    title: str | None
-    tunings: Sequence[TuningFile]
-    campaigns: Sequence[CampaignSection] = ()
+    title: str | None  # of the page; None for that of its tunings
+    tunings: Sequence[TuningFile]  # in their order
+    # blocks of the one whose outcomes are among the files; none without
+    campaign: Sequence[Block] = ()
 
 
 def read_reported(
     places: Sequence[Path], jobs: int | None, progress: Progress, warn: Callable[[str], None]
 ) -> Reported:
     """Read tunings, folders of them, or a campaign.
-
-    Args:
-        places: Files and folders.
-        jobs: Processes for a campaign's drops; None for all cores.
-        progress: Shows the drop under way.
-        warn: Called with what cannot be read.
 
     Raises:
         UsageError: Nothing in them can be reported.
@@ -435,10 +307,10 @@ def read_reported(
     drops = [drop for attempt in campaign.attempts for drop in attempt.drops]
     known = dict.fromkeys(drop.tuning for drop in drops if drop.tuning is not None)
     tunings = in_order(read_tunings(list(known), warn)) if known else ()
-    return Reported(title, tunings, [campaign_section(campaign)])
+    return Reported(title, tunings, campaign_blocks(campaign))
 
 
-# ---- Page: render its parts by a template.
+# ---- Page: render its blocks by a template.
 
 PAGE, COMPARISON = "page", "comparison"  # kinds of pages, as their marks have them
 _MAX_BYTES = 2_800_000  # of the figures and words of a page
@@ -449,132 +321,113 @@ _MAX_TEXT_CHARACTERS = 1500  # of one text: it may be a stranger's
 
 
 @dataclass(frozen=True)
-class OverviewRow:
-    """One tuning's row of the overview.
+class PagePart:
+    """One tuning's part of a page; `todo` stands in a box with the verdict."""
 
-    Attributes:
-        anchor: Where its part begins; "" if it has none.
-        words: Its values; the reason if it has none.
-    """
-
-    number: int
     label: str
     verdict: str
-    words: str
-    anchor: str
-
-
-@dataclass(frozen=True)
-class PagePart:
-    """One tuning's part of a page."""
-
-    section: TuningSection
-    drawn: tuple[DrawnFigure, ...]
-    missing: tuple[str, ...]
+    lead: str
+    facts: Sequence[str]
+    todo: Items
+    blocks: Sequence[Block | EmbeddedFigures]
 
 
 def report_page(reported: Reported) -> str:
     """Render the page of one tuning, of several, or of a campaign."""
     tunings = reported.tunings
     detailed = tunings[:_MAX_DETAILED]
-    compared, left = None, _MAX_BYTES
+    compared: list[Block | EmbeddedFigures] = []
+    left = _MAX_BYTES - _WORDS_BYTES * len(detailed)
     if len(tunings) > 1:
-        compared = _compared(
-            compare([one.record for one in tunings], [one.label for one in tunings])
-        )
-        left -= sum(len(one.source) for one in compared.drawn)
-    left -= _WORDS_BYTES * len(detailed)
-    parts = [_part(one, number, left // len(detailed)) for number, one in enumerate(detailed, 1)]
-    is_one = len(tunings) == 1 and not reported.campaigns
-    logs = logs_of(one.record for one in tunings)
-    facts = parts[0].section.facts if is_one else _counts(tunings)
+        labels = [one.label for one in tunings]
+        compared, taken = _compared(compare([one.record for one in tunings], labels))
+        left -= taken
+    parts = [_part(one, left // len(detailed)) for one in detailed]
+    is_one = len(tunings) == 1 and not reported.campaign
+    counts = Counter(one.record.verdict for one in tunings)
+    counted = f"{len(tunings)} tunings", *(f"{counts[one]} {one}" for one in NEXT if counts[one])
+    facts = parts[0].facts if is_one else counted
+    overview = _overview([(one.label, one.record) for one in tunings], len(detailed))
     return _rendered(
-        mark=Markup(mark(PAGE, logs)),  # noqa: S704 (letters, digits and signs that HTML lets be)
+        mark=mark(PAGE, logs_of(one.record for one in tunings)),
         title=tunings[0].label if is_one else reported.title or facts[0],
         facts=facts,
-        overview=() if is_one else _overview(tunings, len(detailed)),
-        campaigns=reported.campaigns,
-        compared=compared,
-        sections=parts,
+        blocks=[*reported.campaign, *([] if is_one else overview), *compared],
+        tunings=parts,
+        is_one=is_one,
     )
-
-
-def _counts(tunings: Sequence[TuningFile]) -> tuple[str, ...]:
-    """Count the tunings by verdict."""
-    counts = Counter(one.record.verdict for one in tunings)
-    return f"{len(tunings)} tunings", *(f"{counts[one]} {one}" for one in NEXT if counts[one])
 
 
 def comparison_page(comparison: Comparison) -> str:
     """Render the page of a comparison."""
-    records = zip(comparison.labels, comparison.records, strict=True)
+    pairs = list(zip(comparison.labels, comparison.records, strict=True))
+    blocks, _ = _compared(comparison)
     return _rendered(
-        mark=Markup(mark(COMPARISON, logs_of(comparison.records))),  # noqa: S704 (as above)
+        mark=mark(COMPARISON, logs_of(comparison.records)),
         title=f"{len(comparison.labels)} tunings compared",
         facts=(),
-        overview=[
-            _overview_row(number, label, record, "")
-            for number, (label, record) in enumerate(records, 1)
-        ],
-        campaigns=(),
-        compared=_compared(comparison),
-        sections=(),
+        blocks=[*_overview(pairs, 0), *blocks],
+        tunings=(),
+        is_one=False,
     )
 
 
-def _compared(comparison: Comparison) -> ComparedSection:
-    room = Room(_COMPARED_BYTES)
-    return compared_section(comparison, room.take(comparison_drawings(comparison)))
+def _compared(comparison: Comparison) -> tuple[list[Block | EmbeddedFigures], int]:
+    """Make the blocks of a comparison; return the bytes of its figures, too."""
+    figures, _ = figures_within(comparison_drawings(comparison), _COMPARED_BYTES)
+    return [Heading("Comparison", 2), figures, *comparison_blocks(comparison)], figures.size
 
 
-def _part(tuning: TuningFile, number: int, room_bytes: int) -> PagePart:
-    seen, why = reviewed(tuning.record, tuning.path)
-    room = Room(room_bytes)
-    drawn = room.take(drawings_of(tuning.record, seen))
-    missing = missing_words(tuning.record, seen, why, room.refused)
-    section = section_of(tuning.record, tuning.label, tuning.path, number)
-    return PagePart(section, drawn, tuple(missing))
+def _part(tuning: TuningFile, room_bytes: int) -> PagePart:
+    record = tuning.record
+    seen, why = reviewed(record, tuning.path)
+    figures, refused = figures_within(drawings_of(record, seen), room_bytes)
+    missing = Items(missing_words(record, seen, why, refused))
+    blocks = [*page_values(record), figures, missing, *page_details(record, tuning.path)]
+    lead, todo = NEXT[record.verdict], page_todo(record, tuning.path)
+    return PagePart(tuning.label, record.verdict, lead, page_facts(record), todo, blocks)
 
 
-def _overview(tunings: Sequence[TuningFile], detailed: int) -> list[OverviewRow]:
-    return [
-        _overview_row(number, one.label, one.record, f"log-{number}" if number <= detailed else "")
-        for number, one in enumerate(tunings, 1)
-    ]
+def _overview(tunings: Sequence[tuple[str, Record]], detailed: int) -> list[Block]:
+    """Make a row per tuning: its values, or the reason if it has none; nothing without any."""
+    rows: list[Cells] = []
+    for number, (label, record) in enumerate(tunings, 1):
+        words: list[str] = []
+        for known in record.estimates[:4]:
+            if isinstance(known.value, tuple):
+                continue
+            (part,) = known.components
+            unit = "" if known.unit == "1" else f" {known.unit}"
+            ends = part.interval95
+            interval = "no interval" if ends is None else interval_words(*ends)
+            words.append(f"{known.name} {number_words(part.value)}{unit} ({interval})")
+        said = "; ".join(words) or record.reason or "no values"
+        rows.append((str(number), label, record.verdict, said))
+    heads = ("", "log", "verdict", "values with 95 % intervals")
+    anchors = [f"log-{at}" if at <= detailed else "" for at in range(1, len(rows) + 1)]
+    shown = TextTable(heads, rows, title="overview", anchors=anchors)
+    return [Heading("Overview", 2), shown] if rows else []
 
 
-def _overview_row(number: int, label: str, record: Record, anchor: str) -> OverviewRow:
-    words: list[str] = []
-    for known in record.estimates[:4]:
-        if isinstance(known.value, tuple):
-            continue
-        ends: Any = known.interval95
-        unit = "" if known.unit == "1" else f" {known.unit}"
-        interval = "no interval" if ends is None else interval_words(*ends)
-        words.append(f"{known.name} {number_words(known.value)}{unit} ({interval})")
-    said = "; ".join(words) or record.reason or "no values"
-    return OverviewRow(number, label, record.verdict, said, anchor)
-
-
-def _rendered(**content: object) -> str:
+def _rendered(mark: str, **content: object) -> str:
     """Render the page; every text in it is escaped, on one line and of bounded length."""
+
+    def shown(value: Any) -> Any:
+        """Bound a text's length; numbers and our own markup stay as they are."""
+        if isinstance(value, str) and not isinstance(value, DataUri | Markup):
+            return short_name(value, _MAX_TEXT_CHARACTERS)
+        return value
+
     environment = Environment(
         loader=PackageLoader("tunenet_logs.analysis.report"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_shown,
+        finalize=shown,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    page = environment.get_template("page.html")
-    return page.render(**content, version=__version__)
-
-
-def _shown(value: Any) -> Any:
-    """Bound a text's length; numbers and our own markup stay as they are."""
-    if isinstance(value, str) and not isinstance(value, DataUri | Markup):
-        return short_name(value, _MAX_TEXT_CHARACTERS)
-    return value
+    safe = Markup(mark)  # noqa: S704 (letters, digits and signs that HTML lets be)
+    return environment.get_template("page.html").render(**content, mark=safe, version=__version__)
 
 
 # ---- Paper: figures as files, one or a folder of all.
@@ -585,18 +438,12 @@ _MAX_TUNINGS = 100  # whose figures are written to one folder at a time
 
 @dataclass(frozen=True)
 class FigureOrder:
-    """Figures to write.
+    """Figures to write."""
 
-    Attributes:
-        place: A file with the kind's suffix for the main figure, else a folder for all.
-        inputs: Files that are read, which nothing replaces.
-        overwrite: Whether figures of other logs may be replaced.
-    """
-
-    place: Path
+    place: Path  # a file with the kind's suffix for the main figure, else a folder for all
     kind: Kind
-    inputs: Sequence[Path]
-    overwrite: bool
+    inputs: Sequence[Path]  # files that are read, which nothing replaces
+    overwrite: bool  # whether figures of other logs may be replaced
 
 
 def write_figures(order: FigureOrder, tunings: Sequence[TuningFile]) -> list[Path]:
@@ -606,73 +453,45 @@ def write_figures(order: FigureOrder, tunings: Sequence[TuningFile]) -> list[Pat
         UsageError: There is nothing to draw, or it cannot be written.
         OSError: It cannot be written.
     """
-    suffix, option = f".{order.kind}", f"--{order.kind}"
+    suffix, option, kind = f".{order.kind}", f"--{order.kind}", order.kind
     if len(tunings) > _MAX_TUNINGS:
         raise UsageError(f"{len(tunings)} tunings: draw at most {_MAX_TUNINGS} at a time")
     logs = logs_of(one.record for one in tunings)
-
-    def checked(path: Path) -> OutputPlace:
-        place = figure_place(path, order.kind, logs, overwrite=order.overwrite)
-        check_place(place, option, (suffix,), order.inputs)
-        return place
-
     is_folder = order.place.is_dir() and not order.place.is_symlink()
-    if order.place.suffix.lower() == suffix and not is_folder:
-        files = [(checked(order.place), _main(order, tunings))]
-    else:
-        drawn = _all(tunings)
-        if order.place.suffix and not order.place.is_dir():
-            raise UsageError(f"{order.place}: give {option} a folder, or a name that ends {suffix}")
-        if not drawn:
-            raise UsageError(f"{order.place}: these tunings have nothing to draw")
+    is_file = order.place.suffix.lower() == suffix and not is_folder
+    # Draw all figures of tunings and of their comparison, by the names of their files.
+    compared_only = is_file and len(tunings) > 1
+    found: list[tuple[str, Drawing]] = []
+    for tuning in () if compared_only else tunings:
+        seen, _ = reviewed(tuning.record, tuning.path)
+        found += [(tuning.path.stem, one) for one in drawings_of(tuning.record, seen)]
+    if len(tunings) > 1:
+        records = [tuning.record for tuning in tunings]
+        comparison = compare(records, [tuning.label for tuning in tunings])
+        found += [("comparison", one) for one in comparison_drawings(comparison)]
+    drawn: dict[str, Drawing] = {}
+    for stem, drawing in found:
+        name = free = f"{stem}_{drawing.name}"
+        number = 1
+        while free in drawn:  # two tunings may have the same
+            number += 1
+            free = f"{name}_{number}"
+        drawn[free] = drawing
+    if not is_file and order.place.suffix and not order.place.is_dir():
+        raise UsageError(f"{order.place}: give {option} a folder, or a name that ends {suffix}")
+    if not drawn:
+        raise UsageError(f"{order.place}: these tunings have nothing to draw")
+    if not is_file:
         order.place.mkdir(exist_ok=True)
-        files = [(checked(order.place / f"{name}{suffix}"), one) for name, one in drawn.items()]
+    knows, elsewhere = marked(kind, _FIGURE, logs), f"give {option} another file"
+    files: list[tuple[OutputPlace, Drawing]] = []
+    for name, drawing in list(drawn.items())[: 1 if is_file else None]:
+        path = order.place if is_file else order.place / f"{name}{suffix}"
+        of, overwrite = in_words(logs), order.overwrite
+        place = OutputPlace(path, "figure", knows, of, elsewhere, overwrite=overwrite)
+        check_place(place, option, (suffix,), order.inputs)
+        files.append((place, drawing))
     for place, drawing in files:
         with place.replacing() as partial:
-            write_figure(drawing.figure, partial, order.kind, mark(_FIGURE, logs))
+            write_figure(drawing.figure, partial, kind, mark(_FIGURE, logs))
     return [place.path for place, _ in files]
-
-
-def figure_place(path: Path, kind: Kind, logs: Logs, *, overwrite: bool) -> OutputPlace:
-    """Return the output place of a figure of some logs."""
-    knows = marked(kind, _FIGURE, logs)
-    elsewhere = f"give --{kind} another file"
-    return OutputPlace(path, "figure", knows, in_words(logs), elsewhere, overwrite=overwrite)
-
-
-def _main(order: FigureOrder, tunings: Sequence[TuningFile]) -> Drawing:
-    drawings = _compared_drawings(tunings) if len(tunings) > 1 else _own(tunings[0])
-    if not drawings:
-        raise UsageError(f"{order.place}: these tunings have nothing to draw")
-    return drawings[0]
-
-
-def _all(tunings: Sequence[TuningFile]) -> dict[str, Drawing]:
-    """Map the name of each figure's file, without the suffix, to the figure."""
-    found: dict[str, Drawing] = {}
-    for tuning in tunings:
-        for drawing in _own(tuning):
-            found[_free(found, f"{tuning.path.stem}_{drawing.name}")] = drawing
-    if len(tunings) > 1:
-        for drawing in _compared_drawings(tunings):
-            found[_free(found, f"comparison_{drawing.name}")] = drawing
-    return found
-
-
-def _free(taken: dict[str, Drawing], name: str) -> str:
-    """Number a name that is taken: two tunings may have the same."""
-    number, free = 1, name
-    while free in taken:
-        number += 1
-        free = f"{name}_{number}"
-    return free
-
-
-def _own(tuning: TuningFile) -> list[Drawing]:
-    seen, _ = reviewed(tuning.record, tuning.path)
-    return drawings_of(tuning.record, seen)
-
-
-def _compared_drawings(tunings: Sequence[TuningFile]) -> list[Drawing]:
-    records = [tuning.record for tuning in tunings]
-    return comparison_drawings(compare(records, [tuning.label for tuning in tunings]))

@@ -31,22 +31,7 @@ from tunenet_logs.analysis.campaign import (
 from tunenet_logs.analysis.presentation import markdown_table
 from tunenet_logs.analysis.record import Estimate
 from tunenet_logs.analysis.result_files import subject_of
-from tunenet_logs.analysis.review.drawing import (
-    FAILURE,
-    GROUND,
-    MUTED,
-    OBSERVED,
-    SUCCESS,
-    Color,
-    application_id,
-    blank_picture,
-    chart_view,
-    filled,
-    log_grid,
-    mixed,
-    screen_radius,
-    ticks,
-)
+from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.episode import Array
 from tunenet_logs.terminal import one_line, short_name
 
@@ -55,26 +40,19 @@ from tunenet_logs.terminal import one_line, short_name
 ATTEMPT = "attempt"  # the timeline that is stepped through: 1, 2, ..
 FILM = "film_s"  # the timeline that plays: all drops one after the other [s]
 WALL = "wall_clock"  # the timeline of recording; attempts whose clock is unknown are not on it
-_UNSEEN_S = 1.0  # on `FILM`, of a drop without curves and pictures: enough to read what it was
 # On `FILM`, of a tuning, a shot and an outcome, one after the other: each can be followed.
 _STEP_S = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """One drop in the film.
-
-    Attributes:
-        start_s: Where it begins on `FILM`.
-        zero_s: First time of its own clock that is shown.
-        end_s: Where it ends on `FILM`.
-    """
+    """One drop in the film."""
 
     attempt: Attempt
     drop: TunedDrop
-    start_s: float
-    zero_s: float
-    end_s: float
+    start_s: float  # where it begins on `FILM`
+    zero_s: float  # first time of its own clock that is shown
+    end_s: float  # where it ends on `FILM`
 
     def film_s(self, second: float) -> float:
         """Convert a time of the drop's own clock to `FILM`."""
@@ -93,20 +71,13 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Slot:
-    """One attempt in the film.
-
-    Attributes:
-        drops: In their order.
-        start_s: Where it begins on `FILM`.
-        tuned_s: Where its drops end on `FILM`.
-        begin_ns: Where it begins on `WALL`; None if nothing of it has a wall clock.
-    """
+    """One attempt in the film."""
 
     attempt: Attempt
-    drops: tuple[Shown, ...]
-    start_s: float
-    tuned_s: float
-    begin_ns: int | None
+    drops: tuple[Shown, ...]  # in their order
+    start_s: float  # where it begins on `FILM`
+    tuned_s: float  # where its drops end on `FILM`
+    begin_ns: int | None  # where it begins on `WALL`; None if nothing of it has a wall clock
 
     @property
     def shot_s(self) -> float:
@@ -156,23 +127,25 @@ def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
         start_s = at_s
         shown: list[Shown] = []
         for drop in attempt.drops:
-            first_s, last_s = _span(drop)
+            # First and last time of a drop's visible data, on its own clock [s].
+            times: list[float] = []
+            for part in (drop.overlay, drop.film):
+                if part is not None:
+                    times += (float(part.seconds[0]), float(part.seconds[-1]))
+            # On `FILM`, of a drop without curves and pictures: enough to read what it was [s]
+            first_s, last_s = (min(times), max(times)) if times else (0.0, 1.0)
             shown.append(Shown(attempt, drop, at_s, first_s, at_s + last_s - first_s))
             at_s = shown[-1].end_s
-        begin_ns = _begin_ns(attempt, shown, begun)
+        # Its first drop's beginning; its end if another attempt began with that drop.
+        known = [drop.begin_ns for drop in shown if drop.begin_ns is not None]
+        ended_ns = (attempt.outcome and attempt.outcome.stamp_ns) or None
+        begin_ns = (
+            min(known) if known and (min(known) not in begun or ended_ns is None) else ended_ns
+        )
         begun |= set() if begin_ns is None else {begin_ns}
         slots.append(Slot(attempt, tuple(shown), start_s, at_s, begin_ns))
         at_s = slots[-1].end_s
     return tuple(slots)
-
-
-def _begin_ns(attempt: Attempt, drops: Sequence[Shown], begun: set[int]) -> int | None:
-    """Return its first drop's beginning; its end if another attempt began with that drop."""
-    known = [shown.begin_ns for shown in drops if shown.begin_ns is not None]
-    ended_ns = (attempt.outcome and attempt.outcome.stamp_ns) or None
-    if known and (min(known) not in begun or ended_ns is None):
-        return min(known)
-    return ended_ns
 
 
 # What is shown from a moment on: an attempt, and which of its drops; None where it has none.
@@ -216,15 +189,6 @@ def wall_column(stamps_ns: Sequence[int]) -> rr.TimeColumn:
     return rr.TimeColumn(WALL, timestamp=np.array(stamps_ns, "datetime64[ns]"))
 
 
-def _span(drop: TunedDrop) -> tuple[float, float]:
-    """Return first and last time of a drop's visible data, on its own clock [s]."""
-    times: list[float] = []
-    for part in (drop.overlay, drop.film):
-        if part is not None:
-            times += (float(part.seconds[0]), float(part.seconds[-1]))
-    return (min(times), max(times)) if times else (0.0, _UNSEEN_S)
-
-
 # ---- Images of the drop under the cursor; a blank one for an attempt without.
 
 
@@ -234,7 +198,7 @@ _PICTURES = "film/picture"
 def film_view() -> rrb.View:
     """Return the view of the drop's images."""
     title = "its video (timeline film_s plays it)"
-    return rrb.Spatial2DView(origin="/film", name=title, background=GROUND)
+    return rrb.Spatial2DView(origin="/film", name=title, background=draw.GROUND)
 
 
 def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
@@ -246,7 +210,7 @@ def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
     films = [shown.drop.film for slot in slots for shown in slot.drops if shown.drop.film]
     if not films:
         return
-    blank = blank_picture(films[0].size_px, "no video")
+    blank = draw.blank_picture(films[0].size_px, "no video")
     stream.log(_PICTURES, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
     for name, index, begun in beginnings(slots):
         columns = rr.EncodedImage.columns(blob=[_first(name, one, blank) for one in begun])
@@ -272,15 +236,14 @@ def _first(timeline: str, begun: Begun, blank: bytes) -> bytes:
 # ---- Curves of the drop under the cursor, observed and tuned, or why it has none.
 
 
-_TUNED: Color = (255, 165, 40)
+_TUNED: draw.Color = (255, 165, 40)
 _OVERLAY_WIDTH = 1.9  # of the chart of curves, in its heights: about the shape of its view
-_EVERY = 3  # samples for one place of the moving dot: still smooth, and the file stays small
 
 
 def overlay_view() -> rrb.View:
     """Return the view of the drop's observed and simulated height."""
     title = "its drop: height above the table, observed (dots), tuned (line)"
-    return chart_view("overlay", title, _OVERLAY_WIDTH)
+    return draw.chart_view("overlay", title, _OVERLAY_WIDTH)
 
 
 class _CurveAxes(NamedTuple):
@@ -296,7 +259,8 @@ class _CurveAxes(NamedTuple):
         return np.column_stack([seconds / self.span_s * _OVERLAY_WIDTH, -heights_m / self.top_m])
 
 
-def _curve_axes(slots: Sequence[Slot]) -> _CurveAxes:
+def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
+    """Log the entities of `overlay_view`."""
     overlays = [
         shown.drop.overlay
         for slot in slots
@@ -304,28 +268,39 @@ def _curve_axes(slots: Sequence[Slot]) -> _CurveAxes:
         if shown.drop.overlay is not None
     ]
     if not overlays:
-        return _CurveAxes(1.0, 1.0)
-    span_s = max(float(overlay.seconds[-1] - overlay.seconds[0]) for overlay in overlays)
-    top_m = max(float(np.nanmax(overlay.observed_m, initial=0.0)) for overlay in overlays)
-    return _CurveAxes(span_s, max(1.02 * top_m, 1e-3))
-
-
-def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Log the entities of `overlay_view`."""
-    axes = _curve_axes(slots)
-    rows = [(-height / axes.top_m, f"{height:g} m") for height in ticks(0.0, axes.top_m)]
+        axes = _CurveAxes(1.0, 1.0)
+    else:
+        span_s = max(float(overlay.seconds[-1] - overlay.seconds[0]) for overlay in overlays)
+        top_m = max(float(np.nanmax(overlay.observed_m, initial=0.0)) for overlay in overlays)
+        axes = _CurveAxes(span_s, max(1.02 * top_m, 1e-3))
+    rows = [(-height / axes.top_m, f"{height:g} m") for height in draw.ticks(0.0, axes.top_m)]
     marks = [
         (second / axes.span_s * _OVERLAY_WIDTH, f"{second:g} s")
-        for second in ticks(0.0, axes.span_s)
+        for second in draw.ticks(0.0, axes.span_s)
     ]
-    log_grid(stream, "sheets/overlay", _OVERLAY_WIDTH, rows, marks)
-    dots = rr.Points2D.from_fields(radii=screen_radius(1.6))
+    draw.log_grid(stream, "sheets/overlay", _OVERLAY_WIDTH, rows, marks)
+    dots = rr.Points2D.from_fields(radii=draw.screen_radius(1.6))
     stream.log("sheets/overlay/observed", dots, static=True)
-    line = rr.LineStrips2D.from_fields(colors=[_TUNED], radii=screen_radius(0.8), draw_order=25.0)
+    line = rr.LineStrips2D.from_fields(
+        colors=[_TUNED], radii=draw.screen_radius(0.8), draw_order=25.0
+    )
     stream.log("sheets/overlay/simulated", line, static=True)
     for _, index, begun in beginnings(slots):
         _send_overlays(stream, index, [shown.drop if shown else None for _, shown in begun], axes)
-    _log_no_curve(stream, slots)
+    # Log why there is no curve, in the middle of the chart; nothing if there is one.
+    entity = "sheets/overlay/words"
+    style = rr.Points2D.from_fields(
+        colors=[draw.MUTED], radii=draw.screen_radius(0.1), show_labels=True
+    )
+    stream.log(entity, style, static=True)
+    for _, index, begun in beginnings(slots):
+        words = [_no_curve_words(shown.drop if shown else None) for _, shown in begun]
+        told = [text for text in words if text]
+        columns = rr.Points2D.columns(
+            positions=[[_OVERLAY_WIDTH / 2, -0.75]] * len(told), labels=told
+        )
+        lengths = [1 if text else 0 for text in words]
+        stream.send_columns(entity, indexes=[index], columns=columns.partition(lengths))
     _log_now(stream, slots, axes)
 
 
@@ -336,9 +311,10 @@ def _send_overlays(
     axes: _CurveAxes,
 ) -> None:
     """Send a row per drop; an empty one clears the last drop's curve."""
-    observed = [_observed(drop, axes) for drop in drops]
+    curves = [_curves(drop, axes) for drop in drops]
+    observed, lines = [seen for seen, _ in curves], [line for _, line in curves]
     colors = [
-        FAILURE if drop is not None and drop.verdict == "rejected" else OBSERVED
+        draw.FAILURE if drop is not None and drop.verdict == "rejected" else draw.OBSERVED
         for drop, points in zip(drops, observed, strict=True)
         for _ in points
     ]
@@ -352,7 +328,7 @@ def _send_overlays(
             positions=np.concatenate(observed).reshape(-1, 2), colors=colors
         ).partition(lengths),
     )
-    lines = [list(_simulated(drop, axes)) for drop in drops]
+
     stream.send_columns(
         "sheets/overlay/simulated",
         indexes=[index],
@@ -362,54 +338,31 @@ def _send_overlays(
     )
 
 
-def _observed(drop: TunedDrop | None, axes: _CurveAxes) -> Array:
-    """Return points of the known samples, shape (T, 2)."""
+def _curves(drop: TunedDrop | None, axes: _CurveAxes) -> tuple[Array, list[Array]]:
+    """Return the known samples, and the contiguous segments of the line, shape (T, 2) each."""
     if drop is None or drop.overlay is None:
-        return np.zeros((0, 2))
-    points = axes.points(drop, drop.overlay.observed_m)
-    return points[np.isfinite(points[:, 1])]
-
-
-def _simulated(drop: TunedDrop | None, axes: _CurveAxes) -> Iterator[Array]:
-    """Yield the contiguous segments of the line, each of shape (T, 2)."""
-    if drop is None or drop.overlay is None:
-        return
-    points = axes.points(drop, drop.overlay.simulated_m)
-    is_known = np.isfinite(points[:, 1])
-    for stretch in np.split(points, np.flatnonzero(np.diff(is_known)) + 1):
-        if len(stretch) > 1 and np.isfinite(stretch[0, 1]):
-            yield stretch
-
-
-def _log_no_curve(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Log why there is no curve, in the middle of the chart; nothing if there is one."""
-    entity = "sheets/overlay/words"
-    style = rr.Points2D.from_fields(colors=[MUTED], radii=screen_radius(0.1), show_labels=True)
-    stream.log(entity, style, static=True)
-    for _, index, begun in beginnings(slots):
-        words = [_no_curve_words(shown.drop if shown else None) for _, shown in begun]
-        told = [text for text in words if text]
-        columns = rr.Points2D.columns(
-            positions=[[_OVERLAY_WIDTH / 2, -0.75]] * len(told), labels=told
-        )
-        lengths = [1 if text else 0 for text in words]
-        stream.send_columns(entity, indexes=[index], columns=columns.partition(lengths))
+        return np.zeros((0, 2)), []
+    seen = axes.points(drop, drop.overlay.observed_m)
+    line = axes.points(drop, drop.overlay.simulated_m)
+    parts = np.split(line, np.flatnonzero(np.diff(np.isfinite(line[:, 1]))) + 1)
+    known = [one for one in parts if len(one) > 1 and np.isfinite(one[0, 1])]
+    return seen[np.isfinite(seen[:, 1])], known
 
 
 def _no_curve_words(drop: TunedDrop | None) -> str:
     """Say shortly why a drop has no curve; "" if it has one."""
     if drop is None:
         return "no drop was recorded for this attempt"
-    if drop.overlay is not None:
-        return ""
     said = "this drop was rejected" if drop.verdict == "rejected" else "its tuning holds none"
-    return f"no curve: {said}"
+    return "" if drop.overlay is not None else f"no curve: {said}"
 
 
 def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _CurveAxes) -> None:
     """Log a dot that moves along the curves while the drops play."""
     entity = "sheets/overlay/now"
-    style = rr.Points2D.from_fields(colors=[OBSERVED], radii=screen_radius(5.0), draw_order=30.0)
+    style = rr.Points2D.from_fields(
+        colors=[draw.OBSERVED], radii=draw.screen_radius(5.0), draw_order=30.0
+    )
     stream.log(entity, style, static=True)
     for name, index, begun in beginnings(slots):
         if name != ATTEMPT:
@@ -420,7 +373,8 @@ def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _CurveAxes
             overlay = shown.drop.overlay
             if overlay is None:
                 continue
-            seen = np.flatnonzero(np.isfinite(overlay.observed_m))[::_EVERY]
+            # Samples for one place of the moving dot: still smooth, and the file stays small
+            seen = np.flatnonzero(np.isfinite(overlay.observed_m))[::3]
             indexes = moments(slot, shown, overlay.seconds[seen].tolist())
             points = axes.points(shown.drop, overlay.observed_m)[seen]
             columns = rr.Points2D.columns(positions=points)
@@ -457,13 +411,24 @@ def attempt_words(attempt: Attempt) -> str:
         f"**{end}**",
     ]
     if outcome is not None:
-        lines.append(_shot_words(attempt))
+        facts: list[str] = []
+        if outcome.shot_height_m is not None:
+            facts.append(f"shot from {outcome.shot_height_m:.3f} m")
+        if outcome.miss_m is not None:
+            side = "short of" if outcome.miss_m < 0 else "beyond"
+            facts.append(
+                f"came down {1000 * abs(outcome.miss_m):.0f} mm from the centre, {side} it"
+            )
+        facts += [one_line(text) for text in (outcome.reason, outcome.note) if text]
+        lines.append("; ".join(facts))
     if attempt.value is not None:
         ends = attempt.interval95
         sure = f" (95 %: {ends[0]:.4f} to {ends[1]:.4f})" if ends is not None else ""
         lines.append(f"restitution **{attempt.value:.4f}**{sure}")
         lines += [_other_words(known) for known in (used.others if used is not None else ())]
-    lines += [_drop_words(drop) for drop in attempt.drops]
+    for drop in attempt.drops:
+        reason = f": {one_line(drop.reason)}" if drop.reason else ""
+        lines.append(f"- {drop.state} {one_line(drop.name)}{reason}")
     if used is not None and used.tuning is not None:
         review = used.tuning.with_suffix(".rrd")
         lines += [f"review of the drop: `rerun {one_line(review.name)}`"] if review.exists() else []
@@ -481,37 +446,13 @@ def _other_words(known: Estimate) -> str:
     return f"{words} (95 %: {low:.3f} to {high:.3f})"
 
 
-def _shot_words(attempt: Attempt) -> str:
-    outcome = attempt.outcome
-    assert outcome is not None
-    facts: list[str] = []
-    if outcome.shot_height_m is not None:
-        facts.append(f"shot from {outcome.shot_height_m:.3f} m")
-    if outcome.miss_m is not None:
-        side = "short of" if outcome.miss_m < 0 else "beyond"
-        facts.append(f"came down {1000 * abs(outcome.miss_m):.0f} mm from the centre, {side} it")
-    facts += [one_line(text) for text in (outcome.reason, outcome.note) if text]
-    return "; ".join(facts)
-
-
-def _drop_words(drop: TunedDrop) -> str:
-    reason = f": {one_line(drop.reason)}" if drop.reason else ""
-    return f"- {drop.state} {one_line(drop.name)}{reason}"
-
-
 # ---- Charts of a whole campaign, a row per ball: success rates, and restitutions.
 
 # Widths of the chart, of the names left of it, and of the figures right of it, in its heights.
 _WIDTH, _NAMES, _FIGURES = 0.85, 0.42, 0.56
-
 _HANG = 0.03  # chart heights: half a line, by which Rerun hangs a label from its point
-_MAX_ROW_LETTERS = 15  # as many as fit left of the chart
 _MAX_ROWS = 12  # whose names do not overlap on a small screen; the tables have all
-_PAPER: Color = (190, 150, 255)
-_GRID_COLOR: Color = (60, 62, 70)
-
-_THICK = 0.16  # how high a bar is, as a fraction of its row
-_MIN_SPAN = 0.1  # of restitution: less would make noise look like a difference between balls
+_PAPER: draw.Color = (190, 150, 255)
 _HALF_ROW = 0.3  # half of what marks take up of a row: the rest keeps rows apart
 
 
@@ -553,9 +494,12 @@ def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
         (rows.y(row), rows.x(rate.interval95[0]), rows.x(rate.interval95[1]))
         for row, rate in counted
     ]
-    _log_bars(stream, f"{sheet}/intervals", intervals, rows.pitch * _THICK, mixed(SUCCESS, 0.45))
+    # How high a bar is, as a fraction of its row
+    _log_bars(
+        stream, f"{sheet}/intervals", intervals, rows.pitch * 0.16, draw.mixed(draw.SUCCESS, 0.45)
+    )
     dots = [(rows.x(rate.fraction), rows.y(row)) for row, rate in counted]
-    _log_dots(stream, f"{sheet}/shares", dots, SUCCESS, 4.0)
+    _log_dots(stream, f"{sheet}/shares", dots, draw.SUCCESS, 4.0)
     published = [
         (rows.x(rate.published), rows.y(row))
         for row, rate in enumerate(every)
@@ -564,7 +508,7 @@ def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
     strips = [
         [[x, y - _HALF_ROW * rows.pitch], [x, y + _HALF_ROW * rows.pitch]] for x, y in published
     ]
-    marks = rr.LineStrips2D(strips, colors=[_PAPER], radii=screen_radius(1.5), draw_order=18.0)
+    marks = rr.LineStrips2D(strips, colors=[_PAPER], radii=draw.screen_radius(1.5), draw_order=18.0)
     stream.log(f"{sheet}/published", marks, static=True)
     return _rows_view("rates", title)
 
@@ -576,10 +520,11 @@ def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitution
     ends = [value for ball in balls for value in ball.values]
     ends += [end for ball in balls for pair in ball.intervals95 if pair for end in pair]
     low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
-    more = max(0.0, _MIN_SPAN - (high - low)) / 2 + 0.05 * (high - low)
+    # With a span under .1 noise would look like a difference between balls.
+    more = max(0.0, 0.1 - (high - low)) / 2 + 0.05 * (high - low)
     rows = _RowAxes(max(1, len(balls)), low - more, high + more)
     sheet = "sheets/spreads"
-    marks = [(value, f"{value:.6g}") for value in ticks(rows.low, rows.high, 5)]
+    marks = [(value, f"{value:.6g}") for value in draw.ticks(rows.low, rows.high, 5)]
     figures = [
         f"{ball.mean:.4f} (1)"
         if isnan(ball.sd)
@@ -593,7 +538,7 @@ def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitution
         if not isnan(ball.sd)
     ]
     thick = 2 * _HALF_ROW * rows.pitch
-    _log_bars(stream, f"{sheet}/deviation", deviations, thick, mixed(_TUNED, 0.2))
+    _log_bars(stream, f"{sheet}/deviation", deviations, thick, draw.mixed(_TUNED, 0.2))
     dots: list[tuple[float, float]] = []
     bars: list[list[list[float]]] = []
     for row, ball in enumerate(balls):
@@ -603,18 +548,11 @@ def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitution
             dots.append((rows.x(value), y))
             if pair is not None:
                 bars.append([[rows.x(end), y] for end in pair])
-    lines = rr.LineStrips2D(bars, colors=[_TUNED], radii=screen_radius(0.7), draw_order=15.0)
+    lines = rr.LineStrips2D(bars, colors=[_TUNED], radii=draw.screen_radius(0.7), draw_order=15.0)
     stream.log(f"{sheet}/intervals", lines, static=True)
     _log_dots(stream, f"{sheet}/values", dots, _TUNED, 2.2)
     if not balls:
-        said = rr.Points2D(
-            [[_WIDTH / 2, -0.5]],
-            labels=["no drop was tuned"],
-            colors=[MUTED],
-            radii=screen_radius(0.1),
-            show_labels=True,
-        )
-        stream.log(f"{sheet}/words", said, static=True)
+        draw.log_labels(stream, f"{sheet}/words", [[_WIDTH / 2, -0.5]], ["no drop was tuned"])
     return _rows_view("spreads", title)
 
 
@@ -628,7 +566,7 @@ def _rows_view(name: str, title: str) -> rrb.View:
         x_range=(-_NAMES - 0.05, _WIDTH + _FIGURES + 0.05), y_range=(-1.04, 0.16)
     )
     return rrb.Spatial2DView(
-        origin=f"/sheets/{name}", name=title, background=GROUND, visual_bounds=bounds
+        origin=f"/sheets/{name}", name=title, background=draw.GROUND, visual_bounds=bounds
     )
 
 
@@ -652,21 +590,16 @@ def _log_frame(
 ) -> None:
     """Log grid lines at the marks, names on the left, figures on the right."""
     grid = [[[rows.x(value), -1.0], [rows.x(value), 0.0]] for value, _ in marks]
-    lines = rr.LineStrips2D(grid, colors=[_GRID_COLOR], radii=screen_radius(0.5))
+    lines = rr.LineStrips2D(grid, colors=[draw.GRID], radii=draw.screen_radius(0.5))
     stream.log(f"{sheet}/grid", lines, static=True)
     labels = [([rows.x(value), 0.02], text) for value, text in marks]
     for row, (name, figure) in enumerate(zip(names, figures, strict=True)):
-        labels.append(([-_NAMES / 2, rows.y(row) - _HANG], short_name(name, _MAX_ROW_LETTERS)))
+        # As many as fit left of the chart
+        labels.append(([-_NAMES / 2, rows.y(row) - _HANG], short_name(name, 15)))
         labels.append(([_WIDTH + _FIGURES / 2, rows.y(row) - _HANG], figure))
-    colors = [MUTED] * len(marks) + [OBSERVED] * (2 * len(names))
-    points = rr.Points2D(
-        [position for position, _ in labels],
-        labels=[text for _, text in labels],
-        colors=colors,
-        radii=screen_radius(0.1),
-        show_labels=True,
-    )
-    stream.log(f"{sheet}/labels", points, static=True)
+    colors = [draw.MUTED] * len(marks) + [draw.OBSERVED] * (2 * len(names))
+    places, texts = [place for place, _ in labels], [text for _, text in labels]
+    draw.log_labels(stream, f"{sheet}/labels", places, texts, colors)
 
 
 def _log_bars(
@@ -674,13 +607,13 @@ def _log_bars(
     entity: str,
     bars: Sequence[tuple[float, float, float]],
     thick: float,
-    color: Color,
+    color: draw.Color,
 ) -> None:
     """Log filled bars, each as (y, left, right)."""
     strips: list[list[list[float]]] = []
     radii: list[float] = []
     for y, left, right in bars:
-        lines, radius = filled(left, max(right, left + 0.004), y - thick / 2, y + thick / 2)
+        lines, radius = draw.filled(left, max(right, left + 0.004), y - thick / 2, y + thick / 2)
         strips += lines
         radii += [radius] * len(lines)
     stream.log(
@@ -692,17 +625,17 @@ def _log_dots(
     stream: rr.RecordingStream,
     entity: str,
     positions: Sequence[tuple[float, float]],
-    color: Color,
+    color: draw.Color,
     points: float,
 ) -> None:
-    dots = rr.Points2D(positions, colors=[color], radii=screen_radius(points), draw_order=20.0)
+    dots = rr.Points2D(positions, colors=[color], radii=draw.screen_radius(points), draw_order=20.0)
     stream.log(entity, dots, static=True)
 
 
 # ---- Lanes: drop, tuning and outcome of each attempt as state timelines.
 
 # In turn; muted, so that the lanes of states stand out.
-_BALL_COLORS: tuple[Color, ...] = (
+_BALL_COLORS: tuple[draw.Color, ...] = (
     (90, 130, 190),
     (190, 120, 90),
     (100, 170, 120),
@@ -710,45 +643,33 @@ _BALL_COLORS: tuple[Color, ...] = (
     (180, 165, 90),
     (90, 170, 175),
 )
-
-_AMBER: Color = (225, 165, 50)
-_STATE_COLORS: dict[str, Color] = {
+_AMBER: draw.Color = (225, 165, 50)
+_STATE_COLORS: dict[str, draw.Color] = {
     "drop": (66, 140, 220),
     "doubtful drop": _AMBER,
-    "rejected drop": FAILURE,
-    "no drop": MUTED,
+    "rejected drop": draw.FAILURE,
+    "no drop": draw.MUTED,
     "tuned": (40, 165, 200),
-    "not tuned": MUTED,
+    "not tuned": draw.MUTED,
     "shot": (160, 120, 220),
     "given up": _AMBER,
-    "success": SUCCESS,
-    "failure": FAILURE,
-    "not told": MUTED,
+    "success": draw.SUCCESS,
+    "failure": draw.FAILURE,
+    "not told": draw.MUTED,
 }
 # Names that Rerun writes over the lanes, after a slash; it sorts them by the alphabet.
 BALL, DROP, RESTITUTION, SHOT = LANES = ("ball", "drop", "restitution", "shot")
 
-_SHADE = 0.78  # of its colour in every second attempt: so that neighbours are told apart
-
 
 class _LaneChange(NamedTuple):
-    """Change of a lane's state.
+    """Change of a lane's state."""
 
-    Attributes:
-        lane: Its name.
-        state: In words, as drawn.
-        kind: Key of its colour.
-        attempt: Its number.
-        film_s: Where it begins on `FILM`.
-        wall_ns: Where it begins on `WALL`; None if unknown.
-    """
-
-    lane: str
-    state: str
-    kind: str
-    attempt: int
-    film_s: float
-    wall_ns: int | None
+    lane: str  # its name
+    state: str  # in words, as drawn
+    kind: str  # key of its colour
+    attempt: int  # its number
+    film_s: float  # where it begins on `FILM`
+    wall_ns: int | None  # where it begins on `WALL`; None if unknown
 
     @property
     def value(self) -> str:
@@ -761,7 +682,24 @@ def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
     changes = [change for slot in slots for change in _changes(slot)]
     for lane in LANES:
         own = [change for change in changes if change.lane == lane]
-        _send_style(stream, lane, own)
+        colors = _STATE_COLORS
+        if lane == BALL:  # to each ball one that is unlike its neighbours'
+            balls = dict.fromkeys(change.kind for change in own)
+            colors = {
+                ball: draw.mixed(_BALL_COLORS[index % len(_BALL_COLORS)], 0.75)
+                for index, ball in enumerate(balls)
+            }
+        known = {change.value: change for change in own}
+        # Every second attempt is a little darker, so that neighbours are told apart.
+        style = rr.StateConfiguration(
+            values=list(known),
+            labels=[change.state for change in known.values()],
+            colors=[
+                draw.mixed(colors[change.kind], 1.0 if change.attempt % 2 else 0.78)
+                for change in known.values()
+            ],
+        )
+        stream.log(lane, style, static=True)
         # Of several changes in an attempt the last counts.
         last = {change.attempt: change.value for change in own}
         ends = {**last, slots[-1].attempt.number + 1: None}
@@ -780,32 +718,9 @@ def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
             _send_states(stream, lane, wall_column(list(clock)), list(clock.values()))
 
 
-def _send_style(stream: rr.RecordingStream, lane: str, changes: Sequence[_LaneChange]) -> None:
-    colors = _ball_colors(changes) if lane == BALL else _STATE_COLORS
-    known = {change.value: change for change in changes}
-    style = rr.StateConfiguration(
-        values=list(known),
-        labels=[change.state for change in known.values()],
-        colors=[
-            mixed(colors[change.kind], 1.0 if change.attempt % 2 else _SHADE)
-            for change in known.values()
-        ],
-    )
-    stream.log(lane, style, static=True)
-
-
 def lane_view(name: str) -> rrb.View:
     """Return the view of all lanes, over the whole active timeline."""
     return rrb.StateTimelineView(contents=[f"+ /{lane}" for lane in LANES], name=name)
-
-
-def _ball_colors(changes: Sequence[_LaneChange]) -> dict[str, Color]:
-    """Assign a colour to each ball, unlike its neighbours'."""
-    balls = list(dict.fromkeys(change.kind for change in changes))
-    return {
-        ball: mixed(_BALL_COLORS[index % len(_BALL_COLORS)], 0.75)
-        for index, ball in enumerate(balls)
-    }
 
 
 def _changes(slot: Slot) -> Iterator[_LaneChange]:
@@ -900,36 +815,23 @@ def _miss_words(attempts: Sequence[Attempt]) -> str:
 # ---- Recording: all parts, and the blueprint that lays them out.
 
 _LANES_SHARE = 0.36  # of a tab's height: all lanes are in view on a small screen too
-_MAX_TITLE_LETTERS = 40  # of a campaign's name in the titles of views
 
 
 def write_campaign(campaign: Campaign, path: Path) -> None:
-    """Write the review of a campaign to `path` (.rrd).
-
-    Raises:
-        OSError: `path` cannot be written.
-    """
+    """Write the review of a campaign to `path` (.rrd)."""
     words = campaign_words(campaign)
     identity = subject_of(campaign.places) + hashlib.sha256(words.encode()).hexdigest()[:16]
-    stream = rr.RecordingStream(application_id("campaign"), recording_id=identity)
-    memory = stream.memory_recording()
-    stream.send_recording_name(campaign.name)
-    slots = slots_of(campaign.attempts)
-    log_lanes(stream, slots)
-    rates = (*overall_rates(campaign.attempts), *ball_rates(campaign.attempts))
-    charts = [
-        log_rates(stream, rates),
-        log_restitutions(stream, restitutions_by_ball(campaign.attempts)),
-    ]
-    log_attempts(stream, slots)
-    is_filmed = any(drop.film for attempt in campaign.attempts for drop in attempt.drops)
-    stream.send_blueprint(
-        _blueprint(short_name(campaign.name, _MAX_TITLE_LETTERS), charts, is_filmed=is_filmed)
-    )
-    stream.log("summary", rr.TextDocument(words, media_type="text/markdown"), static=True)
-    stream.flush()
-    path.write_bytes(memory.drain_as_bytes())
-    stream.disconnect()
+    with draw.written(path, "campaign", identity, campaign.name) as stream:
+        slots = slots_of(campaign.attempts)
+        log_lanes(stream, slots)
+        rates = (*overall_rates(campaign.attempts), *ball_rates(campaign.attempts))
+        restitutions = restitutions_by_ball(campaign.attempts)
+        charts = [log_rates(stream, rates), log_restitutions(stream, restitutions)]
+        log_attempts(stream, slots)
+        is_filmed = any(drop.film for attempt in campaign.attempts for drop in attempt.drops)
+        name = short_name(campaign.name, 40)  # in the titles of views
+        stream.send_blueprint(_blueprint(name, charts, is_filmed=is_filmed))
+        draw.log_words(stream, "summary", words)
 
 
 def _blueprint(name: str, charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blueprint:
@@ -940,24 +842,14 @@ def _blueprint(name: str, charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blu
         row_shares=[_LANES_SHARE, 1 - _LANES_SHARE],
         name="overview",
     )
+    # The attempt under the cursor.
+    views = [overlay_view(), *([film_view()] if is_filmed else []), attempt_view()]
     attempt = rrb.Vertical(
         lane_view(f"{name}: the attempts (a click goes to one)"),
-        _attempt_layout(is_filmed=is_filmed),
+        rrb.Horizontal(*views, column_shares=[5, 3, 3][: len(views)]),
         row_shares=[_LANES_SHARE, 1 - _LANES_SHARE],
         name="attempt",
     )
-    return rrb.Blueprint(
-        rrb.Tabs(overview, attempt, rrb.Horizontal(summary, name="tables"), active_tab=0),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=ATTEMPT, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
-    )
-
-
-def _attempt_layout(*, is_filmed: bool) -> rrb.Container:
-    """Lay out the attempt under the cursor; anew for each tab, as a view has one place."""
-    if not is_filmed:
-        return rrb.Horizontal(overlay_view(), attempt_view(), column_shares=[5, 3])
-    return rrb.Horizontal(overlay_view(), film_view(), attempt_view(), column_shares=[5, 3, 3])
+    tabs = rrb.Tabs(overview, attempt, rrb.Horizontal(summary, name="tables"), active_tab=0)
+    time = rrb.TimePanel(state="collapsed", timeline=ATTEMPT, play_state="paused")
+    return draw.blueprint(tabs, time)

@@ -10,7 +10,7 @@ import re
 import uuid
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,17 +31,10 @@ from tunenet_logs.terminal import short_name
 # ---- Camera: place that of a 3D view so that the whole scene is visible.
 
 _UP_RAD = 0.35  # of the camera, from the level: links hide each other less
-_TAN_ACROSS, _TAN_UP = 0.36, 0.5  # tangents of half of what the camera sees
 
 
 def eye_controls(points_m: Array, azimuth_rad: float, margin_m: float) -> rrb.EyeControls3D:
-    """Return a camera far enough away to see all points.
-
-    Args:
-        points_m: Shape (P, 3).
-        azimuth_rad: Direction to the camera, from x to y.
-        margin_m: Around each point.
-    """
+    """Return a camera far enough away to see all points."""
     middle = (points_m.min(axis=0) + points_m.max(axis=0)) / 2
     level = math.cos(_UP_RAD)
     towards = np.array(
@@ -50,9 +43,10 @@ def eye_controls(points_m: Array, azimuth_rad: float, margin_m: float) -> rrb.Ey
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     off = points_m - middle
+    # With the tangents of half of what the camera sees.
     distances_m = [
         (np.abs(off @ across) + margin_m) / half + off @ towards
-        for across, half in ((right, _TAN_ACROSS), (np.cross(towards, right), _TAN_UP))
+        for across, half in ((right, 0.36), (np.cross(towards, right), 0.5))
     ]
     eye = middle + float(np.max(distances_m)) * towards
     return rrb.EyeControls3D(
@@ -69,9 +63,10 @@ OBSERVED: Color = (255, 255, 255)
 MUTED: Color = (140, 140, 140)
 SUCCESS: Color = (60, 190, 130)
 FAILURE: Color = (235, 95, 75)
+GRID: Color = (60, 62, 70)  # just above the ground
 FITTED: Color = (255, 95, 165)
 IMPACT: Color = (255, 90, 90)
-
+BOLD, FINE = 1.6, 0.8  # widths of the result's curve and of earlier iterations' [points]
 # Cold to warm: readable on a dark ground, and apart for the colour-blind.
 _RAMP: tuple[Color, ...] = (
     (112, 100, 190),
@@ -81,7 +76,6 @@ _RAMP: tuple[Color, ...] = (
     (160, 205, 60),
     (255, 165, 40),
 )
-
 LOG_TIME = "log_time_s"  # the timeline that plays: seconds since the log's first sample
 ITERATION = "iteration"  # the timeline that is scrubbed: k of the tuning
 
@@ -163,33 +157,63 @@ def screen_radius(points: float) -> Any:
 
 
 def send_scalars(stream: rr.RecordingStream, entity: str, seconds: Array, values: Array) -> None:
-    """Send a series over the log's time.
-
-    Args:
-        stream: The recording.
-        entity: Path of the series.
-        seconds: On `LOG_TIME`, shape (T,) [s].
-        values: Shape (T,); or (T, S) for S series.
-    """
+    """Send a series over the log's time: `seconds` (T,) [s]."""
     stream.send_columns(
         entity, indexes=[at_seconds(seconds)], columns=rr.Scalars.columns(scalars=values)
+    )
+
+
+def log_words(stream: rr.RecordingStream, entity: str, words: str) -> None:
+    """Log a text in Markdown."""
+    stream.log(entity, rr.TextDocument(words, media_type="text/markdown"), static=True)
+
+
+def log_labels(
+    stream: rr.RecordingStream,
+    entity: str,
+    positions: Sequence[Sequence[float]],
+    labels: Sequence[str],
+    colors: Sequence[Color] = (MUTED,),
+) -> None:
+    """Log texts that stand at points of a 2D view."""
+    points = rr.Points2D(
+        positions, labels=labels, colors=colors, radii=screen_radius(0.1), show_labels=True
+    )
+    stream.log(entity, points, static=True)
+
+
+@contextmanager
+def written(path: Path, kind: str, identity: str, name: str = "") -> Iterator[rr.RecordingStream]:
+    """Collect a recording in memory, then write it: Rerun's own sink waits on a full disk."""
+    stream = rr.RecordingStream(application_id(kind), recording_id=identity)
+    memory = stream.memory_recording()
+    if name:
+        stream.send_recording_name(name)
+    yield stream
+    stream.flush()
+    path.write_bytes(memory.drain_as_bytes())
+    stream.disconnect()
+
+
+def blueprint(layout: rrb.View | rrb.Container, time_panel: rrb.TimePanel) -> rrb.Blueprint:
+    """Return the blueprint of a review: its views and the time, no other panels."""
+    return rrb.Blueprint(
+        layout,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        time_panel,
+        auto_views=False,
+        auto_layout=False,
     )
 
 
 # ---- Charts on any timeline: grid, filled areas, a parameter by iteration.
 
 WIDTH = 2.8  # of a chart, in its heights: about the shape of the views that charts are given
-_GRID_COLOR: Color = (60, 62, 70)  # just above the ground
 # Lines that fill a rectangle: so thin that its corners, round by their radius, look square.
 _STRIPS = 12
-
 _FIGURE_WIDTH = 0.62  # chart heights; figures that would overlap are left out
 _FIGURE_RISE = 0.2  # chart heights from a dot up to the place that its figure hangs from
-_MAX_RISEN = 1.6  # times that, in a chart whose figures are wide
-_MIN_BAND = 0.008  # chart heights: a narrower interval would not be seen
-_BAND_SHARE = 0.35  # of the result's colour, above the ground: the band must not hide dots and grid
-# Room under and over the values, of what they span; figures stand over them.
-_BELOW, _OVER = 0.15, 0.4
 
 
 def chart_view(name: str, title: str, width: float = WIDTH) -> rrb.View:
@@ -210,28 +234,12 @@ def log_grid(
     marks: list[tuple[float, str]],
     hang: float = 0.085,
 ) -> None:
-    """Log lines across at the rows, ticks below at the marks, and the labels of both.
-
-    Args:
-        stream: The recording.
-        sheet: Path of the chart's entity.
-        width: Of the chart, in its heights.
-        rows: (y, label) of each.
-        marks: (x, label) of each.
-        hang: How far a row's label is raised to be beside its line, as Rerun hangs it from its
-            point. Less in a larger view, where text is smaller.
-    """
+    """Log lines across at the rows, ticks below at the marks, and the labels of both."""
     lines = [[[0, y], [width, y]] for y, _ in rows] + [[[x, 0.02], [x, 0]] for x, _ in marks]
-    grid = rr.LineStrips2D(lines, colors=[_GRID_COLOR], radii=screen_radius(0.5))
+    grid = rr.LineStrips2D(lines, colors=[GRID], radii=screen_radius(0.5))
     stream.log(f"{sheet}/grid", grid, static=True)
-    labels = rr.Points2D(
-        [[-0.09, y - hang] for y, _ in rows] + [[x, 0.04] for x, _ in marks],
-        labels=[text for _, text in rows + marks],
-        colors=[MUTED],
-        radii=screen_radius(0.1),
-        show_labels=True,
-    )
-    stream.log(f"{sheet}/labels", labels, static=True)
+    places = [[-0.09, y - hang] for y, _ in rows] + [[x, 0.04] for x, _ in marks]
+    log_labels(stream, f"{sheet}/labels", places, [text for _, text in rows + marks])
 
 
 def filled(
@@ -266,33 +274,19 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
 
 @dataclass(frozen=True)
 class Iterates:
-    """One parameter at each iteration.
+    """One parameter at each iteration."""
 
-    Attributes:
-        parameter: In words.
-        unit: "1" if it has none.
-        names: Of the iterations, "k=3", "refined".
-        values: Of the parameter, in `unit`.
-        colors: Of the iterations.
-        span: Range of the chart.
-        interval95: Of the result; None if no valid one exists.
-        chart: Name of the chart that shows them.
-        title: Of the chart; "" for the parameter's.
-        figures: Number format.
-        figure_width: Width of a number, in heights of the chart.
-    """
-
-    parameter: str
-    unit: str
-    names: tuple[str, ...]
-    values: tuple[float, ...]
-    colors: tuple[Color, ...]
-    span: tuple[float, float]
-    interval95: tuple[float, float] | None
-    chart: str = "convergence"
-    title: str = ""
-    figures: str = ".4f"
-    figure_width: float = _FIGURE_WIDTH
+    parameter: str  # in words
+    unit: str  # "1" if it has none
+    names: tuple[str, ...]  # of the iterations, "k=3", "refined"
+    values: tuple[float, ...]  # of the parameter, in `unit`
+    colors: tuple[Color, ...]  # of the iterations
+    span: tuple[float, float]  # range of the chart
+    interval95: tuple[float, float] | None  # of the result; None if no valid one exists
+    chart: str = "convergence"  # name of the chart that shows them
+    title: str = ""  # of the chart; "" for the parameter's
+    figures: str = ".4f"  # number format
+    figure_width: float = _FIGURE_WIDTH  # width of a number, in heights of the chart
 
 
 def span_of(values: Sequence[float], least: float) -> tuple[float, float]:
@@ -300,7 +294,8 @@ def span_of(values: Sequence[float], least: float) -> tuple[float, float]:
     low, high = min(values), max(values)
     reach = max(high - low, least)
     middle = (low + high) / 2
-    return middle - (0.5 + _BELOW) * reach, middle + (0.5 + _OVER) * reach
+    # Room under and over the values, of what they span; figures stand over them
+    return middle - (0.5 + 0.15) * reach, middle + (0.5 + 0.4) * reach
 
 
 def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float) -> None:
@@ -308,7 +303,8 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
     low, high = iterates.span
     count = len(iterates.values)
     sheet, wide = f"sheets/{iterates.chart}", iterates.figure_width
-    rise = _FIGURE_RISE * min(wide / _FIGURE_WIDTH, _MAX_RISEN)
+    # More in a chart whose figures are wide.
+    rise = _FIGURE_RISE * min(wide / _FIGURE_WIDTH, 1.6)
 
     def y(value: float) -> float:
         return -(value - low) / (high - low)
@@ -323,24 +319,25 @@ def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float)
     log_grid(stream, sheet, WIDTH, rows, marks)
     if iterates.interval95 is not None:
         ends = [y(end) for end in iterates.interval95]
-        half = max(ends[0] - ends[1], _MIN_BAND) / 2
+        # Chart heights: a narrower interval would not be seen
+        half = max(ends[0] - ends[1], 0.008) / 2
         middle = sum(ends) / 2
         strips, radius = filled(0.0, WIDTH, middle - half, middle + half)
-        color = mixed(iterates.colors[-1], _BAND_SHARE)
+        # The band must not hide dots and grid.
+        color = mixed(iterates.colors[-1], 0.35)
         band = rr.LineStrips2D(strips, colors=[color], radii=[radius], draw_order=1.0)
         stream.log(f"{sheet}/interval", band, static=True)
     line = rr.LineStrips2D([dots], colors=[MUTED], radii=screen_radius(0.8))
     stream.log(f"{sheet}/line", line, static=True)
     values = rr.Points2D(dots, colors=iterates.colors, radii=screen_radius(5.0), draw_order=20.0)
     stream.log(f"{sheet}/values", values, static=True)
-    figures = rr.Points2D(
+    log_labels(
+        stream,
+        f"{sheet}/figures",
         [dots[k] - [0, rise] for k in labelled],
-        labels=[f"{iterates.values[k]:{iterates.figures}}" for k in labelled],
-        colors=[iterates.colors[k] for k in labelled],
-        radii=screen_radius(0.1),
-        show_labels=True,
+        [f"{iterates.values[k]:{iterates.figures}}" for k in labelled],
+        [iterates.colors[k] for k in labelled],
     )
-    stream.log(f"{sheet}/figures", figures, static=True)
     ring = rr.Points2D.from_fields(colors=[OBSERVED], radii=screen_radius(8.0), draw_order=10.0)
     stream.log(f"{sheet}/current", ring, static=True)
     for index, shown in by_iteration(count, first_s):
@@ -353,6 +350,96 @@ def iterates_view(iterates: Iterates) -> rrb.View:
     words = f"{quantity(iterates.parameter, iterates.unit)} by iteration"
     title = iterates.title or words
     return chart_view(iterates.chart, title + (", band: 95 %" if iterates.interval95 else ""))
+
+
+# ---- Curves over the log's time, and the same ones of one iteration at a time.
+
+
+def drawn_every(seconds: Array) -> int:
+    """Choose every how many samples of a curve are drawn, with stamps of shape (T,).
+
+    More than 120 Hz and 3000 samples can neither be told apart nor be loaded soon.
+    """
+    gap_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
+    return max(round(1 / (gap_s * 120.0)) if gap_s > 0 else 1, -(-len(seconds) // 3000), 1)
+
+
+def log_lines(
+    stream: rr.RecordingStream,
+    entity: str,
+    seconds: Array,
+    values: Array,
+    style: Sequence[tuple[str, Color, float]],
+) -> None:
+    """Log several curves, values (T, curves), as one entity; style: label, colour, width."""
+    names, colors, widths = zip(*style, strict=True)
+    lines = rr.SeriesLines(colors=colors, names=names, widths=widths, aggregation_policy="Off")
+    stream.log(entity, lines, static=True)
+    send_scalars(stream, entity, seconds, values)
+
+
+def plot_view(entity: str, title: str, span: tuple[float, float]) -> rrb.View:
+    """Build a plot of an entity's curves whose axis shows `span` and has ticks."""
+    return rrb.TimeSeriesView(
+        origin=f"/{entity}",
+        name=title,
+        axis_y=rrb.ScalarAxis(range=ticked(*span)),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+
+
+def log_sheet(
+    stream: rr.RecordingStream,
+    sheet: str,
+    seconds: Array,
+    observed: Array,
+    curves: Array,
+    colors: Sequence[Color],
+    span: tuple[float, float],
+    *,
+    fitted: tuple[Array, Color] | None = None,
+    width: float = WIDTH,
+    first_s: float | None = None,
+) -> None:
+    """Log each iteration's curve, (T, K), over the observed one, (T,), which stays.
+
+    The chart shows the values of `span` and has this `width`; its result is there from `first_s`.
+    """
+    low, reach = span[0], span[1] - span[0]
+    start_s = float(seconds[0])
+    width_s = max(float(seconds[-1]) - start_s, 1e-9)
+    x = (seconds - start_s) / width_s * width
+
+    def points(values: Array) -> Array:
+        return np.column_stack([x, -(values - low) / reach])[np.isfinite(values)]
+
+    rows = [(-(value - low) / reach, f"{value:g}") for value in ticks(low, low + reach, 3)]
+    marks = [
+        ((second - start_s) / width_s * width, f"{second:g} s")
+        for second in ticks(start_s, start_s + width_s, 5 if width == WIDTH else 3)
+    ]
+    log_grid(stream, sheet, width, rows, marks)
+    dots = rr.Points2D(points(observed), colors=[OBSERVED], radii=screen_radius(1.2))
+    stream.log(f"{sheet}/observed", dots, static=True)
+    if fitted is not None:
+        line = rr.LineStrips2D([points(fitted[0])], colors=[fitted[1]], radii=screen_radius(0.9))
+        stream.log(f"{sheet}/fit", line, static=True)
+    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.4), draw_order=40.0)
+    stream.log(f"{sheet}/simulated", style, static=True)
+    for index, chosen in by_iteration(len(colors), start_s if first_s is None else first_s):
+        strips = rr.LineStrips2D.columns(
+            strips=[points(curves[:, k]) for k in chosen], colors=[colors[k] for k in chosen]
+        )
+        stream.send_columns(f"{sheet}/simulated", indexes=[index], columns=strips)
+
+
+def log_steps(stream: rr.RecordingStream, words: Sequence[str], first_s: float) -> rrb.View:
+    """Log each iteration's text in Markdown, and return its view."""
+    stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
+    for index, chosen in by_iteration(len(words), first_s):
+        columns = rr.TextDocument.columns(text=[words[k] for k in chosen])
+        stream.send_columns("step", indexes=[index], columns=columns)
+    return rrb.TextDocumentView(origin="/step", name="iteration")
 
 
 # ---- Legend: a strip above curves, where it hides none of them.
@@ -374,14 +461,8 @@ def log_key(
             colors.append(color)
     lines = rr.LineStrips2D(strips, colors=colors, radii=screen_radius(2.0))
     stream.log(f"{entity}/lines", lines, static=True)
-    words = rr.Points2D(
-        [[float(entry), 0.02] for entry in range(len(entries))],
-        labels=[text for text, _ in entries],
-        colors=[MUTED],
-        radii=screen_radius(0.1),
-        show_labels=True,
-    )
-    stream.log(f"{entity}/words", words, static=True)
+    places = [[float(entry), 0.02] for entry in range(len(entries))]
+    log_labels(stream, f"{entity}/words", places, [text for text, _ in entries])
     return rrb.Spatial2DView(
         origin=f"/{entity}",
         name="key",
@@ -392,10 +473,8 @@ def log_key(
 
 # ---- Recorded images: those of a log, reduced where that is enough.
 
-_REDUCED_PX = 640  # longer side of a reduced picture: about what a view on a screen shows
 _JPEG_QUALITY = 85  # 0 to 100: what the eye cannot tell from the original
 _FONT = 0  # OpenCV's number of its plain sans serif
-_MAX_RECORDED_PICTURES = 240  # where nothing was found: enough to see why, and soon loaded
 
 
 def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
@@ -408,7 +487,7 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
         for channel in episode.channels
         if channel.topic == episode.picture_topics[0]
     )
-    every = max(1, -(-total // _MAX_RECORDED_PICTURES))
+    every = max(1, -(-total // 240))  # where nothing was found: enough to see why, and soon loaded
     frames: list[Frame] = []
     for index, frame in enumerate(frames_to_show(episode, episode.picture_topics[0])):
         if index % every == 0:
@@ -443,7 +522,8 @@ def reduced(frame: Frame) -> Frame:
 
     picture = frame.decode()
     height, width = picture.shape[:2]
-    scale = min(1.0, _REDUCED_PX / max(height, width))
+    # Longer side of a reduced picture: about what a view on a screen shows [px]
+    scale = min(1.0, 640 / max(height, width))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
@@ -468,75 +548,46 @@ def blank_picture(size_px: tuple[int, int], words: str) -> bytes:
 
 _MAX_REVIEW_BYTES = 512 * 1024 * 1024  # of a review; ours keep under 50 MB of pictures
 _MAX_PICTURES, _MAX_JOINTS, _MAX_SAMPLES = 20_000, 16, 1_000_000  # of one review
-_CORNER_PX = 0.5  # from Rerun's origin, the corner of the first pixel, to ours, its middle
-_MIN_CORNERS = 4  # of what stands for a circle
 _JOINT = re.compile(r"/torque/joint_(\d{1,2})/(observed|fit|iterations)")
 _STILL_ENTITIES = ("/film/path", "/film/track", "/film/impacts")
 
 
 @dataclass(frozen=True, eq=False)
 class ReviewedFilm:
-    """Images of a filmed ball, and its track.
+    """Images of a filmed ball, and its track."""
 
-    Attributes:
-        seconds: Of each image on the log's time, increasing [s], shape (P,).
-        pictures: JPEG, P of them.
-        track_s: Stamps of the track [s], shape (T,).
-        centers_px: From the middle of an image's first pixel, shape (T, 2).
-        radii_px: Of the circle around it, in pixels of an image, shape (T,).
-        paths_px: The tuned ball's path, or the segments of a refused track, shape (N, 2) each.
-        impacts_px: Points of impact, shape (I, 2).
-        is_refused: Whether the track shows no drop.
-    """
-
-    seconds: Array
-    pictures: tuple[bytes, ...]
-    track_s: Array
-    centers_px: Array
-    radii_px: Array
+    seconds: Array  # of each image on the log's time, increasing [s], shape (P,)
+    pictures: tuple[bytes, ...]  # JPEG, P of them
+    track_s: Array  # stamps of the track [s], shape (T,)
+    centers_px: Array  # from the middle of an image's first pixel, shape (T, 2)
+    radii_px: Array  # of the circle around it, in pixels of an image, shape (T,)
+    # the tuned ball's path, or the segments of a refused track, shape (N, 2) each
     paths_px: tuple[Array, ...]
-    impacts_px: Array
-    is_refused: bool
+    impacts_px: Array  # points of impact, shape (I, 2)
+    is_refused: bool  # whether the track shows no drop
 
 
 @dataclass(frozen=True, eq=False)
 class ReviewedTorque:
-    """Torque of one joint.
+    """Torque of one joint."""
 
-    Attributes:
-        joint: Its number, from 1.
-        seconds: On the log's time [s], shape (T,).
-        observed_nm: As measured [N·m], shape (T,).
-        simulated_nm: Of the rigid arm with the tuned payload [N·m], shape (T,).
-        fitted_nm: With friction, offsets and other nuisance terms [N·m]; None without.
-    """
-
-    joint: int
-    seconds: Array
-    observed_nm: Array
-    simulated_nm: Array
-    fitted_nm: Array | None
+    joint: int  # its number, from 1
+    seconds: Array  # on the log's time [s], shape (T,)
+    observed_nm: Array  # as measured [N·m], shape (T,)
+    simulated_nm: Array  # of the rigid arm with the tuned payload [N·m], shape (T,)
+    fitted_nm: Array | None  # with friction, offsets and other nuisance terms [N·m]; None without
 
 
 @dataclass(frozen=True, eq=False)
 class ReviewedLog:
-    """Contents of one review.
+    """Contents of one review."""
 
-    Attributes:
-        film: None if it shows none.
-        torques: Joint by joint; none for a ball.
-    """
-
-    film: ReviewedFilm | None = None
-    torques: tuple[ReviewedTorque, ...] = ()
+    film: ReviewedFilm | None = None  # None if it shows none
+    torques: tuple[ReviewedTorque, ...] = ()  # joint by joint; none for a ball
 
 
 def read_back(path: Path, log_sha256: str) -> ReviewedLog:
-    """Read the review of the log with this SHA-256.
-
-    Raises:
-        LogError: It does not exist, cannot be read, or is of another log.
-    """
+    """Read the review of the log with this SHA-256."""
     if not path.is_file():
         raise LogError(f"{path.name} is not beside the JSON")
     if path.stat().st_size > _MAX_REVIEW_BYTES:
@@ -548,26 +599,22 @@ def read_back(path: Path, log_sha256: str) -> ReviewedLog:
             names = {entry.recording_id for entry in reader.recordings()}
             if not log_sha256 or names != {review_name(log_sha256)}:
                 raise LogError(f"{path.name} is the review of another log")
-            return _read(reader)
+            moving: dict[str, dict[str, Any]] = {}
+            still: dict[str, dict[str, Any]] = {}
+            for chunk in reader.stream():
+                entity = str(chunk.entity_path)
+                if not (entity.startswith("/film/") or _JOINT.fullmatch(entity)):
+                    continue
+                if not chunk.is_static and "log_time_s" not in chunk.timeline_names:
+                    continue
+                if chunk.num_rows > _MAX_SAMPLES:
+                    raise LogError("the review has more samples than any log")
+                batch = chunk.to_record_batch()
+                columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+                (still if chunk.is_static else moving).setdefault(entity, {}).update(columns)
+            return ReviewedLog(_film(moving, still), _torques(moving))
     except (RuntimeError, ValueError, LookupError, TypeError, OSError) as error:
         raise LogError(f"{path.name} cannot be read ({short_name(error, 80)})") from error
-
-
-def _read(reader: RrdReader) -> ReviewedLog:
-    moving: dict[str, dict[str, Any]] = {}
-    still: dict[str, dict[str, Any]] = {}
-    for chunk in reader.stream():
-        entity = str(chunk.entity_path)
-        if not (entity.startswith("/film/") or _JOINT.fullmatch(entity)):
-            continue
-        if not chunk.is_static and "log_time_s" not in chunk.timeline_names:
-            continue
-        if chunk.num_rows > _MAX_SAMPLES:
-            raise LogError("the review has more samples than any log")
-        batch = chunk.to_record_batch()
-        columns = dict(zip(batch.schema.names, batch.columns, strict=True))
-        (still if chunk.is_static else moving).setdefault(entity, {}).update(columns)
-    return ReviewedLog(_film(moving, still), _torques(moving))
 
 
 def _seconds(columns: dict[str, Any]) -> Array:
@@ -584,7 +631,19 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
     scale = 1.0 if scale is None else float(_only(scale.to_pylist()[0])[0])
     if not (np.isfinite(scale) and scale > 0):
         raise LogError("the review's pictures have no size")
-    track_s, centers, radii = _circles(moving.get("/film/observed"))
+    # Time [s], centre and radius [px of the video] of each polygon around the ball.
+    track = moving.get("/film/observed")
+    cells = [] if track is None else track["LineStrips2D:strips"].to_pylist()
+    polygons = [np.array(cell[0] if cell else [], np.float64).reshape(-1, 2) for cell in cells]
+    # What stands for a circle has five corners or more.
+    rows = [row for row, one in enumerate(polygons) if len(one) > 4 and np.isfinite(one).all()]
+    track_s: Array = np.zeros(0) if track is None else _seconds(track)[rows]
+    centers: Array = np.zeros((len(rows), 2))
+    radii: Array = np.zeros(len(rows))
+    for place, row in enumerate(rows):
+        centers[place] = polygons[row][:-1].mean(axis=0)  # it ends where it begins
+        radii[place] = np.hypot(*(polygons[row][0] - centers[place]))
+
     paths = tuple(
         _in_picture(strip, scale)
         for entity in _STILL_ENTITIES[:2]
@@ -604,32 +663,9 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
     )
 
 
-def _circles(track: dict[str, Any] | None) -> tuple[Array, Array, Array]:
-    """Return time [s], centre and radius [px of the video] of each polygon around the ball."""
-    cells = [] if track is None else track["LineStrips2D:strips"].to_pylist()
-    polygons = [_points(cell) for cell in cells]
-    rows = [
-        row
-        for row, one in enumerate(polygons)
-        if len(one) > _MIN_CORNERS and np.isfinite(one).all()
-    ]
-    seconds: Array = np.zeros(0) if track is None else _seconds(track)[rows]
-    centers: Array = np.zeros((len(rows), 2))
-    radii: Array = np.zeros(len(rows))
-    for place, row in enumerate(rows):
-        centers[place] = polygons[row][:-1].mean(axis=0)  # it ends where it begins
-        radii[place] = np.hypot(*(polygons[row][0] - centers[place]))
-    return seconds, centers, radii
-
-
 def _only(cell: Any) -> Any:
     """Return the single value of a cell of one row."""
     return cell[0] if isinstance(cell, list) and len(cell) == 1 else cell
-
-
-def _points(strips: Any) -> Array:
-    """Return the single strip of a cell, shape (N, 2); N is 0 without."""
-    return np.array(strips[0] if strips else [], np.float64).reshape(-1, 2)
 
 
 def _strips(column: Any) -> list[Array]:
@@ -639,7 +675,8 @@ def _strips(column: Any) -> list[Array]:
 
 def _in_picture(points: Array, scale: float) -> Array:
     """Convert pixels of the video to those of its images, which may be smaller."""
-    return points / scale - _CORNER_PX
+    # From Rerun's origin, the corner of the first pixel, to ours, its middle [px]
+    return points / scale - 0.5
 
 
 def _torques(moving: dict[str, Any]) -> tuple[ReviewedTorque, ...]:
@@ -652,8 +689,14 @@ def _torques(moving: dict[str, Any]) -> tuple[ReviewedTorque, ...]:
             continue
         seconds = _seconds(observed)
         fit = moving.get(f"/torque/joint_{joint}/fit")
+        # The last value of each row, shape (T,): the last iteration's.
         curves = [
-            None if columns is None else _last(columns["Scalars:scalars"])
+            None
+            if columns is None
+            else np.array(
+                [row[-1] if row else np.nan for row in columns["Scalars:scalars"].to_pylist()],
+                np.float64,
+            )
             for columns in (observed, simulated, fit)
         ]
         if any(curve is not None and curve.shape != seconds.shape for curve in curves):
@@ -663,8 +706,3 @@ def _torques(moving: dict[str, Any]) -> tuple[ReviewedTorque, ...]:
         assert rigid is not None
         torques.append(ReviewedTorque(joint, seconds, measured, rigid, fitted))
     return tuple(torques)
-
-
-def _last(column: Any) -> Array:
-    """Return the last value of each row, shape (T,): the last iteration's."""
-    return np.array([row[-1] if row else np.nan for row in column.to_pylist()], np.float64)

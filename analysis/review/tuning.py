@@ -26,23 +26,7 @@ from tunenet_logs.analysis.planning import Plan, ball_lines, best_lines
 from tunenet_logs.analysis.presentation import result_words, said_names
 from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.result_files import review_name, subject_of
-from tunenet_logs.analysis.review.drawing import (
-    FAILURE,
-    GROUND,
-    LOG_TIME,
-    MUTED,
-    SUCCESS,
-    WIDTH,
-    Color,
-    application_id,
-    chart_view,
-    entity_of,
-    log_grid,
-    log_recorded_film,
-    screen_radius,
-    send_scalars,
-    ticks,
-)
+from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.episode import Array
 from tunenet_logs.files import real_path
 from tunenet_logs.recorders.simulators.shot import STEP_S
@@ -53,12 +37,10 @@ from tunenet_logs.terminal import one_line, short_name
 # sorts the curves; the table has its own choice, in the selection panel.
 
 Columns = Mapping[str, Sequence[Any]]
-
 _AS_TUNED = "as_tuned"  # the timeline of the logs as they were tuned
 _POINT_COLORS = {"ok": (80, 200, 120), "suspect": (240, 170, 50), "rejected": (230, 80, 80)}
 _KEY = "green ok, amber suspect, red rejected, grey 95 %, pink unlike the others"
 _OUTLIER, _END = (255, 60, 200), (130, 130, 150)
-
 _TABLES = ("table/log", "table/numbers")  # entities of the table's columns, from left to right
 _LOG_HEAD = "name_of_the_log_file"
 # Rerun makes a column as wide as its head.
@@ -67,55 +49,19 @@ _TOLD_HEADS = {
     "reason": "reason_of_the_verdict",
     "error": "error_in_short",
 }
-
-_DECIMALS = 5  # of figures in the table: more do not fit
-_FAR = 5.0  # robust standard deviations from the median: farther estimates are outliers
-_MIN_ESTIMATES = 8  # with fewer, none is called an outlier
-_MAX_ESTIMATE_VIEWS = 6  # each of one estimate
 _MAX_NAMED = 10  # outliers, and widest intervals, in the text
 
 
 def write_overview(columns: Columns, path: Path) -> None:
-    """Write the overview of a ledger as a Rerun recording.
-
-    Args:
-        columns: The ledger's, all of one length: "log", "verdict", "reason", and for each estimate
-            its value and the ends of its interval, `NAME_low` and `NAME_high`.
-        path: Of the recording.
-    """
+    """Write the overview of a ledger as a Rerun recording."""
     verdicts = np.array([str(one) for one in columns["verdict"]])
     logs = [one_line(Path(str(one)).name) for one in columns["log"]]
     values = {name: _numbers(columns[name]) for name in _estimates(columns)}
-    names = [name for name, its in values.items() if np.isfinite(its).any()][:_MAX_ESTIMATE_VIEWS]
+    # Each of a few estimates has a view.
+    names = [name for name, its in values.items() if np.isfinite(its).any()][:6]
     values = {name: values[name] for name in names}
-    orders = _orders(columns, values, len(logs))
-    outliers = {name: _unlike(values[name]) for name in names}
-    recording = rr.RecordingStream(application_id("overview"), recording_id="overview")
-    memory = recording.memory_recording()  # its own file sink waits for ever on a full disk
-    for name in names:
-        _log_estimate(recording, name, columns, verdicts, outliers[name], orders)
-    excess = _numbers(columns.get("fit_excess_percent", ()))
-    is_known = np.isfinite(excess)
-    _log_points(recording, "fit/excess_percent", excess, is_known, _END, orders)
-    recording.send_blueprint(_overview_blueprint(names, has_fit=bool(is_known.any())))
-    _send_table(recording, columns, names, logs, orders)
-    text = _overview_words(logs, columns, verdicts, values, outliers)
-    document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
-    recording.log("summary", document, static=True)
-    recording.flush()
-    path.write_bytes(memory.drain_as_bytes())
-    recording.disconnect()
-
-
-def _estimates(columns: Columns) -> list[str]:
-    """List the estimates that have intervals, those of most logs first."""
-    names = [name for name in columns if f"{name}_low" in columns]
-    counts = {name: sum(one is not None for one in columns[name]) for name in names}
-    return sorted(names, key=lambda name: -counts[name])
-
-
-def _orders(columns: Columns, values: Mapping[str, Array], count: int) -> dict[str, NDArray[Any]]:
-    """Return the rank of each log by the name of the order."""
+    # The rank of each log by the name of the order.
+    count = len(logs)
     keys: dict[str, Array] = {}
     for name, its in values.items():
         keys[f"by_{name}"] = its
@@ -128,37 +74,46 @@ def _orders(columns: Columns, values: Mapping[str, Array], count: int) -> dict[s
         places = np.empty(count, np.int64)
         places[np.argsort(key, kind="stable")] = np.arange(count)  # those without a value are last
         orders[name] = places
-    return orders
+    outliers = {name: _unlike(values[name]) for name in names}
+    with draw.written(path, "overview", "overview") as recording:
+        # Each estimate of all logs: ends of intervals, points by verdict, outliers.
+        for name, its in values.items():
+            for end in ("low", "high"):
+                ends = _numbers(columns[f"{name}_{end}"])
+                _log_points(
+                    recording, f"{name}/{end}", ends, np.isfinite(ends), _END, orders, size=1.0
+                )
+            for verdict, colour in _POINT_COLORS.items():
+                there = np.isfinite(its) & (verdicts == verdict)
+                _log_points(recording, f"{name}/{verdict}", its, there, colour, orders)
+            entity = f"{name}/unlike_others"
+            _log_points(recording, entity, its, outliers[name], _OUTLIER, orders, size=5.0)
+        excess = _numbers(columns.get("fit_excess_percent", ()))
+        is_known = np.isfinite(excess)
+        _log_points(recording, "fit/excess_percent", excess, is_known, _END, orders)
+        recording.send_blueprint(_overview_blueprint(names, has_fit=bool(is_known.any())))
+        _send_table(recording, columns, names, logs, orders)
+        text = _overview_words(logs, columns, verdicts, values, outliers)
+        draw.log_words(recording, "summary", text)
+
+
+def _estimates(columns: Columns) -> list[str]:
+    """List the estimates that have intervals, those of most logs first."""
+    names = [name for name in columns if f"{name}_low" in columns]
+    counts = {name: sum(one is not None for one in columns[name]) for name in names}
+    return sorted(names, key=lambda name: -counts[name])
 
 
 def _unlike(values: Array) -> NDArray[np.bool_]:
     """Return which values are outliers by the median absolute deviation."""
     known = values[np.isfinite(values)]
-    if len(known) < _MIN_ESTIMATES:
+    if len(known) < 8:  # with fewer, none is called an outlier
         return np.zeros(len(values), bool)
     middle = np.median(known)
     spread = 1.4826 * np.median(np.abs(known - middle))
     with np.errstate(invalid="ignore"):
-        return np.abs(values - middle) > _FAR * max(float(spread), 1e-12)
-
-
-def _log_estimate(
-    recording: rr.RecordingStream,
-    name: str,
-    columns: Columns,
-    verdicts: NDArray[Any],
-    outliers: NDArray[np.bool_],
-    orders: Mapping[str, NDArray[Any]],
-) -> None:
-    """Log one estimate of all logs: points by verdict, ends of intervals, outliers."""
-    values = _numbers(columns[name])
-    for end in ("low", "high"):
-        ends = _numbers(columns[f"{name}_{end}"])
-        _log_points(recording, f"{name}/{end}", ends, np.isfinite(ends), _END, orders, size=1.0)
-    for verdict, colour in _POINT_COLORS.items():
-        there = np.isfinite(values) & (verdicts == verdict)
-        _log_points(recording, f"{name}/{verdict}", values, there, colour, orders)
-    _log_points(recording, f"{name}/unlike_others", values, outliers, _OUTLIER, orders, size=5.0)
+        # Robust standard deviations from the median: farther estimates are outliers
+        return np.abs(values - middle) > 5.0 * max(float(spread), 1e-12)
 
 
 def _log_points(
@@ -197,8 +152,9 @@ def _send_table(
     recording.send_columns(_TABLES[0], times, rr.AnyValues.columns(**told))
     ends = [f"{name}_{end}" for name in names for end in ("low", "high")]
     wanted = (*names, *ends, "fit_excess_percent", "seconds")
+    # Decimals of figures in the table: more do not fit
     figures: dict[str, Any] = {
-        f"{name}_value" if name in names else name: np.round(_numbers(columns[name]), _DECIMALS)
+        f"{name}_value" if name in names else name: np.round(_numbers(columns[name]), 5)
         for name in wanted
         if name in columns
     }
@@ -214,7 +170,7 @@ def _overview_words(
     outliers: Mapping[str, NDArray[np.bool_]],
 ) -> str:
     """Describe the ledger: counts, outliers, largest uncertainties."""
-    counts = ", ".join(f"{_count(verdicts, one)} {one}" for one in _POINT_COLORS)
+    counts = ", ".join(f"{int(np.sum(verdicts == one))} {one}" for one in _POINT_COLORS)
     lines = [f"# {len(logs)} logs", "", f"{counts}.", "", f"Curves: {_KEY}."]
     for name, its in values.items():
         known = its[np.isfinite(its)]
@@ -272,96 +228,71 @@ def _numbers(cells: Sequence[Any]) -> Array:
     return np.array([np.nan if one is None else float(one) for one in cells])
 
 
-def _count(verdicts: NDArray[Any], verdict: str) -> int:
-    return int(np.sum(verdicts == verdict))
-
-
 # ---- Plan: the paths of all shots, the best one marked, the plane, the hoop.
 # The best shot's ball flies on the shot's own time; everything else is static.
 
 SHOT_TIME = "shot_time_s"  # the timeline that plays: seconds since the ball was let go
-_BEST: Color = (255, 196, 60)
-_PASSES: Color = (70, 200, 150)
-_OFF_RIM: Color = (225, 110, 90)
-_MISSES: Color = (95, 100, 115)
-_BOARD: Color = (120, 104, 84)
-_HOOP: Color = (235, 90, 60)
-
-# Of a miss, either way: with larger ones in the chart, those at the hoop would be a line.
-_MAX_CHART_M = 0.3
+_BEST: draw.Color = (255, 196, 60)
+_PASSES: draw.Color = (70, 200, 150)
+_OFF_RIM: draw.Color = (225, 110, 90)
+_MISSES: draw.Color = (95, 100, 115)
+_BOARD: draw.Color = (120, 104, 84)
+_HOOP: draw.Color = (235, 90, 60)
 
 
 def write_shots(plan: Plan, path: Path) -> None:
-    """Write the recording of a plan to `path` (.rrd).
-
-    Raises:
-        OSError: `path` cannot be written.
-    """
+    """Write the recording of a plan to `path` (.rrd)."""
     shown = f"{plan.rig} {plan.ball.law}".encode() + plan.heights_m.tobytes()
     identity = subject_of(plan.ball.logs) + hashlib.sha256(shown).hexdigest()[:16]
-    stream = rr.RecordingStream(application_id("shot"), recording_id=identity)
-    memory = stream.memory_recording()
-    stream.send_recording_name("bounce shot")
-    stream.log("shots", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _log_rig(stream, plan)
-    _log_paths(stream, plan)
-    _log_best(stream, plan)
-    _log_misses(stream, plan)
-    words = rr.TextDocument(_shot_words(plan), media_type="text/markdown")
-    stream.log("result", words, static=True)
-    stream.send_blueprint(_shot_blueprint(plan))
-    stream.flush()
-    path.write_bytes(memory.drain_as_bytes())
-    stream.disconnect()
-
-
-def _log_rig(stream: rr.RecordingStream, plan: Plan) -> None:
-    plane, hoop = plan.rig.plane, plan.rig.hoop
-    half_m = 3 * plan.rig.ball.radius_m
-    along = np.outer([-half_m, plane.downhill_m], plane.downhill)
-    across = np.array([[0.0, -half_m, 0.0], [0.0, half_m, 0.0]])
-    corners = [along[0] + across[0], along[1] + across[0], along[1] + across[1]]
-    corners.append(along[0] + across[1])
-    board = rr.Mesh3D(
-        vertex_positions=corners,
-        triangle_indices=[[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]],
-        albedo_factor=_BOARD,
-    )
-    stream.log("shots/plane", board, static=True)
-    turns = np.linspace(0, 2 * np.pi, 73)
-    ring = hoop.center_m + hoop.ring_radius_m * np.column_stack(
-        [np.cos(turns), np.sin(turns), np.zeros_like(turns)]
-    )
-    rim = rr.LineStrips3D([ring], colors=[_HOOP], radii=[hoop.rim_m / 2])
-    stream.log("shots/hoop", rim, static=True)
-
-
-def _log_paths(stream: rr.RecordingStream, plan: Plan) -> None:
-    """Log one entity per outcome, so that each can be hidden."""
-    passing = plan.clearance_m > 0
-    kinds = {
-        "misses": (~passing & ~plan.flights.has_touched, (*_MISSES, 110)),
-        "off_the_rim": (~passing & plan.flights.has_touched, (*_OFF_RIM, 130)),
-        "passing": (passing, (*_PASSES, 220)),
-    }
-    for name, (chosen, color) in kinds.items():
-        strips = [_shot_path(plan, index) for index in np.flatnonzero(chosen).tolist()]
-        if strips:
-            lines = rr.LineStrips3D(strips, colors=[color], radii=screen_radius(0.8))
-            stream.log(f"shots/{name}", lines, static=True)
+    with draw.written(path, "shot", identity, "bounce shot") as stream:
+        stream.log("shots", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        plane, hoop = plan.rig.plane, plan.rig.hoop
+        half_m = 3 * plan.rig.ball.radius_m
+        along = np.outer([-half_m, plane.downhill_m], plane.downhill)
+        across = np.array([[0.0, -half_m, 0.0], [0.0, half_m, 0.0]])
+        corners = [along[0] + across[0], along[1] + across[0], along[1] + across[1]]
+        corners.append(along[0] + across[1])
+        board = rr.Mesh3D(
+            vertex_positions=corners,
+            triangle_indices=[[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]],
+            albedo_factor=_BOARD,
+        )
+        stream.log("shots/plane", board, static=True)
+        turns = np.linspace(0, 2 * np.pi, 73)
+        ring = hoop.center_m + hoop.ring_radius_m * np.column_stack(
+            [np.cos(turns), np.sin(turns), np.zeros_like(turns)]
+        )
+        rim = rr.LineStrips3D([ring], colors=[_HOOP], radii=[hoop.rim_m / 2])
+        stream.log("shots/hoop", rim, static=True)
+        # Log one entity per outcome, so that each can be hidden.
+        passing = plan.clearance_m > 0
+        kinds = {
+            "misses": (~passing & ~plan.flights.has_touched, (*_MISSES, 110)),
+            "off_the_rim": (~passing & plan.flights.has_touched, (*_OFF_RIM, 130)),
+            "passing": (passing, (*_PASSES, 220)),
+        }
+        for name, (chosen, color) in kinds.items():
+            strips = [_shot_path(plan, index) for index in np.flatnonzero(chosen).tolist()]
+            if strips:
+                lines = rr.LineStrips3D(strips, colors=[color], radii=draw.screen_radius(0.8))
+                stream.log(f"shots/{name}", lines, static=True)
+        _log_best(stream, plan)
+        _log_misses(stream, plan)
+        draw.log_words(stream, "result", _shot_words(plan))
+        stream.send_blueprint(_shot_blueprint(plan))
 
 
 def _log_best(stream: rr.RecordingStream, plan: Plan) -> None:
     index = plan.nearest if plan.best is None else plan.best.index
     path = _shot_path(plan, index)
-    line = rr.LineStrips3D([path], colors=[_BEST], radii=screen_radius(2.2))
+    line = rr.LineStrips3D([path], colors=[_BEST], radii=draw.screen_radius(2.2))
     stream.log("shots/best/path", line, static=True)
     name = "nearest" if plan.best is None else "best"
     start = rr.Points3D(
         [path[0] + [0.0, 0.0, 2 * plan.rig.ball.radius_m]],
         labels=[f"{name}: {plan.heights_m[index]:.3f} m"],
         colors=[_BEST],
-        radii=screen_radius(0.1),
+        radii=draw.screen_radius(0.1),
         show_labels=True,
     )
     stream.log("shots/best/label", start, static=True)
@@ -386,33 +317,28 @@ def _log_misses(stream: rr.RecordingStream, plan: Plan) -> None:
     heights, miss = plan.heights_m, plan.offset_m[:, 0]
     low, high = float(heights[0]), float(heights[-1])
     reach = float(np.nanmax(np.append(np.abs(miss[np.isfinite(miss)]), 1e-3)))
-    reach = min(reach, _MAX_CHART_M)
-    across = (heights - low) / (high - low) * WIDTH
+    # With misses of more than .3 m in the chart, those at the hoop would be a line.
+    reach = min(reach, 0.3)
+    across = (heights - low) / (high - low) * draw.WIDTH
     up = -(miss / reach + 1) / 2
-    rows = [(-(at / reach + 1) / 2, f"{1000 * at:.0f}") for at in ticks(-reach, reach, 4)]
-    marks = [((at - low) / (high - low) * WIDTH, f"{at:g}") for at in ticks(low, high)]
-    log_grid(stream, "sheets/miss", WIDTH, rows, marks)
+    rows = [(-(at / reach + 1) / 2, f"{1000 * at:.0f}") for at in draw.ticks(-reach, reach, 4)]
+    marks = [((at - low) / (high - low) * draw.WIDTH, f"{at:g}") for at in draw.ticks(low, high)]
+    draw.log_grid(stream, "sheets/miss", draw.WIDTH, rows, marks)
     colors = [_shot_color(plan, index) for index in range(len(heights))]
     known = np.flatnonzero(np.abs(miss) <= reach)  # NaN is not
     dots = rr.Points2D(
         np.column_stack([across, up])[known],
         colors=[colors[index] for index in known],
-        radii=screen_radius(2.5),
+        radii=draw.screen_radius(2.5),
         draw_order=20.0,
     )
     stream.log("sheets/miss/shots", dots, static=True)
     if not len(known):
-        said = rr.Points2D(
-            [[WIDTH / 2, -0.75]],
-            labels=["no ball comes down at the height of the hoop"],
-            colors=[MUTED],
-            radii=screen_radius(0.1),
-            show_labels=True,
-        )
-        stream.log("sheets/miss/words", said, static=True)
+        words = "no ball comes down at the height of the hoop"
+        draw.log_labels(stream, "sheets/miss/words", [[draw.WIDTH / 2, -0.75]], [words])
 
 
-def _shot_color(plan: Plan, index: int) -> Color:
+def _shot_color(plan: Plan, index: int) -> draw.Color:
     if plan.best is not None and index == plan.best.index:
         return _BEST
     if plan.clearance_m[index] > 0:
@@ -439,7 +365,7 @@ def _shot_blueprint(plan: Plan) -> rrb.Blueprint:
     scene = rrb.Spatial3DView(
         origin="/shots",
         name="shots",
-        background=GROUND,
+        background=draw.GROUND,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
@@ -448,35 +374,26 @@ def _shot_blueprint(plan: Plan) -> rrb.Blueprint:
     title = "miss [mm] by release height [m]: + beyond the hoop's centre, - short of it"
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/result", name="result"),
-        chart_view("miss", title),
+        draw.chart_view("miss", title),
         row_shares=[3, 2],
     )
-    return rrb.Blueprint(
-        rrb.Horizontal(scene, right, column_shares=[3, 2]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=SHOT_TIME),
-        auto_views=False,
-        auto_layout=False,
-    )
+    time = rrb.TimePanel(state="collapsed", timeline=SHOT_TIME)
+    return draw.blueprint(rrb.Horizontal(scene, right, column_shares=[3, 2]), time)
 
 
 # ---- Verdict: a banner over a review, one coloured strip with large words.
 
-VERDICT_COLORS: dict[Verdict, Color] = {  # green, amber, red
-    "ok": SUCCESS,
+VERDICT_COLORS: dict[Verdict, draw.Color] = {  # green, amber, red
+    "ok": draw.SUCCESS,
     "suspect": (245, 185, 60),
-    "rejected": FAILURE,
+    "rejected": draw.FAILURE,
 }
-
 VERDICT_SHARE = 0.075  # of a review's height
-_INK: Color = (16, 18, 24)
-
+_INK: draw.Color = (16, 18, 24)
 _STRIP_PX = (3600, 90)  # width and height of its picture
 _FONT = 2  # OpenCV's number of a plain sans serif with two strokes
 _MAX_STRIP_LETTERS = 90  # that there is room for
 _MAX_NAME_LETTERS = 60
-
 _FIRST_WALL_NS = 10**17  # stamps from 1973 on are a wall clock's; smaller ones count from a start
 
 
@@ -496,16 +413,7 @@ def log_verdict(stream: rr.RecordingStream, tuning: Tuning, record: Record) -> r
     cv2.putText(strip, _strip_words(record), place, _FONT, 1.8, _INK, 3, cv2.LINE_AA)
     image = rr.Image(strip).compress(jpeg_quality=95)
     stream.log("verdict", image, static=True)
-    return rrb.Spatial2DView(
-        origin="/verdict",
-        name=_strip_title(tuning, record),
-        background=color,
-        visual_bounds=rrb.VisualBounds2D(x_range=(0, width), y_range=(0, height)),
-    )
-
-
-def _strip_title(tuning: Tuning, record: Record) -> str:
-    """Format the log's name, its ball, and when it was recorded."""
+    # Format the log's name, its ball, and when it was recorded.
     name = short_name(os.fsencode(tuning.log.name).decode(errors="replace"), _MAX_NAME_LETTERS)
     parts = [name or "log"]
     if record.ball:
@@ -518,7 +426,12 @@ def _strip_title(tuning: Tuning, record: Record) -> str:
     if starts_ns and min(starts_ns) > _FIRST_WALL_NS:
         began = datetime.fromtimestamp(min(starts_ns) // 10**9, UTC)
         parts.append(f"recorded {began:%Y-%m-%d %H:%M} UTC")
-    return f"{', '.join(parts)}: {record.verdict}"
+    return rrb.Spatial2DView(
+        origin="/verdict",
+        name=f"{', '.join(parts)}: {record.verdict}",
+        background=color,
+        visual_bounds=rrb.VisualBounds2D(x_range=(0, width), y_range=(0, height)),
+    )
 
 
 def _strip_words(record: Record) -> str:
@@ -546,10 +459,6 @@ def _strip_words(record: Record) -> str:
 # ---- Tuning: its recording and blueprint.
 
 _MAX_CURVES = 150  # where nothing was found: more can neither be told apart nor be loaded soon
-_MAX_VIEWS = 4  # one for each unit: more would be too low to read
-_MAX_LEGEND_NAMES = 24  # of all legends together: what fits beside the views on a laptop's screen
-_BESIDE = 1.6  # length of an axis over that of its curves, with a legend beside them
-_SLOW_MOTION = 0.5  # of the true speed, at which a short bounce is over before it is looked at
 # What a unit measures.
 _QUANTITIES = {
     "m": "positions",
@@ -560,11 +469,7 @@ _QUANTITIES = {
 
 
 def write_review(tuning: Tuning, record: Record, path: Path) -> None:
-    """Write the review of a tuning to `path` (.rrd).
-
-    Raises:
-        OSError: `path` cannot be written.
-    """
+    """Write the review of a tuning to `path` (.rrd)."""
     identity = os.fsencode(real_path(tuning.log)) + f" {tuning.preset} {tuning.digest}".encode()
     name = hashlib.sha256(identity).hexdigest()[:16]
     if record.provenance is not None and record.provenance.log_sha256:
@@ -572,30 +477,44 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
     text = result_words(
         record, tuning.preset, tuning.experiment.occasion if tuning.experiment else None
     )
-    stream = rr.RecordingStream(application_id(tuning.task or "log"), recording_id=name)
-    memory = stream.memory_recording()  # Rerun's own file sink only prints that a disk is full
-    stream.send_recording_name(os.fsencode(tuning.log.name).decode(errors="replace"))
-    layout = tuning.experiment.review(stream, tuning) if tuning.experiment else None
-    if tuning.detection is None or layout is None:
-        views, left_out = _log_recorded(stream, tuning, only_what_changes=layout is not None)
-        text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
-        if layout is None and log_recorded_film(stream, tuning):
-            views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
-        layout = _recorded_layout(layout, views)
-    strip = log_verdict(stream, tuning, record)
-    blueprint = rrb.Blueprint(
-        rrb.Vertical(strip, layout, row_shares=[VERDICT_SHARE, 1 - VERDICT_SHARE]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        _time_panel(record, has_film=tuning.refused is not None and tuning.detection is None),
-        auto_views=False,
-        auto_layout=False,
-    )
-    stream.send_blueprint(blueprint)
-    stream.log("result", rr.TextDocument(text, media_type="text/markdown"), static=True)
-    stream.flush()
-    path.write_bytes(memory.drain_as_bytes())
-    stream.disconnect()
+    title = os.fsencode(tuning.log.name).decode(errors="replace")
+    with draw.written(path, tuning.task or "log", name, title) as stream:
+        layout = tuning.experiment.review(stream, tuning) if tuning.experiment else None
+        if tuning.detection is None or layout is None:
+            # Log recorded signals by unit where the task found nothing; count curves left out.
+            signals = tuning.episode.signals if tuning.episode else {}
+            if layout is not None:  # marks of events are the same at each of them
+                signals = {name: one for name, one in signals.items() if np.ptp(one.values)}
+            curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
+            by_unit: dict[str, list[str]] = {}
+            for signal, index in curves[:_MAX_CURVES]:
+                column = signal.columns[index]
+                entity = draw.entity_of("recorded", signal.name, column)
+                label = one_line(f"{signal.name} {column}")
+                stream.log(entity, rr.SeriesLines(names=[label]), static=True)
+                draw.send_scalars(stream, entity, signal.seconds, signal.values[:, index])
+                by_unit.setdefault(signal.unit, []).append(entity)
+            last_s = max((float(one.seconds[-1]) for one in signals.values()), default=0.0)
+            shown = list(by_unit.items())[:4]  # one for each unit: more would be too low to read
+            # 24 names of all legends together fit beside the views on a laptop's screen.
+            names = 24 // max(len(shown), 1)
+            views = [_recorded_view(unit, some, last_s, names) for unit, some in shown]
+            left_out = max(0, len(curves) - _MAX_CURVES)
+            text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
+            if layout is None and draw.log_recorded_film(stream, tuning):
+                views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
+            # The evidence over all that was recorded, beside the result.
+            result = rrb.TextDocumentView(origin="/result", name="result")
+            parts: list[rrb.View | rrb.Container] = [] if layout is None else [layout]
+            parts += [rrb.Vertical(*views)] if views else []
+            layout = rrb.Horizontal(result)
+            if parts:
+                layout = rrb.Horizontal(rrb.Vertical(*parts), result, column_shares=[3, 2])
+        strip = log_verdict(stream, tuning, record)
+        layout = rrb.Vertical(strip, layout, row_shares=[VERDICT_SHARE, 1 - VERDICT_SHARE])
+        has_film = tuning.refused is not None and tuning.detection is None
+        stream.send_blueprint(draw.blueprint(layout, _time_panel(record, has_film=has_film)))
+        draw.log_words(stream, "result", text)
 
 
 def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
@@ -607,45 +526,26 @@ def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
     curves = record.motion.curves
     if curves is None:
         play, loop = ("playing", "all") if has_film else (None, None)
-        return rrb.TimePanel(state="collapsed", timeline=LOG_TIME, play_state=play, loop_mode=loop)
+        return rrb.TimePanel(
+            state="collapsed", timeline=draw.LOG_TIME, play_state=play, loop_mode=loop
+        )
     first_ns, last_ns = (round(1e9 * float(at_s)) for at_s in curves.seconds[[0, -1]])
+    # Half the true speed, at which a short bounce would be over before it is looked at.
     return rrb.TimePanel(
         state="collapsed",
-        timeline=LOG_TIME,
-        playback_speed=_SLOW_MOTION,
+        timeline=draw.LOG_TIME,
+        playback_speed=0.5,
         play_state="playing",
         loop_mode="selection",
         time_selection=AbsoluteTimeRange(first_ns, last_ns),
     )
 
 
-def _log_recorded(
-    stream: rr.RecordingStream, tuning: Tuning, *, only_what_changes: bool
-) -> tuple[list[rrb.View], int]:
-    """Log recorded signals by unit where the task found nothing; count curves left out."""
-    signals = tuning.episode.signals if tuning.episode else {}
-    if only_what_changes:  # marks of events are the same at each of them
-        signals = {name: one for name, one in signals.items() if np.ptp(one.values)}
-    curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
-    by_unit: dict[str, list[str]] = {}
-    for signal, index in curves[:_MAX_CURVES]:
-        column = signal.columns[index]
-        entity = entity_of("recorded", signal.name, column)
-        name = one_line(f"{signal.name} {column}")
-        stream.log(entity, rr.SeriesLines(names=[name]), static=True)
-        send_scalars(stream, entity, signal.seconds, signal.values[:, index])
-        by_unit.setdefault(signal.unit, []).append(entity)
-    last_s = max((float(one.seconds[-1]) for one in signals.values()), default=0.0)
-    shown = list(by_unit.items())[:_MAX_VIEWS]
-    names = _MAX_LEGEND_NAMES // max(len(shown), 1)
-    views = [_recorded_view(unit, some, last_s, names) for unit, some in shown]
-    return views, max(0, len(curves) - _MAX_CURVES)
-
-
 def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: int) -> rrb.View:
     """Return the view of one unit's curves, with a legend beside them if it fits."""
     has_legend = len(entities) <= most_names
-    begin, end = 0.0, max(last_s, 1e-3) * (_BESIDE if has_legend else 1.0)
+    # With a legend beside its curves an axis is longer.
+    begin, end = 0.0, max(last_s, 1e-3) * (1.6 if has_legend else 1.0)
     seconds = rr.TimeRange(
         start=rrb.TimeRangeBoundary.absolute(seconds=begin),
         end=rrb.TimeRangeBoundary.absolute(seconds=end),
@@ -657,13 +557,3 @@ def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: in
         axis_x=rrb.TimeAxis(view_range=seconds),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=has_legend),
     )
-
-
-def _recorded_layout(evidence: rrb.Container | None, views: Sequence[rrb.View]) -> rrb.Container:
-    """Lay out the evidence over all that was recorded, beside the result."""
-    result = rrb.TextDocumentView(origin="/result", name="result")
-    parts: list[rrb.View | rrb.Container] = [] if evidence is None else [evidence]
-    parts += [rrb.Vertical(*views)] if views else []
-    if not parts:
-        return rrb.Horizontal(result)
-    return rrb.Horizontal(rrb.Vertical(*parts), result, column_shares=[3, 2])

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from tunenet_logs.analysis.checks import Check
+from tunenet_logs.analysis.checks import Check, CheckSpec, Limit, at_least, at_most, table
 from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, noise_of
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -18,8 +18,7 @@ from tunenet_logs.terminal import listed
 
 # ---- Motions that excite a parameter that is unidentifiable from a log
 
-_MAX_PARTNERS = 3
-
+_MAX_PARTNERS = 3  # that an advice names
 # By the name of the parameter's field.
 _MOTIONS: Mapping[str, str] = {
     "damping": "move it at several speeds, the fastest ones too",
@@ -58,35 +57,95 @@ def excitation(name: str, partners: Sequence[str]) -> str:
 
 # ---- The checks
 
-_MOVES = 3.0  # times its noise that a column has to vary by, one at least
-# Of a column's spread, that a simulator may leave; of one that jumps more, for a jump that is met a
-# little early or late leaves some of itself.
-_REJECT_SHARE = 0.5
-_GOOD_SHARE, _GOOD_JUMPY_SHARE = 0.05, 0.1
-
-_STILL_SHARE = 1e-2  # least spread of a column, by the largest of the columns of its unit
-_NOISES = 1.3  # times the noise that a column may keep where that is more than its share
-_HELD_OUT_FACTOR = 2.0
-# Of a column's spread: a prediction that is closer than this is good whatever the fit left.
-_SLACK_SHARE = 0.02
-
-_EDGE_SHARE = 0.002  # of a range: a value that is closer to its end lies on it
-_FEW = 4
 _WRONG_MODEL = (
     "check the model: masses, lengths, gravity, missing joints, and what --map takes for what"
 )
+
+SYSID = table(
+    CheckSpec(
+        "it moves",
+        at_least(3, "times its noise", ".3g g", fatal=3),
+        seen="{column} varies by {value} times its noise",
+        measures="the column that varies most, in times its noise",
+        passes="{limit} or more",
+        cause="nothing moves in the part that is used",
+        advice="record while it moves",
+    ),
+    CheckSpec(
+        "simulation is whole",
+        Limit("true", 1, fatal=1),
+        measures="the tuned model's rollout, by MuJoCo's own warnings (working memory full, "
+        "positions, speeds or accelerations beyond all bounds)",
+        passes="none",
+        if_not="r",
+        cause="a timestep that is too long, values at the end of a range, many contacts",
+        advice="give the model a shorter timestep, more <size memory>, or other ranges with --tune",
+    ),
+    CheckSpec(
+        "simulation matches",
+        at_most(5, "% of its spread", ".3g", fatal=50),
+        seen="{value} % of how much {column} varies is left, rms",
+        wanted="wanted: under {limit} %",
+        measures="what the tuned simulator leaves of each column (rms), as a share of how much it "
+        "varies",
+        passes="at most {limit} %, or 1.3 times the noise if that is more",
+        cause="a missing joint, another arm, other gravity, a wrong `--map`",
+        advice=_WRONG_MODEL,
+    ),
+    CheckSpec(
+        "predicts what it was not fitted to",
+        at_most(2, "", ".3g"),
+        seen="from {from_s:.2f} s on, {column} is {value}{space}{unit} off, {before:.3g} before "
+        "tuning",
+        wanted="wanted: under {limit}",
+        measures="a fit to the first 60 % of the time with the rest",
+        passes="twice what the whole fit leaves, or 2 % of how much a column varies beyond that",
+        cause="a missing joint, another arm, or too little in the first part",
+        advice=_WRONG_MODEL,
+    ),
+    CheckSpec(
+        "inside its range",
+        at_most(0),
+        measures="values on the end of the range that `--tune` names",
+        passes="none",
+        cause="a range that is too narrow, or a model that is off elsewhere",
+        advice="widen the range with --tune, and check the model: something in it may be off",
+    ),
+    CheckSpec(
+        "every parameter is identifiable",
+        at_most(0),
+        measures="how far 95 % reach, as a share of the range; of the value where a parameter is "
+        "seen only together with others",
+        passes="at most a quarter",
+        cause="the motion does not change with it, or changes alike with another",
+        advice="the motion that the check names, or measure it and leave it out",
+        invalidates_interval=False,
+    ),
+    CheckSpec(
+        "the step is short enough",
+        at_most(60, "% of half its interval"),
+        seen="half the step moves {name} by {shift:.2g}, {value} % of its interval's half",
+        wanted="wanted: under {limit} %",
+        measures="how far half the model's step moves each value",
+        cause="a long timestep",
+        advice="shorten the model's timestep",
+        invalidates_interval=False,
+    ),
+)
+
+_GOOD_JUMPY_SHARE = 0.1  # of a spread that jumps: a jump met a little early or late leaves some
+_STILL_SHARE = 1e-2  # least spread of a column, by the largest of the columns of its unit
+_NOISES = 1.3  # times the noise that a column may keep where that is more than its share
+_SLACK_SHARE = 0.02  # of a spread: a prediction that close is good whatever the fit left
+_EDGE_SHARE = 0.002  # of a range: a value that is closer to its end lies on it
+_FEW = 4  # names in a sentence
 
 
 def recording_checks(target: ComparedColumns) -> tuple[Check, ...]:
     """Check that the log itself moves."""
     ratios = [column.spread / max(column.noise, 1e-12) for column in target.columns]
     best = int(np.argmax(ratios))
-    detail = (
-        f"{target.columns[best].label} varies by {ratios[best]:.3g} times its noise (wanted: "
-        f"{_MOVES:g} or more)"
-    )
-    advice = "record while it moves"
-    return (Check("it moves", ratios[best] >= _MOVES, detail, fatal=True, advice=advice),)
+    return (SYSID["it moves"].measured(ratios[best], column=target.columns[best].label),)
 
 
 def whole_check(rollout: Episode) -> Check | None:
@@ -94,102 +153,89 @@ def whole_check(rollout: Episode) -> Check | None:
     stopped = rollout.info.notes.get(STOPPED)
     if stopped is None:
         return None
-    return Check(
-        "simulation is whole",
-        not stopped,
-        stopped or "MuJoCo warns of nothing",
-        fatal=True,
-        advice="give the model a shorter timestep, more <size memory>, or other ranges with --tune",
-    )
+    detail = stopped or "MuJoCo warns of nothing"
+    return SYSID["simulation is whole"].measured(not stopped, detail=detail)
 
 
 def match_check(target: ComparedColumns, residuals: Array) -> Check:
     """Check that each column's residual is its noise, or little of its motion."""
-    left = target.rms(residuals)
-    spreads = np.array([_spread(target, column.unit, column.spread) for column in target.columns])
-    noises = _noises(target, residuals)
-    jumpy = np.array([column.is_jumpy for column in target.columns])
-    good = np.where(jumpy, _GOOD_JUMPY_SHARE, _GOOD_SHARE)
-    limits = np.maximum(_NOISES * noises / spreads, good)
-    over = left / spreads / limits
-    place = int(np.argmax(over))
-    worst = target.columns[place]
-    share = left[place] / spreads[place]
-    detail = (
-        f"{100 * share:.3g} % of how much {worst.label} varies is left, rms (wanted: under "
-        f"{100 * limits[place]:.3g} %)"
-    )
-    return Check(
-        "simulation matches",
-        over[place] < 1,
-        detail,
-        fatal=share > _REJECT_SHARE,
-        advice=_WRONG_MODEL,
-    )
-
-
-def _noises(target: ComparedColumns, residuals: Array) -> Array:
-    """Return the noise of each column; of one that jumps, of its residual.
-
-    A servo's efforts jump with each command: by themselves they look like noise, of a size at which
-    any simulator would match.
-    """
-    found: list[float] = []
+    spec, left = SYSID["simulation matches"], target.rms(residuals)
+    spreads, noises, good = [], [], []
     for number, column in enumerate(target.columns):
-        left = residuals[target.which == number]
-        noise = noise_of(left[np.isfinite(left)]) if column.is_jumpy else column.noise
-        found.append(min(noise, column.noise))
-    return np.array(found)
-
-
-def _spread(target: ComparedColumns, unit: str, spread: float) -> float:
-    """Return a column's spread, at least a share of that of columns of its unit."""
-    most = max(column.spread for column in target.columns if column.unit == unit)
-    return max(spread, _STILL_SHARE * most, 1e-12)
+        most = max(one.spread for one in target.columns if one.unit == column.unit)
+        spreads.append(max(column.spread, _STILL_SHARE * most, 1e-12))
+        # A servo's efforts jump with each command: by themselves they look like noise, of a size at
+        # which any simulator would match. So of a column that jumps it is that of its residual.
+        own = residuals[target.which == number]
+        noise = noise_of(own[np.isfinite(own)]) if column.is_jumpy else column.noise
+        noises.append(min(noise, column.noise))
+        good.append(_GOOD_JUMPY_SHARE if column.is_jumpy else spec.limit.value / 100)
+    limits = np.maximum(_NOISES * np.array(noises) / np.array(spreads), np.array(good))
+    place = int(np.argmax(left / np.array(spreads) / limits))
+    share = left[place] / spreads[place]
+    return spec.measured(100 * share, 100 * limits[place], column=target.columns[place].label)
 
 
 def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
     """Check an exact fit: hold-out, bounds, identifiability, step size."""
-    checks = [_range_check(found), _told_check(found)]
+    checks: list[Check] = []
     if found.held_out is not None:
-        checks.insert(0, _held_out_check(found))
-    if found.step_shift is not None:
-        checks.append(_step_check(found))
-    return tuple(checks)
-
-
-def _held_out_check(found: SimulatorFit) -> Check:
-    """Check that a fit to the beginning predicts the end, and better than the given model."""
-    held_out = found.held_out
-    assert held_out is not None
-    target = found.target
-    inside = target.rms(found.solution.residuals)
-    over: list[float] = []
-    for number, column in enumerate(target.columns):
-        floor = max(inside[number], column.noise)
-        allowed = max(_HELD_OUT_FACTOR * floor, floor + _SLACK_SHARE * column.spread)
-        over.append(held_out.rms[number] / max(allowed, 1e-12))
-    place = int(np.argmax(over))
-    column = target.columns[place]
-    unit = "" if column.unit == "1" else f" {column.unit}"
-    detail = (
-        f"from {held_out.from_s:.2f} s on, {column.label} is {held_out.rms[place]:.3g}{unit} off, "
-        f"{held_out.before[place]:.3g} before tuning (wanted: under "
-        f"{held_out.rms[place] / max(over[place], 1e-12):.3g})"
-    )
-    return Check("predicts what it was not fitted to", over[place] < 1, detail, advice=_WRONG_MODEL)
-
-
-def _range_check(found: SimulatorFit) -> Check:
+        # Check that a fit to the beginning predicts the end, and better than the given model.
+        held_out = found.held_out
+        spec, target = SYSID["predicts what it was not fitted to"], found.target
+        inside = target.rms(found.solution.residuals)
+        limits = np.zeros(len(target.columns))
+        for number, column in enumerate(target.columns):
+            floor = max(inside[number], column.noise)
+            slack = floor + _SLACK_SHARE * column.spread
+            limits[number] = max(spec.limit.value * floor, slack, 1e-12)
+        place = int(np.argmax(held_out.rms / limits))
+        column = target.columns[place]
+        checks.append(
+            spec.measured(
+                held_out.rms[place],
+                limits[place],
+                unit="" if column.unit == "1" else column.unit,
+                space="" if column.unit == "1" else " ",
+                from_s=held_out.from_s,
+                column=column.label,
+                before=held_out.before[place],
+            )
+        )
+    # Values on the ends of their ranges.
     values = found.solution.values
+    tuned = found.parameters[: found.tuned]
     edged = [
         one.name
-        for one, value in zip(_tuned(found), values, strict=False)
+        for one, value in zip(tuned, values, strict=False)
         if _is_at_an_end(one, float(value))
     ]
     detail = f"on the end: {listed(edged, _FEW)}" if edged else "no value lies on its range's end"
-    advice = "widen the range with --tune, and check the model: something in it may be off"
-    return Check("inside its range", not edged, detail, advice=advice)
+    checks.append(SYSID["inside its range"].measured(len(edged), detail=detail))
+    # Parameters that the motion does not tell, with those that each is confounded with.
+    hidden, words, advice = found.unidentifiable, list[str](), ""
+    for parameter in hidden:
+        row = found.correlation[found.parameters.index(parameter)]
+        partners = [
+            one.name
+            for number, one in enumerate(tuned)
+            if one is not parameter and abs(row[number]) > 0.9 and one in hidden
+        ]
+        along = f" (only together with {listed(partners, _FEW)})" if partners else ""
+        words.append(f"{parameter.name}{along}")
+        advice = advice or excitation(parameter.name, partners)
+    detail = (
+        f"not identifiable: {'; '.join(words)}" if words else "each within a quarter of its range"
+    )
+    told = SYSID["every parameter is identifiable"]
+    checks.append(told.measured(len(hidden), detail=detail, advice=advice))
+    if found.step_shift is not None:
+        ratios = found.step_shift[: found.tuned] / np.maximum(found.half95[: found.tuned], 1e-300)
+        place = int(np.argmax(ratios))
+        shift, name = found.step_shift[place], found.parameters[place].name
+        step = SYSID["the step is short enough"]
+        checks.append(step.measured(100 * ratios[place], name=name, shift=shift))
+    return tuple(checks)
 
 
 def _is_at_an_end(parameter: Parameter, value: float) -> bool:
@@ -198,53 +244,3 @@ def _is_at_an_end(parameter: Parameter, value: float) -> bool:
     slack = _EDGE_SHARE * (high - low)
     is_low = value <= low + slack and low > least
     return is_low or (value >= high - slack and high <= most)
-
-
-def _told_check(found: SimulatorFit) -> Check:
-    unidentifiable = found.unidentifiable
-    if not unidentifiable:
-        return Check("every parameter is identifiable", True, "each within a quarter of its range")
-    words: list[str] = []
-    for parameter in unidentifiable:
-        partners = _partners(found, parameter)
-        along = f" (only together with {listed(partners, _FEW)})" if partners else ""
-        words.append(f"{parameter.name}{along}")
-    detail = f"not identifiable: {'; '.join(words)}"
-    advice = excitation(unidentifiable[0].name, _partners(found, unidentifiable[0]))
-    return Check(
-        "every parameter is identifiable", False, detail, advice=advice, invalidates_interval=False
-    )
-
-
-def _partners(found: SimulatorFit, parameter: Parameter) -> list[str]:
-    """List other unidentifiable parameters that are confounded with this one."""
-    place = found.parameters.index(parameter)
-    row = found.correlation[place]
-    return [
-        one.name
-        for number, one in enumerate(_tuned(found))
-        if number != place and abs(row[number]) > 0.9 and one in found.unidentifiable
-    ]
-
-
-def _step_check(found: SimulatorFit) -> Check:
-    shift = found.step_shift
-    assert shift is not None
-    ratios = shift[: found.tuned] / np.maximum(found.half95[: found.tuned], 1e-300)
-    place = int(np.argmax(ratios))
-    name = found.parameters[place].name
-    detail = (
-        f"half the step moves {name} by {shift[place]:.2g}, {100 * ratios[place]:.0f} % of its "
-        "interval's half (wanted: under 60 %)"
-    )
-    return Check(
-        "the step is short enough",
-        ratios[place] < 0.6,
-        detail,
-        advice="shorten the model's timestep",
-        invalidates_interval=False,
-    )
-
-
-def _tuned(found: SimulatorFit) -> tuple[Parameter, ...]:
-    return found.parameters[: found.tuned]

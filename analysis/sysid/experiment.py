@@ -26,8 +26,8 @@ from tunenet_logs.analysis.estimators.base import (
     Trace,
 )
 from tunenet_logs.analysis.experiment import Claim, Preset
+from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.record import Motion, Rebound
-from tunenet_logs.analysis.selection import Options, Selection, Subject
 from tunenet_logs.analysis.sysid.checks import (
     fit_checks,
     match_check,
@@ -65,7 +65,6 @@ _PAIRS_EACH = 40
 _GRID = 100  # moments at which it looks
 # Spreads that an observation reaches from the log's mean; what is further off looks the same.
 MAX_SPREADS = 20.0
-
 _BATCH = 50
 _RECIPE = Recipe(
     optimizer="adamw",
@@ -79,12 +78,7 @@ _RECIPE = Recipe(
 
 
 def observation(target: ComparedColumns, values: Array) -> Observation:
-    """Observe all columns on one grid, normalised by the log's mean and spread.
-
-    Args:
-        target: Columns to compare with.
-        values: Observed or simulated, shape (M,).
-    """
+    """Observe all columns on one grid, normalised by the log's mean and spread: `values` (M,)."""
     grid_s = np.linspace(0.0, target.end_s, _GRID)
     seen: list[Array] = []
     for number, column in enumerate(target.columns):
@@ -108,16 +102,7 @@ def trained_network(
     digest: str,
     count: int = ROLLOUTS,
 ) -> Model:
-    """Train the network for one simulator and one log, or load it from the cache.
-
-    Args:
-        rollouts: Of the simulator, at values of all parameters.
-        target: Columns to compare with.
-        parameters: All, the tuned ones first.
-        tuned: How many of them are tuned.
-        digest: Of the model and what is tuned; "" for an object, whose network is not cached.
-        count: Rollouts to train with.
-    """
+    """Train the network for one simulator and one log, or load it from the cache."""
     shape = f"{_GRID} moments of {', '.join(column.label for column in target.columns)}"
     inputs = _GRID * len(target.columns)
     purpose = Purpose("simulator", "default", shape, inputs, tuned, (1.0,))
@@ -125,7 +110,19 @@ def trained_network(
     if kept is not None and kept.is_file():
         with suppress(TuneNetError):
             return load_model(kept, purpose)
-    pairs = _pairs(rollouts, target, parameters, tuned, count)
+    # Roll out over the ranges from the log's initial state (Halton), and draw pairs.
+    low, high = np.array([one.training_range for one in parameters[:tuned]]).T
+    values = qmc.scale(qmc.Halton(tuned, rng=0).random(count), low, high)
+    rest = np.array([one.initial for one in parameters[tuned:]])
+    rows = np.column_stack([values, np.repeat(rest[None], count, axis=0)])
+    seen: list[Array] = []
+    for first in told(range(0, count, _BATCH), "simulating to train", -(-count // _BATCH)):
+        episodes = rollouts(rows[first : first + _BATCH])
+        seen += [observation(target, target.seen_in(one)).values for one in episodes]
+    rng = np.random.default_rng(0)
+    proposed = rng.integers(count, size=_PAIRS_EACH * count)
+    other = rng.integers(count, size=_PAIRS_EACH * count)
+    pairs = PairSet(np.stack(seen), values, proposed, other)
     model = train(WideNetwork(), pairs, _RECIPE, 0, Progress(quiet=True))
     if kept is not None:
         with suppress(TuneNetError, OSError):
@@ -148,47 +145,17 @@ def _kept(
     return folder / "tunenet-logs" / f"{state.hexdigest()[:32]}.safetensors"
 
 
-def _pairs(
-    rollouts: Rollouts,
-    target: ComparedColumns,
-    parameters: tuple[Parameter, ...],
-    tuned: int,
-    count: int,
-) -> PairSet:
-    """Roll out over the ranges from the log's initial state (Halton), and draw pairs."""
-    low, high = np.array([one.training_range for one in parameters[:tuned]]).T
-    values = qmc.scale(qmc.Halton(tuned, rng=0).random(count), low, high)
-    rest = np.array([one.initial for one in parameters[tuned:]])
-    rows = np.column_stack([values, np.repeat(rest[None], count, axis=0)])
-    seen: list[Array] = []
-    for first in told(range(0, count, _BATCH), "simulating to train", -(-count // _BATCH)):
-        episodes = rollouts(rows[first : first + _BATCH])
-        seen += [observation(target, target.seen_in(one)).values for one in episodes]
-    rng = np.random.default_rng(0)
-    proposed = rng.integers(count, size=_PAIRS_EACH * count)
-    other = rng.integers(count, size=_PAIRS_EACH * count)
-    return PairSet(np.stack(seen), values, proposed, other)
-
-
 # ---- Estimation problem of a simulator's parameters and uncertain initial state
 
-_PRIOR_WIDTHS = 3.0  # standard deviations to each side in which a search by trial looks
 # Least noise of a column in a search's cost, by its spread: no simulator is right to all digits.
 _MIN_NOISE, _MIN_SPREAD = 0.01, 1e-12
 
 
 class SimulatorProblem(Problem):
-    """See `Problem`; uncertain initial states are fitted, too.
-
-    Args:
-        connected: The simulator, driven as the log was.
-        initial: Of the tuned parameters, shape (T,).
-        digest: Of the model and what is tuned.
-    """
+    """See `Problem`; uncertain initial states are fitted, too."""
 
     def __init__(self, connected: Connected, initial: Array, digest: str) -> None:
         self._connected = connected
-        self._digest = digest
         simulator, target = connected.simulator, connected.target
         self._all = tuple(sorted(simulator.parameters, key=lambda one: one.prior_sd is not None))
         self._rest = np.array([one.initial for one in self._all[len(initial) :]])
@@ -200,7 +167,9 @@ class SimulatorProblem(Problem):
             lambda episode: observation(target, target.seen_in(episode)),
             initial,
             self._fit,
-            train=self._trained,
+            train=lambda: trained_network(
+                connected.rollouts, target, self._all, len(initial), digest
+            ),
         )
         self.parameters = self._all[: len(initial)]
 
@@ -260,22 +229,13 @@ class SimulatorProblem(Problem):
         self._rest = found.solution.values[len(start) :]
         return fit
 
-    def _trained(self) -> Model:
-        count = len(self.parameters)
-        return trained_network(
-            self._connected.rollouts,
-            self._connected.target,
-            self._all,
-            count,
-            self._digest,
-        )
-
 
 def _range(parameter: Parameter) -> tuple[float, float]:
     """Return the search range of a parameter."""
     if parameter.prior_sd is None:
         return parameter.training_range
-    reach = _PRIOR_WIDTHS * parameter.prior_sd
+    # Standard deviations to each side in which a search by trial looks
+    reach = 3.0 * parameter.prior_sd
     low, high = parameter.bounds
     return max(parameter.initial - reach, low), min(parameter.initial + reach, high)
 
@@ -285,13 +245,9 @@ def _range(parameter: Parameter) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SimulatorExperiment:
-    """See `Experiment`.
+    """See `Experiment`."""
 
-    Attributes:
-        source: of the simulator.
-    """
-
-    source: SimulatorSource
+    source: SimulatorSource  # of the simulator
 
     name = "simulator"
     kind = "simulator"
@@ -309,7 +265,7 @@ class SimulatorExperiment:
         del episode, topic
         return Claim.CERTAIN
 
-    def detect(self, episode: Episode, selection: Selection, preset: str) -> SimulatorDetection:
+    def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> SimulatorDetection:
         """Match the log's signals with the simulator's; see `Experiment.detect`."""
         del preset
         part = part_of(episode, selection.start_s, selection.end_s)
@@ -361,17 +317,12 @@ class SimulatorExperiment:
 # ---- Plan: how a log would drive a model and be compared with it, before tuning
 
 
-def print_plan(log: Path, options: Options) -> None:
-    """Print the plan, a line per signal and parameter.
-
-    Raises:
-        TuneNetError: The log cannot be read, or shows nothing of the model.
-    """
+def print_plan(log: Path, options: TuneOptions) -> None:
+    """Print the plan, a line per signal and parameter."""
     assert options.source is not None
-    selection = options.selection
     parameters = options.source.parameters
-    episode = trim_clock_jumps(read_episode(log, selection.reading))
-    connected = options.source.connect(part_of(episode, selection.start_s, selection.end_s))
+    episode = trim_clock_jumps(read_episode(log, options.reading))
+    connected = options.source.connect(part_of(episode, options.start_s, options.end_s))
     print(f"{log}: {connected.target.end_s:.2f} s of {options.source.name}")
     for words in connected.used:
         print(f"  {words}")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc, t
 
 from tunenet_logs.analysis.estimators.base import FitResult
+from tunenet_logs.analysis.estimators.damped import Damping, damped_step
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -24,12 +25,6 @@ from tunenet_logs.recorders.simulators.base import Parameter
 
 _MAX_SAMPLES = 20_000  # of one column; more are thinned, as neighbours then tell the same
 _MIN_SAMPLES = 20
-
-# Factor on the variance of white noise in third differences: 1 + 9 + 9 + 1.
-_SIXTH_DIFFERENCES = 20.0
-
-_MAD_TO_SD = 1.4826
-
 # Of a column's spread: one that changes more from sample to sample jumps, as a servo's efforts with
 # each command, or is noise.
 _JUMPY = 0.25
@@ -37,25 +32,15 @@ _JUMPY = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One column of one signal in the log.
+    """One column of one signal in the log."""
 
-    Attributes:
-        signal: Its signal's name.
-        name: Its own.
-        unit: Of its values.
-        seconds: Since the first stamp that is compared, shape (T,), increasing.
-        values: Shape (T,), finite.
-        noise: Standard deviation of what is faster than any motion.
-        spread: Standard deviation of its values.
-    """
-
-    signal: str
-    name: str
-    unit: str
-    seconds: Array
-    values: Array
-    noise: float
-    spread: float
+    signal: str  # its signal's name
+    name: str  # its own
+    unit: str  # of its values
+    seconds: Array  # since the first stamp that is compared, shape (T,), increasing
+    values: Array  # shape (T,), finite
+    noise: float  # standard deviation of what is faster than any motion
+    spread: float  # standard deviation of its values
 
     @property
     def label(self) -> str:
@@ -70,15 +55,10 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class ComparedColumns:
-    """All columns that a log and the rollouts share.
+    """All columns that a log and the rollouts share."""
 
-    Attributes:
-        start_ns: Stamp that seconds count from.
-        columns: At least one.
-    """
-
-    start_ns: int
-    columns: tuple[Column, ...]
+    start_ns: int  # stamp that seconds count from
+    columns: tuple[Column, ...]  # at least one
 
     @cached_property
     def end_s(self) -> float:
@@ -113,7 +93,10 @@ class ComparedColumns:
             if signal is None or column.name not in signal.columns:
                 found.append(np.full(len(column.seconds), np.nan))
                 continue
-            at_s = (signal.stamps_ns - _origin(signal.stamps_ns, self.start_ns)) * 1e-9
+            first, last = int(signal.stamps_ns[0]), int(signal.stamps_ns[-1])
+            at_s = (
+                signal.stamps_ns - (self.start_ns if first <= self.start_ns <= last else first)
+            ) * 1e-9
             track = signal.values[:, signal.columns.index(column.name)]
             found.append(np.interp(column.seconds, at_s, track, left=np.nan, right=np.nan))
         return np.concatenate(found)
@@ -128,18 +111,8 @@ class ComparedColumns:
         return np.sqrt(squares / np.maximum(counts, 1))
 
 
-def _origin(stamps_ns: NDArray[np.int64], start_ns: int) -> int:
-    """Return what a rollout's stamps count from: the log's start, or their own."""
-    first, last = int(stamps_ns[0]), int(stamps_ns[-1])
-    return start_ns if first <= start_ns <= last else first
-
-
 def compared(observed: Episode, rollout: Episode) -> ComparedColumns:
-    """Pair the columns that a log and a rollout of the simulator share.
-
-    Raises:
-        NotFoundError: There is none, or too few samples.
-    """
+    """Pair the columns that a log and a rollout of the simulator share."""
     shared: list[tuple[str, str]] = []
     for name, signal in rollout.signals.items():
         seen = observed.signals.get(name)
@@ -183,7 +156,8 @@ def noise_of(values: Array) -> float:
     if len(values) < 5:
         return 0.0
     differences = np.abs(np.diff(values, 3))
-    noise = _MAD_TO_SD * float(np.median(differences)) / np.sqrt(_SIXTH_DIFFERENCES)
+    # Third differences have 1 + 9 + 9 + 1 times the variance of white noise.
+    noise = 1.4826 * float(np.median(differences)) / np.sqrt(20.0)  # of the median
     steps = np.abs(np.diff(np.unique(values)))
     resolution = float(steps.min()) / np.sqrt(12.0) if len(steps) else 0.0
     return max(noise, resolution)
@@ -196,24 +170,16 @@ _NEAR = 0.5  # steps of the differences within which slopes are reused
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Finite differences about one place, each of P parameters moved alone.
+    """Finite differences about one place, each of P parameters moved alone."""
 
-    Attributes:
-        place: Values, shape (P,).
-        residuals: There, shape (M,).
-        moved: Step of each parameter to one side, shape (P,).
-        beside: Residuals there, shape (P, M).
-        back: Step to the other side, below 0 where `moved` is above; 0 at a bound; shape (P,). None
-            for one-sided differences.
-        behind: Residuals there, shape (P, M).
-    """
-
-    place: Array
-    residuals: Array
-    moved: Array
-    beside: Array
+    place: Array  # values, shape (P,)
+    residuals: Array  # there, shape (M,)
+    moved: Array  # step of each parameter to one side, shape (P,)
+    beside: Array  # residuals there, shape (P, M)
+    # step to the other side, below 0 where `moved` is above; 0 at a bound; shape (P,). None for
+    # one-sided differences.
     back: Array | None = None
-    behind: Array | None = None
+    behind: Array | None = None  # residuals there, shape (P, M)
 
     @property
     def is_central(self) -> bool:
@@ -242,11 +208,8 @@ class Differences:
     def lowest(self, cost: Callable[[Array, Array], float], least: float) -> Array | None:
         """Minimise the cost along one parameter by a parabola through three rollouts, shape (P,).
 
-        The most promising parabola counts. Slopes over a kink may point uphill where it does not.
-
-        Args:
-            cost: Of residuals, shape (M,), and values, shape (P,).
-            least: Decrease that a parabola must promise; None is returned if none does.
+        The most promising parabola counts; None if none lowers the cost of residuals (M,) and
+        values by `least`. Slopes over a kink may point uphill where it does not.
         """
         if self.back is None or self.behind is None:
             return None
@@ -279,16 +242,7 @@ def differences(
     *,
     is_central: bool,
 ) -> Differences:
-    """Roll out beside a place, all at once.
-
-    Args:
-        residuals_at: At values of shape (N, P), shape (N, M).
-        place: Shape (P,), within the bounds.
-        residuals: There, shape (M,).
-        steps: Above 0, shape (P,).
-        bounds: Lower and upper, shape (2, P); a step beyond goes the other way instead.
-        is_central: Whether to go to both sides, within the bounds.
-    """
+    """Roll out beside a place, all at once; `residuals_at` maps places (N, P) to (N, M)."""
     low, high = bounds
     moved = np.where(place + steps > high, -steps, steps)
     count = len(place)
@@ -305,52 +259,31 @@ def differences(
 
 # Rollouts at values of shape (N, P) -> what they show at the log's stamps, shape (N, M).
 Run = Callable[[Array], Array]
-
-_MAX_STEPS, _MAX_DAMPINGS = 25, 7
+_MAX_STEPS, _FIRST_DAMPING = 25, 1e-4
+_DAMPING = Damping(tries=7, raised_by=10, lowered_by=30, least=1e-7, raised_from=1e-3)
 # How often columns are weighed by what is left of them, and by how much that may still change.
 _WEIGHED, _SAME_NOISE = 3, 0.1
-
 _COARSE_SHARE, _JUMPY_FACTOR = 0.03, 5.0
 _MAX_STEP = 0.5  # of a parameter's range
-_STEP_FLAT = 1e-4  # precision of a parameter of which nothing is known, in its range
 # Of the finite differences, as a share of a parameter's range; the first of a prior is 0.2.
 _FIRST_DIFFERENCE, _MIN_DIFFERENCE, _MAX_DIFFERENCE = 3e-3, 1e-5, 2e-2
-
-# Once it is known, a step changes what is seen by this many noises, rms: contacts and dry friction
-# make rollouts rough where they are looked at more closely.
-_CHANGE = 0.5
-
-_WORTH = 2.0  # of the cost: what a parabola through it has to promise where no step helps
-_FOLLOWED = 4  # steps of all others where one parameter is moved
 # Standard deviations, and a change of the cost, below which a step is the last.
 _STILL, _NO_GAIN = 0.05, 0.05
-
-_LOST = 3.0  # spreads of a column that a sample counts as off where a rollout has diverged
 # Of a column, as a share of its spread: a simulator is never weighed as more exact than this.
 _MIN_NOISE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Least-squares solution.
+    """Least-squares solution."""
 
-    Attributes:
-        values: Of all parameters, shape (P,).
-        residuals: Simulated less observed, shape (M,).
-        slopes: Jacobian of the rollouts, shape (M, P).
-        noise: RMS residual of each column, shape (C,).
-        path: The values of each step, the start first.
-        chosen: Which of the M values it was fitted to.
-        bends: Second differences of the rollouts, by the parameters, shape (P, M).
-    """
-
-    values: Array
-    residuals: Array
-    slopes: Array
-    noise: Array
-    path: tuple[Array, ...]
-    chosen: NDArray[np.bool_]
-    bends: Array
+    values: Array  # of all parameters, shape (P,)
+    residuals: Array  # simulated less observed, shape (M,)
+    slopes: Array  # Jacobian of the rollouts, shape (M, P)
+    noise: Array  # RMS residual of each column, shape (C,)
+    path: tuple[Array, ...]  # the values of each step, the start first
+    chosen: NDArray[np.bool_]  # which of the M values it was fitted to
+    bends: Array  # second differences of the rollouts, by the parameters, shape (P, M)
 
 
 def ranges_of(parameters: Sequence[Parameter]) -> Array:
@@ -364,19 +297,12 @@ def ranges_of(parameters: Sequence[Parameter]) -> Array:
 
 @dataclass(eq=False)
 class RolloutLeastSquares:
-    """Least squares on one log.
+    """Least squares on one log."""
 
-    Attributes:
-        run: Makes rollouts.
-        target: Columns to compare with.
-        parameters: All that are fitted, P of them.
-        until_s: Later samples are left out; None for all.
-    """
-
-    run: Run
-    target: ComparedColumns
-    parameters: tuple[Parameter, ...]
-    until_s: float | None = None
+    run: Run  # makes rollouts
+    target: ComparedColumns  # columns to compare with
+    parameters: tuple[Parameter, ...]  # all that are fitted, P of them
+    until_s: float | None = None  # later samples are left out; None for all
 
     def __post_init__(self) -> None:
         self._scales = ranges_of(self.parameters)
@@ -398,16 +324,14 @@ class RolloutLeastSquares:
     def residuals(self, values: Array) -> Array:
         """Return simulated less observed, (N, M), at values of shape (N, P)."""
         off = self.run(values) - self.target.values
-        lost = self.target.per_value(_LOST * self._spread)
+        # Where a rollout has diverged, a sample counts as three spreads off.
+        lost = self.target.per_value(3.0 * self._spread)
         return np.where(np.isfinite(off), off, lost)
 
     def cost(self, residuals: Array, values: Array, noise: Array) -> float:
         """Return twice the negative log likelihood and prior, up to a constant.
 
-        Args:
-            residuals: Shape (M,).
-            values: They belong to, shape (P,).
-            noise: Of each column, shape (C,).
+        `values` (P,), `noise` (C,).
         """
         scaled = residuals / self.target.per_value(noise)
         fit = float(np.sum(scaled[self.chosen] ** 2))
@@ -430,22 +354,12 @@ class RolloutLeastSquares:
     def follow(
         self, solution: Solution, number: int, step: float, along: Array
     ) -> tuple[float, float]:
-        """Return the profile cost: one parameter a step off, all others refitted.
-
-        Args:
-            solution: Where to start.
-            number: Of the parameter.
-            step: How far it is off.
-            along: How the others follow, by its unit, shape (P,).
-
-        Returns:
-            The cost, and how far the parameter is off within its bounds.
-        """
+        """Return the profile cost: one parameter a step off, all others refitted: `along` (P,)."""
         values = np.clip(solution.values + step * along, *self._bounds)
         others = np.arange(len(values)) != number
         residuals = self.residuals(values[None])[0]
         least = self.cost(residuals, values, solution.noise)
-        for _ in range(_FOLLOWED):
+        for _ in range(4):  # steps of all others where one parameter is moved
             normal, slope = self._equations(values, residuals, solution.slopes, solution.noise)
             step_by = np.zeros(len(values))
             step_by[others] = -np.linalg.solve(normal[np.ix_(others, others)], slope[others])
@@ -504,43 +418,52 @@ class RolloutLeastSquares:
         is_central: bool = False,
     ) -> tuple[Array, Array]:
         """Descend with fixed noise of each column; append each step to the path."""
-        cost = self.cost(residuals, values, noise)
-        damping = 1e-4
+        cost, damping = self.cost(residuals, values, noise), _FIRST_DAMPING
         for _ in range(_MAX_STEPS):
             beside = self._differences(values, residuals, is_central=is_central)
             normal, slope = self._equations(values, residuals, beside.slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
+            still = _STILL * sd
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
-            self._steps = np.clip(_CHANGE / seen, self._least, self._most)
-            tried, off, new = values, residuals, cost
-            for tries in range(_MAX_DAMPINGS):
-                step = self._step(values, normal, slope, damping)
-                tried = np.clip(values + step, *self._bounds)
-                if np.all(np.abs(tried - values) < _STILL * sd):
-                    if not tries:
-                        return values, residuals
-                    break
-                off = self.residuals(tried[None])[0]
-                new = self.cost(off, tried, noise)
-                if new < cost:
-                    break
-                damping = max(damping, 1e-3) * 10
-            if new >= cost:  # slopes over a kink may point uphill
-                lowest = beside.lowest(partial(self.cost, noise=noise), _WORTH)
+            # Once it is known, a step changes what is seen by half the noise, rms: contacts and dry
+            # friction make rollouts rough where they are looked at more closely.
+            self._steps = np.clip(0.5 / seen, self._least, self._most)
+            tried = partial(self._stepped, values, (normal, slope), noise, still)
+            moved, new, after = damped_step(tried, cost, damping, _DAMPING)
+            if moved is None and after == damping:  # even the first step is too short
+                break
+            if moved is None:  # slopes over a kink may point uphill
+                # It has to promise that much of the cost.
+                lowest = beside.lowest(partial(self.cost, noise=noise), 2.0)
                 if lowest is None:
-                    return values, residuals
-                tried, damping = np.clip(lowest, *self._bounds), 1e-4
-                off = self.residuals(tried[None])[0]
-                new = self.cost(off, tried, noise)
+                    break
+                moved, new = self._seen_at(np.clip(lowest, *self._bounds), noise)
                 if new >= cost:
-                    return values, residuals
-            damping = max(damping / 30, 1e-7)
-            moved, gain = np.abs(tried - values), cost - new
-            values, residuals, cost = tried, off, new
+                    break
+                after = _DAMPING.lowered(_FIRST_DAMPING)
+            gain, is_short = cost - new, np.all(np.abs(moved[0] - values) < still)
+            (values, residuals), cost, damping = moved, new, after
             path.append(values)
-            if np.all(moved < _STILL * sd) or gain < _NO_GAIN:
+            if is_short or gain < _NO_GAIN:
                 break
         return values, residuals
+
+    def _stepped(
+        self,
+        values: Array,
+        equations: tuple[Array, Array],
+        noise: Array,
+        still: Array,
+        damping: float,
+    ) -> tuple[tuple[Array, Array], float] | None:
+        """Take a damped step within the bounds; None where it is shorter than `still`, (P,)."""
+        tried = np.clip(values + self._step(values, *equations, damping), *self._bounds)
+        return None if np.all(np.abs(tried - values) < still) else self._seen_at(tried, noise)
+
+    def _seen_at(self, values: Array, noise: Array) -> tuple[tuple[Array, Array], float]:
+        """Roll out at values, (P,): return them with their residuals, (M,), and their cost."""
+        residuals = self.residuals(values[None])[0]
+        return (values, residuals), self.cost(residuals, values, noise)
 
     def _differences(
         self, values: Array, residuals: Array, *, is_central: bool = False
@@ -575,7 +498,8 @@ class RolloutLeastSquares:
         scaled = slopes * self._scales
         precision = self._precision * self._scales**2
         normal = scaled.T @ (weights[:, None] * scaled)
-        normal[np.diag_indices_from(normal)] += precision + _STEP_FLAT
+        # Precision of a parameter of which nothing is known, in its range
+        normal[np.diag_indices_from(normal)] += precision + 1e-4
         slope = scaled.T @ (weights * residuals)
         return normal, slope + precision * (values - self._centres) / self._scales
 
@@ -593,8 +517,6 @@ class RolloutLeastSquares:
 # ---- Sandwich covariance: Newey-West (1987), with Andrews' bandwidth (1991)
 # Residuals of a simulator are autocorrelated: noise is filtered, and no model is exact.
 
-_MAX_BINS = 2000
-_MAX_SHARE = 0.2  # of the log, over which scores are taken to hang together at most
 # Precision of a parameter of which nothing is known, in its range: ten of these are one sd.
 _FLAT = 1e-2
 
@@ -613,31 +535,16 @@ def covariance(
         ]
     )
     bread = np.linalg.inv(slopes.T @ (weights[:, None] * slopes) + np.diag(precision))
-    scores = _by_moment(slopes * (weights * solution.residuals)[:, None], target)
-    span = _bandwidth(scores @ bread)
-    meat = scores.T @ scores
-    for lag in range(1, span + 1):
-        shared = scores[lag:].T @ scores[:-lag]
-        meat += (1 - lag / (span + 1)) * (shared + shared.T)
-    white = slopes.T @ (weights[:, None] * slopes)
-    found = bread @ (_at_least(meat, white) + np.diag(precision)) @ bread
-    independent = len(scores) / (1 + span)
-    found *= independent / max(independent - len(parameters), 1.0)
-    return found * np.outer(scales, scales), independent
-
-
-def _by_moment(scores: Array, target: ComparedColumns) -> Array:
-    """Sum scores over columns in bins of time, shape (K, P)."""
+    # Sum scores over columns in bins of time, shape (K, P).
+    scores = slopes * (weights * solution.residuals)[:, None]
     longest = max(len(column.values) for column in target.columns)
-    count = min(longest, _MAX_BINS)
+    count = min(longest, 2000)  # bins of time
     place = np.minimum((target.seconds / max(target.end_s, 1e-9) * count).astype(int), count - 1)
     sums = np.zeros((count, scores.shape[1]))
     np.add.at(sums, place, scores)
-    return sums
-
-
-def _bandwidth(influences: Array) -> int:
-    """Return Andrews' bandwidth by an AR(1) model of each parameter's scores."""
+    scores = sums
+    # Andrews' bandwidth by an AR(1) model of each parameter's scores.
+    influences = scores @ bread
     count = len(influences)
     before, after = influences[:-1], influences[1:]
     power = np.sum(before**2, axis=0)
@@ -645,86 +552,61 @@ def _bandwidth(influences: Array) -> int:
     share = np.clip(share, 0.0, 0.97)
     alpha = 4 * share**2 / ((1 - share) ** 2 * (1 + share) ** 2)
     span = 1.1447 * (float(alpha.max(initial=0.0)) * count) ** (1 / 3)
-    return int(np.clip(span, 1, _MAX_SHARE * count))
-
-
-def _at_least(meat: Array, white: Array) -> Array:
-    """Raise the meat so that it is nowhere below that of white noise.
-
-    Anticorrelation by chance must not narrow an interval.
-    """
+    # Scores are taken to hang together over a fifth of the log at most.
+    span = int(np.clip(span, 1, 0.2 * count))
+    meat = scores.T @ scores
+    for lag in range(1, span + 1):
+        shared = scores[lag:].T @ scores[:-lag]
+        meat += (1 - lag / (span + 1)) * (shared + shared.T)
+    white = slopes.T @ (weights[:, None] * slopes)
+    # Raise the meat so that it is nowhere below that of white noise.
     factor = np.linalg.cholesky(white + (1e-9 * np.trace(white) + 1e-30) * np.eye(len(white)))
     inner = np.linalg.solve(factor, np.linalg.solve(factor, meat).T)
     sizes, axes = np.linalg.eigh((inner + inner.T) / 2)
     kept = axes @ np.diag(np.maximum(sizes, 1.0)) @ axes.T
-    return factor @ kept @ factor.T
+    found = bread @ ((factor @ kept @ factor.T) + np.diag(precision)) @ bread
+    independent = len(scores) / (1 + span)
+    found *= independent / max(independent - len(parameters), 1.0)
+    return found * np.outer(scales, scales), independent
 
 
 # ---- Fit of all parameters, its hold-out, and how sure each is
 
 _GOOD = 1.5  # times a column's noise: a solution that leaves less is not looked for elsewhere
-_CLOSE_SHARE = 0.01  # of a column's spread, likewise, where the noise is less than that
 _SCREENED, _RESTARTS = 24, 2
-_HELD_OUT_FROM = 0.6  # of the log: a second fit to what is before is judged by what comes after
-# Times less sure than if all others were known: from there on it is seen with them alone.
-_TOGETHER = 40.0
-
 # Of the cost, twice a log likelihood: two standard deviations; how a walk goes on until then.
 _CONTRADICTS, _WALK_FACTOR, _MAX_WALKS = 4.0, 3.0, 8
-
-_SECOND_DIFFERENCES = 6.0  # factor on the variance of white noise in them: 1 + 4 + 1
 # Of a parameter's range: where 95 % reach further than this to each side, the log cannot tell.
 _UNTOLD_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Hold-out: prediction of the part of the log that was not fitted.
+    """Hold-out: prediction of the part of the log that was not fitted."""
 
-    Attributes:
-        from_s: Where that part begins.
-        simulated: Of a fit to what is before, shape (M,).
-        rms: Residual in that part, by column, shape (C,).
-        before: Residual there of the simulator as given, shape (C,).
-    """
-
-    from_s: float
-    simulated: Array
-    rms: Array
-    before: Array
+    from_s: float  # where that part begins
+    simulated: Array  # of a fit to what is before, shape (M,)
+    rms: Array  # residual in that part, by column, shape (C,)
+    before: Array  # residual there of the simulator as given, shape (C,)
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatorFit:
-    """Result of a fit, for checks and reviews.
+    """Result of a fit, for checks and reviews."""
 
-    Attributes:
-        target: What was compared.
-        parameters: All P that were fitted, those of the initial state, too.
-        tuned: How many of them, the first, are the user's.
-        solution: Where the steps ended.
-        simulated: What it shows at the log's stamps, shape (M,).
-        first: What the simulator showed as given, shape (M,).
-        sd: Standard deviation of each value, shape (P,), the time step's part included.
-        half95: Half the 95 % interval of each value, shape (P,), bounds ignored.
-        step_shift: Shift of each by half the time step, shape (P,); None if there is no other step.
-        held_out: None if the log is too short.
-        correlation: Of all values, shape (P, P).
-        inflation: Ratio of each sd to that with all others known, shape (P,).
-    """
-
-    target: ComparedColumns
-    parameters: tuple[Parameter, ...]
-    tuned: int
-    solution: Solution
-    simulated: Array
-    first: Array
-    sd: Array
-    half95: Array
+    target: ComparedColumns  # what was compared
+    parameters: tuple[Parameter, ...]  # all P that were fitted, those of the initial state, too
+    tuned: int  # how many of them, the first, are the user's
+    solution: Solution  # where the steps ended
+    simulated: Array  # what it shows at the log's stamps, shape (M,)
+    first: Array  # what the simulator showed as given, shape (M,)
+    sd: Array  # standard deviation of each value, shape (P,), the time step's part included
+    half95: Array  # half the 95 % interval of each value, shape (P,), bounds ignored
+    # shift of each by half the time step, shape (P,); None if there is no other step
     step_shift: Array | None
-    held_out: HeldOut | None
-    correlation: Array
-    inflation: Array
+    held_out: HeldOut | None  # None if the log is too short
+    correlation: Array  # of all values, shape (P, P)
+    inflation: Array  # ratio of each sd to that with all others known, shape (P,)
 
     @property
     def unidentifiable(self) -> tuple[Parameter, ...]:
@@ -735,7 +617,8 @@ class SimulatorFit:
         own, half95 = slice(self.tuned), self.half95[: self.tuned]
         wide = half95 > _UNTOLD_SHARE * ranges_of(self.parameters)[own]
         values = np.abs(self.solution.values[own])
-        wide |= (self.inflation[own] > _TOGETHER) & (half95 > _UNTOLD_SHARE * values)
+        # Times less sure than if all others were known: from there on it is seen with them alone
+        wide |= (self.inflation[own] > 40.0) & (half95 > _UNTOLD_SHARE * values)
         return tuple(one for one, is_wide in zip(self.parameters, wide, strict=False) if is_wide)
 
 
@@ -747,18 +630,10 @@ def fit_simulator(
     start: Array,
     unresolved: Array | None = None,
 ) -> FitResult:
-    """Fit all parameters to a log.
+    """Fit all parameters to a log, the user's from `start`, shape (T,).
 
-    Args:
-        run: Makes rollouts.
-        finer: Makes them with half the time step; None if there is none.
-        target: Columns to compare with.
-        parameters: P of them; those with a prior belong to the initial state.
-        start: Of those that are tuned, shape (T,), the first of the P.
-        unresolved: Uncertainty due to the time step, shape (P,); None for nothing.
-
-    Returns:
-        Of the T tuned ones; its detail is a `SimulatorFit`.
+    `finer` makes rollouts with half the time step; `unresolved` is what the step leaves unsure of
+    each parameter, one standard deviation, shape (P,).
     """
     tuned = len(start)
     steps = RolloutLeastSquares(run, target, parameters)
@@ -777,7 +652,8 @@ def fit_simulator(
         moved = np.where(np.isfinite(moved), moved, 0.0)
         shift = np.abs(_moved_by(moved, solution, target, parameters))
     rough = [_moved_by(bend, solution, target, parameters) for bend in solution.bends]
-    wide = np.hypot(sd, np.sqrt(np.mean(np.square(rough), axis=0) / _SECOND_DIFFERENCES))
+    # Factor on the variance of white noise in them: 1 + 4 + 1
+    wide = np.hypot(sd, np.sqrt(np.mean(np.square(rough), axis=0) / 6.0))
     if shift is not None:
         wide = np.hypot(wide, shift)
     if unresolved is not None:  # the others follow what the step leaves unsure of one
@@ -835,8 +711,9 @@ def _is_good(solution: Solution, target: ComparedColumns) -> bool:
     """Return whether every informative column is met about as well as its noise allows."""
     left = target.rms(solution.residuals, solution.chosen)
     every = all(column.is_jumpy for column in target.columns)
+    # Where the noise is less than a hundredth of a column's spread, that counts.
     return all(
-        rms <= max(_GOOD * column.noise, _CLOSE_SHARE * column.spread)
+        rms <= max(_GOOD * column.noise, 0.01 * column.spread)
         for rms, column in zip(left, target.columns, strict=True)
         if every or not column.is_jumpy
     )
@@ -882,7 +759,8 @@ def _held_out(
     solution: Solution,
     first: Array,
 ) -> HeldOut | None:
-    from_s = _HELD_OUT_FROM * target.end_s
+    # A second fit to the first 60 % of the log is judged by what comes after.
+    from_s = 0.6 * target.end_s
     later = target.seconds > from_s
     if min(np.bincount(target.which[later], minlength=len(target.columns))) < 2:
         return None

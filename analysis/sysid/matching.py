@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, Literal
 
@@ -33,10 +33,8 @@ from tunenet_logs.terminal import listed, short_name
 
 # In a topic's name: what somebody wants, not what is.
 _COMMANDS = re.compile(r"command|cmd|target|desired|reference|setpoint|goal|trajectory", re.I)
-
 # In the last part of a topic's name: what is, whatever the parts before it say.
 _STATES = re.compile(r"state|measured|actual|feedback", re.I)
-
 _QUANTITIES = ("position", "velocity", "effort")
 _PARTS = (*_QUANTITIES, "orientation", "force", "torque")  # how the signals of one topic end
 
@@ -92,24 +90,14 @@ def _plain_last(name: str) -> str:
 
 # ---- Orientations to compare: those that the model begins with, too
 
-# Between a body's orientation in the log and in the model, at the start: a tracker has axes of its
-# own, which nobody may have turned as the model's.
-_NEAR_DEG = 20.0
-
 
 @dataclass(frozen=True, eq=False)
 class Turned:
-    """Orientation in a log.
+    """Orientation in a log."""
 
-    Attributes:
-        sensed: The body's x and z axes.
-        words: Description of its use.
-        is_sure: Whether the user states that its axes are the body's.
-    """
-
-    sensed: SensedSignal
-    words: str
-    is_sure: bool
+    sensed: SensedSignal  # the body's x and z axes
+    words: str  # description of its use
+    is_sure: bool  # whether the user states that its axes are the body's
 
     @property
     def body(self) -> str:
@@ -122,33 +110,6 @@ class Turned:
         return self.sensed.sensors[0].reference
 
 
-def orients_start(model: Any, turned: Sequence[Turned]) -> list[SensedSignal]:
-    """List orientations of freely moving bodies, from which a rollout starts."""
-    return [one.sensed for one in turned if free_joint(model, one.body) is not None]
-
-
-def why_not(model: Any, qpos: Array, turned: Turned) -> str:
-    """Say why an orientation is not compared; "" if it is.
-
-    Args:
-        model: Compiled.
-        qpos: Its coordinates at the start, shape (nq,).
-        turned: The log's.
-    """
-    values = turned.sensed.signal.values
-    first = rotations(values[np.isfinite(values).all(axis=1)][:1])[0]
-    own = rotation_in(model, qpos, turned.body, turned.reference)
-    cosine = (np.trace(first.T @ own) - 1) / 2
-    degrees = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-    if turned.is_sure or degrees <= _NEAR_DEG:
-        return ""
-    name, body = turned.sensed.signal.name, short_name(turned.body)
-    return (
-        f"turned by {degrees:.0f} degrees from body/{body} at the start; where its axes are that "
-        f"body's, say --map {short_name(name)}=body/{body}"
-    )
-
-
 def rotations(axes: Array) -> Array:
     """Build rotation matrices, shape (T, 3, 3), from their x and z axes, shape (T, 6)."""
     x, z = axes[:, :3], axes[:, 3:]
@@ -159,7 +120,6 @@ def rotations(axes: Array) -> Array:
 
 # Frames that are taken for the model's world without a word.
 _WORLDS = ("world", "map", "odom", "mocap")
-
 _AXES: tuple[Kind, Kind] = ("framexaxis", "framezaxis")
 
 
@@ -171,20 +131,7 @@ def is_orientation(signal: Signal) -> bool:
 def sensed_pose(
     signal: Signal, told: str, bodies: Sequence[str]
 ) -> tuple[SensedSignal | None, str]:
-    """Match a position or an orientation with a model.
-
-    Args:
-        signal: Of the log.
-        told: Body that the user names; "" if none.
-        bodies: The model's, the world first.
-
-    Returns:
-        The matched signal (of an orientation the body's x and z axes), and its use in words; or
-        None, and why.
-
-    Raises:
-        UsageError: The user names a body for a signal that is neither.
-    """
+    """Match a position or an orientation with a model."""
     is_turn = is_orientation(signal)
     if not is_turn and (signal.columns != ("x", "y", "z") or signal.unit != "m"):
         raise UsageError(
@@ -200,40 +147,30 @@ def sensed_pose(
     reference = named_as(signal.frame, bodies[1:]) or ""
     if reference == body:
         return None, f"is in {short_name(body)}'s own frame"
-    words = f" from {short_name(reference)}" if reference else _taken_for_world(signal.frame)
+    words = f" from {short_name(reference)}" if reference else ""
+    if not reference and signal.frame.rpartition("/")[2].lower() not in ("", *_WORLDS):
+        words = f", frame {short_name(signal.frame)} taken for the world"
     if is_turn:
-        return _axes(signal, body, reference), f"orientation of {short_name(body)}{words}"
+        # Convert quaternions to a body's x and z axes, which have no sign ambiguity.
+        columns = tuple(f"{one} axis {each}" for one in "xz" for each in "xyz")
+        sensors = tuple(Sensor(kind, body, axis, reference) for kind in _AXES for axis in range(3))
+        # The x and z axes, shape (T, 6), of quaternions x, y, z, w, shape (T, 4).
+        x, y, z, w = (signal.values / np.linalg.norm(signal.values, axis=1, keepdims=True)).T
+        axes = np.column_stack(
+            [
+                1 - 2 * (y * y + z * z),
+                2 * (x * y + z * w),
+                2 * (x * z - y * w),
+                2 * (x * z + y * w),
+                2 * (y * z - x * w),
+                1 - 2 * (x * x + y * y),
+            ]
+        )
+        return SensedSignal(
+            replace(signal, values=axes, columns=columns), columns, sensors
+        ), f"orientation of {short_name(body)}{words}"
     sensors = tuple(Sensor("framepos", body, axis, reference) for axis in range(3))
     return SensedSignal(signal, signal.columns, sensors), f"position of {short_name(body)}{words}"
-
-
-def _taken_for_world(frame: str) -> str:
-    """Describe a frame that the model does not know; "" if there is none."""
-    plain = frame.rpartition("/")[2].lower()
-    return "" if plain in ("", *_WORLDS) else f", frame {short_name(frame)} taken for the world"
-
-
-def _axes(signal: Signal, body: str, reference: str) -> SensedSignal:
-    """Convert quaternions to a body's x and z axes, which have no sign ambiguity."""
-    columns = tuple(f"{one} axis {each}" for one in "xz" for each in "xyz")
-    sensors = tuple(Sensor(kind, body, axis, reference) for kind in _AXES for axis in range(3))
-    axes = _axes_of(signal.values)
-    return SensedSignal(replace(signal, values=axes, columns=columns), columns, sensors)
-
-
-def _axes_of(quaternions: Array) -> Array:
-    """Return the x and z axes, shape (T, 6), of quaternions x, y, z, w, shape (T, 4)."""
-    x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
-    return np.column_stack(
-        [
-            1 - 2 * (y * y + z * z),
-            2 * (x * y + z * w),
-            2 * (x * z - y * w),
-            2 * (x * z + y * w),
-            2 * (y * z - x * w),
-            1 - 2 * (x * x + y * y),
-        ]
-    )
 
 
 # ---- The user's `--map`, checked against the log and the model
@@ -246,11 +183,7 @@ _FEW = 6
 def check_told(
     told: Mapping[str, str], signals: Mapping[str, Signal], names: Mapping[str, Sequence[str]]
 ) -> None:
-    """Check that each key of `--map` is in the log and each target in the model.
-
-    Raises:
-        UsageError: One is not.
-    """
+    """Check that each key of `--map` is in the log and each target in the model."""
     topics = set(map(topic_of, signals))
     known = {*signals, *topics}
     for name, signal in signals.items():
@@ -289,11 +222,6 @@ _KINDS: dict[str, Kind] = {"N": "force", "N·m": "torque"}
 # In a sensor's name: a model has one for each of the two.
 _QUANTITY = re.compile(r"(?:(?<![_\W])[_\W]++)?(force|torque)[_\W]*")
 
-_FIRST_NS = 100_000_000  # of a log, by which a sign is judged
-_OPPOSED = -0.9  # cosine between what is seen and what is simulated
-# Of the simulated force: a smaller one in the log, as of a tared sensor, shows no sign.
-_MIN_SHARE = 0.2
-
 
 def is_wrench(signal: Signal) -> bool:
     """Return whether a signal is a 3D force or torque."""
@@ -301,19 +229,7 @@ def is_wrench(signal: Signal) -> bool:
 
 
 def sensed_wrench(signal: Signal, told: str, model: Any) -> tuple[SensedSignal | None, str]:
-    """Match a force or torque with a compiled model.
-
-    Args:
-        signal: Of the log.
-        told: The user's `site/NAME` or `body/NAME`, with a `-` for the other sign; "" if none.
-        model: Compiled.
-
-    Returns:
-        The matched signal, and its use in words; or None, and why not.
-
-    Raises:
-        UsageError: The user names a site for a signal that is no force.
-    """
+    """Match a force or torque with a compiled model."""
     if not is_wrench(signal):
         raise UsageError(
             f"--map {short_name(signal.name)}={short_name(told)}: is no force in N or torque in "
@@ -346,29 +262,22 @@ def _place(signal: Signal, model: Any) -> tuple[bool, str]:
     words = [*filter(None, [signal.frame]), *words_of(topic_of(signal.name))]
     sites = [name for name in element_names(model, "site") if name]
     bodies = [name for name in element_names(model, "body")[1:] if name]
-    sensors = _sites_by_sensor(model)
+    # The site of each force sensor, by its name with and without `force` in it.
+    kinds = mujoco().mjtSensor
+    wanted = (int(kinds.mjSENS_FORCE), int(kinds.mjSENS_TORQUE))
+    sensors: dict[str, str] = {}
+    for number in np.flatnonzero(np.isin(model.sensor_type, wanted)).tolist():
+        name = model.sensor(number).name
+        site = model.site(int(model.sensor_objid[number])).name
+        if name and site:
+            sensors[name] = site
+            if plain := _QUANTITY.sub("", name):
+                sensors.setdefault(plain, site)
     for is_body, names in ((False, list(sensors)), (False, sites), (True, bodies)):
         for word in words:
             if found := named_as(word, names):
                 return is_body, sensors.get(found, found)
     return False, ""
-
-
-def _sites_by_sensor(model: Any) -> dict[str, str]:
-    """Map the name of each force sensor, with and without `force` in it, to its site."""
-    kinds = mujoco().mjtSensor
-    wanted = (int(kinds.mjSENS_FORCE), int(kinds.mjSENS_TORQUE))
-    found: dict[str, str] = {}
-    for number in range(model.nsensor):
-        if int(model.sensor_type[number]) not in wanted:
-            continue
-        name = model.sensor(number).name
-        site = model.site(int(model.sensor_objid[number])).name
-        if name and site:
-            found |= {name: site}
-            if plain := _QUANTITY.sub("", name):
-                found.setdefault(plain, site)
-    return found
 
 
 def doubts(sensed: Sequence[SensedSignal], rollout: Episode) -> tuple[str, ...]:
@@ -390,13 +299,16 @@ def doubts(sensed: Sequence[SensedSignal], rollout: Episode) -> tuple[str, ...]:
 def _is_opposed(observed: Signal, rolled: Signal) -> bool:
     seen, simulated = _beginning(observed), _beginning(rolled)
     sizes = float(np.linalg.norm(seen)), float(np.linalg.norm(simulated))
-    is_seen = sizes[0] > _MIN_SHARE * sizes[1] > 0
-    return is_seen and float(seen @ simulated) < _OPPOSED * sizes[0] * sizes[1]
+    # A force under a fifth of the simulated one, as of a tared sensor, shows no sign.
+    is_seen = sizes[0] > 0.2 * sizes[1] > 0
+    # They are opposed by the cosine between them.
+    return is_seen and float(seen @ simulated) < -0.9 * sizes[0] * sizes[1]
 
 
 def _beginning(signal: Signal) -> Array:
     """Return the mean of a signal's first samples, shape (C,); 0 if it has none."""
-    first = signal.values[signal.stamps_ns <= signal.stamps_ns[0] + _FIRST_NS]
+    # The first tenth of a second
+    first = signal.values[signal.stamps_ns <= signal.stamps_ns[0] + 100_000_000]
     good = first[np.isfinite(first).all(axis=1)]
     return good.mean(axis=0) if len(good) else np.zeros(signal.values.shape[1])
 
@@ -404,7 +316,6 @@ def _beginning(signal: Signal) -> Array:
 # ---- A whole episode: states, commands, poses and wrenches
 
 _JointKind = Literal["jointpos", "jointvel", "jointactuatorfrc"]
-
 _BY_QUANTITY: Mapping[str, _JointKind] = {
     "position": "jointpos",
     "velocity": "jointvel",
@@ -413,90 +324,79 @@ _BY_QUANTITY: Mapping[str, _JointKind] = {
 _UNITS: Mapping[str, str] = {"rad/s": "velocity", "m/s": "velocity", "N·m": "effort", "N": "effort"}
 # Units of what a user says is a joint, where its name does not tell the quantity.
 _PLACES = ("rad", "m", "1")
-
 _TARGETS = ("joint", "actuator", "body", "site")
 _MANY_SIDED = (0, 1)  # kinds of joints, free and ball, whose position is no number
 _TURN_RAD, _TURN_SLACK_RAD = 2 * np.pi, 0.05
-_FASTER = 2.0  # than it is elsewhere, that a joint may be where its angle is cut to one turn
 
 
-@dataclass(eq=False)
 class Match:
-    """Match of a log with a model.
+    """Match of an episode's signals with a compiled model, by `--map` or by name."""
 
-    Attributes:
-        sensed: Signals to compare.
-        drives: Signals that drive the model.
-        used: Each signal that is used, and its use, in words.
-        unused: Each that is not, and why.
-        turned: Orientations, which are compared if the model begins with them.
-        joined: Joint angles that were unwrapped, in words.
-    """
-
-    sensed: list[SensedSignal] = field(default_factory=list)
-    drives: list[Drive] = field(default_factory=list)
-    used: list[str] = field(default_factory=list)
-    unused: list[str] = field(default_factory=list)
-    turned: list[Turned] = field(default_factory=list)
-    joined: list[str] = field(default_factory=list)
-
-    def choose_turned(self, model: Any, qpos: Array) -> None:
-        """Compare those of `turned` that the model begins with, too, at `qpos`, shape (nq,)."""
-        for one in self.turned:
-            name = one.sensed.signal.name
-            if why := why_not(model, qpos, one):
-                self.unused.append(f"{name}: {why}")
-            else:
-                self.sensed.append(one.sensed)
-                self.used.append(f"{name}: compared with {one.words}")
-
-
-def matched(episode: Episode, model: Any, told: Mapping[str, str]) -> Match:
-    """Match an episode's signals with a compiled model.
-
-    Args:
-        episode: The log.
-        model: Compiled.
-        told: The user's mapping where names differ: signal, topic or SIGNAL.COLUMN ->
-            `joint/NAME`, `actuator/NAME`, `body/NAME`, `site/NAME`, `commands`, `states` or `-`;
-            `-site/` and `-body/` for a wrench of the other sign.
-
-    Raises:
-        NotFoundError: Nothing of the log is in the model; the message names both sides.
-        UsageError: An entry of `told` is not in the log or not in the model.
-    """
-    return _Matching(episode, model, told).match()
-
-
-class _Matching:
     def __init__(self, episode: Episode, model: Any, told: Mapping[str, str]) -> None:
+        self.sensed: list[SensedSignal] = []  # signals to compare
+        self.drives: list[Drive] = []  # signals that drive the model
+        self.used: list[str] = []  # each signal that is used, and its use, in words
+        self.unused: list[str] = []  # each that is not, and why
+        self.turned: list[Turned] = []  # orientations, compared if the model begins with them
+        self.joined: list[str] = []  # joint angles that were unwrapped, in words
         self._episode, self._model, self._told = episode, model, told
         self._names = {kind: element_names(model, kind) for kind in _TARGETS}
-        self._found = Match()
         self._by_column: dict[tuple[str, str], list[str | None]] = {}
         check_told(told, episode.signals, self._names)
-
-    def match(self) -> Match:
         states: list[Signal] = []
         for name, signal in self._episode.signals.items():
             role = self._role(name, signal)
             if role == IGNORE:
-                self._found.unused.append(f"{name}: left out by --map")
+                self.unused.append(f"{name}: left out by --map")
             elif role == "commands":
                 self._command(signal)
             elif role == "states":
                 states.append(signal)
-            elif role == "pose":
-                self._pose(signal)
-            elif role == "wrench":
-                self._wrench(signal)
+            elif role in ("pose", "wrench"):
+                mapped = self._told_signal(signal)
+                if role == "wrench":
+                    sensed, words = sensed_wrench(signal, mapped, model)
+                else:
+                    bodies = self._names["body"]
+                    sensed, words = sensed_pose(signal, mapped.removeprefix("body/"), bodies)
+                if sensed is None:
+                    self.unused.append(f"{name}: {words}")
+                elif role == "pose" and is_orientation(signal):
+                    self.turned.append(Turned(sensed, words, is_sure=name in told))
+                else:
+                    self._sense(sensed, words)
             else:
-                self._found.unused.append(f"{name}: neither joints, commands, pose nor wrench")
+                self.unused.append(f"{name}: neither joints, commands, pose nor wrench")
         for signal in states:
             self._state(signal)
-        if not self._found.sensed:
+        if not self.sensed:
             self._refuse()
-        return self._found
+
+    def starts(self) -> list[SensedSignal]:
+        """List what a rollout starts from: orientations of freely moving bodies, too."""
+        free = [one for one in self.turned if free_joint(self._model, one.body) is not None]
+        return [*self.sensed, *(one.sensed for one in free)]
+
+    def choose_turned(self, qpos: Array) -> None:
+        """Compare the orientations that the model begins with, too, at `qpos`, shape (nq,).
+
+        A tracker has axes of its own, which nobody may have turned as the model's.
+        """
+        for one in self.turned:
+            signal = one.sensed.signal
+            first = rotations(signal.values[np.isfinite(signal.values).all(axis=1)][:1])[0]
+            own = rotation_in(self._model, qpos, one.body, one.reference)
+            cosine = (np.trace(first.T @ own) - 1) / 2
+            degrees = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+            if one.is_sure or degrees <= 20.0:
+                self.sensed.append(one.sensed)
+                self.used.append(f"{signal.name}: compared with {one.words}")
+                continue
+            body = short_name(one.body)
+            self.unused.append(
+                f"{signal.name}: turned by {degrees:.0f} degrees from body/{body} at the start; "
+                f"where its axes are that body's, say --map {short_name(signal.name)}=body/{body}"
+            )
 
     def _role(self, name: str, signal: Signal) -> str:
         """Return a signal's role: "states", "commands", "pose", "wrench", "-" or ""."""
@@ -516,9 +416,10 @@ class _Matching:
         return "wrench" if is_wrench(signal) else ""
 
     def _state(self, signal: Signal) -> None:
-        kind = _BY_QUANTITY.get(_quantity(signal))
+        by_unit = "position" if signal.unit in _PLACES else _UNITS.get(signal.unit, "")
+        kind = _BY_QUANTITY.get(quantity_of(signal.name) or by_unit)
         if kind is None:
-            self._found.unused.append(f"{signal.name}: [{signal.unit}] is nothing of joints")
+            self.unused.append(f"{signal.name}: [{signal.unit}] is nothing of joints")
             return
         columns: list[tuple[int, str, str]] = []
         reasons: dict[str, list[str]] = {}
@@ -531,11 +432,28 @@ class _Matching:
                 assert joint is not None
                 columns.append((place, column, joint))
         for why, names in reasons.items():
-            self._found.unused.append(f"{signal.name}: {listed(names, _FEW)}: {why}")
+            self.unused.append(f"{signal.name}: {listed(names, _FEW)}: {why}")
         if not columns:
             return
         if kind == "jointactuatorfrc":
-            self._efforts(signal, columns)
+            # Compare measured efforts with those of driven actuators; the others drive.
+            targets = {int(one) for drive in self.drives for one in drive.targets}
+            driven = {self._joint_of(target) for target in targets}
+            joints = [self._names["joint"].index(joint) for _, _, joint in columns]
+            seen = [one for one, joint in zip(columns, joints, strict=True) if joint in driven]
+            if seen:
+                sensors = tuple(Sensor("jointactuatorfrc", joint) for _, _, joint in seen)
+                self._sense(SensedSignal(signal, tuple(column for _, column, _ in seen), sensors))
+            rest = [
+                (place, int(self._model.jnt_dofadr[joint]))
+                for (place, _, _), joint in zip(columns, joints, strict=True)
+                if joint not in driven and np.nanmax(np.abs(signal.values[:, place])) > 0
+            ]
+            if rest:
+                places, dofs = np.array(rest).T
+                self.drives.append(Drive(signal, places, dofs, is_effort=True))
+                names = [signal.columns[place] for place in places]
+                self.used.append(f"{signal.name}: drives joints {listed(names, _FEW)}")
             return
         sensors = tuple(Sensor(kind, joint) for _, _, joint in columns)
         names = tuple(column for _, column, _ in columns)
@@ -557,7 +475,7 @@ class _Matching:
                     cut.append(column)
         if not cut:
             return signal
-        self._found.joined.append(f"{signal.name}: {listed(cut, _FEW)}: cut to one turn: joined")
+        self.joined.append(f"{signal.name}: {listed(cut, _FEW)}: cut to one turn: joined")
         return replace(signal, values=values)
 
     def _why_not(self, signal: Signal, place: int, joint: str | None) -> str:
@@ -572,29 +490,9 @@ class _Matching:
         few = np.isfinite(signal.values[:, place]).sum() < 2
         return "fewer than two samples" if few else ""
 
-    def _efforts(self, signal: Signal, columns: list[tuple[int, str, str]]) -> None:
-        """Compare measured efforts with those of driven actuators; the others drive."""
-        targets = {int(one) for drive in self._found.drives for one in drive.targets}
-        driven = {self._joint_of(target) for target in targets}
-        joints = [self._names["joint"].index(joint) for _, _, joint in columns]
-        seen = [one for one, joint in zip(columns, joints, strict=True) if joint in driven]
-        if seen:
-            sensors = tuple(Sensor("jointactuatorfrc", joint) for _, _, joint in seen)
-            self._sense(SensedSignal(signal, tuple(column for _, column, _ in seen), sensors))
-        rest = [
-            (place, int(self._model.jnt_dofadr[joint]))
-            for (place, _, _), joint in zip(columns, joints, strict=True)
-            if joint not in driven and np.nanmax(np.abs(signal.values[:, place])) > 0
-        ]
-        if rest:
-            places, dofs = np.array(rest).T
-            self._found.drives.append(Drive(signal, places, dofs, is_effort=True))
-            names = [signal.columns[place] for place in places]
-            self._found.used.append(f"{signal.name}: drives joints {listed(names, _FEW)}")
-
     def _command(self, signal: Signal) -> None:
         quantity = quantity_of(signal.name)
-        taken = {int(one) for drive in self._found.drives for one in drive.targets}
+        taken = {int(one) for drive in self.drives for one in drive.targets}
         pairs: list[tuple[int, int]] = []
         again: list[str] = []
         for place, column in enumerate(signal.columns):
@@ -608,7 +506,7 @@ class _Matching:
             pairs.append((place, actuator))
         if again:
             why = "another signal commands its actuator; leave one out with --map SIGNAL=-"
-            self._found.unused.append(f"{signal.name}: {listed(again, _FEW)}: {why}")
+            self.unused.append(f"{signal.name}: {listed(again, _FEW)}: {why}")
         if not pairs and again:
             return
         if not pairs:
@@ -620,12 +518,12 @@ class _Matching:
                 _FEW,
             )
             why = f"no actuator of the model takes it (there is: {wanted or 'none'})"
-            self._found.unused.append(f"{signal.name}: {why}")
+            self.unused.append(f"{signal.name}: {why}")
             return
         columns, targets = np.array(pairs).T
-        self._found.drives.append(Drive(signal, columns, targets, is_effort=False))
+        self.drives.append(Drive(signal, columns, targets, is_effort=False))
         names = [self._names["actuator"][target] or str(target) for target in targets]
-        self._found.used.append(f"{signal.name}: commands actuators {listed(names, _FEW)}")
+        self.used.append(f"{signal.name}: commands actuators {listed(names, _FEW)}")
 
     def _actuator(self, signal: Signal, column: str, quantity: str) -> int | None:
         """Find the actuator of a column: by its name, its joint's, or its number."""
@@ -663,32 +561,14 @@ class _Matching:
             return "position"
         return "velocity" if on_speed else "effort"
 
-    def _pose(self, signal: Signal) -> None:
-        told = self._told_signal(signal).removeprefix("body/")
-        sensed, words = sensed_pose(signal, told, self._names["body"])
-        if sensed is None:
-            self._found.unused.append(f"{signal.name}: {words}")
-        elif is_orientation(signal):
-            turned = Turned(sensed, words, is_sure=signal.name in self._told)
-            self._found.turned.append(turned)
-        else:
-            self._sense(sensed, words)
-
-    def _wrench(self, signal: Signal) -> None:
-        sensed, words = sensed_wrench(signal, self._told_signal(signal), self._model)
-        if sensed is None:
-            self._found.unused.append(f"{signal.name}: {words}")
-        else:
-            self._sense(sensed, words)
-
     def _told_signal(self, signal: Signal) -> str:
         """Return the user's mapping of a signal, or of its topic; "" if none."""
         return self._told.get(signal.name) or self._told.get(topic_of(signal.name), "")
 
     def _sense(self, sensed: SensedSignal, what: str = "") -> None:
-        self._found.sensed.append(sensed)
+        self.sensed.append(sensed)
         what = what or f"{listed([one.name for one in sensed.sensors], _FEW)}"
-        self._found.used.append(f"{sensed.signal.name}: compared with {what}")
+        self.used.append(f"{sensed.signal.name}: compared with {what}")
 
     def _told_of(self, signal: Signal, column: str) -> str:
         """Return the user's mapping of a column, or of its one-column signal; "" if none."""
@@ -739,21 +619,12 @@ def joined_turns(stamps_ns: NDArray[np.int64], angles: Array) -> Array | None:
     """Unwrap angles that were wrapped to one turn, such as at ±π; None if they were not.
 
     They were if all lie within one turn, some jump by most of one, and the joint, unwrapped there,
-    is mostly as fast as elsewhere: glitches and steps are faster.
-
-    Args:
-        stamps_ns: Shape (T,), increasing.
-        angles: Finite, shape (T,) [rad].
+    is mostly as fast as elsewhere: glitches and steps are faster. `angles` (T,) [rad].
     """
     is_cut = np.abs(np.diff(angles)) > _TURN_RAD / 2
     if not is_cut.any() or is_cut.all() or np.ptp(angles) > _TURN_RAD + _TURN_SLACK_RAD:
         return None
     whole = np.unwrap(angles)
     speeds = np.abs(np.diff(whole)) / np.diff(stamps_ns)
-    return whole if np.median(speeds[is_cut]) <= _FASTER * speeds[~is_cut].max() else None
-
-
-def _quantity(signal: Signal) -> str:
-    """Return which joint quantity a signal is, by its name or its unit; "" if it is none."""
-    by_unit = "position" if signal.unit in _PLACES else _UNITS.get(signal.unit, "")
-    return quantity_of(signal.name) or by_unit
+    # Where its angle is cut to one turn, a joint may be twice as fast as elsewhere.
+    return whole if np.median(speeds[is_cut]) <= 2.0 * speeds[~is_cut].max() else None

@@ -19,33 +19,8 @@ import rerun.blueprint as rrb
 
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.presentation import markdown_table, quantity, said_names
-from tunenet_logs.analysis.review.drawing import (
-    FITTED,
-    GROUND,
-    ITERATION,
-    KEY_SHARES,
-    LOG_TIME,
-    MUTED,
-    OBSERVED,
-    WIDTH,
-    Color,
-    Iterates,
-    at_seconds,
-    by_iteration,
-    chart_view,
-    eye_controls,
-    iterates_view,
-    log_grid,
-    log_iterates,
-    log_key,
-    ramp,
-    screen_radius,
-    send_scalars,
-    span_of,
-    ticked,
-    ticks,
-)
-from tunenet_logs.analysis.sysid.fit import Column, HeldOut, SimulatorFit
+from tunenet_logs.analysis.review import drawing as draw
+from tunenet_logs.analysis.sysid.fit import HeldOut, SimulatorFit
 from tunenet_logs.analysis.sysid.source import SimulatorDetection
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.base import Parameter
@@ -62,116 +37,57 @@ from tunenet_logs.terminal import one_line, short_name
 
 # ---- Curves over the log's time: observed under simulated ones, and vertical lines
 
-_BROAD = 3.2  # width of what was observed [points]: it is seen beside a line that lies upon it
-# What an upright line lasts: a plot has no such thing as an instant with two values.
-_INSTANT_S = 1e-6
-
-
-def log_lines(
-    stream: rr.RecordingStream,
-    entity: str,
-    seconds: Array,
-    values: Array,
-    style: Sequence[tuple[str, Color, float]],
-) -> None:
-    """Log several curves as one entity.
-
-    Args:
-        stream: Of the review.
-        entity: Of the curves.
-        seconds: Shape (T,).
-        values: Shape (T, C).
-        style: Name, colour and width [points] of each.
-    """
-    names, colors, widths = zip(*style, strict=True)
-    lines = rr.SeriesLines(colors=colors, names=names, widths=widths, aggregation_policy="Off")
-    stream.log(entity, lines, static=True)
-    send_scalars(stream, entity, seconds, values)
-
 
 def log_observed(stream: rr.RecordingStream, entity: str, seconds: Array, values: Array) -> None:
     """Log observations as a broad line, lowest as plots draw entities by name."""
-    style: list[tuple[str, Color, float]] = [("observed", OBSERVED, _BROAD)]
-    log_lines(stream, f"{entity}/as_observed", seconds, values[:, None], style)
+    # Width of what was observed [points]: it is seen beside a line that lies upon it
+    style: list[tuple[str, draw.Color, float]] = [("observed", draw.OBSERVED, 3.2)]
+    draw.log_lines(stream, f"{entity}/as_observed", seconds, values[:, None], style)
 
 
 def log_upright(
     stream: rr.RecordingStream, entity: str, second: float, span: tuple[float, float]
 ) -> None:
     """Log a vertical line across a plot that shows `span`."""
-    values = np.array(ticked(*span))[:, None]
-    log_lines(stream, entity, second + np.array([0.0, _INSTANT_S]), values, [("", MUTED, 1.0)])
-
-
-def plot(entity: str, title: str, span: tuple[float, float]) -> rrb.View:
-    """Build a plot of an entity's curves whose axis shows `span` and has ticks."""
-    return rrb.TimeSeriesView(
-        origin=f"/{entity}",
-        name=title,
-        axis_y=rrb.ScalarAxis(range=ticked(*span)),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
+    values = np.array(draw.ticked(*span))[:, None]
+    # It lasts a microsecond: a plot has no such thing as an instant with two values.
+    draw.log_lines(stream, entity, second + np.array([0.0, 1e-6]), values, [("", draw.MUTED, 1.0)])
 
 
 # ---- Data that the review draws: columns over the log's time
 
 MAIN = 4  # columns of the first tab: as many have axes with ticks; the others have a tab
-_MAX_COLUMNS = 16  # that are drawn, those that vary most: more would be too small to read
 # Of one curve: more can neither be told apart nor be loaded soon.
-_MAX_CURVE_HZ, _MAX_SAMPLES = 120.0, 3000
-
-_MAX_LINES = 8  # iterations over the log's time; all of them can be scrubbed
-_MAX_NAME = 34  # of a column, in letters: a title's room in a laptop's view
-_BOLD, _FINE = 1.6, 0.8  # widths of the result's curve and of earlier iterations' [points]
 _MIN_NOISE = 1e-9  # of a column, as a share of its spread
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """One iteration, and how it is drawn.
+    """One iteration, and how it is drawn."""
 
-    Attributes:
-        name: "k=3", "refined".
-        color: Of its line.
-        width: Of its line [points].
-        values: Of the tuned parameters, shape (P,).
-        started: All parameters by name as simulated, those of the initial state, too.
-    """
-
-    name: str
-    color: Color
-    width: float
-    values: Array
+    name: str  # "k=3", "refined"
+    color: draw.Color  # of its line
+    width: float  # of its line [points]
+    values: Array  # of the tuned parameters, shape (P,)
+    # all parameters by name as simulated, those of the initial state, too
     started: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class ShownColumn:
-    """One column of the log with those of all iterations.
+    """One column of the log with those of all iterations."""
 
-    Attributes:
-        name: Short, without unit.
-        unit: Of its values.
-        noise: Standard deviation.
-        seconds: Since the log's first sample, shape (T,).
-        observed: Shape (T,).
-        simulated: Of each iteration, shape (T, K); NaN where it shows nothing.
-        fitted: Of a fit to the first part of the log, shape (T,); None if there is none.
-        given: Of the simulator as given, likewise.
-        rms: Residual of each iteration, shape (K,).
-        held_out_rms: Hold-out residual of the fit to the first part, and of the simulator as
-            given; None if there is none.
-    """
-
-    name: str
-    unit: str
-    noise: float
-    seconds: Array
-    observed: Array
-    simulated: Array
-    fitted: Array | None
-    given: Array | None
-    rms: Array
+    name: str  # short, without unit
+    unit: str  # of its values
+    noise: float  # standard deviation
+    seconds: Array  # since the log's first sample, shape (T,)
+    observed: Array  # shape (T,)
+    simulated: Array  # of each iteration, shape (T, K); NaN where it shows nothing
+    fitted: Array | None  # of a fit to the first part of the log, shape (T,); None if there is none
+    given: Array | None  # of the simulator as given, likewise
+    rms: Array  # residual of each iteration, shape (K,)
+    # hold-out residual of the fit to the first part, and of the simulator as given; None if there
+    # is none
     held_out_rms: tuple[float, float] | None
 
     def title(self, what: str = "") -> str:
@@ -190,27 +106,16 @@ class ShownColumn:
 
 @dataclass(frozen=True, eq=False)
 class SimulatorReviewData:
-    """Data of one tuning's review, but for the scene.
+    """Data of one tuning's review, but for the scene."""
 
-    Attributes:
-        columns: Those that vary most, relative to their noise, first.
-        left_out: How many more there are.
-        iterates: The last is the result.
-        drawn: Indices of the iterates that are drawn over the log's time.
-        parameters: That were tuned, P of them.
-        interval95: Of the result, shape (P, 2); None if no valid one exists.
-        held_out_s: Start of the hold-out; None if there is none.
-        first_s: First stamp [s since the log's first sample].
-    """
-
-    columns: tuple[ShownColumn, ...]
-    left_out: int
-    iterates: tuple[Iterate, ...]
-    drawn: tuple[int, ...]
-    parameters: tuple[Parameter, ...]
-    interval95: Array | None
-    held_out_s: float | None
-    first_s: float
+    columns: tuple[ShownColumn, ...]  # those that vary most, relative to their noise, first
+    left_out: int  # how many more there are
+    iterates: tuple[Iterate, ...]  # the last is the result
+    drawn: tuple[int, ...]  # indices of the iterates that are drawn over the log's time
+    parameters: tuple[Parameter, ...]  # that were tuned, P of them
+    interval95: Array | None  # of the result, shape (P, 2); None if no valid one exists
+    held_out_s: float | None  # start of the hold-out; None if there is none
+    first_s: float  # first stamp [s since the log's first sample]
 
     @property
     def main(self) -> tuple[ShownColumn, ...]:
@@ -240,8 +145,8 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
         iterates.append(
             Iterate(
                 "refined" if is_last and fit is not None else f"k={k}",
-                ramp(k, count) if count > 1 else ramp(1, 2),
-                _BOLD if is_last else _FINE,
+                draw.ramp(k, count) if count > 1 else draw.ramp(1, 2),
+                draw.BOLD if is_last else draw.FINE,
                 np.asarray(step.values, dtype=np.float64),
                 dict(step.evaluation.episode.info.truth),
             )
@@ -249,10 +154,20 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
     varying = [
         -one.spread / max(one.noise, _MIN_NOISE * one.spread, 1e-300) for one in target.columns
     ]
-    order = np.argsort(varying, kind="stable")[:_MAX_COLUMNS]
-    names = _names(target.columns)
+    # Those that vary most are drawn: more would be too small to read.
+    order = np.argsort(varying, kind="stable")[:16]
+    # Shorten names to "position elbow"; longer if two are equal.
+    short = [f"{_last(one.signal)} {one.name}" for one in target.columns]
+    counts = Counter(short)
+    chosen = [
+        name if counts[name] == 1 else one.label
+        for name, one in zip(short, target.columns, strict=True)
+    ]
+    # In letters: a title's room in a laptop's view
+    names = [short_name(name, 34) for name in chosen]
     columns = [_shown(number, names[number], found, seen, fit, held) for number in order.tolist()]
-    lines = np.unique(np.linspace(0, count - 1, min(count, _MAX_LINES)).round().astype(int))
+    # A few are drawn over the log's time; all of them can be scrubbed.
+    lines = np.unique(np.linspace(0, count - 1, min(count, 8)).round().astype(int))
     interval = tuning.interval95
     return SimulatorReviewData(
         tuple(columns),
@@ -276,7 +191,7 @@ def _shown(
 ) -> ShownColumn:
     target = found.connected.target
     column = target.columns[number]
-    every = _every(column.seconds)
+    every = draw.drawn_every(column.seconds)
     kept = np.flatnonzero(target.which == number)[::every]
     off = seen[target.which == number] - column.values[:, None]
     counts = np.maximum(np.isfinite(off).sum(axis=0), 1)
@@ -294,26 +209,6 @@ def _shown(
     )
 
 
-def _every(seconds: Array) -> int:
-    """Return the decimation of samples for drawing."""
-    gap_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
-    return max(
-        round(1 / (gap_s * _MAX_CURVE_HZ)) if gap_s > 0 else 1,
-        -(-len(seconds) // _MAX_SAMPLES),
-        1,
-    )
-
-
-def _names(columns: tuple[Column, ...]) -> list[str]:
-    """Shorten names to "position elbow"; longer if two are equal."""
-    short = [f"{_last(one.signal)} {one.name}" for one in columns]
-    counts = Counter(short)
-    chosen = [
-        name if counts[name] == 1 else one.label for name, one in zip(short, columns, strict=True)
-    ]
-    return [short_name(name, _MAX_NAME) for name in chosen]
-
-
 def _last(signal: str) -> str:
     """Return the joint quantity, else the end of a topic: "tool/pose" of /robot/tool/pose."""
     topic, _, quantity = signal.rpartition(".")
@@ -322,7 +217,10 @@ def _last(signal: str) -> str:
 
 # ---- Hold-out views: prediction of a log's end by a fit to its beginning
 
-_GIVEN, _PREDICTED = ramp(1, 6), ramp(5, 6)  # cold, as the first iteration, and warm, as the result
+_GIVEN, _PREDICTED = (
+    draw.ramp(1, 6),
+    draw.ramp(5, 6),
+)  # cold, as the first iteration, and warm, as the result
 _ONE_COLUMN = 3
 
 
@@ -330,21 +228,33 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
     """Log the hold-out predictions of the main columns, and their errors in words."""
     assert data.held_out_s is not None
     views = [_log_column(stream, data, number) for number in range(len(data.main))]
-    entries: list[tuple[str, list[Color]]] = [
-        ("observed", [OBSERVED]),
+    entries: list[tuple[str, list[draw.Color]]] = [
+        ("observed", [draw.OBSERVED]),
         ("simulator as given", [_GIVEN]),
-        ("fit to the first part", [FITTED]),
+        ("fit to the first part", [draw.FITTED]),
         ("what it predicts", [_PREDICTED]),
     ]
-    key = log_key(stream, entries, "held_out_key")
-    words = rr.TextDocument(_held_out_words(data), media_type="text/markdown")
-    stream.log("held_out_words", words, static=True)
+    key = draw.log_key(stream, entries, "held_out_key")
+    # Describe the hold-out errors, column by column.
+    rows = [
+        (column.title(), *(f"{number:.3g}" for number in (*column.held_out_rms, column.noise)))
+        for column in data.columns
+        if column.held_out_rms is not None
+    ]
+    head = ("rms", "predicted", "as given", "noise")
+    words = [
+        f"# from {data.held_out_s:.2f} s on",
+        "The simulator was fitted a second time, to what is before; what comes after, it has not "
+        "seen.",
+        markdown_table(head, rows),
+    ]
+    draw.log_words(stream, "held_out_words", "\n\n".join(words))
     charts = rrb.Grid(*views, grid_columns=2 if len(views) > _ONE_COLUMN else 1)
     return rrb.Horizontal(
-        rrb.Vertical(key, charts, row_shares=KEY_SHARES),
+        rrb.Vertical(key, charts, row_shares=draw.KEY_SHARES),
         rrb.TextDocumentView(origin="/held_out_words", name="prediction"),
         column_shares=[3, 1.6],
-        name=f"held-out prediction (timeline {LOG_TIME})",
+        name=f"held-out prediction (timeline {draw.LOG_TIME})",
     )
 
 
@@ -357,48 +267,28 @@ def _log_column(stream: rr.RecordingStream, data: SimulatorReviewData, number: i
     span = column.shown(column.fitted)
     for name, values, color, width in (
         ("given", column.given, _GIVEN, 0.8),
-        ("fitted", np.where(later, np.nan, column.fitted), FITTED, 1.6),
+        ("fitted", np.where(later, np.nan, column.fitted), draw.FITTED, 1.6),
         ("predicted", np.where(later, column.fitted, np.nan), _PREDICTED, 1.6),
     ):
         good = np.isfinite(values)
         if good.any():
-            style: list[tuple[str, Color, float]] = [(name, color, width)]
-            log_lines(stream, f"{entity}/{name}", column.seconds[good], values[good, None], style)
+            style: list[tuple[str, draw.Color, float]] = [(name, color, width)]
+            draw.log_lines(
+                stream, f"{entity}/{name}", column.seconds[good], values[good, None], style
+            )
     log_observed(stream, entity, column.seconds, column.observed)
     log_upright(stream, f"{entity}/begins", data.held_out_s, span)
-    return plot(entity, column.title(f"predicted from {data.held_out_s:.2f} s"), span)
-
-
-def _held_out_words(data: SimulatorReviewData) -> str:
-    """Describe the hold-out errors, column by column."""
-    rows = [_row(column) for column in data.columns if column.held_out_rms is not None]
-    head = ("rms", "predicted", "as given", "noise")
-    return "\n\n".join(
-        [
-            f"# from {data.held_out_s:.2f} s on",
-            "The simulator was fitted a second time, to what is before; what comes after, it has "
-            "not seen.",
-            markdown_table(head, rows),
-        ]
-    )
-
-
-def _row(column: ShownColumn) -> tuple[str, ...]:
-    assert column.held_out_rms is not None
-    numbers = (*column.held_out_rms, column.noise)
-    return (column.title(), *(f"{number:.3g}" for number in numbers))
+    return draw.plot_view(entity, column.title(f"predicted from {data.held_out_s:.2f} s"), span)
 
 
 # ---- Shapes of a model's bodies, each in its body's frame
-
-_HALF = 128  # opacity of what is not solid
 
 
 def log_shapes(
     stream: rr.RecordingStream,
     entity: str,
     shapes: Sequence[Shape],
-    color: Color,
+    color: draw.Color,
     *,
     is_solid: bool,
 ) -> None:
@@ -406,7 +296,7 @@ def log_shapes(
     by_kind: dict[str, list[Shape]] = defaultdict(list)
     for shape in shapes:
         by_kind["box" if shape.kind == "plane" else shape.kind].append(shape)
-    rgba = (*color, 255 if is_solid else _HALF)
+    rgba = (*color, 255 if is_solid else 128)  # opacity of what is not solid
     for kind, some in by_kind.items():
         if kind == "mesh":
             for number, shape in enumerate(some):
@@ -459,10 +349,9 @@ def _xyzw(rotation: Array) -> Array:
 
 # ---- 3D scene of the model as observed, and as simulated after tuning
 
-_FIXED: Color = (92, 98, 114)
-_FLOOR: Color = (40, 43, 52)  # greys: what does not move
+_FIXED: draw.Color = (92, 98, 114)
+_FLOOR: draw.Color = (40, 43, 52)  # greys: what does not move
 _MAX_HZ, _MAX_MOMENTS = 30.0, 3000  # poses that are sent: a screen shows few more
-_MAX_POSES = 300_000  # of all bodies together
 _ASIDE_RAD = 0.5  # of the camera, from the front of what moves
 _LEVEL = 0.3  # a normal less horizontal than this: it is seen from the front
 _THIN = 0.002  # half the thickness of a plane, of the scene's size
@@ -470,23 +359,14 @@ _MARGIN = 0.08  # around what moves, of its size
 # How far around what was observed the simulated model is still looked at, of its size.
 _BEYOND = 0.3
 
-_LOOKS = 60  # moments that a camera is placed by
-_FLOOR_REACH = 0.8  # half the side of a plane without an end, of the scene's size
-
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Motion of all B bodies.
+    """Motion of all B bodies."""
 
-    Attributes:
-        seconds: Since the log's first sample, shape (T,).
-        positions_m: Shape (T, B, 3).
-        rotations: Shape (T, B, 3, 3).
-    """
-
-    seconds: Array
-    positions_m: Array
-    rotations: Array
+    seconds: Array  # since the log's first sample, shape (T,)
+    positions_m: Array  # shape (T, B, 3)
+    rotations: Array  # shape (T, B, 3, 3)
 
 
 def log_scene(
@@ -502,7 +382,11 @@ def log_scene(
     row = np.array([result.started.get(one.name, one.initial) for one in simulator.parameters])
     seconds, qpos = simulator.coordinates(row)
     start_ns = simulator.initial.stamp_ns
-    moments = _moments(float(seconds[-1]), scene.model.nbody)
+    # The stamps of the poses, shape (T,) [s].
+    end_s = float(seconds[-1])
+    # All bodies have 300 000 poses together at most.
+    most = min(_MAX_MOMENTS, max(300_000 // max(scene.model.nbody, 1), 2))
+    moments = np.linspace(0.0, end_s, int(np.clip(math.ceil(end_s * _MAX_HZ) + 1, 2, most)))
     # The last pose before each moment: rotations cannot be mixed number by number.
     qpos = qpos[np.clip(np.searchsorted(seconds, moments, "right") - 1, 0, None)]
     at_s = moments + found.offset_s + (start_ns - found.connected.target.start_ns) * 1e-9
@@ -521,29 +405,19 @@ def log_scene(
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _log_fixed(stream, scene, simulated, corners, size_m)
     if observed is not None:
-        _log_motion(stream, "observed", scene, observed, OBSERVED, is_solid=True)
+        _log_motion(stream, "observed", scene, observed, draw.OBSERVED, is_solid=True)
     _log_motion(stream, "simulated", scene, simulated, result.color, is_solid=False)
     _log_points(stream, sensed, moments, start_ns, at_s)
+    rest = "" if is_whole else ", the rest as simulated"
+    title = f"white: as observed{rest}; warm: the tuned model"
+    title = "the tuned model, dots: as observed" if observed is None else title
     return rrb.Spatial3DView(
         origin="/scene",
-        name=_title(observed is not None, is_whole),
-        background=GROUND,
+        name=title,
+        background=draw.GROUND,
         line_grid=False,
-        eye_controls=eye_controls(corners, _azimuth_rad(corners), _MARGIN * size_m),
+        eye_controls=draw.eye_controls(corners, _azimuth_rad(corners), _MARGIN * size_m),
     )
-
-
-def _title(is_observed: bool, is_whole: bool) -> str:
-    if not is_observed:
-        return "the tuned model, dots: as observed"
-    rest = "" if is_whole else ", the rest as simulated"
-    return f"white: as observed{rest}; warm: the tuned model"
-
-
-def _moments(end_s: float, bodies: int) -> Array:
-    """Return the stamps of the poses, shape (T,) [s]."""
-    most = min(_MAX_MOMENTS, max(_MAX_POSES // max(bodies, 1), 2))
-    return np.linspace(0.0, end_s, int(np.clip(math.ceil(end_s * _MAX_HZ) + 1, 2, most)))
 
 
 def _observed(
@@ -551,15 +425,7 @@ def _observed(
 ) -> tuple[Array | None, bool]:
     """Return coordinates as observed, or as simulated where the log does not show them.
 
-    Args:
-        model: Compiled.
-        sensed: What the log shows.
-        moments: Since `start_ns`, shape (T,) [s].
-        start_ns: Of the rollout.
-        simulated: Shape (T, nq).
-
-    Returns:
-        Shape (T, nq); None if the log shows no coordinate. And whether it shows all.
+    `moments` (T,) [s].
     """
     qpos = simulated.copy()
     shown = np.zeros(model.nq, dtype=bool)
@@ -593,7 +459,8 @@ def _track(sensed: SensedSignal, column: str, moments: Array, start_ns: int) -> 
 def _corners(scene: ModelScene, motion: _Motion) -> Array:
     """Return bounding points of all shapes but planes, at some stamps, shape (P, 3)."""
     signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
-    some = np.unique(np.linspace(0, len(motion.seconds) - 1, _LOOKS).round().astype(int))
+    # Moments that a camera is placed by
+    some = np.unique(np.linspace(0, len(motion.seconds) - 1, 60).round().astype(int))
     found: list[Array] = []
     for shape in scene.shapes:
         if shape.kind == "plane":
@@ -641,7 +508,7 @@ def _log_fixed(
 
 def _slab(plane: Shape, middle_m: Array, size_m: float) -> Shape:
     """Convert a plane to a thin box just below it; an infinite one is put under the scene."""
-    reach = _FLOOR_REACH * size_m
+    reach = 0.8 * size_m  # half the side of a plane without an end, of the scene's size
     has_end = plane.size_m[:2] > 0
     half = np.where(has_end, np.minimum(plane.size_m[:2], 4 * reach), reach)
     off = plane.rotation.T @ (middle_m - plane.position_m)
@@ -657,7 +524,7 @@ def _log_motion(
     name: str,
     scene: ModelScene,
     motion: _Motion,
-    color: Color,
+    color: draw.Color,
     *,
     is_solid: bool,
 ) -> None:
@@ -665,7 +532,7 @@ def _log_motion(
     by_body: dict[int, list[Shape]] = defaultdict(list)
     for shape in scene.shapes:
         by_body[shape.body].append(shape)
-    index = at_seconds(motion.seconds)
+    index = draw.at_seconds(motion.seconds)
     for body in scene.moving:
         if body not in by_body:
             continue
@@ -694,92 +561,60 @@ def _log_points(
         known = [track for track in tracks if track is not None]
         if len(known) == 3:
             entity = f"scene/points/{number}"
-            style = rr.Points3D.from_fields(colors=[OBSERVED], radii=screen_radius(4.0))
+            style = rr.Points3D.from_fields(colors=[draw.OBSERVED], radii=draw.screen_radius(4.0))
             stream.log(entity, style, static=True)
             columns = rr.Points3D.columns(positions=np.column_stack(known))
-            stream.send_columns(entity, indexes=[at_seconds(at_s)], columns=columns)
+            stream.send_columns(entity, indexes=[draw.at_seconds(at_s)], columns=columns)
 
 
 # ---- Views of one iteration at a time: its curves over the observed ones, and its values
 
-_MAX_PARAMETERS = 6  # that have a chart: more would be too small to read; the table has all
 # Charts that lie one over the other; more take two columns, so wide in their heights.
 _STACKED, _NARROW = 3, 1.4
-
 _MAX_ROWS = 20  # of tables
 _ROOM = 0.05  # above and below the curves of a sheet, of what they span
-_GUESS_BEYOND = 0.5  # how far guesses widen a chart, of what was observed; they are cut there
-# What a number takes up across, in heights of a chart: the smaller this is, the more.
-_STACKED_FIGURE, _SMALL_FIGURE = 1.0, 1.4
-
 _MIN_SHARE = 0.02  # of a parameter's range: less is drawn as still
 
 
 def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Container:
     """Log the views of one iteration, and each parameter by iteration."""
-    width = WIDTH if len(data.main) <= _STACKED else _NARROW
+    width = draw.WIDTH if len(data.main) <= _STACKED else _NARROW
     sheets: list[rrb.View] = []
     for number, column in enumerate(data.main):
-        _log_sheet(stream, data, f"signal_{number}", column, width)
-        sheets.append(chart_view(f"signal_{number}", column.title(), width))
+        # An iteration's curve over the observed one; guesses are cut where they would widen the
+        # chart by more than half of what was observed.
+        low, high = column.shown(column.simulated[:, -1])
+        beyond = 0.5 * (high - low)
+        guessed = np.clip(column.simulated, low - beyond, high + beyond)
+        low, high = column.shown(guessed.ravel())
+        reach = (high - low) * (1 + 2 * _ROOM)
+        bottom = (low + high - reach) / 2
+        draw.log_sheet(
+            stream,
+            f"sheets/signal_{number}",
+            column.seconds,
+            column.observed,
+            guessed,
+            [one.color for one in data.iterates],
+            (bottom, bottom + reach),
+            width=width,
+            first_s=data.first_s,
+        )
+        sheets.append(draw.chart_view(f"signal_{number}", column.title(), width))
+    # More charts would be too small to read; the table has all.
     charts = [
-        _log_parameter(stream, data, number)
-        for number in range(min(len(data.parameters), _MAX_PARAMETERS))
+        _log_parameter(stream, data, number) for number in range(min(len(data.parameters), 6))
     ]
-    stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
-    for index, chosen in by_iteration(len(data.iterates), data.first_s):
-        words = rr.TextDocument.columns(text=[_iteration_words(data, k) for k in chosen])
-        stream.send_columns("step", indexes=[index], columns=words)
-    step = rrb.TextDocumentView(origin="/step", name="iteration")
+    words = [_iteration_words(data, k) for k in range(len(data.iterates))]
+    step = draw.log_steps(stream, words, data.first_s)
     is_narrow = len(charts) <= _STACKED
     return rrb.Horizontal(
         rrb.Grid(*sheets, grid_columns=1 if len(sheets) <= _STACKED else 2),
         rrb.Grid(*charts, grid_columns=1 if is_narrow else 2),
         step,
         column_shares=[4.6, 3.2, 3.2] if is_narrow else [4.0, 4.2, 3.0],
-        name=f"scrub (timeline {ITERATION})",
+        name=f"scrub (timeline {draw.ITERATION})",
     )
-
-
-def _log_sheet(
-    stream: rr.RecordingStream,
-    data: SimulatorReviewData,
-    name: str,
-    column: ShownColumn,
-    width: float,
-) -> None:
-    """Log an iteration's curve over the observed one, which stays."""
-    sheet = f"sheets/{name}"
-    low, high = column.shown(column.simulated[:, -1])
-    beyond = _GUESS_BEYOND * (high - low)
-    guessed = np.clip(column.simulated, low - beyond, high + beyond)
-    low, high = column.shown(guessed.ravel())
-    reach = (high - low) * (1 + 2 * _ROOM)
-    bottom = (low + high - reach) / 2
-    start_s = float(column.seconds[0])
-    width_s = max(float(column.seconds[-1]) - start_s, 1e-9)
-    x = (column.seconds - start_s) / width_s * width
-
-    def points(values: Array) -> Array:
-        good = np.isfinite(values)
-        return np.column_stack([x, -(values - bottom) / reach])[good]
-
-    rows = [(-(value - bottom) / reach, f"{value:g}") for value in ticks(bottom, bottom + reach, 3)]
-    marks = [
-        ((second - start_s) / width_s * width, f"{second:g} s")
-        for second in ticks(start_s, start_s + width_s, 5 if width == WIDTH else 3)
-    ]
-    log_grid(stream, sheet, width, rows, marks)
-    dots = rr.Points2D(points(column.observed), colors=[OBSERVED], radii=screen_radius(1.2))
-    stream.log(f"{sheet}/observed", dots, static=True)
-    style = rr.LineStrips2D.from_fields(radii=screen_radius(1.4), draw_order=40.0)
-    stream.log(f"{sheet}/simulated", style, static=True)
-    for index, chosen in by_iteration(len(data.iterates), data.first_s):
-        strips = rr.LineStrips2D.columns(
-            strips=[points(guessed[:, k]) for k in chosen],
-            colors=[data.iterates[k].color for k in chosen],
-        )
-        stream.send_columns(f"{sheet}/simulated", indexes=[index], columns=strips)
 
 
 def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
@@ -792,13 +627,14 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
         interval = (float(data.interval95[number, 0]), float(data.interval95[number, 1]))
     low, high = parameter.training_range
     least = _MIN_SHARE * max(high - low, 1e-9)
-    iterates = Iterates(
+    # A number takes up more heights of a chart across, the smaller the chart is.
+    iterates = draw.Iterates(
         parameter=parameter.name,
         unit=parameter.unit,
         names=tuple(one.name for one in data.iterates),
         values=tuple(values),
         colors=tuple(one.color for one in data.iterates),
-        span=span_of([*values, *(interval or ())], least),
+        span=draw.span_of([*values, *(interval or ())], least),
         interval95=interval,
         chart=f"parameter_{number}",
         title=quantity(
@@ -806,10 +642,10 @@ def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number
             parameter.unit if is_narrow else "1",
         ),
         figures=".4g",
-        figure_width=_STACKED_FIGURE if is_narrow else _SMALL_FIGURE,
+        figure_width=1.0 if is_narrow else 1.4,
     )
-    log_iterates(stream, iterates, data.first_s)
-    return iterates_view(iterates)
+    draw.log_iterates(stream, iterates, data.first_s)
+    return draw.iterates_view(iterates)
 
 
 def _iteration_words(data: SimulatorReviewData, k: int) -> str:
@@ -833,8 +669,6 @@ def _iteration_words(data: SimulatorReviewData, k: int) -> str:
 
 # ---- Plots of curves and residuals, and the layout of all
 
-# Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond.
-_TYPICAL_QUANTILE, _HEADROOM = 0.98, 1.3
 
 _BAND = 2.0  # standard deviations of the noise that are drawn around no residual
 
@@ -842,25 +676,35 @@ _BAND = 2.0  # standard deviations of the noise that are drawn around no residua
 def log_simulator(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     """Log all views of a simulator's review, and return their layout."""
     data = simulator_review_data(tuning)
-    curves = [_log_curves(stream, data, number) for number in range(len(data.columns))]
-    residuals = [_log_residuals(stream, data, number) for number in range(len(data.columns))]
+    curves, residuals = _log_plots(stream, data)
     main, others = curves[: len(data.main)], curves[len(data.main) :]
-    overlay = rrb.Vertical(_log_key(stream, data), _grid(main), row_shares=KEY_SHARES)
+    entries: list[tuple[str, list[draw.Color]]] = [("observed", [draw.OBSERVED]), _iterations(data)]
+    if data.held_out_s is not None:
+        entries.append((f"{data.held_out_s:.2f} s: held out", [draw.MUTED]))
+    overlay = rrb.Vertical(
+        draw.log_key(stream, entries),
+        rrb.Grid(*main, grid_columns=2 if len(main) > _ONE_COLUMN else 1),
+        row_shares=draw.KEY_SHARES,
+    )
     scene = log_scene(stream, tuning, data)
     parts: list[rrb.View | rrb.Container] = [] if scene is None else [scene]
     parts += [overlay, rrb.TextDocumentView(origin="/result", name="result")]
     shares = [6.0, 4.6] if scene is None else [4.2, 5.2, 4.8]
     tabs: list[rrb.Container] = [
-        rrb.Horizontal(*parts, column_shares=shares, name=f"overlay (timeline {LOG_TIME})")
+        rrb.Horizontal(*parts, column_shares=shares, name=f"overlay (timeline {draw.LOG_TIME})")
     ]
     if others:
         more = f", {data.left_out} more are not drawn" if data.left_out else ""
-        name = f"other signals{more} (timeline {LOG_TIME})"
+        name = f"other signals{more} (timeline {draw.LOG_TIME})"
         tabs.append(rrb.Grid(*others, grid_columns=_across(len(others)), name=name))
-    left_view = log_key(stream, _residual_entries(data), "residual_key")
+    left_view = draw.log_key(
+        stream,
+        [_iterations(data), (f"± {_BAND:g} standard deviations of the noise", [draw.OBSERVED])],
+        "residual_key",
+    )
     left = rrb.Grid(*residuals, grid_columns=_across(len(residuals)))
-    name = f"residuals (timeline {LOG_TIME})"
-    tabs.append(rrb.Vertical(left_view, left, row_shares=KEY_SHARES, name=name))
+    name = f"residuals (timeline {draw.LOG_TIME})"
+    tabs.append(rrb.Vertical(left_view, left, row_shares=draw.KEY_SHARES, name=name))
     tabs.append(log_scrub(stream, data))
     if data.held_out_s is not None:
         tabs.append(log_held_out(stream, data))
@@ -872,60 +716,45 @@ def _across(count: int) -> int:
     return int(np.ceil(np.sqrt(count * 0.8)))
 
 
-def _grid(views: list[rrb.View]) -> rrb.Container:
-    return rrb.Grid(*views, grid_columns=2 if len(views) > _ONE_COLUMN else 1)
+def _log_plots(
+    stream: rr.RecordingStream, data: SimulatorReviewData
+) -> tuple[list[rrb.View], list[rrb.View]]:
+    """Log each column's curves over the observed one, and its residuals over the band of noise.
+
+    Iterates before the result may run off.
+    """
+    curves: list[rrb.View] = []
+    residuals: list[rrb.View] = []
+    for number, column in enumerate(data.columns):
+        entity, residual = f"signal/{number}", f"residual/{number}"
+        unit = "" if column.unit in ("", "1") else f" {one_line(column.unit)}"
+        style = [
+            (f"{one.name}  {column.rms[k]:.3g}{unit} rms", one.color, one.width)
+            for k, one in enumerate(data.iterates)
+            if k in data.drawn
+        ]
+        span, values = column.shown(column.simulated[:, -1]), column.simulated[:, data.drawn]
+        draw.log_lines(stream, f"{entity}/iterations", column.seconds, values, style)
+        log_observed(stream, entity, column.seconds, column.observed)
+        if data.held_out_s is not None:
+            log_upright(stream, f"{entity}/held_out", data.held_out_s, span)
+        curves.append(draw.plot_view(entity, column.title(), span))
+        off = values - column.observed[:, None]
+        draw.log_lines(stream, f"{residual}/iterations", column.seconds, off, style)
+        band = _BAND * column.noise
+        ends, bounds = column.seconds[[0, -1]], np.array([[-band, band]] * 2)
+        draw.log_lines(
+            stream, f"{residual}/noise", ends, bounds, [("noise", draw.OBSERVED, 1.0)] * 2
+        )
+        # The axis shows most of the result's residual, so that no spike makes it useless.
+        last = np.abs(off[np.isfinite(off[:, -1]), -1])
+        usual = float(np.quantile(last, 0.98)) if len(last) else 0.0
+        least = max(1e-6 * float(np.abs(column.observed).max()), 1e-9)
+        reach = 1.3 * max(usual, band, least)
+        title = column.title("simulated - observed")
+        residuals.append(draw.plot_view(residual, title, (-reach, reach)))
+    return curves, residuals
 
 
-def _lines(data: SimulatorReviewData, column: ShownColumn) -> list[tuple[str, Color, float]]:
-    """Return the style of each iteration's line."""
-    unit = "" if column.unit in ("", "1") else f" {one_line(column.unit)}"
-    return [
-        (f"{one.name}  {column.rms[k]:.3g}{unit} rms", one.color, one.width)
-        for k, one in enumerate(data.iterates)
-        if k in data.drawn
-    ]
-
-
-def _log_curves(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
-    """Log observed under simulated curves; iterates before the result may run off."""
-    column, entity = data.columns[number], f"signal/{number}"
-    span = column.shown(column.simulated[:, -1])
-    values = column.simulated[:, data.drawn]
-    log_lines(stream, f"{entity}/iterations", column.seconds, values, _lines(data, column))
-    log_observed(stream, entity, column.seconds, column.observed)
-    if data.held_out_s is not None:
-        log_upright(stream, f"{entity}/held_out", data.held_out_s, span)
-    return plot(entity, column.title(), span)
-
-
-def _log_residuals(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
-    """Log the residuals of the iterations, and the band of noise."""
-    column, entity = data.columns[number], f"residual/{number}"
-    off = column.simulated[:, data.drawn] - column.observed[:, None]
-    log_lines(stream, f"{entity}/iterations", column.seconds, off, _lines(data, column))
-    band = _BAND * column.noise
-    ends = column.seconds[[0, -1]]
-    values = np.array([[-band, band]] * 2)
-    style: list[tuple[str, Color, float]] = [("noise", OBSERVED, 1.0)] * 2
-    log_lines(stream, f"{entity}/noise", ends, values, style)
-    last = np.abs(off[:, -1])
-    last = last[np.isfinite(last)]
-    usual = float(np.quantile(last, _TYPICAL_QUANTILE)) if len(last) else 0.0
-    least = max(1e-6 * float(np.abs(column.observed).max()), 1e-9)
-    reach = _HEADROOM * max(usual, band, least)
-    return plot(entity, column.title("simulated - observed"), (-reach, reach))
-
-
-def _log_key(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.View:
-    entries: list[tuple[str, list[Color]]] = [("observed", [OBSERVED]), _iterations(data)]
-    if data.held_out_s is not None:
-        entries.append((f"{data.held_out_s:.2f} s: held out", [MUTED]))
-    return log_key(stream, entries)
-
-
-def _iterations(data: SimulatorReviewData) -> tuple[str, list[Color]]:
+def _iterations(data: SimulatorReviewData) -> tuple[str, list[draw.Color]]:
     return "iterations", [data.iterates[k].color for k in data.drawn]
-
-
-def _residual_entries(data: SimulatorReviewData) -> list[tuple[str, list[Color]]]:
-    return [_iterations(data), (f"± {_BAND:g} standard deviations of the noise", [OBSERVED])]

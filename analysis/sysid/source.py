@@ -6,7 +6,7 @@ log shows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -39,14 +39,9 @@ if TYPE_CHECKING:
 # ---- Value and slope of sampled curves at a stamp, by their first samples
 
 _SECONDS, _MAX_SAMPLES, _MIN_SAMPLES = 0.12, 40, 4
-_SHRINKS = 0.7  # to this share, a window that a parabola misses
 _MISSES = 2.0  # standard deviations of noise, from which on it misses
-# Factor on the priors' sds by the noise alone: speeds change in the first samples.
-_CAUTION = 3.0
-
 # For how long what begins at rest is looked at, and how much it may scatter, in its noise.
 _STAYS_S, _SCATTERS = 0.5, 2.0
-
 Samples = tuple[NDArray[np.int64], Array]  # stamps [ns] and values
 
 
@@ -60,13 +55,8 @@ def beginning(
 
     One parabola is fitted to the first positions and, by its slope, to the first speeds. The window
     shrinks until it fits; the standard deviations include the misfit of the shortest one, and
-    disagreement of speeds and positions.
-
-    Args:
-        positions: None if none were seen.
-        speeds: Likewise.
-        stamp_ns: The stamp.
-        noise: Standard deviation of the samples' noise; None to estimate it by differences.
+    disagreement of speeds and positions. `positions` (None if none were seen), `noise` (None to
+    estimate it by differences).
     """
     at_s: list[Array] = []
     rows: list[Array] = []
@@ -89,7 +79,7 @@ def beginning(
             np.concatenate([row[:count] for row, count in zip(rows, counts, strict=True)]),
             np.concatenate([value[:count] for value, count in zip(values, counts, strict=True)]),
         )
-        window_s *= _SHRINKS
+        window_s *= 0.7  # to this share, a window that a parabola misses
         fewer = [max(int(np.sum(seconds <= window_s)), 1) for seconds in at_s]
         if misfit <= 1 or max(fewer) < _MIN_SAMPLES:
             break
@@ -110,13 +100,7 @@ def _terms(at_s: Array, order: int) -> Array:
 
 
 def _parabola(rows: Array, values: Array) -> tuple[Array, Array, float]:
-    """Fit a parabola by least squares, to rows of terms, shape (T, 5), in units of noise.
-
-    Returns:
-        Its value and slope at 0; their standard deviations; and the misfit beyond noise, as a
-        share: by the residuals, or by what either of the next two terms would add, which moves the
-        slope most.
-    """
+    """Fit a parabola by least squares, to rows of terms, shape (T, 5), in units of noise."""
     scales = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     first = int(not rows[:, 0].any())  # speeds alone tell no position
     axes, triangle = np.linalg.qr((rows / scales)[:, first:])
@@ -128,7 +112,8 @@ def _parabola(rows: Array, values: Array) -> tuple[Array, Array, float]:
     by_next = triangle[3 - first, 3 - first]
     follows = inverse @ triangle[own, 3 - first] / np.where(by_next, by_next, np.inf)
     plain = np.linalg.norm(inverse, axis=1)
-    sds = np.maximum(_CAUTION * plain, np.hypot(plain, follows))
+    # Speeds change in the first samples: the noise alone says too little.
+    sds = np.maximum(3.0 * plain, np.hypot(plain, follows))
     both = np.zeros((2, 3))
     both[:, first:] = inverse @ told[own], sds
     found, sds = both[:, :2] / scales[:2]
@@ -145,36 +130,22 @@ def stays(samples: Samples | None, stamp_ns: int) -> bool:
 
 # ---- Sources, and what connects them with a log
 
-# Standard deviation of a delay, in steps: a command that comes within a step is spread over it.
-_UNRESOLVED_STEPS = 0.2
-
 Rollouts = Callable[[Array], list[Episode]]  # values of all parameters, shape (N, P) -> N episodes
 
 
 @dataclass(frozen=True, eq=False)
 class Connected:
-    """Simulator that is driven as a log was.
+    """Simulator that is driven as a log was."""
 
-    Attributes:
-        simulator: Its parameters without a prior are those that are tuned; they come first.
-        target: Columns of the log to compare with.
-        rollouts: Of it.
-        finer: Likewise with half the time step; None if there is none.
-        unresolved: Uncertainty of a parameter due to the time step, one standard deviation, by
-            name.
-        used: Each signal of the log that is used, and its use, in words.
-        unused: Each that is not, and why.
-        doubts: Which of the used ones may be meant otherwise.
-    """
-
-    simulator: Simulator
-    target: ComparedColumns
-    rollouts: Rollouts
-    finer: Rollouts | None = None
+    simulator: Simulator  # its parameters without a prior are those that are tuned; they come first
+    target: ComparedColumns  # columns of the log to compare with
+    rollouts: Rollouts  # of it
+    finer: Rollouts | None = None  # likewise with half the time step; None if there is none
+    # uncertainty of a parameter due to the time step, one standard deviation, by name
     unresolved: Mapping[str, float] = field(default_factory=dict)
-    used: tuple[str, ...] = ()
-    unused: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    used: tuple[str, ...] = ()  # each signal of the log that is used, and its use, in words
+    unused: tuple[str, ...] = ()  # each that is not, and why
+    doubts: tuple[str, ...] = ()  # which of the used ones may be meant otherwise
 
 
 class SimulatorSource(Protocol):
@@ -214,13 +185,9 @@ class SimulatorSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class GivenSimulator:
-    """Object with `parameters` and `rollout(values) -> Episode`.
+    """Object with `parameters` and `rollout(values) -> Episode`."""
 
-    Attributes:
-        simulator: That object.
-    """
-
-    simulator: Simulator
+    simulator: Simulator  # that object
 
     @property
     def name(self) -> str:
@@ -267,16 +234,11 @@ class GivenSimulator:
 
 @dataclass(frozen=True, eq=False)
 class ModelSource:
-    """MuJoCo model file.
+    """MuJoCo model file."""
 
-    Attributes:
-        path: MJCF or URDF.
-        wanted: Parameters to tune, such as `joint/elbow.damping=0:5`.
-        told: Mapping of the log's names to the model's; see `matching.matched`.
-    """
-
-    path: Path
-    wanted: tuple[str, ...]
+    path: Path  # MJCF or URDF
+    wanted: tuple[str, ...]  # parameters to tune, such as `joint/elbow.damping=0:5`
+    # mapping of the log's names to the model's; see `matching.Match`
     told: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -337,17 +299,16 @@ class ModelSource:
 
     def connect(self, episode: Episode) -> Connected:
         """See `SimulatorSource`."""
-        from tunenet_logs.analysis.sysid.matching import doubts, matched, orients_start
+        from tunenet_logs.analysis.sysid.matching import Match, doubts
         from tunenet_logs.recorders.simulators.model.parameters import DELAY, movable
         from tunenet_logs.recorders.simulators.model.rollout import ModelSimulator
 
-        match = matched(episode, self.model, self.told)
+        match = Match(episode, self.model, self.told)
         stamps = [one.signal.stamps_ns for one in match.sensed]
         start_ns = min(int(stamp[0]) for stamp in stamps)
         end_ns = max(int(stamp[-1]) for stamp in stamps)
-        shown = [*match.sensed, *orients_start(self.model, match.turned)]
-        state = initial_state(self.model, shown, start_ns)
-        match.choose_turned(self.model, state.qpos)
+        state = initial_state(self.model, match.starts(), start_ns)
+        match.choose_turned(state.qpos)
         simulator = ModelSimulator(
             movable(self.spec, self._tuned),
             self._tuned,
@@ -360,12 +321,14 @@ class ModelSource:
         rollout = simulator.rollout({})
         seen = {one.signal.name: one.signal for one in match.sensed}
         target = compared(replace(episode, signals={**episode.signals, **seen}), rollout)
+        # A delay is unsure by .2 steps (sd): a command that comes within a step is spread over
+        # it.
         return Connected(
             simulator,
             target,
             simulator.rollouts,
             simulator.finer().rollouts,
-            {DELAY: _UNRESOLVED_STEPS / simulator.step_hz},
+            {DELAY: 0.2 / simulator.step_hz},
             tuple(match.used),
             tuple(match.unused),
             (*match.joined, *doubts(match.sensed, rollout)),
@@ -391,19 +354,12 @@ def part_of(episode: Episode, start_s: float | None, end_s: float | None) -> Epi
 
 @dataclass(frozen=True, eq=False)
 class SimulatorDetection:
-    """Log that shows what a simulator simulates; see `Detection`.
+    """Log that shows what a simulator simulates; see `Detection`."""
 
-    Attributes:
-        source: Of the simulator.
-        connected: The simulator, driven as the log was.
-        offset_s: From the log's first sample to the first that is compared.
-        left_out: Samples missing from each compared signal.
-    """
-
-    source: SimulatorSource
-    connected: Connected
-    offset_s: float
-    left_out: tuple[LeftOut, ...] = ()
+    source: SimulatorSource  # of the simulator
+    connected: Connected  # the simulator, driven as the log was
+    offset_s: float  # from the log's first sample to the first that is compared
+    left_out: tuple[LeftOut, ...] = ()  # samples missing from each compared signal
 
     @property
     def topic(self) -> str:
@@ -432,24 +388,15 @@ class SimulatorDetection:
 
 # ---- Initial orientation and angular velocity of a freely moving body
 
-_MAX_RAD = 2.5  # turned since the first sample: a rotation vector jumps at a half turn
-
 
 @dataclass(frozen=True)
 class InitialTurn:
-    """Orientation and angular velocity of a body at a stamp.
+    """Orientation and angular velocity of a body at a stamp."""
 
-    Attributes:
-        quaternion: w, x, y, z, shape (4,).
-        quaternion_sd: Of any of these.
-        spin: Angular velocity in the body's frame, shape (3,) [rad/s].
-        spin_sd: Shape (3,).
-    """
-
-    quaternion: Array
-    quaternion_sd: float
-    spin: Array
-    spin_sd: Array
+    quaternion: Array  # w, x, y, z, shape (4,)
+    quaternion_sd: float  # of any of these
+    spin: Array  # angular velocity in the body's frame, shape (3,) [rad/s]
+    spin_sd: Array  # shape (3,)
 
     def is_still(self, quaternion: Array) -> bool:
         """Return whether the body may be at rest at an orientation w, x, y, z, shape (4,)."""
@@ -464,7 +411,8 @@ def initial_turn(sensed: SensedSignal, stamp_ns: int) -> InitialTurn | None:
     good = np.isfinite(values).all(axis=1)
     turns = Rotation.from_matrix(rotations(values[good]))
     since_first = (turns[0].inv() * turns).as_rotvec()
-    is_far = np.linalg.norm(since_first, axis=1) > _MAX_RAD
+    # A rotation vector jumps at a half turn.
+    is_far = np.linalg.norm(since_first, axis=1) > 2.5
     count = int(np.argmax(is_far)) if is_far.any() else len(is_far)
     stamps = sensed.signal.stamps_ns[good][:count]
     # of a rotation, three numbers; of the two axes, six, each moved by two thirds of its variance
@@ -483,7 +431,6 @@ def initial_turn(sensed: SensedSignal, stamp_ns: int) -> InitialTurn | None:
 
 # ---- Initial state: positions and speeds, with uncertainty
 
-_MIN_SD = 1e-4
 _FAR = 50.0  # standard deviations from its estimate within which an initial value is looked for
 
 
@@ -514,28 +461,24 @@ def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> 
         qvel[place_v] = speed
         unsure.append(_unsure(f"initial/{label}.velocity", f"{unit}/s", speed, speed_sd))
         places.append((True, place_v))
-    for joint, turn in _turns(model, sensed, stamp_ns).items():
+    # Estimate the orientation of bodies with a free joint, by that joint.
+    turns: dict[int, InitialTurn] = {}
+    for one in sensed:
+        if one.sensors[0].kind != "framexaxis":
+            continue
+        joint = free_joint(model, one.sensors[0].name)
+        if joint is not None and joint not in turns and (turn := initial_turn(one, stamp_ns)):
+            turns[joint] = turn
+    for joint, turn in turns.items():
         place_q, place_v = int(model.jnt_qposadr[joint]) + 3, int(model.jnt_dofadr[joint]) + 3
         if turn.is_still(qpos[place_q : place_q + 4]):
             continue
         qpos[place_q : place_q + 4] = turn.quaternion
         qvel[place_v : place_v + 3] = turn.spin
-        found = _unsure_turn(model.body(int(model.jnt_bodyid[joint])).name, turn)
-        unsure += [one for one, _, _ in found]
-        places += [(is_spin, (place_v if is_spin else place_q) + at) for _, is_spin, at in found]
+        own = _unsure_turn(model.body(int(model.jnt_bodyid[joint])).name, turn)
+        unsure += [one for one, _, _ in own]
+        places += [(is_spin, (place_v if is_spin else place_q) + at) for _, is_spin, at in own]
     return InitialState(stamp_ns, qpos, qvel, tuple(unsure), tuple(places))
-
-
-def _turns(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> dict[int, InitialTurn]:
-    """Estimate the orientation of bodies with a free joint, by that joint."""
-    found: dict[int, InitialTurn] = {}
-    for one in sensed:
-        if one.sensors[0].kind != "framexaxis":
-            continue
-        joint = free_joint(model, one.sensors[0].name)
-        if joint is not None and joint not in found and (turn := initial_turn(one, stamp_ns)):
-            found[joint] = turn
-    return found
 
 
 def _unsure_turn(body: str, turn: InitialTurn) -> list[tuple[Parameter, bool, int]]:
@@ -563,7 +506,9 @@ def _shown(
     kinds = mujoco().mjtJoint
     for one in sensed:
         for column, sensor in zip(one.columns, one.sensors, strict=True):
-            samples = _samples(one, column)
+            values = one.signal.values[:, one.signal.columns.index(column)]
+            good = np.isfinite(values)
+            samples = one.signal.stamps_ns[good], values[good]
             if sensor.kind == "framepos":
                 joint = free_joint(model, sensor.name)
                 if joint is None:
@@ -593,14 +538,8 @@ def _shown(
     return shown
 
 
-def _samples(sensed: SensedSignal, column: str) -> Samples:
-    values = sensed.signal.values[:, sensed.signal.columns.index(column)]
-    good = np.isfinite(values)
-    return sensed.signal.stamps_ns[good], values[good]
-
-
 def _unsure(name: str, unit: str, value: float, sd: float) -> Parameter:
-    sd = max(sd, _MIN_SD)
+    sd = max(sd, 1e-4)  # of a value that is known exactly
     far = (value - _FAR * sd, value + _FAR * sd)
     return Parameter(name, unit, far, (value - sd, value + sd), value, prior_sd=sd)
 
@@ -609,39 +548,29 @@ def _unsure(name: str, unit: str, value: float, sd: float) -> Parameter:
 
 _MAX_BYTES, _MAX_LINES, _MAX_DEPTH = 64_000, 200, 3
 _SHAPE = "write lines such as joint/elbow.damping: [0, 5]"
+_PAIRS = [[low, high] for low in (int, float) for high in (int, float)]
 
 
 def listed_parameters(texts: Sequence[str]) -> tuple[str, ...]:
-    """Expand YAML files among addresses with ranges, in place.
-
-    Raises:
-        UsageError: A file cannot be read, or holds something else.
-    """
+    """Expand YAML files among addresses with ranges, in place."""
     found: list[str] = []
     for text in texts:
-        if text.endswith((".yaml", ".yml")):
-            found += _of_file(Path(text))
-        else:
+        if not text.endswith((".yaml", ".yml")):
             found.append(text)
-    return tuple(found)
-
-
-def _of_file(path: Path) -> Iterator[str]:
-    for address, limits in _mapping(path).items():
-        if limits is None:
-            yield str(address)
             continue
-        is_pair = isinstance(limits, list) and len(limits) == 2
-        if not is_pair or not all(
-            isinstance(one, int | float) and not isinstance(one, bool) for one in limits
-        ):
-            raise UsageError(f"{path}: {short_name(address)} has no [LOW, HIGH]", _SHAPE)
-        try:
-            low, high = map(float, limits)
-        except OverflowError as error:
-            what = f"{path}: {short_name(address)} has a limit that is too large"
-            raise UsageError(what, _SHAPE) from error
-        yield f"{address}={low!r}:{high!r}"
+        for address, limits in _mapping(Path(text)).items():
+            what = f"{Path(text)}: {short_name(address)} has"
+            if limits is None:
+                found.append(str(address))
+                continue
+            if not isinstance(limits, list) or list(map(type, limits)) not in _PAIRS:
+                raise UsageError(f"{what} no [LOW, HIGH]", _SHAPE)
+            try:
+                low, high = map(float, limits)
+            except OverflowError as error:
+                raise UsageError(f"{what} a limit that is too large", _SHAPE) from error
+            found.append(f"{address}={low!r}:{high!r}")
+    return tuple(found)
 
 
 def _mapping(path: Path) -> dict[Any, Any]:

@@ -31,30 +31,18 @@ from tunenet_logs.episode import Array, Picture
 # they are residuals, and large ones count little.
 
 _REACH = 1.6  # ball radii from a patch's middle to its edge: the ball may be off by half of one
-_ENTIRELY = 0.99  # of a patch's pixel that is in the picture: the rest is rounding of its reduction
-# Standard deviation of a pixel (0 to 255): that of compressed films, no misfit of the ball.
-_NOISE = 4.0
-
-_MARGIN_PX = 4  # around the ball: its edge is soft, and grows with it
-_MAX_STEPS = 10  # of Gauss-Newton
-_ENOUGH_PX = 0.03  # a shorter step is the last: OpenCV moves pictures by whole 32nds of a pixel
-
 # Of one step: in ball radii, and in the logarithm of its size. Farther off, the Jacobian is
 # different.
 _MAX_STEP, _MAX_GROWTH = 0.4, 0.1
-
 # Added to the normal matrix's diagonal, so that a ball without contrast does not make it singular.
 _MIN_CURVATURE = np.array([1e-3, 1e-3, 0.0, 0.0, 0.0, 0.0])
-
 # Residuals that count little: above 30 (of 255) or that fraction of the ball's contrast, whichever
 # is more. At first only larger ones, the bound times 0.65 a step, or the edge would have no
 # gradient.
 _LARGE, _LARGE_FRACTION, _STRICTER = 30.0, 0.35, 0.65
-
 # Inverse variances of the values that are fitted. Standard deviations: .25 of the logarithm of the
 # size, .2 of the light, as a whole, to the right and downward; of x and y nothing is known.
 _PRIOR = np.array([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
-
 # Starts around a given one: steps right and down, each .45 ball radii, and growth (logarithm).
 _STARTS = (
     (0, 0, 0.0),
@@ -66,32 +54,22 @@ _STARTS = (
     (0, 0, -0.2),
 )
 _START_STEP = 0.45
-
 # Factors on `_LARGE` at first: from a start that may be far off, and from one about right.
 _WIDE, NARROW = 4.0, 1.6
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """Part of a picture and of the background, N by N pixels, reduced where the ball is large.
+    """Part of a picture and of the background, N by N pixels, reduced where the ball is large."""
 
-    Attributes:
-        seen, behind: colours (0 to 255), a plane for each, shape (3, N, N).
-        apart: what is seen less what is behind, 0 out of the picture, shape (3, N, N).
-        inside: 1 where it is in the picture, shape (N, N).
-        bare: mean square of `apart` over the colours, shape (N, N).
-        left, top: of its first pixel, in the picture [px].
-        zoom: its pixels per pixel of the picture.
-    """
-
-    seen: FloatPicture
-    behind: FloatPicture
-    apart: FloatPicture
-    inside: FloatPicture
-    bare: FloatPicture
-    left: int
+    seen: FloatPicture  # colours (0 to 255), a plane for each, shape (3, N, N)
+    behind: FloatPicture  # likewise
+    apart: FloatPicture  # what is seen less what is behind, 0 out of the picture, shape (3, N, N)
+    inside: FloatPicture  # 1 where it is in the picture, shape (N, N)
+    bare: FloatPicture  # mean square of `apart` over the colours, shape (N, N)
+    left: int  # of its first pixel, in the picture [px]
     top: int
-    zoom: float
+    zoom: float  # its pixels per pixel of the picture
 
     @cached_property
     def is_cut(self) -> bool:
@@ -148,7 +126,8 @@ def cut_patch(
         reduced.append(np.asarray(fine, np.float32))
     seen, behind = (np.ascontiguousarray(one.transpose(2, 0, 1)) for one in reduced[:2])
     seen *= np.float32(gain)
-    known = (reduced[2] > _ENTIRELY).astype(np.float32)
+    # A pixel of the patch is in the picture, but for rounding of its reduction.
+    known = (reduced[2] > 0.99).astype(np.float32)
     apart = (seen - behind) * known
     return Patch(seen, behind, apart, known, _mean_square(apart), left, top, small / side)
 
@@ -160,23 +139,16 @@ def _mean_square(planes: FloatPicture) -> FloatPicture:
 
 @dataclass(frozen=True, eq=False)
 class DrawnBall:
-    """Ball rendered in a patch, in the box around it.
+    """Ball rendered in a patch, in the box around it."""
 
-    Attributes:
-        box: rows and columns of the patch, N of them by M.
-        layers: planes of the ball's colours times its fraction of each pixel, and of that fraction,
-            shape (4, N, M).
-        behind: the background, shape (3, N, M).
-        off: residual, what is seen beyond what would be, shape (3, N, M).
-        x, y: from the ball's middle, in its radii, shapes (1, M) and (N, 1).
-    """
-
-    box: tuple[slice, slice]
+    box: tuple[slice, slice]  # rows and columns of the patch, N of them by M
+    # planes of the ball's colours times its fraction of each pixel, and of that fraction, shape
+    # (4, N, M)
     layers: FloatPicture
-    behind: FloatPicture
-    off: FloatPicture
-    x: FloatPicture
-    y: FloatPicture
+    behind: FloatPicture  # the background, shape (3, N, M)
+    off: FloatPicture  # residual, what is seen beyond what would be, shape (3, N, M)
+    x: FloatPicture  # from the ball's middle, in its radii, shape (1, M)
+    y: FloatPicture  # likewise, shape (N, 1)
 
     def squared(self, patch: Patch) -> FloatPicture:
         """Return the mean squared residual of each pixel of the patch, shape of the patch."""
@@ -193,7 +165,9 @@ class DrawnBall:
         inside = self.inside(patch)
         if not inside.any():
             return np.inf
-        beyond_noise = max(float(_mean_square(self.off)[inside].mean()) - _NOISE**2, 0.0)
+        # Standard deviation of a pixel (0 to 255): that of compressed films, no misfit of the
+        # ball
+        beyond_noise = max(float(_mean_square(self.off)[inside].mean()) - 4.0**2, 0.0)
         return math.sqrt(beyond_noise) / self.contrast(inside)
 
     def contrast(self, inside: NDArray[np.bool_]) -> float:
@@ -222,14 +196,7 @@ class DrawnBall:
 def draw_ball(layers: FloatPicture, radius: float, patch: Patch, values: Array) -> DrawnBall | None:
     """Render the ball as it would be seen; None out of the patch.
 
-    What the patch shows beyond a box around the ball does not depend on it.
-
-    Args:
-        layers: see `Appearance`.
-        radius: of its outline, in pixels of the patch.
-        patch: where.
-        values: x, y [px of the patch], logarithm of its growth, and the light on it: more of it on
-            the whole, to the right and downward; shape (6,).
+    What the patch shows beyond a box around the ball does not depend on it. `values` (6,).
     """
     import cv2
 
@@ -237,7 +204,7 @@ def draw_ball(layers: FloatPicture, radius: float, patch: Patch, values: Array) 
     side = patch.bare.shape[0]
     grow = math.exp(growth)
     size = radius * grow
-    half = math.ceil(size) + _MARGIN_PX
+    half = math.ceil(size) + 4  # around the ball: its edge is soft, and grows with it [px]
     left, right = max(round(x_px) - half, 0), min(round(x_px) + half + 1, side)
     top, bottom = max(round(y_px) - half, 0), min(round(y_px) + half + 1, side)
     if left >= right or top >= bottom:
@@ -289,9 +256,6 @@ def fit_ball(
     Each step re-estimates the noise, and weighs residuals by Geman and McClure's function. The
     arguments are those of `draw_ball`; `growth` is the prior mean of the log size, `at_first` a
     factor on the residuals that count little, before the first step.
-
-    Returns:
-        The values, shape (6,), and their misfit (see `Placing`).
     """
     import cv2
 
@@ -301,7 +265,7 @@ def fit_ball(
     if drawn is None:
         return values, np.inf
     strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast(drawn.inside(patch)))
-    for turn in range(_MAX_STEPS):
+    for turn in range(10):  # most steps of Gauss-Newton
         squared = drawn.squared(patch)
         large = strict * max(1.0, at_first * _STRICTER**turn)
         weight = patch.inside / np.square(1 + squared * np.float32(large**-2))
@@ -321,58 +285,31 @@ def fit_ball(
         drawn = draw_ball(layers, radius, patch, values)
         if drawn is None:
             return values, np.inf
-        if large == strict and max(abs(step[0]), abs(step[1])) < _ENOUGH_PX:
+        # A shorter step is the last: OpenCV moves pictures by whole 32nds of a pixel [px]
+        if large == strict and max(abs(step[0]), abs(step[1])) < 0.03:
             break
     return values, drawn.misfit(patch)
 
 
 # ---- Fits of the appearance to pictures, and learning it from them
 
-_FINE_PX = 9.0  # a larger ball is reduced to that radius before it is fitted
-# Ball radii: a fit that moved farther is run once more from where it ended, at first wide.
-_NEAR_START = 0.25
-
 _NEAR = 0.3  # ball radii between two fits of the same ball
-_FAR_WORSE = 1.5  # misfit over that of another fit: one that is as much worse is not looked into
 # Ball radii, and px more, from a start to its fit: what is farther off has another start.
 _MAX_MOVED, _MAX_MOVED_PX = 1.2, 2.0
-
 _SURE = 0.12  # misfit up to which the start was about right
 # Pictures of the ball: the median of fewer is one of them, with what was behind it.
 _MIN_SAMPLES = 3
-
-_ROUNDS = 4  # of learning how it looks and fitting that, at most
-_SETTLED = 0.01  # relative change of the radius that ends them
-
-# Quantile of the radii of what moved: a part of the ball may look like the background.
-_FIRST_RADIUS = 0.7
-
-_PATCH = 1.3  # radii of patches over that of the ball: it may be larger than it was thought
-_TRANSITION_PX = 1.2  # from the outline inward: the colour there is half the background's
-# Squared difference of two colours (0 to 255, summed over RGB), 12 in each channel: with less, it
-# cannot be said how much of a pixel is ball.
-_TELLING = 400.0
-
 _RING_PX = 0.5  # half the width of a ring, and the step from one to the next
-_MIN_IN_RING = 4  # pixels of a ring that make a median
-# Least and most of the outline's radius over the last one: the patch shows no more.
-_MIN_CHANGE, _MAX_CHANGE = 0.75, 1.35
 
 
 @dataclass(frozen=True)
 class Placing:
-    """Fit of the ball's appearance to one picture.
+    """Fit of the ball's appearance to one picture."""
 
-    Attributes:
-        x, y: of its centre [px].
-        radius_px: of its outline.
-        misfit: rms residual inside it, but for noise, over how far it stands out; 0 is perfect.
-    """
-
-    x: float
+    x: float  # of its centre [px]
     y: float
-    radius_px: float
-    misfit: float
+    radius_px: float  # of its outline
+    misfit: float  # rms residual inside it, but for noise, over how far it stands out; 0 is perfect
 
     def is_near(self, x: float, y: float) -> bool:
         """Return whether a position [px] is about this one."""
@@ -381,34 +318,22 @@ class Placing:
 
 @dataclass(frozen=True, eq=False)
 class FitStart:
-    """Starting point of a fit.
+    """Starting point of a fit."""
 
-    Attributes:
-        x, y: near the ball's centre [px].
-        patch: what is seen around.
-        values: see `draw_ball`, shape (6,).
-    """
-
-    x: float
+    x: float  # near the ball's centre [px]
     y: float
-    patch: Patch
-    values: Array
+    patch: Patch  # what is seen around
+    values: Array  # see `draw_ball`, shape (6,)
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """Template of the ball.
+    """Template of the ball."""
 
-    Attributes:
-        layers: its colours (0 to 255) times its fraction of each pixel, and that fraction, shape
-            (N, N, 4).
-        radius_px: of its outline, in the pictures.
-        zoom: its pixels per pixel of the pictures.
-    """
-
+    # its colours (0 to 255) times its fraction of each pixel, and that fraction, shape (N, N, 4)
     layers: FloatPicture
-    radius_px: float
-    zoom: float
+    radius_px: float  # of its outline, in the pictures
+    zoom: float  # its pixels per pixel of the pictures
 
     def start(
         self,
@@ -444,14 +369,16 @@ class Appearance:
         values, misfit = fit_ball(self.layers, radius, patch, start, growth, NARROW)
         if misfit > _SURE:
             here = patch.there(values[0], values[1])
-            if any(misfit > _FAR_WORSE * fit.misfit or fit.is_near(*here) for fit in known):
+            # Misfit over that of another fit: one that is as much worse is not looked into
+            if any(misfit > 1.5 * fit.misfit or fit.is_near(*here) for fit in known):
                 return None
             start = best_start(self.layers, radius, patch, start)
             values, misfit = fit_ball(self.layers, radius, patch, start, growth)
             here = patch.there(values[0], values[1])
             if any(fit.is_near(*here) and misfit > fit.misfit for fit in known):
                 return None
-        if np.hypot(*(values - start)[:2]) > _NEAR_START * radius:  # it was a long way
+        # Ball radii: a fit that moved farther is run once more from where it ended, at first wide
+        if np.hypot(*(values - start)[:2]) > 0.25 * radius:  # it was a long way
             values, misfit = fit_ball(self.layers, radius, patch, values, growth)
         px, py = patch.there(values[0], values[1])
         most_px = _MAX_MOVED * self.radius_px * math.exp(growth) + _MAX_MOVED_PX
@@ -465,27 +392,23 @@ def learn_appearance(
 ) -> Appearance | None:
     """Learn the ball's picture and radius, in turn with its exact positions.
 
-    Args:
-        samples: N pictures, RGB, shape (H, W, 3) each.
-        background: without the ball.
-        places_px: where the ball is in each, shape (N, 2); NaN where that is not known.
-        areas_px: how large it is there [px²], shape (N,).
-
-    Returns:
-        None where it is seen too seldom.
+    `samples` (H, W, 3), `places_px` (N, 2), `areas_px` (N,) [px²].
     """
     known = np.flatnonzero(np.isfinite(places_px[:, 0]) & np.isfinite(areas_px))
     if len(known) < _MIN_SAMPLES:
         return None
-    radius = float(np.quantile(np.sqrt(areas_px[known] / np.pi), _FIRST_RADIUS))
+    # Quantile of the radii of what moved: a part of the ball may look like the background
+    radius = float(np.quantile(np.sqrt(areas_px[known] / np.pi), 0.7))
     positions = {int(at): (float(places_px[at, 0]), float(places_px[at, 1]), 0.0) for at in known}
     gains = {at: background.gain(samples[at]) for at in positions}
     ball: Appearance | None = None
-    for turn in range(_ROUNDS):
-        zoom = min(1.0, _FINE_PX / radius)
+    for turn in range(4):  # rounds of learning how it looks and fitting that, at most
+        # A larger ball is reduced to that radius before it is fitted [px]
+        zoom = min(1.0, 9.0 / radius)
         patches, starts, used = [], [], []
         for at, (x, y, growth) in positions.items():
-            patch = cut_patch(samples[at], background, gains[at], (x, y), _PATCH * radius, zoom)
+            # Radii of patches over that of the ball: it may be larger than it was thought
+            patch = cut_patch(samples[at], background, gains[at], (x, y), 1.3 * radius, zoom)
             if patch is not None:
                 patches.append(patch)
                 starts.append(np.array([*patch.here(x, y), growth, 0.0, 0.0, 0.0]))
@@ -493,7 +416,8 @@ def learn_appearance(
         if len(patches) < _MIN_SAMPLES:
             return None
         before, ball = ball, Appearance(_layers(patches, starts, radius * zoom), radius, zoom)
-        if before is not None and abs(before.radius_px / radius - 1) < _SETTLED:
+        # Relative change of the radius that ends them
+        if before is not None and abs(before.radius_px / radius - 1) < 0.01:
             return ball
         fitted = [
             fit_ball(
@@ -526,7 +450,8 @@ def _layers(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> F
     fraction = np.clip(radius + 0.5 - apart, 0, 1)[:, :, None]
     # The colour at the edge is half background's: that of the ring within goes on to the edge.
     ring = np.maximum(apart, 1e-6)
-    inward = np.minimum(1.0, max(radius - _TRANSITION_PX, 0.5) / ring)
+    # From the outline inward: the colour there is half the background's [px]
+    inward = np.minimum(1.0, max(radius - 1.2, 0.5) / ring)
     rows = np.clip(np.round(y * inward + (side - 1) / 2).astype(int), 0, side - 1)
     columns = np.clip(np.round(x * inward + (side - 1) / 2).astype(int), 0, side - 1)
     return np.concatenate([colours[rows, columns] * fraction, fraction], axis=2).astype(np.float32)
@@ -550,7 +475,9 @@ def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> 
         towards = inner - behind
         size = (towards**2).sum(axis=2)
         fraction = ((seen - behind) * towards).sum(axis=2) / (size + 1.0)
-        fractions.append(np.where(size > _TELLING, np.clip(fraction, 0, 1), np.nan))
+        # Squared difference of two colours (0 to 255, summed over RGB), 12 in each channel: with
+        # less, it cannot be said how much of a pixel is ball
+        fractions.append(np.where(size > 400.0, np.clip(fraction, 0, 1), np.nan))
     with np.errstate(invalid="ignore"):
         stack = np.array(fractions)
         enough = np.isfinite(stack).sum(axis=0) >= min(_MIN_SAMPLES, len(stack))
@@ -560,7 +487,8 @@ def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> 
     for ring in rings:
         values = middle[np.abs(apart - ring) < _RING_PX]
         values = values[np.isfinite(values)]
-        profile.append(float(np.median(values)) if len(values) >= _MIN_IN_RING else np.nan)
+        # Pixels of a ring that make a median
+        profile.append(float(np.median(values)) if len(values) >= 4 else np.nan)
     known = np.isfinite(profile)
     below = np.flatnonzero(known & (np.array(profile) < 0.5))
     if not len(below) or below[0] == 0:
@@ -569,7 +497,8 @@ def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> 
     high, low = profile[at - 1], profile[at]
     part = (high - 0.5) / (high - low) if np.isfinite(high) and high > low else 0.5
     outline = rings[at - 1] + _RING_PX * part
-    return float(np.clip(outline, _MIN_CHANGE * radius, _MAX_CHANGE * radius))
+    # Least and most of the outline's radius over the last one: the patch shows no more
+    return float(np.clip(outline, 0.75 * radius, 1.35 * radius))
 
 
 def _straightened(picture: FloatPicture, values: Array, side: int) -> FloatPicture:
@@ -593,47 +522,27 @@ def _straightened(picture: FloatPicture, values: Array, side: int) -> FloatPictu
 
 # ---- Detection of the ball in one picture: where it is expected, else anywhere
 
-_SURE_ENOUGH = 0.3  # misfit of a `Placing` below which nothing better is looked for
-_MAX_BLOBS = 3  # of the ball's colour, that a fit may start from
-# Of what looks like the ball anywhere, that a fit starts from: each costs some milliseconds.
-_MAX_STARTS = 5
-
 # Least and most of such a start's radius over the ball's: a blob may be cut, or have grown together
 # with something else.
 _GROWN = (0.65, 1.5)
-
-_MIDDLE = 0.6  # of the radius: half the side of a square that lies within the ball
-_SURROUNDINGS = 5.0  # ball radii around a position in which to look for what is like the ball
 # Radius to which a larger ball is reduced to look there; also, in reduced pixels, how far apart the
 # places are that are found.
 _COARSE_PX = 4.0
 
-_LIKELIEST = 2  # places there: a shadow or a reflection may be more like the ball than the ball
-
 
 @dataclass(frozen=True, eq=False)
 class BallDetector:
-    """Detector of a ball whose appearance and approximate position are known.
+    """Detector of a ball whose appearance and approximate position are known."""
 
-    Attributes:
-        background: without it.
-        ball: its colour and size.
-        appearance: None where that could not be learnt.
-        allowed: see `Pictures.allowed`.
-    """
-
-    background: Background
-    ball: ColorAndSize
-    appearance: Appearance | None
-    allowed: Picture | None
+    background: Background  # without it
+    ball: ColorAndSize  # its colour and size
+    appearance: Appearance | None  # None where that could not be learnt
+    allowed: Picture | None  # see `Pictures.allowed`
 
     def find(self, picture: Picture, expected_px: Array, still_px: Array) -> Blobs:
         """Find candidates in a picture: the ball where it is expected, else all like it.
 
-        Args:
-            picture: RGB, shape (H, W, 3).
-            expected_px: where it was found before its appearance was known, shape (2,).
-            still_px: where it may be held or lie, shape (2,); NaN where it is known to fly.
+        `picture` (H, W, 3), `expected_px` (2,), `still_px` (2,).
         """
         if self.appearance is None:
             return coloured_blobs(picture, self.background, self.ball, self.allowed)
@@ -644,17 +553,16 @@ class BallDetector:
         placer.fit_from([(x, y, 1.0) for x, y in around])
         if not placer.is_sure:
             like = [(*at, 1.0) for near in around for at in _alike(self.appearance, picture, *near)]
-            placer.fit_from([*like, *self._coloured(picture)], _MAX_STARTS)
+            # Blobs of its colour, the most alike first: x, y [px], and how much grown.
+            found = coloured_blobs(picture, self.background, self.ball, self.allowed)
+            unlike = np.linalg.norm(found.colours - self.ball.colour, axis=1) / COLOUR_OFF
+            unlike += np.abs(np.log(found.areas_px / self.ball.area_px))
+            # A fit may start from three blobs of the ball's colour.
+            best = np.argsort(unlike)[:3]
+            grown = np.clip(np.sqrt(found.areas_px[best] / self.ball.area_px), *_GROWN)
+            # Each start costs some milliseconds: five at most.
+            placer.fit_from([*like, *np.column_stack([found.places_px[best], grown]).tolist()], 5)
         return placer.blobs()
-
-    def _coloured(self, picture: Picture) -> list[tuple[float, float, float]]:
-        """Return blobs of its colour, the most alike first: x, y [px], and how much grown."""
-        found = coloured_blobs(picture, self.background, self.ball, self.allowed)
-        unlike = np.linalg.norm(found.colours - self.ball.colour, axis=1) / COLOUR_OFF
-        unlike += np.abs(np.log(found.areas_px / self.ball.area_px))
-        best = np.argsort(unlike)[:_MAX_BLOBS]
-        grown = np.clip(np.sqrt(found.areas_px[best] / self.ball.area_px), *_GROWN)
-        return np.column_stack([found.places_px[best], grown]).tolist()
 
 
 class _Placer:
@@ -679,7 +587,8 @@ class _Placer:
     @property
     def is_sure(self) -> bool:
         """Whether nothing better need be looked for."""
-        return any(fit.misfit < _SURE_ENOUGH for fit in self.placed)
+        # Misfit of a `Placing` below which nothing better is looked for
+        return any(fit.misfit < 0.3 for fit in self.placed)
 
     def fit_from(
         self, places: Sequence[tuple[float, float, float]], most: int | None = None
@@ -712,7 +621,8 @@ class _Placer:
         radii = np.array([fit.radius_px for fit in self.placed])
         colours = np.zeros((len(self.placed), 3))
         for at, fit in enumerate(self.placed):
-            half = max(1, round(_MIDDLE * fit.radius_px))
+            # Half the side of a square that lies within the ball
+            half = max(1, round(0.6 * fit.radius_px))
             rows = slice(max(round(fit.y) - half, 0), round(fit.y) + half + 1)
             columns = slice(max(round(fit.x) - half, 0), round(fit.x) + half + 1)
             part = self._picture[rows, columns]
@@ -728,7 +638,8 @@ def _alike(ball: Appearance, picture: Picture, x: float, y: float) -> list[tuple
     """Match the masked ball near a position, in a reduced picture: x and y [px], best first."""
     import cv2
 
-    half = int(np.ceil(_SURROUNDINGS * ball.radius_px)) + 2
+    # Ball radii around a position in which to look for what is like the ball
+    half = int(np.ceil(5.0 * ball.radius_px)) + 2
     left, top = max(round(x) - half, 0), max(round(y) - half, 0)
     part = picture[top : max(round(y) + half + 1, 0), left : max(round(x) + half + 1, 0)]
     coarse = min(1.0, _COARSE_PX / ball.radius_px)
@@ -747,7 +658,8 @@ def _alike(ball: Appearance, picture: Picture, x: float, y: float) -> list[tuple
     found = []
     middle = (own.shape[0] - 1) / 2
     near = int(_COARSE_PX)
-    for _ in range(_LIKELIEST):
+    # Places there: a shadow or a reflection may be more like the ball than the ball
+    for _ in range(2):
         row, column = np.unravel_index(int(off.argmin()), off.shape)
         x_px = (column + middle + 0.5) / coarse - 0.5 + left
         y_px = (row + middle + 0.5) / coarse - 0.5 + top

@@ -19,45 +19,23 @@ from tunenet_logs.episode import Array, Picture
 
 # Pixels that have been computed with: (height, width, 3), or (height, width).
 FloatPicture = NDArray[np.float32]
-
-# Of 255: compression changes a still pixel by less, however quiet its samples are.
-_MIN_DIFFERENCE = 14
-
-_NOISE_FACTOR = 5.0  # standard deviations: of a million pixels, one differs by so much by noise
-# Standard deviation of a normal distribution over its median absolute deviation.
-_SD_OF_MAD = 1.4826
-
-# About so many pixels, on a grid, say how bright a picture is to a fraction of a level.
-_LIT_PX = 1500
-
 # Of 255: outside, a pixel is clipped or mostly noise, and does not follow the light.
 _DARK, _BRIGHT = 20, 235
-
-# Pixels between the two that make a median; with fewer, the light is taken for constant.
-_MIN_LIT = 100
-
 _BLOCK = (3, 3)  # pixels that make one of a smooth picture
-_SAME_LIGHT = 0.5  # of 255: light that changes the brightest pixel by less has not changed
 _STRIP_ROWS = 32  # of all samples at once: the whole stack would take much memory
-_SMOOTHER = 2.0  # about the factor by which noise is less in a smooth picture
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """Still picture, and how far a pixel must be from it to count as something else.
+    """Still picture, and how far a pixel must be from it to count as something else."""
 
-    Attributes:
-        picture: uint8, shape (H, W, 3).
-        smooth: the same, each pixel the mean of three by three.
-        threshold: uint8, shape (H, W): noise, flicker and the shaking of a hand-held camera, of
-            smooth pictures.
-        later: how the second half of the recording looks, smooth, where `smooth` is of the first
-            half; None where one picture is good for all.
-    """
-
-    picture: Picture
-    smooth: Picture
+    picture: Picture  # uint8, shape (H, W, 3)
+    smooth: Picture  # the same, each pixel the mean of three by three
+    # uint8, shape (H, W): noise, flicker and the shaking of a hand-held camera, of smooth
+    # pictures
     threshold: Picture
+    # how the second half of the recording looks, smooth, where `smooth` is of the first half;
+    # None where one picture is good for all
     later: Picture | None = None
 
     def difference(self, picture: Picture) -> Picture:
@@ -71,7 +49,8 @@ class Background:
         work = self._scratch
         cv2.blur(picture, _BLOCK, dst=work.smooth)
         gain = self.gain(picture)
-        if abs(gain - 1) * 255 > _SAME_LIGHT:
+        # Light that changes the brightest pixel by less than half a level has not changed.
+        if abs(gain - 1) * 255 > 0.5:
             cv2.convertScaleAbs(work.smooth, dst=work.smooth, alpha=gain)
         if self.later is None:
             return work.largest_difference(self.smooth)
@@ -85,26 +64,23 @@ class Background:
     def gain(self, picture: Picture) -> float:
         """Return how much brighter the still picture is, by the median of its pixels."""
         height, width = picture.shape[:2]
-        every = max(1, math.isqrt(height * width // _LIT_PX))
+        # About so many pixels, on a grid, say how bright a picture is to a fraction of a level
+        # [px]
+        every = max(1, math.isqrt(height * width // 1500))
         mine = self.picture[::every, ::every].astype(np.float32)
         theirs = picture[::every, ::every].astype(np.float32)
         lit = (theirs > _DARK) & (theirs < _BRIGHT) & (mine > _DARK) & (mine < _BRIGHT)
-        return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > _MIN_LIT else 1.0
+        # Pixels between the two that make a median; with fewer, the light is taken for constant
+        return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > 100 else 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Scratch:
-    """Arrays that are written to again and again: new ones take longer to get than to fill.
+    """Arrays that are written to again and again: new ones take longer to get than to fill."""
 
-    Attributes:
-        smooth: the picture, shape (H, W, 3).
-        apart: its difference, likewise.
-        planes: of that difference, three of shape (H, W).
-    """
-
-    smooth: Picture
-    apart: Picture
-    planes: tuple[Picture, ...]
+    smooth: Picture  # the picture, shape (H, W, 3)
+    apart: Picture  # its difference, likewise
+    planes: tuple[Picture, ...]  # of that difference, three of shape (H, W)
 
     @classmethod
     def of(cls, picture: Picture) -> _Scratch:
@@ -129,13 +105,7 @@ def still_background(
     """Take the median of pictures from all over the recording, and thresholds from their spread.
 
     Of each pixel the spread is the median absolute deviation of its smooth colours, the largest of
-    three by three pixels: the camera may shake.
-
-    Args:
-        samples: uint8, shape (H, W, 3) each.
-        maybe_px: where the ball may be in each sample, shape (K, 2), NaN for nowhere: it is left
-            out there, for it may rest in one place for long. Empty to leave out nothing.
-        radius_px: of what is left out.
+    three by three pixels: the camera may shake. `samples` (H, W, 3), `maybe_px` (K, 2).
     """
     import cv2
 
@@ -157,7 +127,9 @@ def still_background(
     if any(np.isfinite(where[:, 0]).any() for where in maybe_px):
         _leave_out(median, spread, samples, maybe_px, radius_px)
     widened = np.asarray(cv2.dilate(spread, np.ones((3, 3), np.uint8)))
-    wanted = np.maximum(_NOISE_FACTOR * _SD_OF_MAD * widened, _MIN_DIFFERENCE)
+    # Of a million pixels, one differs by five standard deviations (1.4826 median deviations) by
+    # noise; compression changes a still pixel by up to 14 of 255, however quiet its samples are.
+    wanted = np.maximum(5.0 * 1.4826 * widened, 14)
     threshold = np.minimum(wanted, 255).astype(np.uint8)
     return Background(median, _smooth(median), threshold)
 
@@ -235,7 +207,8 @@ def _leave_out(
         median_row = (len(samples) - often[touched] - 1) // 2
         middle = np.take_along_axis(values, median_row[None, :, None], 0)[0]
         picture[pixels] = middle.astype(np.uint8)
-        off = np.abs(values - middle).max(axis=2) / _SMOOTHER
+        # Noise is about half as much in a smooth picture.
+        off = np.abs(values - middle).max(axis=2) / 2.0
         off.sort(axis=0)
         spread[pixels] = np.take_along_axis(off, median_row[None], 0)[0]
 
@@ -250,64 +223,31 @@ def _smooth(picture: Picture) -> Picture:
 # ---- Candidates in one picture, and in all of them
 
 _MAX = 12  # candidates kept of each picture: people and shadows make many, and many more triples
-_MIN_AREA_PX = 5  # pixels; what is smaller is noise
-_MIN_OUTLINE_PX = 4  # pixels of its outline, likewise
-# Outlines of a picture whose pixels are looked at, by the size of their boxes: bounds the time.
-_MAX_INSPECTED = 40
-
-# Squared sine of the angle between two differences of colour that cannot be told apart.
-_INDISTINCT = 0.06
-
 # Of the difference between a dark ball and what is behind it: a shadow may make as much of it.
 _SHADOW_FRACTION = 0.3
-
-_BIG_FRACTION = 0.05  # of the picture's area: no ball that is filmed with its whole drop takes more
-_SOLID_FRACTION = 0.25  # of a pixel that must be ball to count: less may be noise
-# Squared difference of two colours (0 to 255, summed over RGB): background that is nearer to the
-# ball's colour, about 10 in each channel, cannot say how much of a pixel is ball.
-_OWN_COLOUR = 300.0
-
-_CORE = 0.6  # of the largest difference: pixels above it are wholly ball, and give its colour
 
 
 @dataclass(frozen=True, eq=False)
 class Blobs:
-    """Candidates in one picture, N of them, the strongest first.
+    """Candidates in one picture, N of them, the strongest first."""
 
-    Attributes:
-        places_px: x right, y down; the first pixel's centre is 0, 0; shape (N, 2).
-        areas_px: [px²], shape (N,).
-        colours: mean RGB, 0 to 255, shape (N, 3).
-        whole: whether it ends inside the picture, shape (N,).
-        misfits: see `Placing`; 0 where the ball's appearance is not known; shape (N,).
-    """
-
-    places_px: Array
-    areas_px: Array
-    colours: Array
-    whole: NDArray[np.bool_]
-    misfits: Array
+    places_px: Array  # x right, y down; the first pixel's centre is 0, 0; shape (N, 2)
+    areas_px: Array  # [px²], shape (N,)
+    colours: Array  # mean RGB, 0 to 255, shape (N, 3)
+    whole: NDArray[np.bool_]  # whether it ends inside the picture, shape (N,)
+    misfits: Array  # see `Placing`; 0 where the ball's appearance is not known; shape (N,)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Blobs of T pictures as one table of M columns, NaN where a picture has fewer.
+    """Blobs of T pictures as one table of M columns, NaN where a picture has fewer."""
 
-    Attributes:
-        seconds: since the first picture, shape (T,).
-        places_px: see `Blobs`; shape (T, M, 2).
-        areas_px: [px²], shape (T, M).
-        colours: mean RGB, shape (T, M, 3).
-        whole: shape (T, M).
-        misfits: shape (T, M).
-    """
-
-    seconds: Array
-    places_px: Array
-    areas_px: Array
-    colours: Array
-    whole: NDArray[np.bool_]
-    misfits: Array
+    seconds: Array  # since the first picture, shape (T,)
+    places_px: Array  # see `Blobs`; shape (T, M, 2)
+    areas_px: Array  # [px²], shape (T, M)
+    colours: Array  # mean RGB, shape (T, M, 3)
+    whole: NDArray[np.bool_]  # shape (T, M)
+    misfits: Array  # shape (T, M)
 
     @classmethod
     def of(cls, seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
@@ -347,15 +287,10 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class ColorAndSize:
-    """Mean colour of the ball, and its size.
+    """Mean colour of the ball, and its size."""
 
-    Attributes:
-        colour: RGB, 0 to 255, shape (3,).
-        area_px: of its disc in the picture [px²].
-    """
-
-    colour: Array
-    area_px: float
+    colour: Array  # RGB, 0 to 255, shape (3,)
+    area_px: float  # of its disc in the picture [px²]
 
     @property
     def radius_px(self) -> float:
@@ -393,7 +328,8 @@ def coloured_blobs(
     fraction.reshape(-1)[there] = _ball_fraction(
         off, ball.colour.astype(np.float32) - still, -still
     )
-    solid = (fraction > _SOLID_FRACTION).astype(np.uint8)
+    # A pixel that is ball by less than a quarter may be noise.
+    solid = (fraction > 0.25).astype(np.uint8)
     return _components(picture, solid, fraction)
 
 
@@ -434,10 +370,13 @@ def _ball_fraction(
     shadow = (yb * aa - ya * ab) / determinant
     fraction = np.where(shadow < 0, ya / aa, fraction)
     # A dark ball differs from what is behind it as a shadow does, only by more.
-    indistinct = determinant < _INDISTINCT * aa * bb
+    # Squared sine of the angle between two differences of colour that cannot be told apart
+    indistinct = determinant < 0.06 * aa * bb
     beyond_shadow = (ya / aa - _SHADOW_FRACTION) / (1 - _SHADOW_FRACTION)
     fraction = np.where(indistinct, beyond_shadow, fraction)
-    fraction = np.where(aa < _OWN_COLOUR, 0.0, fraction)
+    # Squared difference of two colours (0 to 255, summed over RGB): background that is nearer to
+    # the ball's colour, about 10 in each channel, cannot say how much of a pixel is ball
+    fraction = np.where(aa < 300.0, 0.0, fraction)
     return np.clip(fraction, 0.0, 1.0)
 
 
@@ -447,20 +386,20 @@ def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | P
 
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    boxes = [
-        (cv2.boundingRect(outline), outline)
-        for outline in outlines
-        if len(outline) >= _MIN_OUTLINE_PX
-    ]
+    # Pixels of its outline, likewise [px]
+    boxes = [(cv2.boundingRect(outline), outline) for outline in outlines if len(outline) >= 4]
     boxes.sort(key=lambda boxed: boxed[0][2] * boxed[0][3], reverse=True)
     height, width = mask.shape
     rows: list[tuple[float, ...]] = []
-    for (left, top, wide, tall), outline in boxes[:_MAX_INSPECTED]:
+    # Outlines of a picture whose pixels are looked at, by the size of their boxes: bounds the
+    # time
+    for (left, top, wide, tall), outline in boxes[:40]:
         box = slice(top, top + tall), slice(left, left + wide)
         filled = np.zeros((tall, wide), np.uint8)
         cv2.drawContours(filled, [outline], 0, 1, -1, offset=(-left, -top))
         part = np.asarray(closed)[box].astype(bool) & filled.astype(bool)
-        if not _MIN_AREA_PX <= part.sum() <= _BIG_FRACTION * mask.size:
+        # What is smaller is noise; no ball that is filmed with its whole drop is larger.
+        if not 5 <= part.sum() <= 0.05 * mask.size:
             continue
         mass = np.where(part, weight[box], 0).astype(np.float32)
         total = float(mass.sum())
@@ -468,7 +407,8 @@ def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | P
             continue
         x = float(mass.sum(axis=0) @ np.arange(left, left + wide)) / total
         y = float(mass.sum(axis=1) @ np.arange(top, top + tall)) / total
-        core = mass > _CORE * mass.max()
+        # Pixels above .6 of the largest difference are wholly ball, and give its colour.
+        core = mass > 0.6 * mass.max()
         colour = picture[box][core].mean(axis=0)
         whole = left > 0 and top > 0 and left + wide < width and top + tall < height
         # A difference in grey levels weighs a pixel by its largest; a fraction is an area as it is.

@@ -20,72 +20,59 @@ from tunenet_logs.episode import Array
 from tunenet_logs.errors import NotFoundError
 
 Index = NDArray[np.intp]
-
 # Between the pictures of a triple, in seconds and in pictures: how fast a film plays need not be
 # how fast it was filmed.
 _STRIDES_S = (0.016, 0.033, 0.06)
 _STRIDES = (1, 2, 4, 7)
-
 MIN_BEND_PX = 0.25  # of a triple: noise bends less
-_MIN_TRAVEL_PX = 2.0  # of a triple: what stands travels less
-# Of four further pictures at the same stride: those on a triple's parabola, if it is a flight.
-_MIN_WITNESSES = 2
-
 # Pictures in which triples are looked for at once: it bounds the memory of a long film.
 _AT_ONCE = 2048
-
 # Distance in RGB (0 to 255): blur and light change a flying ball's colour by less.
 COLOUR_APART = 70.0
-
 # Of one candidate's area to the next one's: blur and a bad outline change it by less.
 AREA_RATIO = 2.2
 
 
 def accelerated_triples(table: Candidates) -> tuple[Index, Array]:
-    """Find triples of alike candidates on a parabola that others lie on; those with most first.
-
-    Returns:
-        Rows of 3 frames and 3 candidates, shape (S, 6); and how far each bends [px], shape (S, 2).
-    """
+    """Find triples of alike candidates on a parabola that others lie on; those with most first."""
     period = float(np.median(np.diff(table.seconds)))
     strides = sorted({*_STRIDES, *(max(1, round(stride / period)) for stride in _STRIDES_S)})
     seeds, bends, witnesses = [], [], []
     for stride in strides:
-        triples = _alike(table, stride)
+        # Pair every candidate with all that look like it one stride on, and two, shape (K, 6).
+        count = len(table.seconds)
+        parts = [np.empty((0, 6), np.intp)]
+        for begin in range(0, count - 2 * stride, _AT_ONCE):
+            part = table.some(np.arange(begin, min(begin + _AT_ONCE + 2 * stride, count)))
+            areas, colours = np.log(part.areas_px), part.colours
+            ratio = np.abs(areas[:-stride, :, None] - areas[stride:, None])
+            apart = np.linalg.norm(colours[:-stride, :, None] - colours[stride:, None], axis=3)
+            same = (ratio < np.log(AREA_RATIO)) & (apart < COLOUR_APART)  # NaN is not
+            first, *chosen = np.nonzero(same[:-stride, :, :, None] & same[stride:, None])
+            frames = begin + first[:, None] + stride * np.arange(3)
+            parts.append(np.column_stack([frames, *chosen]))
+        triples = np.concatenate(parts)
         early, middle, late = (table.seconds[triples[:, row]] for row in range(3))
         a, b, c = (table.places_px[triples[:, row], triples[:, row + 3]] for row in range(3))
         before = (b - a) / (middle - early)[:, None]
         after = (c - b) / (late - middle)[:, None]
         bend = (after - before) * (late - early)[:, None] / 2  # over the triple [px]
         travel = np.linalg.norm(c - a, axis=1)
-        moving = (np.abs(bend).max(axis=1) > MIN_BEND_PX) & (travel > _MIN_TRAVEL_PX)
+        # What stands travels less than 2 px in a triple.
+        moving = (np.abs(bend).max(axis=1) > MIN_BEND_PX) & (travel > 2.0)
         triples, bend = triples[moving], bend[moving]
         seen = sum(
             (_witnessed(table, triples, step * stride) for step in (-2, -1, 3, 4)),
             np.zeros(len(triples), int),
         )
-        kept = seen >= _MIN_WITNESSES
+        # Of a flight two of four further pictures at the same stride are on the triple's
+        # parabola.
+        kept = seen >= 2
         seeds.append(triples[kept])
         bends.append(bend[kept])
         witnesses.append(seen[kept])
     order = np.argsort(-np.concatenate(witnesses), kind="stable")
     return np.concatenate(seeds)[order], np.concatenate(bends)[order]
-
-
-def _alike(table: Candidates, stride: int) -> Index:
-    """Pair every candidate with all that look like it one stride on, and two, shape (K, 6)."""
-    count = len(table.seconds)
-    parts = [np.empty((0, 6), np.intp)]
-    for begin in range(0, count - 2 * stride, _AT_ONCE):
-        part = table.some(np.arange(begin, min(begin + _AT_ONCE + 2 * stride, count)))
-        areas, colours = np.log(part.areas_px), part.colours
-        ratio = np.abs(areas[:-stride, :, None] - areas[stride:, None])
-        apart = np.linalg.norm(colours[:-stride, :, None] - colours[stride:, None], axis=3)
-        same = (ratio < np.log(AREA_RATIO)) & (apart < COLOUR_APART)  # NaN is not
-        first, *chosen = np.nonzero(same[:-stride, :, :, None] & same[stride:, None])
-        frames = begin + first[:, None] + stride * np.arange(3)
-        parts.append(np.column_stack([frames, *chosen]))
-    return np.concatenate(parts)
 
 
 def _witnessed(table: Candidates, triples: Index, step: int) -> Index:
@@ -123,53 +110,32 @@ MIN_FRAMES = 6  # pictures of a flight: three lie on a parabola by themselves, t
 # Triples that grow once, and arcs that grow to the end: they bound the time of a busy film.
 _MAX_SEEDS = 500
 _FINALISTS = 60
-
 _CAMOUFLAGED = (
     "the ball looks like what is behind it",
     "mark it with --hsv; at the next drop: film it before a plain background of another colour",
 )
-
-_MIN_GROWN = 5  # pictures of a triple that has grown once: with fewer it is not grown to the end
 _MIN_POINTS = 3  # pictures that define a parabola
 # Pictures in a row without the ball that end a flight: a bounce or a hand comes between.
 _MAX_MISSES = 3
-
-_ENOUGH_FRAMES = 16  # more of them do not make a flight likelier
-_FALLEN = 5.0  # sags that a flight's travel may count: a fall from rest travels 4
 # Rms distance from the parabola that halves a score: the sum of .3 px and .15 ball radii.
 _LOOSE_PX, _LOOSE = 0.3, 0.15
-
-# Most acceleration [ball radii/s²]: a ball of 4 mm radius, falling on Earth, filmed at most at its
-# true rate.
-_MAX_RADII_S2 = 2500.0
-
 # Px and ball radii, added: a flight sags more below the straight line between its ends.
 _MIN_SAG_PX, _MIN_SAG = 2.0, 0.3
-
 # Of the acceleration downward: a camera is turned by less than 35° from one of four directions.
 _MAX_SIDEWAYS = 0.7
-
 # Added to distances that a small ball's radius bounds: its position is no better than that.
 SLACK_PX = 2.0
-
-_MIN_NEAR = 3  # pictures of a flight in which the ball is found again: they define a parabola
 # Where down may be in a picture (x, y), and how much that is favoured: films are seldom turned.
 _DIRECTIONS = (((0.0, 1.0), 2.0), ((0.0, -1.0), 1.0), ((1.0, 0.0), 1.0), ((-1.0, 0.0), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Arc:
-    """One free flight.
+    """One free flight."""
 
-    Attributes:
-        frames: numbers of the N pictures it was seen in, increasing, shape (N,).
-        chosen: which candidate of each it is, shape (N,).
-        gravity_px: acceleration [px/s²], shape (2,).
-    """
-
-    frames: Index
-    chosen: Index
-    gravity_px: Array
+    frames: Index  # numbers of the N pictures it was seen in, increasing, shape (N,)
+    chosen: Index  # which candidate of each it is, shape (N,)
+    gravity_px: Array  # acceleration [px/s²], shape (2,)
 
 
 def longest_arc(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc | None:
@@ -200,7 +166,8 @@ def _grown_arcs(table: Candidates, seeds: Index) -> Iterator[Arc]:
     tried: dict[bytes, tuple[float, int]] = {}
     for index, seed in enumerate(seeds):
         arc = _grow(table, seed, 1)
-        if arc is not None and len(arc.frames) >= _MIN_GROWN:
+        # Pictures of a triple that has grown once: with fewer it is not grown to the end
+        if arc is not None and len(arc.frames) >= 5:
             same = arc.frames.tobytes() + arc.chosen.tobytes()
             score = tried[same][0] if same in tried else _score(table, arc)
             tried[same] = (score, index)
@@ -277,12 +244,8 @@ def _score(table: Candidates, arc: Arc) -> float:
     when = (clock - clock.mean())[:, None]
     off = positions - (curve[0] * when**2 + curve[1] * when + curve[2])
     loose = np.sqrt((off**2).sum(axis=1).mean()) / (_LOOSE_PX + _LOOSE * np.sqrt(area / np.pi))
-    return (
-        min(travel, _FALLEN * sag)
-        / (1 + loose**2)
-        / (2 + np.sqrt(area))
-        * min(len(arc.frames), _ENOUGH_FRAMES)
-    )
+    # A fall from rest travels 4 sags; more than 16 pictures do not make a flight likelier.
+    return min(travel, 5.0 * sag) / (1 + loose**2) / (2 + np.sqrt(area)) * min(len(arc.frames), 16)
 
 
 def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> bool:
@@ -292,7 +255,9 @@ def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> b
     clock = table.seconds[arc.frames]
     area = float(np.median(table.areas_px[arc.frames, arc.chosen]))
     radius = float(np.sqrt(area / np.pi))
-    if np.linalg.norm(arc.gravity_px) > _MAX_RADII_S2 * (radius + 2):
+    # Most acceleration [ball radii/s²]: a ball of 4 mm radius, falling on Earth, filmed at most
+    # at its true rate
+    if np.linalg.norm(arc.gravity_px) > 2500.0 * (radius + 2):
         return False
     sag = float(arc.gravity_px @ down) * float(np.ptp(clock)) ** 2 / 8
     sideways = abs(float(arc.gravity_px @ np.array([down[1], -down[0]])))
@@ -304,14 +269,7 @@ def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> b
 def same_arc(table: Candidates, frames: Index, gravity_px: Array, positions_px: Array) -> Arc:
     """Find a known flight again among new candidates.
 
-    Args:
-        table: those of T pictures.
-        frames: the pictures that it was seen in, shape (N,).
-        gravity_px: its acceleration [px/s²], shape (2,).
-        positions_px: where the ball was seen before, shape (T, 2).
-
-    Raises:
-        NotFoundError: they do not follow it.
+    `frames` (N,), `gravity_px` (2,) [px/s²], `positions_px` (T, 2).
     """
     apart = np.linalg.norm(table.places_px[frames] - positions_px[frames][:, None], axis=2)
     apart = np.where(np.isfinite(apart), apart, np.inf)
@@ -320,7 +278,8 @@ def same_arc(table: Candidates, frames: Index, gravity_px: Array, positions_px: 
     nearest = apart.argmin(axis=1)
     area = float(np.nanmedian(table.areas_px[frames, nearest]))
     near = apart[np.arange(len(nearest)), nearest] < SLACK_PX + np.sqrt(area / np.pi)
-    if near.sum() < _MIN_NEAR:
+    # Pictures of a flight in which the ball is found again: they define a parabola
+    if near.sum() < 3:
         raise NotFoundError(*_CAMOUFLAGED)
     return Arc(frames[near], nearest[near], gravity_px)
 
@@ -328,29 +287,9 @@ def same_arc(table: Candidates, frames: Index, gravity_px: Array, positions_px: 
 # ---- Tracking from the flight to both ends of the recording
 
 MIN_SEEN = 8  # pictures with the ball: fewer are no drop and no bounce
-# Without the ball, in seconds or in pictures, whichever is longer: the way is lost. It covers what
-# passes before the ball, and slow films.
-_LOST_S, _LOST_FRAMES = 0.4, 12
-
-# Speeds, of which the largest bounds the next: a bounce between two pictures makes the way between
-# them short, and the next one long.
-_RECENT = 4
-
 _REACH = 1.3  # of the way at that speed: noise in it, and in the positions
-# Squared distance from where it is expected, in ball radii, that counts at most: a bounce is not
-# what was expected.
-_MAX_OFF = 4.0
-
-_MAX_AGAINST = 12.0  # sum of squares, each of about 1 for the ball, above which a candidate is none
 # Differences that count 1: in RGB (0 to 255), in the logarithm of the area, and of a `Placing`.
 COLOUR_OFF, _LOG_AREA, _MISFIT = 45.0, 0.6, 0.35
-
-# Pictures with the ball within half a radius of one place that are enough: more of the same
-# background teach nothing of the ball.
-_ALIKE_POSITIONS = 2
-
-# Pictures that the ball's appearance is learnt from: all of them are in memory at once.
-_MAX_SHOWN = 24
 
 
 def color_and_size(
@@ -367,9 +306,6 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
 
     In each picture the candidate is taken that is most like the ball and nearest to where constant
     acceleration from the last one would have brought it.
-
-    Returns:
-        The candidate of each picture (-1 for none) and what speaks against it, shapes (T,).
     """
     chosen = np.full(len(table.seconds), -1)
     cost = np.full(len(table.seconds), np.inf)
@@ -379,14 +315,18 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
     chosen[core] = core_picks
     cost[core] = _unlike(table, core, core_picks, ball)
     seconds, gravity, radius = table.seconds, arc.gravity_px, ball.radius_px
-    patience = max(_LOST_S, _LOST_FRAMES * float(np.median(np.diff(seconds))))
+    # Without the ball, in seconds or in pictures, whichever is longer: the way is lost. It covers
+    # what passes before the ball, and slow films [s]
+    patience = max(0.4, 12 * float(np.median(np.diff(seconds))))
     for step in (1, -1):
         frames, picks = core[::step], core_picks[::step]
         last, before = int(frames[-1]), int(frames[-2])
         position = table.places_px[last, picks[-1]]
         span = seconds[last] - seconds[before]
         velocity = (position - table.places_px[before, picks[-2]]) / span + gravity * span / 2
-        speeds = deque([float(np.linalg.norm(velocity))], maxlen=_RECENT)
+        # Speeds, of which the largest bounds the next: a bounce between two pictures makes the
+        # way between them short, and the next one long
+        speeds = deque([float(np.linalg.norm(velocity))], maxlen=4)
         frame = last + step
         while 0 <= frame < len(seconds) and abs(seconds[frame] - seconds[last]) < patience:
             dt = seconds[frame] - seconds[last]
@@ -395,12 +335,15 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
             off = np.linalg.norm(table.places_px[frame] - expected, axis=1)
             moved = np.linalg.norm(table.places_px[frame] - position, axis=1)
             reach = _REACH * speed * abs(dt) + radius + SLACK_PX
-            near = np.minimum((off / (radius + 1)) ** 2, _MAX_OFF)
+            # Squared distance from where it is expected, in ball radii, that counts at most: a
+            # bounce is not what was expected
+            near = np.minimum((off / (radius + 1)) ** 2, 4.0)
             against = near + _unlike(table, np.full(len(off), frame), np.arange(len(off)), ball)
             against = np.where(moved < reach, against, np.inf)
             against = np.where(np.isfinite(against), against, np.inf)
             best = int(against.argmin()) if len(against) else -1
-            if best >= 0 and against[best] < _MAX_AGAINST:
+            # Sum of squares, each of about 1 for the ball, above which a candidate is none
+            if best >= 0 and against[best] < 12.0:
                 new = table.places_px[frame, best]
                 velocity = (new - position) / dt + gravity * dt / 2
                 speeds.append(float(np.linalg.norm(velocity)))
@@ -417,17 +360,7 @@ def flight_and_rest(
 
     Before the flight it is where the flight's parabola, followed backwards, comes to rest, and on
     the way from there; after it, at the lowest position before the first picture without it.
-
-    Args:
-        seconds: of the pictures, shape (T,).
-        arc: its flight.
-        chosen: its candidate in each picture, -1 for none, shape (T,).
-        positions_px: where it was seen, shape (T, 2).
-        radius_px: of the ball.
-
-    Returns:
-        Numbers of at most 24 pictures, increasing, shape (N,); and positions [px], shape (T, 2),
-        NaN in flight.
+    `seconds` (T,), `chosen` (T,), `positions_px` (T, 2).
     """
     found = chosen >= 0
     first, last = int(arc.frames[0]), int(arc.frames[-1])
@@ -437,9 +370,12 @@ def flight_and_rest(
     for at in range(first, end):
         apart = positions_px[shown] - positions_px[at] if shown else np.empty((0, 2))
         crowd = np.linalg.norm(apart, axis=1)
-        if found[at] and (crowd < radius_px / 2).sum() < _ALIKE_POSITIONS:
+        # Pictures with the ball within half a radius of one place that are enough: more of the
+        # same background teach nothing of the ball
+        if found[at] and (crowd < radius_px / 2).sum() < 2:
             shown.append(at)
-    some = np.linspace(0, len(shown) - 1, min(_MAX_SHOWN, len(shown))).astype(int)
+    # Pictures that the ball's appearance is learnt from: all of them are in memory at once
+    some = np.linspace(0, len(shown) - 1, min(24, len(shown))).astype(int)
     clock = seconds[arc.frames] - seconds[first]
     curve = np.polyfit(clock, positions_px[arc.frames], 2)
     down = arc.gravity_px / np.linalg.norm(arc.gravity_px)

@@ -87,10 +87,6 @@ def kept_film(episode: Episode, topic: str) -> KeptFilm | None:
 # Pictures for the background, in memory at once: enough that a ball, a hand or a person covers no
 # pixel in most of them.
 _MAX_SAMPLES = 64
-
-# Above that, pictures are reduced: a ball is still found to a small part of a pixel.
-_MAX_PIXELS = 480_000
-
 _ROUNDED_S = 0.1  # by as much a time that somebody read off a player may lie outside the pictures
 
 
@@ -155,9 +151,6 @@ class Pictures:
         """Decode every picture once, for the stamps, the size and some samples.
 
         Most pictures are taken to have the first one's size; where they have another, once more.
-
-        Raises:
-            NotFoundError: there is none, or the part begins past the last one.
         """
         sizes = self._look_for_pictures(None)
         usual = sizes.most_common(1)[0][0] if sizes else self.size_px
@@ -175,11 +168,7 @@ class Pictures:
         self.stamps_ns = self.arrivals.stamps_ns
 
     def _look_for_pictures(self, usual: tuple[int, int] | None) -> Counter[tuple[int, int]]:
-        """Look through the pictures of this size, of the first one's where it is None.
-
-        Returns:
-            How many there are of each size.
-        """
+        """Look through the pictures of this size, of the first one's where it is None."""
         self.size_px, self.scale = usual or (1, 1), _scale_of(usual or (1, 1))
         self.start_ns = 0
         self.length_s = 0.0
@@ -237,17 +226,7 @@ class Pictures:
                 break
 
     def allowed(self, roi: tuple[int, int, int, int] | None) -> Picture | None:
-        """Build a mask of where the ball may be: 1 in the box, 0 outside; None for everywhere.
-
-        Args:
-            roi: left, top, width, height [px] of the box, before reduction.
-
-        Returns:
-            Shape (H, W) of the reduced pictures.
-
-        Raises:
-            UsageError: the box is not in the picture.
-        """
+        """Build a mask of where the ball may be: 1 in the box, 0 outside; None for everywhere."""
         if roi is None:
             return None
         left, top, width, height = roi
@@ -339,7 +318,8 @@ def one_thread() -> Iterator[None]:
 
 def _scale_of(size_px: tuple[int, int]) -> int:
     """Return the factor by which pictures of a size are reduced."""
-    return max(1, math.ceil(math.sqrt(math.prod(size_px) / _MAX_PIXELS)))
+    # Above that, pictures are reduced: a ball is still found to a small part of a pixel
+    return max(1, math.ceil(math.sqrt(math.prod(size_px) / 480_000)))
 
 
 def readable_frames(episode: Episode, topic: str) -> Iterator[Frame]:

@@ -24,38 +24,25 @@ from tunenet_logs.terminal import Bar, Progress
 
 # Of all pictures that are kept, as JPEGs: what a browser holds without effort.
 MAX_BYTES = 64 * 1024 * 1024
-
 MAX_REDUCED = 300  # pictures that are made smaller: each takes the time to decode and encode it
 LONG_SIDE_PX = 960  # of a picture that is made smaller: it fits a screen, with a page around it
-# A JPEG of no more is kept as it was recorded: to make it smaller takes time and gains little.
-_SMALL_BYTES = 200_000
 
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """Picture as a JPEG.
+    """Picture as a JPEG."""
 
-    Attributes:
-        seconds: since the topic's first picture.
-        data: the JPEG.
-        is_reduced: whether it was made smaller here; else it is as recorded.
-    """
-
-    seconds: float
-    data: bytes
-    is_reduced: bool
+    seconds: float  # since the topic's first picture
+    data: bytes  # the JPEG
+    is_reduced: bool  # whether it was made smaller here; else it is as recorded
 
 
 @dataclass(frozen=True)
 class Album:
-    """Pictures in the order of their time, evenly chosen where there are too many.
-
-    Attributes:
-        size_px: (width, height) as recorded, not of the thumbnails.
-    """
+    """Pictures in the order of their time, evenly chosen where there are too many."""
 
     topic: str
-    size_px: tuple[int, int]
+    size_px: tuple[int, int]  # (width, height) as recorded, not of the thumbnails
     thumbnails: tuple[Thumbnail, ...]
 
 
@@ -69,11 +56,6 @@ def album_of(
     """Read a topic's pictures once, forward, in bounded memory.
 
     `start_s` and `end_s` [s since the first picture] select a part.
-
-    Raises:
-        UsageError: there is no picture that can be decoded.
-        NotFoundError: the part begins past the last one.
-        LogError: the log is damaged.
     """
     counts = (channel.messages for channel in episode.channels if channel.topic == topic)
     total = next(counts, None)
@@ -123,11 +105,7 @@ class _Thinning:
         self._reduced = 0
 
     def add(self, number: int, seconds: float, frame: Frame) -> None:
-        """Keep a picture if it is its turn.
-
-        Raises:
-            LogError: it is damaged.
-        """
+        """Keep a picture if it is its turn."""
         if number % self._step:
             return
         if self.size_px is None:
@@ -154,7 +132,9 @@ class _Thinning:
 
 def _thumbnail(seconds: float, frame: Frame) -> Thumbnail:
     """Return the frame as recorded where that is a small JPEG, else made smaller."""
-    if frame.size is None and len(frame.data) <= _SMALL_BYTES and is_whole(frame.data):
+    # A JPEG of no more is kept as it was recorded: to make it smaller takes time and gains little
+    # [bytes]
+    if frame.size is None and len(frame.data) <= 200_000 and is_whole(frame.data):
         return Thumbnail(seconds, frame.data, is_reduced=False)
     import cv2
 
@@ -172,10 +152,6 @@ def _thumbnail(seconds: float, frame: Frame) -> Thumbnail:
 # Where the ball is: x, y [px] as `Hints.ball_at` counts them, and seconds since the topic's first
 # picture.
 Mark = tuple[float, float, float]
-
-# Between two looks at whether the page was closed: nobody notices that it is so late.
-_POLL_SECONDS = 0.2
-
 # A page that was left and is not back so soon is closed; one that is loaded again is back.
 _AWAY_SECONDS = 3.0
 
@@ -191,11 +167,6 @@ def mark_ball(
     """Serve a topic's pictures on a page, and wait for its user; return None without a mark.
 
     `start_s` and `end_s` [s since the first picture] select a part.
-
-    Raises:
-        UsageError: there is no picture that can be decoded.
-        NotFoundError: the part begins past the last one.
-        KeyboardInterrupt: the page was closed, or Ctrl-C.
     """
     marking = Marking(album_of(episode, topic, start_s, end_s, progress))
     try:
@@ -221,14 +192,12 @@ class Marking:
         self.url = self._page.url
 
     def wait(self) -> Mark | None:
-        """Wait for the user; return the mark, or None to go on without one.
-
-        Raises:
-            KeyboardInterrupt: the page was closed.
-        """
+        """Wait for the user; return the mark, or None to go on without one."""
         while True:
             try:
-                return self._decided.get(timeout=_POLL_SECONDS)
+                # Between two looks at whether the page was closed: nobody notices that it is so
+                # late
+                return self._decided.get(timeout=0.2)
             except queue.Empty:
                 if self._is_closed():
                     raise KeyboardInterrupt from None

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.analysis.selection import Hints
+from tunenet_logs.analysis.options import Hints
 from tunenet_logs.analysis.tracking.appearance import BallDetector, learn_appearance
 from tunenet_logs.analysis.tracking.candidates import (
     Background,
@@ -42,28 +42,17 @@ from tunenet_logs.terminal import told
 
 # ---- Check of a still camera: without a still background no ball can be found
 
-# To which the longer side of a picture is reduced: noise and a shaking hand average out.
-_SIDE_PX = 240
-
 _TILES = 6  # a picture's tiles, each way
-# Standard deviation [of 255] of a tile that shows something: more than a wall and noise.
-_TEXTURE = 8.0
-
 # Tiles of 36 that show something, in most pictures: in fewer it may be what moves, an arm or a
 # large ball.
 _MIN_COUNT = 14
-
 _SAME = 0.7  # correlation of a tile with the still picture's, below which it shows something else
 # Of the tiles that show something, and of the pictures: with more the background is none.
 _MAX_ELSEWHERE = 0.5
 
 
 def check_still(samples: Sequence[Picture]) -> None:
-    """Check that the camera is still, before the costly search for what flies.
-
-    Raises:
-        NotFoundError: most pictures show something else than the median of all.
-    """
+    """Check that the camera is still, before the costly search for what flies."""
     share = share_elsewhere(samples)
     if share > _MAX_ELSEWHERE:
         raise NotFoundError(
@@ -82,7 +71,8 @@ def share_elsewhere(samples: Sequence[Picture]) -> float:
     for at, picture in enumerate(reduced):  # all at once would take much memory
         tiles = _tiles(picture)
         spreads = tiles.std(axis=1)
-        shown = np.maximum(spreads, spread) > _TEXTURE
+        # Standard deviation [of 255] of a tile that shows something: more than a wall and noise
+        shown = np.maximum(spreads, spread) > 8.0
         alike = (tiles * still).mean(axis=1) / np.maximum(spreads * spread, 1e-3)
         seen[at], changed[at] = shown.sum(), (shown & (alike < _SAME)).sum()
     return float(np.mean(changed > _MAX_ELSEWHERE * seen)) if np.median(seen) >= _MIN_COUNT else 0.0
@@ -92,7 +82,8 @@ def _reduced(picture: Picture) -> Picture:
     """Reduce a picture to its brightness, small and smooth, shape (H, W)."""
     import cv2
 
-    scale = min(1.0, _SIDE_PX / max(picture.shape[:2]))
+    # To which the longer side of a picture is reduced: noise and a shaking hand average out [px]
+    scale = min(1.0, 240 / max(picture.shape[:2]))
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(small, (3, 3), 0), np.uint8)
@@ -111,28 +102,18 @@ def _tiles(picture: Picture) -> Array:
 # Phones double pictures, and cameras freeze. The pictures alone decide, so that a film is the same
 # film from its file, from a log and from a bag.
 
-_UNCHANGED = 10  # of 255, in the mean of three by three pixels: less is no change
 # Of the larger change before or after: a codec refines a picture that comes twice, by .02 to .2 of
 # what it changes where the ball has moved.
 _LITTLE = 0.3
-
 # Least way of a ball that moves, and most of one that stands: several times the noise.
 _MOVED_PX, _STOOD_PX = 1.0, 0.5
-
-# Cosine between the way that came and the one that went on: a bounce turns, flight goes on.
-_ONWARD = 0.8
-
 # Times that a ball that goes on is seen once more where it was, and their share of the steps that
 # it moves, from which on a recording is one that doubles pictures.
 _HABIT, _HABITUAL = 3, 0.02
 
 
 def change_around(before: Picture, picture: Picture, found: Blobs) -> tuple[float, float]:
-    """Measure a picture's change from the one before around its likeliest candidate, of 255.
-
-    Returns:
-        The largest and the rms difference of smooth pixels; NaN where there is no candidate.
-    """
+    """Measure a picture's change from the one before around its likeliest candidate, of 255."""
     import cv2
 
     if not len(found.areas_px):
@@ -153,13 +134,12 @@ def change_around(before: Picture, picture: Picture, found: Blobs) -> tuple[floa
 def repeated(changes: Array) -> NDArray[np.bool_]:
     """Return whether each picture is, around the ball, the one before once more, shape (T,).
 
-    Args:
-        changes: largest and rms change of each picture, see `change_around`; NaN where that is not
-            known, as of the first; shape (T, 2).
+    `changes` (T, 2).
     """
     largest, rms = changes.T
     around = np.concatenate([[0.0], np.nan_to_num(rms), [0.0]])
-    return (largest < _UNCHANGED) | (rms < _LITTLE * np.maximum(around[:-2], around[2:]))
+    # A change by less than 10 of 255, in the mean of three by three pixels, is none.
+    return (largest < 10) | (rms < _LITTLE * np.maximum(around[:-2], around[2:]))
 
 
 def new_pictures(places_px: Array, unchanged: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -168,16 +148,12 @@ def new_pictures(places_px: Array, unchanged: NDArray[np.bool_]) -> NDArray[np.i
     A ball that lies moves neither before nor after; one that bounces may be seen twice in one place
     by chance, but goes back. Where a recording doubles pictures of a ball that goes on, it is no
     chance, and those of one that turns back are left out, too. A longer run than it makes of one
-    picture, or of two of a ball at the top of its flight, shows a ball that lies.
-
-    Args:
-        places_px: of the ball in T pictures, NaN where it is not known, shape (T, 2).
-        unchanged: whether a picture is, around the ball, the one before once more, shape (T,).
-
-    Returns:
-        Their numbers, shape (N,).
+    picture, or of two of a ball at the top of its flight, shows a ball that lies. `places_px` (T,
+    2), `unchanged` (T,).
     """
-    runs = _runs(unchanged)
+    edges = np.diff(np.concatenate([[False], unchanged, [False]]).astype(int))
+    firsts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    runs = list(zip(firsts.tolist(), ends.tolist(), strict=True))
     repeats = [run for run in runs if _goes_on(places_px, *run)]
     moves = np.linalg.norm(np.diff(places_px, axis=0), axis=1) > _MOVED_PX
     if len(repeats) >= max(_HABIT, _HABITUAL * np.count_nonzero(moves)):
@@ -187,13 +163,6 @@ def new_pictures(places_px: Array, unchanged: NDArray[np.bool_]) -> NDArray[np.i
     for first, end in repeats:
         kept[first:end] = False
     return np.flatnonzero(kept)
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first index of each run of set flags, and the one behind its last."""
-    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
-    firsts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return list(zip(firsts.tolist(), ends.tolist(), strict=True))
 
 
 def _goes_on(places_px: Array, first: int, end: int) -> bool:
@@ -206,7 +175,8 @@ def _goes_on(places_px: Array, first: int, end: int) -> bool:
     came, went = here - before, after - here
     stood = np.linalg.norm(places_px[first:end] - here, axis=1).max() < _STOOD_PX
     least = min(np.linalg.norm(came), np.linalg.norm(went))
-    onward = came @ went > _ONWARD * np.linalg.norm(came) * np.linalg.norm(went)
+    # Cosine between the way that came and the one that went on: a bounce turns, flight goes on
+    onward = came @ went > 0.8 * np.linalg.norm(came) * np.linalg.norm(went)
     return bool(stood and least > _MOVED_PX and onward)
 
 
@@ -221,11 +191,9 @@ _COLOUR_APART, _AREA_RATIO = 70.0, 2.2  # from one picture to the next, as of wh
 # Fractions of the way: rms distance from a parabola, how far that may bend or get ahead of a steady
 # speed, and how far it may fall behind: balls that roll come to rest.
 _LOOSE, _STEADY, _SLOWER = 0.04, 0.06, 0.2
-
 # Way, in the reduced picture, below which what was found may be nothing; and how many times as far
 # something has to roll.
 _SHORT_PX, _FARTHER = 40.0, 3.0
-
 # A way's least length, in radii, and as a fraction of what candidates are spread over.
 _MIN_RADII, _MIN_SHARE = 6.0, 0.15
 
@@ -236,9 +204,6 @@ def refuse_roll(
     """Raise if something rolls through the pictures while what was found hardly moves.
 
     What was found moves by `way_px` in pictures of full size; `scale` is how much they are reduced.
-
-    Raises:
-        NotFoundError: something goes farther, and never falls.
     """
     if way_px > _SHORT_PX * scale:
         return
@@ -259,9 +224,13 @@ def longest_roll_px(table: Candidates) -> float:
     spread = float(np.linalg.norm(high - low))
     count = len(table.seconds)
     longest = 0.0
-    for first in np.unique(np.linspace(0, count - 1, _STARTS).astype(int)):
-        for one in np.flatnonzero(np.isfinite(table.areas_px[first])):
-            frames, places = _way(table, int(first), int(one))
+    for first in np.unique(np.linspace(0, count - 1, _STARTS).astype(int)).tolist():
+        for one in np.flatnonzero(np.isfinite(table.areas_px[first])).tolist():
+            # All of a candidate's path through a picture: the pictures, and where, shape (N, 2).
+            before, came = _followed(table, first, one, -1)
+            after, went = _followed(table, first, one, 1)
+            places = np.array([*came[::-1], table.places_px[first, one], *went])
+            frames = [*before[::-1], first, *after]
             length = _length_px(table.seconds[frames], places)
             radius = float(np.sqrt(table.areas_px[first, one] / np.pi))
             if length > max(_MIN_RADII * radius, _MIN_SHARE * spread):
@@ -296,14 +265,6 @@ def _followed(table: Candidates, first: int, one: int, step: int) -> tuple[list[
     return frames[1:], places[1:]
 
 
-def _way(table: Candidates, middle: int, one: int) -> tuple[list[int], Array]:
-    """Return all of a candidate's path through a picture: the pictures, and where, shape (N, 2)."""
-    before, came = _followed(table, middle, one, -1)
-    after, went = _followed(table, middle, one, 1)
-    places = [*came[::-1], table.places_px[middle, one], *went]
-    return [*before[::-1], middle, *after], np.array(places)
-
-
 def _length_px(seconds: Array, places: Array) -> float:
     """Return the end-to-end length of a path that is straight and steady; else 0."""
     if len(seconds) < _MIN_ROLL_FRAMES:
@@ -323,61 +284,35 @@ def _length_px(seconds: Array, places: Array) -> float:
 
 # ---- Track of the ball, from what moves to what looks like it
 
-# Pictures of a flight that is searched for once more, against two backgrounds: fewer show it.
-_FEW_FRAMES = 5
-
 _MARK = "mark the ball with --roi, --hsv or --ball-at"
-
 _FILM_MORE = "at the next drop: film fall and bounces at 60 pictures a second or more"
-
-# From a mark to the edge of what it marks, in the reduced picture: a mark need not be exact.
-_NEAR_PX = 50
-
 # Difference in RGB (0 to 255), and ratio of areas, from a marked ball: it changes by less as it
 # moves through light and shade, and is blurred.
 _UNLIKE_COLOUR, _UNLIKE_AREA = 90.0, 4.0
-
-# What speaks against a candidate where its confidence is 1/e; `follow` takes none above 12.
-_CONFIDENCE_COST = 8.0
-
-_EXPOSURE_S = 0.016  # longer ones blur a ball so much that people add light
 _GOOD = 0.4  # misfit of a `Placing` up to which it tells whether the ball stands still
 # Radii around the ball that the background is not learnt from: its shadow, and an error of its
 # position.
 _HIDDEN = 2.5
-
 # Ball radii below the lowest place where it was followed, in which it may have come to rest.
 _RESTS_BELOW = (0.0, 2.0, 4.0)
-
-# A learnt radius over the first one, above which the ball stood out by a part of it alone, and too
-# little was kept out of the background.
-_MISSED = 1.2
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Position of the ball in each picture.
+    """Position of the ball in each picture."""
 
-    Attributes:
-        stamps_ns: of the T pictures, all but those that repeat the one before, shape (T,).
-        places_px: x right, y down; the first pixel's centre is 0, 0; shape (T, 2); NaN where the
-            ball is not found.
-        radius_px: of a disc of its area, shape (T,); NaN likewise.
-        confidence: 0 to 1, shape (T,).
-        size_px: (width, height) of the pictures.
-        gravity_px: acceleration in flight [px/s²], shape (2,).
-        colour: RGB of the ball, 0 to 255.
-        exposure_s: for which a shutter may have been open around each stamp, at most; 0 for
-            positions that no camera saw.
-    """
-
+    # of the T pictures, all but those that repeat the one before, shape (T,)
     stamps_ns: NDArray[np.int64]
+    # x right, y down; the first pixel's centre is 0, 0; shape (T, 2); NaN where the ball is not
+    # found
     places_px: Array
-    radius_px: Array
-    confidence: Array
-    size_px: tuple[int, int]
-    gravity_px: Array
-    colour: tuple[int, int, int]
+    radius_px: Array  # of a disc of its area, shape (T,); NaN likewise
+    confidence: Array  # 0 to 1, shape (T,)
+    size_px: tuple[int, int]  # (width, height) of the pictures
+    gravity_px: Array  # acceleration in flight [px/s²], shape (2,)
+    colour: tuple[int, int, int]  # RGB of the ball, 0 to 255
+    # for which a shutter may have been open around each stamp, at most; 0 for positions that no
+    # camera saw
     exposure_s: float = 0.0
 
     @property
@@ -387,12 +322,7 @@ class Track:
 
 
 def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
-    """Find the ball by its free flight, learn how it looks, and follow it through all pictures.
-
-    Raises:
-        NotFoundError: nothing in the pictures flies as a ball does.
-        UsageError: a hint that does not fit the pictures.
-    """
+    """Find the ball by its free flight, learn how it looks, and follow it through all pictures."""
     hints = hints or Hints()
     stamps_ns = pictures.stamps_ns
     if len(stamps_ns) < MIN_SEEN:
@@ -412,7 +342,28 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
         blobs = [moving_blobs(picture, background, allowed) for picture in shown]
         table = Candidates.of(seconds, blobs)
         if hints.ball_at is not None:
-            return _only_like(table, pictures, hints.ball_at)
+            # Keep the candidates that look like the one nearest to where the user saw the ball.
+            x, y, at_s = pictures.scaled(hints.ball_at)
+            there = "{:.0f}, {:.0f} px at {:.2f} s".format(*hints.ball_at)
+            frame = int(np.abs(table.seconds - at_s).argmin())
+            apart = np.linalg.norm(table.places_px[frame] - np.array([x, y]), axis=1)
+            if not np.isfinite(apart).any():
+                raise NotFoundError(f"nothing moves at {there}; mark the ball in flight")
+            nearest = int(np.nanargmin(apart))
+            colour, area = table.colours[frame, nearest], table.areas_px[frame, nearest]
+            # From a mark to the edge of what it marks, in the reduced picture: a mark need not be
+            # exact [px]
+            if apart[nearest] > 50 + np.sqrt(area / np.pi):
+                right, down = table.places_px[frame, nearest] * pictures.scale
+                raise NotFoundError(
+                    f"nothing moves near {there}, the nearest at {right:.0f}, {down:.0f} px; "
+                    "mark the ball in flight"
+                )
+            unlike = np.linalg.norm(table.colours - colour, axis=2) > _UNLIKE_COLOUR
+            unlike |= np.abs(np.log(table.areas_px / area)) > np.log(_UNLIKE_AREA)
+            areas = np.where(unlike, np.nan, table.areas_px)
+            positions = np.where(unlike[:, :, None], np.nan, table.places_px)
+            return replace(table, areas_px=areas, places_px=positions)
         return table
 
     check_still(pictures.samples)
@@ -421,7 +372,9 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
     try:
         if arc is None:
             look = moving(halved_background(pictures.samples))
-            track = _of_arc(pictures, look, _arc_of(look.inside(), _FEW_FRAMES), allowed)
+            # Pictures of a flight that is searched for once more, against two backgrounds: fewer
+            # show it
+            track = _of_arc(pictures, look, _arc_of(look.inside(), 5), allowed)
         else:
             track = _of_arc(pictures, table, arc, allowed)
     except NotFoundError as error:
@@ -434,12 +387,24 @@ def track_ball(pictures: Pictures, hints: Hints | None = None) -> Track:
 
 def _of_arc(pictures: Pictures, first: Candidates, arc: Arc, allowed: Picture | None) -> Track:
     """Track the ball in all pictures, from a flight among candidates by their motion."""
-    second = _redetect(pictures, first, arc, allowed)
-    fresh = second.new_frames()
-    table = second.table.some(fresh)
+    second, before_px, unchanged = _redetect(pictures, first, arc, allowed)
+    fresh = new_frames(second, unchanged)
+    table = second.some(fresh)
     shown = np.unique(np.searchsorted(fresh, arc.frames, side="right") - 1)  # first, where repeated
-    arc = same_arc(table, shown, arc.gravity_px, second.before_px[fresh])
+    arc = same_arc(table, shown, arc.gravity_px, before_px[fresh])
     return _track(pictures, table, arc, fresh)
+
+
+def new_frames(table: Candidates, unchanged: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the numbers of the pictures but those that repeat one; see `new_pictures`."""
+    rows = np.arange(len(unchanged))
+    if not table.areas_px.size:
+        return rows
+    misfits = np.where(np.isfinite(table.areas_px), table.misfits, np.inf)
+    best = misfits.argmin(axis=1)
+    places = table.places_px[rows, best].copy()
+    places[misfits[rows, best] > _GOOD] = np.nan
+    return new_pictures(places, unchanged)
 
 
 def _arc_of(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc:
@@ -451,31 +416,6 @@ def _arc_of(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc:
             "light and a plain background (docs/camera.md)",
         )
     return arc
-
-
-def _only_like(
-    table: Candidates, pictures: Pictures, ball_at: tuple[float, float, float]
-) -> Candidates:
-    """Keep the candidates that look like the one nearest to where the user saw the ball."""
-    x, y, at_s = pictures.scaled(ball_at)
-    there = "{:.0f}, {:.0f} px at {:.2f} s".format(*ball_at)
-    frame = int(np.abs(table.seconds - at_s).argmin())
-    apart = np.linalg.norm(table.places_px[frame] - np.array([x, y]), axis=1)
-    if not np.isfinite(apart).any():
-        raise NotFoundError(f"nothing moves at {there}; mark the ball in flight")
-    nearest = int(np.nanargmin(apart))
-    colour, area = table.colours[frame, nearest], table.areas_px[frame, nearest]
-    if apart[nearest] > _NEAR_PX + np.sqrt(area / np.pi):
-        right, down = table.places_px[frame, nearest] * pictures.scale
-        raise NotFoundError(
-            f"nothing moves near {there}, the nearest at {right:.0f}, {down:.0f} px; "
-            "mark the ball in flight"
-        )
-    unlike = np.linalg.norm(table.colours - colour, axis=2) > _UNLIKE_COLOUR
-    unlike |= np.abs(np.log(table.areas_px / area)) > np.log(_UNLIKE_AREA)
-    areas = np.where(unlike, np.nan, table.areas_px)
-    positions = np.where(unlike[:, :, None], np.nan, table.places_px)
-    return replace(table, areas_px=areas, places_px=positions)
 
 
 def _track(
@@ -500,49 +440,28 @@ def _track(
         raise NotFoundError("the ball is lost after a few pictures", _MARK)
     red, green, blue = np.nanmedian(picked(table.colours, chosen), axis=0).round().astype(int)
     scale = pictures.scale
+    # `follow` takes no candidate that more than 12 speaks against: its confidence is 1/e at 8. A
+    # longer exposure blurs a ball so much that people add light.
     return Track(
         stamps_ns=pictures.stamps_ns[fresh],
         places_px=positions * scale + (scale - 1) / 2,
         radius_px=np.sqrt(areas / np.pi) * scale,
-        confidence=np.where(np.isfinite(areas), np.exp(-cost / _CONFIDENCE_COST), 0.0),
+        confidence=np.where(np.isfinite(areas), np.exp(-cost / 8.0), 0.0),
         size_px=pictures.size_px,
         gravity_px=arc.gravity_px * scale,
         colour=(int(red), int(green), int(blue)),
-        exposure_s=_EXPOSURE_S,
+        exposure_s=0.016,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Redetection:
-    """Candidates of T pictures, by how the ball looks.
-
-    Attributes:
-        table: candidates of every picture.
-        before_px: where the first look saw the ball, gaps filled, shape (T, 2).
-        unchanged: whether a picture is, around the ball, the one before once more, shape (T,).
-    """
-
-    table: Candidates
-    before_px: Array
-    unchanged: NDArray[np.bool_]
-
-    def new_frames(self) -> NDArray[np.intp]:
-        """Return the numbers of the pictures but those that repeat one; see `new_pictures`."""
-        table = self.table
-        rows = np.arange(len(self.unchanged))
-        if not table.areas_px.size:
-            return rows
-        misfits = np.where(np.isfinite(table.areas_px), table.misfits, np.inf)
-        best = misfits.argmin(axis=1)
-        places = table.places_px[rows, best].copy()
-        places[misfits[rows, best] > _GOOD] = np.nan
-        return new_pictures(places, self.unchanged)
 
 
 def _redetect(
     pictures: Pictures, first: Candidates, arc: Arc, allowed: Picture | None
-) -> Redetection:
-    """Learn the ball's appearance and the background without it, and find it in all pictures."""
+) -> tuple[Candidates, Array, NDArray[np.bool_]]:
+    """Learn the ball's appearance and the background without it, and find it in all pictures.
+
+    Returns the candidates of T pictures, by how the ball looks; where the first look saw the ball,
+    gaps filled, shape (T, 2); and which pictures are, around the ball, the one before once more.
+    """
     ball = color_and_size(first, arc.frames, arc.chosen)
     chosen, _ = follow(first, arc, ball)
     seen_px = picked(first.places_px, chosen)
@@ -566,7 +485,9 @@ def _redetect(
         maybe_px.append(np.stack([before_px[at], *below]))
     clear = still_background(samples, maybe_px, _HIDDEN * ball.radius_px + 2)
     appearance = learn_appearance(crops, clear, before_px[shown], areas[shown])
-    if appearance is not None and appearance.radius_px > _MISSED * ball.radius_px:
+    # A learnt radius over the first one, above which the ball stood out by a part of it alone,
+    # and too little was kept out of the background
+    if appearance is not None and appearance.radius_px > 1.2 * ball.radius_px:
         clear = still_background(samples, maybe_px, _HIDDEN * appearance.radius_px + 2)
         appearance = learn_appearance(crops, clear, before_px[shown], areas[shown])
     del crops, samples  # many whole pictures
@@ -579,4 +500,4 @@ def _redetect(
         if before is not None:
             changes[number] = change_around(before, picture, blobs[-1])
         before = picture
-    return Redetection(Candidates.of(first.seconds, blobs), before_px, repeated(changes))
+    return Candidates.of(first.seconds, blobs), before_px, repeated(changes)

@@ -151,16 +151,12 @@ class Scaling:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Trained network, which estimates the residual of the P parameters from two observations.
-
-    Attributes:
-        digest: SHA-256 of everything in it, hexadecimal.
-    """
+    """Trained network, which estimates the residual of the P parameters from two observations."""
 
     network: Network
     weights: Mapping[str, Array]
     scaling: Scaling
-    digest: str = ""
+    digest: str = ""  # SHA-256 of everything in it, hexadecimal
 
     def __call__(self, proposed: Array, target: Array) -> Array:
         """Estimate zeta_T - zeta_P, shape (B, P), from observations of shape (B, L, C)."""
@@ -211,29 +207,20 @@ def tanh(values: Any) -> Any:
 # ---- Training data: observations simulated in parallel, and their pairs.
 
 Item = TypeVar("Item")
-
 # Who makes rollouts: a cluster, or so many processes of this machine; None for all its cores.
 Workers: TypeAlias = Cluster | int | None
-
 # Items of a chunk at most, and chunks wanted: workers then end together, and giving costs little.
 _MAX_AT_A_TIME, _CHUNKS = 50, 128
 
 
 @dataclass(frozen=True, eq=False)
 class PairSet:
-    """Pairs of rollouts whose parameters are known.
+    """Pairs of rollouts whose parameters are known."""
 
-    Attributes:
-        observations: Shape (N, L, C).
-        values: Parameters of each, shape (N, P).
-        proposed: Index of o_P of each pair, shape (M,).
-        target: Index of o_T of each pair, shape (M,).
-    """
-
-    observations: Array
-    values: Array
-    proposed: NDArray[np.intp]
-    target: NDArray[np.intp]
+    observations: Array  # shape (N, L, C)
+    values: Array  # parameters of each, shape (N, P)
+    proposed: NDArray[np.intp]  # index of o_P of each pair, shape (M,)
+    target: NDArray[np.intp]  # index of o_T of each pair, shape (M,)
 
     @property
     def residuals(self) -> Array:
@@ -250,15 +237,6 @@ def observe_all(
     """Map `observe` over all items in chunks, and concatenate in order, shape (N, L, C).
 
     Chunks do not depend on the number of workers, so the same items give the same bits.
-
-    Args:
-        observe: Observations of some items, as many of each; a function of a module.
-        items: To observe.
-        workers: Processes or a cluster.
-        progress: Shows how many are done.
-
-    Raises:
-        TuneNetError: A worker died of the same items at each try.
     """
     size = max(1, min(_MAX_AT_A_TIME, len(items) // _CHUNKS + 1))
     chunks = [items[at : at + size] for at in range(0, len(items), size)]
@@ -296,10 +274,7 @@ def mixed_pairs(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Draw pairs: half of any two rollouts, half close together, as the last iterations are.
 
-    Args:
-        values: Of the N rollouts, shape (N, P); close together is by the first one.
-        count: Pairs wanted.
-        rng: Random generator.
+    `values` (N, P).
     """
     order = np.argsort(values[:, 0])
     proposed = rng.integers(len(values), size=count)
@@ -312,38 +287,27 @@ def mixed_pairs(
 
 # ---- Training on pairs (eq. 4 of the paper), by the paper's recipes or ours.
 
-# Share of an observation that a short recording may lack at its beginning: the fall.
-_LATEST_BEGIN = 0.18
-
 
 @dataclass(frozen=True)
 class Recipe:
-    """Hyperparameters of a training.
+    """Hyperparameters of a training."""
 
-    Attributes:
-        optimizer: "sgd" (no momentum) or "adamw" (one-cycle learning rate).
-        learning_rate: At first ("sgd") or at most ("adamw").
-        decay: Factor of the rate every `decay_epochs` ("sgd").
-        weight_decay: L2 constant.
-        loss: "squared", "norm" (unsquared, the paper's eq. 4), or "relative": squared, over
-            (|residual| + 0.1)^2, so that small residuals count as they do in the last steps.
-        scaling: "raw", "unit" (inputs and outputs to [0, 1]), "standard" (of inputs), or "ranges"
-            (also each output by its parameter's range); "unit-inputs" and "z-score" scale each
-            channel of the inputs alone.
-        noise: Up to this standard deviation is added to o_T, in the observation's unit.
-        cut_share: Share of pairs that begin late and end early, as a short recording does.
-    """
-
-    optimizer: str
-    learning_rate: float
-    weight_decay: float
+    optimizer: str  # "sgd" (no momentum) or "adamw" (one-cycle learning rate)
+    learning_rate: float  # at first ("sgd") or at most ("adamw")
+    weight_decay: float  # L2 constant
+    # "squared", "norm" (unsquared, the paper's eq. 4), or "relative": squared, over (|residual| +
+    # 0.1)^2, so that small residuals count as they do in the last steps.
     loss: str
+    # "raw", "unit" (inputs and outputs to [0, 1]), "standard" (of inputs), or "ranges" (also each
+    # output by its parameter's range); "unit-inputs" and "z-score" scale each channel of the
+    # inputs alone
     scaling: str
     epochs: int
     batch: int
-    decay: float = 1.0
+    decay: float = 1.0  # factor of the rate every `decay_epochs` ("sgd")
     decay_epochs: int = 1
-    noise: float = 0.0
+    noise: float = 0.0  # up to this standard deviation is added to o_T, in the observation's unit
+    # share of pairs that begin late and end early, as a short recording does
     cut_share: float = 0.0
 
 
@@ -411,7 +375,21 @@ def _scaling(pairs: PairSet, how: str) -> Scaling:
     if how == "raw":
         return Scaling(none, one, none, one)
     if how in ("unit-inputs", "z-score"):
-        return Scaling(*_by_channel(pairs.observations, how == "unit-inputs"), none, one)
+        # Offset and gain of each input, one pair per channel.
+        observations = pairs.observations
+        to_unit = how == "unit-inputs"
+        if to_unit:
+            offset = np.nanmin(observations, axis=(0, 1))
+            spread = np.nanmax(observations, axis=(0, 1)) - offset
+        else:
+            offset, spread = (
+                np.nanmean(observations, axis=(0, 1)),
+                np.nanstd(observations, axis=(0, 1)),
+            )
+        length = observations.shape[1]
+        return Scaling(
+            *(np.tile(offset, length), np.tile(1 / np.maximum(spread, 1e-12), length)), none, one
+        )
     if how == "unit":
         low, high = np.array([np.nanmin(flat)]), np.array([np.nanmax(flat)])
         least, most = pairs.residuals.min(axis=0), pairs.residuals.max(axis=0)
@@ -419,17 +397,6 @@ def _scaling(pairs: PairSet, how: str) -> Scaling:
     spread = np.nanstd(flat, axis=0).mean()
     ranges = np.ptp(pairs.values, axis=0) if how == "ranges" else one
     return Scaling(np.nanmean(flat, axis=0), np.array([1 / spread]), none, ranges)
-
-
-def _by_channel(observations: Array, to_unit: bool) -> tuple[Array, Array]:
-    """Return offset and gain of each input, one pair per channel."""
-    if to_unit:
-        offset = np.nanmin(observations, axis=(0, 1))
-        spread = np.nanmax(observations, axis=(0, 1)) - offset
-    else:
-        offset, spread = np.nanmean(observations, axis=(0, 1)), np.nanstd(observations, axis=(0, 1))
-    length = observations.shape[1]
-    return np.tile(offset, length), np.tile(1 / np.maximum(spread, 1e-12), length)
 
 
 def _optimizer(recipe: Recipe, weights: list[torch.Tensor], batches: int) -> tuple[Any, Any]:
@@ -462,7 +429,8 @@ def _augment(
     if cut_share:
         cut = torch.rand(count, 1, generator=generator) < cut_share
         end = 0.25 + 0.75 * torch.rand(count, 1, generator=generator)
-        begin = _LATEST_BEGIN * torch.rand(count, 1, generator=generator)
+        # Share of an observation that a short recording may lack at its beginning: the fall
+        begin = 0.18 * torch.rand(count, 1, generator=generator)
         places = torch.arange(length)
         seen = ~cut | ((places < end * length) & (places >= begin * length))
         proposed, target = proposed * seen, target * seen

@@ -30,37 +30,25 @@ from tunenet_logs.terminal import one_line, short_name
 from tunenet_logs.writing.owned_path import OutputPlace
 
 REMEDY = "train the network again, or copy its file again"
-
 _MAX_FILE_BYTES = 32 * 1024 * 1024  # thirty times the largest network of ours
 _MAX_HEADER_BYTES = 64 * 1024  # thirty times what a header of ours takes
 # Strings in a header, and characters in one: several times what ours have.
 _MAX_NOTES, _MAX_CHARACTERS = 64, 4000
-
 _MAX_SIZE = 1e9  # of a weight: no product of a network's layers is then infinite
 _DTYPE, _NUMPY_DTYPE = "F64", np.dtype("<f8")  # what `tunenet-train` writes
 
 
 @dataclass(frozen=True)
 class WeightsFile:
-    """Safetensors file with a valid header.
-
-    Attributes:
-        metadata: Its strings by name.
-        entries: The header's entry of each tensor.
-        data: The tensors' bytes.
-    """
+    """Safetensors file with a valid header."""
 
     path: Path
-    metadata: Mapping[str, str]
-    entries: Mapping[str, Any]
-    data: bytes
+    metadata: Mapping[str, str]  # its strings by name
+    entries: Mapping[str, Any]  # the header's entry of each tensor
+    data: bytes  # the tensors' bytes
 
     def tensors(self, wanted: Mapping[str, Collection[tuple[int, ...]]]) -> dict[str, Array]:
-        """Read exactly the `wanted` tensors, each in one of its shapes, contiguous in the file.
-
-        Raises:
-            WeightsError: One is missing, unexpected or misshapen; with its name.
-        """
+        """Read exactly the `wanted` tensors, each in one of its shapes, contiguous in the file."""
         found: dict[str, Array] = {}
         places: list[tuple[int, int, str]] = []
         for name in self.entries:
@@ -121,14 +109,21 @@ def in_one_order(content: bytes) -> bytes:
 
 
 def read_weights_file(path: Path) -> WeightsFile:
-    """Read a file and check its header.
-
-    Raises:
-        WeightsError: It is no safetensors file, or none of ours; names file and remedy.
-    """
+    """Read a file and check its header."""
     try:
         content = read_small_file(path, _MAX_FILE_BYTES)
-        data, header = _parted(content)
+        # Split into the tensors' bytes, and the header.
+        if len(content) < 8:
+            raise ValueError(f"{len(content)} bytes")
+        (length,) = struct.unpack_from("<Q", content)
+        if length > _MAX_HEADER_BYTES:
+            raise ValueError(f"a header of {length} bytes; {_MAX_HEADER_BYTES} at most")
+        if 8 + length > len(content):
+            raise ValueError(f"a header of {length} bytes in a file of {len(content)}")
+        header = parse_json(content[8 : 8 + length])
+        if not isinstance(header, dict):
+            raise ValueError("its header is no object")
+        data = content[8 + length :]
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file") from error
     except LogError as error:
@@ -150,25 +145,6 @@ def read_weights_file(path: Path) -> WeightsFile:
     return WeightsFile(path, metadata, header, data)
 
 
-def _parted(content: bytes) -> tuple[bytes, dict[str, Any]]:
-    """Split into the tensors' bytes, and the header.
-
-    Raises:
-        ValueError: There is none.
-    """
-    if len(content) < 8:
-        raise ValueError(f"{len(content)} bytes")
-    (length,) = struct.unpack_from("<Q", content)
-    if length > _MAX_HEADER_BYTES:
-        raise ValueError(f"a header of {length} bytes; {_MAX_HEADER_BYTES} at most")
-    if 8 + length > len(content):
-        raise ValueError(f"a header of {length} bytes in a file of {len(content)}")
-    header = parse_json(content[8 : 8 + length])
-    if not isinstance(header, dict):
-        raise ValueError("its header is no object")
-    return content[8 + length :], header
-
-
 def _are_whole(values: Any) -> bool:
     """Return whether this is a short list of non-negative integers."""
     return (
@@ -186,43 +162,23 @@ _HEADER = re.compile(
     rb'.{8}\{[^{]{0,40000}"__metadata__": ?\{[^}]{0,40000}"format": ?"tunenet-weights/', re.DOTALL
 )
 _HEADER_BYTES = 65536
-_MAX_RATES, _MAX_HZ = 100, 1e6  # sampling rates of one network, and the highest
 _SCALING = ("input_offset", "input_gain", "output_offset", "output_gain")
 
 
 @dataclass(frozen=True)
 class Purpose:
-    """Purpose that a network was trained for; weights fit only the same one.
+    """Purpose that a network was trained for; weights fit only the same one."""
 
-    Attributes:
-        task: "drop".
-        preset: See `Preset`.
-        observation: Input of the network, with its grid.
-        inputs: Number of values in one observation.
-        outputs: Number of parameters.
-        rates_hz: Sampling rates that it was trained with.
-    """
-
-    task: str
-    preset: str
-    observation: str
-    inputs: int
-    outputs: int
-    rates_hz: tuple[float, ...]
+    task: str  # "drop"
+    preset: str  # see `Preset`
+    observation: str  # input of the network, with its grid
+    inputs: int  # number of values in one observation
+    outputs: int  # number of parameters
+    rates_hz: tuple[float, ...]  # sampling rates that it was trained with
 
 
 def save_model(path: Path, model: Model, purpose: Purpose, notes: Mapping[str, str]) -> str:
-    """Write weights atomically, and return the digest.
-
-    Args:
-        path: The file; other weights there are replaced.
-        model: To save; its own digest is ignored.
-        purpose: That it was trained for.
-        notes: How it was trained, in words; part of the digest.
-
-    Raises:
-        WeightsError: The file cannot be written.
-    """
+    """Write weights atomically, and return the digest."""
     tensors = {name: np.ascontiguousarray(value) for name, value in model.weights.items()}
     tensors |= {f"scaling.{name}": getattr(model.scaling, name) for name in _SCALING}
     header = {"format": FORMAT, "network": model.network.kind, **_strings(purpose), **notes}
@@ -254,11 +210,7 @@ def shipped_model(purpose: Purpose) -> Model:
 
 
 def load_model(path: Path, purpose: Purpose) -> Model:
-    """Load weights; refuse damaged ones and those for another purpose.
-
-    Raises:
-        WeightsError: Which of these, and the remedy.
-    """
+    """Load weights; refuse damaged ones and those for another purpose."""
     file = read_weights_file(path)
     header = dict(file.metadata)
     if header.get("format") != FORMAT:
@@ -278,8 +230,13 @@ def load_model(path: Path, purpose: Purpose) -> Model:
         kind = short_name(header.get("network", ""))
         raise WeightsError(f"{path}: network {kind!r} is none of {', '.join(NETWORKS)}; {REMEDY}")
     shapes = network.shapes(purpose.inputs, purpose.outputs)
+    # The scaling's shapes: one number for all inputs or outputs, or one for each.
     tensors = file.tensors(
-        {name: [shape] for name, shape in shapes.items()} | _scaling_shapes(purpose)
+        {name: [shape] for name, shape in shapes.items()}
+        | {
+            f"scaling.{name}": [(1,), (purpose.inputs if "input" in name else purpose.outputs,)]
+            for name in _SCALING
+        }
     )
     if digest != _digest(tensors, header):
         raise WeightsError(f"{path}: the weights are damaged (wrong digest); {REMEDY}")
@@ -287,23 +244,16 @@ def load_model(path: Path, purpose: Purpose) -> Model:
     return Model(network, {name: tensors[name] for name in shapes}, scaling, digest)
 
 
-def _scaling_shapes(purpose: Purpose) -> dict[str, list[tuple[int, ...]]]:
-    """Return the scaling's shapes: one number for all inputs or outputs, or one for each."""
-    return {
-        f"scaling.{name}": [(1,), (purpose.inputs if "input" in name else purpose.outputs,)]
-        for name in _SCALING
-    }
-
-
 def _are_rates(text: str) -> bool:
     try:
         rates = parse_json(text)
     except ValueError:
         return False
+    # A hundred rates of one network at most, up to 1 MHz.
     return (
         isinstance(rates, list)
-        and 0 < len(rates) <= _MAX_RATES
-        and all(type(rate) in (int, float) and 0 < rate <= _MAX_HZ for rate in rates)
+        and 0 < len(rates) <= 100
+        and all(type(rate) in (int, float) and 0 < rate <= 1e6 for rate in rates)
     )
 
 

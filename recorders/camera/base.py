@@ -1,4 +1,4 @@
-"""The interface of all frame sources."""
+"""The interface of all frame sources, and what the live ones share."""
 
 from __future__ import annotations
 
@@ -9,33 +9,21 @@ from tunenet_logs.episode import Frame
 
 
 class CapturedFrame(NamedTuple):
-    """One frame as it came.
+    """One frame as it came."""
 
-    Attributes:
-        frame: the compressed picture, stamped when its first byte arrived, on the clock of
-            `tunenet_logs.timing.stamps`; in a video file, stamped with the time that it states.
-        source_stamp_ns: capture time reported by the camera [ns], on a clock of arbitrary origin;
-            None where it reports none.
-        stands_alone: whether it can be decoded without earlier frames, as every JPEG can.
-        connection: number of its connection; the camera's clock may restart with each.
-    """
-
+    # The compressed picture, stamped when its first byte arrived, on the clock of
+    # `tunenet_logs.timing.stamps`; in a video file, stamped with the time that it states.
     frame: Frame
-    source_stamp_ns: int | None = None
-    stands_alone: bool = True
-    connection: int = 0
+    source_stamp_ns: int | None = None  # by the camera's clock, if it has one, of any origin [ns]
+    stands_alone: bool = True  # whether it can be decoded without earlier frames, as every JPEG can
+    connection: int = 0  # number of its connection; the camera's clock may restart with each
 
 
 class Source(Protocol):
-    """An open camera or video.
+    """An open camera or video."""
 
-    Attributes:
-        name: what recorded it, in words, without credentials and without a folder.
-        live: whether a missed frame is lost.
-    """
-
-    name: str
-    live: bool
+    name: str  # what recorded it, in words, without credentials and without a folder
+    live: bool  # whether a missed frame is lost
 
     @property
     def returns(self) -> bool:
@@ -75,3 +63,45 @@ class Source(Protocol):
     def close(self) -> None:
         """Close the source, from any thread; a running `frames` ends soon after."""
         ...
+
+
+class LiveSource:
+    """A `Source` that is read in one thread and closed from any.
+
+    A kind of camera yields its pictures from `_shots`, and frees what it holds in `_release`: once,
+    where `frames` ends, or at once where nobody has begun to read.
+    """
+
+    live = True
+    dropped = 0
+
+    def __init__(self, name: str, *, returns: bool = True) -> None:
+        self.name = name
+        self.returns = returns
+        self.ended = ""
+        self.damaged = 0
+        self._is_closed = False
+        self._is_read = False
+
+    def frames(self) -> Iterator[CapturedFrame]:
+        """Yield the pictures as they come, until the stream ends or falls silent."""
+        self._is_read = True
+        try:
+            for shot in self._shots():
+                if self._is_closed:
+                    return
+                yield shot
+        finally:
+            self._release()
+
+    def close(self) -> None:
+        """End a running `frames` with the next picture."""
+        self._is_closed = True
+        if not self._is_read:
+            self._release()
+
+    def _shots(self) -> Iterator[CapturedFrame]:
+        raise NotImplementedError
+
+    def _release(self) -> None:
+        raise NotImplementedError

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.episode import Frame
 from tunenet_logs.messages import CAMERA_TOPIC, VIDEO_TOPIC
@@ -33,49 +32,37 @@ from tunenet_logs.writing.writer import header_stamps_ns, restamp
 # First frames held back, in time and size, until the clocks are aligned: what comes later than that
 # is late enough to be told from what had waited.
 _HOLD_NS, _HOLD_BYTES = 500_000_000, 32 * 1024 * 1024
-
 # A jump of the camera's clock: no reordered frames are so far apart, no delay estimate so wrong.
 _MIN_LEAP_NS = 1_000_000_000
 
 
 class Timed(NamedTuple):
-    """A frame with its capture time.
+    """A frame with its capture time."""
 
-    Attributes:
-        frame: stamped with the camera's time, on our clock.
-        begins_anew: whether the camera's clock was aligned anew before it, so that the interval
-            from the frame before is unknown.
-    """
-
-    frame: Frame
+    frame: Frame  # stamped with the camera's time, on our clock
     arrived_ns: int
+    # Whether the camera's clock was aligned anew before it, so that the interval from the frame
+    # before is unknown.
     begins_anew: bool = False
 
 
 class CameraTime:
-    """Maps camera timestamps to our clock [ns].
+    """Map camera timestamps to our clock [ns].
 
     Where the camera reports times, they are kept to the nanosecond, all shifted by one offset: the
     smallest delay from reported time to arrival within the first half second. (What was read ahead
-    to probe the stream comes late, and would shift all that follows.) Where it reports none, the
-    time is the arrival's.
+    to probe the stream comes late, and would shift all that follows.) Where it reports none, or
+    unless `is_told`, the time is the arrival's.
 
     The camera's clock has jumped where it goes back by over a second, or where one step takes it
     over a second beyond the arrival, which no delay does. It is then aligned anew, as with each new
     connection. A picture that merely comes late, however late, keeps its reported time.
-
-    Args:
-        is_told: whether reported times are used; else all times are the arrivals.
-
-    Attributes:
-        leaps: number of jumps of the camera's clock.
-        is_placed: False while held-back frames are released, which are late by having been held.
     """
 
     def __init__(self, *, is_told: bool = True) -> None:
-        self.leaps = 0
+        self.leaps = 0  # jumps of the camera's clock
         self._uses_told = is_told
-        self.is_placed = False
+        self.is_placed = False  # while held-back frames are released, late by having been held
         self._held: list[Item[CapturedFrame]] = []
         self._held_bytes = 0
         self._anchor_ns: int | None = None
@@ -193,20 +180,13 @@ _MIN_FRAMES = 50  # frames; behind fewer no clock is sought
 def stamp_evenly(path: Path, notes: Mapping[str, str], spare_bytes: int) -> str:
     """Restamp the frames of a finished log by the uniform clock fitted to their arrivals.
 
-    Each contiguous segment has a clock of its own: a new connection may count anew.
-
-    Args:
-        path: the log; the header stamps of its pictures are their arrivals.
-        notes: the log's, which say where its gaps are.
-        spare_bytes: space to leave free on the disk beside a copy of the log.
-
-    Returns:
-        Which clock the stamps come from now, in words.
-
-    Raises:
-        LogError: the log cannot be copied; it is as it was.
+    Each contiguous segment, by the gaps that the log's notes tell, has a clock of its own: a new
+    connection may count anew. Where it finds none, or a copy would not leave `spare_bytes` of the
+    disk free, the log stays as it was; which clock the stamps come from is returned in words.
     """
-    topic, arrivals_ns = _pictures(path)
+    of = {topic: header_stamps_ns(path, topic) for topic in (CAMERA_TOPIC, VIDEO_TOPIC)}
+    topic = max(of, key=lambda one: len(of[one]))
+    arrivals_ns = np.array(of[topic], np.int64)
     if len(arrivals_ns) < _MIN_FRAMES:
         return "arrival"
     if len(arrivals_ns) > MAX_SAMPLES:
@@ -232,10 +212,3 @@ def stamp_evenly(path: Path, notes: Mapping[str, str], spare_bytes: int) -> str:
     said = f"{BY_ARRIVALS} ({'; '.join(clock_in_words(clock) for clock in found)})"
     restamp(path, topic, dict(zip(arrivals_ns.tolist(), stamps_ns.tolist(), strict=True)), said)
     return said
-
-
-def _pictures(path: Path) -> tuple[str, NDArray[np.int64]]:
-    """Return the topic of a log's pictures and their header stamps [ns]."""
-    of = {topic: header_stamps_ns(path, topic) for topic in (CAMERA_TOPIC, VIDEO_TOPIC)}
-    topic = max(of, key=lambda one: len(of[one]))
-    return topic, np.array(of[topic], np.int64)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING, TypeVar
 
 from tunenet_logs.audio import is_sound_alone
 from tunenet_logs.episode import Frame, Sound
 from tunenet_logs.errors import CameraAwayError, CameraError, LogError
 from tunenet_logs.messages import compressed, from_bgr, is_whole
-from tunenet_logs.recorders.camera.base import CapturedFrame
+from tunenet_logs.recorders.camera.base import CapturedFrame, LiveSource
+from tunenet_logs.recorders.session import Closable
 from tunenet_logs.timing.stamps import wall_ns
 from tunenet_logs.video import open_video, video_notes
 
@@ -31,19 +31,13 @@ _EXPOSURES_PER_MS = 10.0  # V4L2 gives an exposure in units of 100 µs
 
 @dataclass(frozen=True)
 class Settings:
-    """Requested camera settings; None leaves one as it is.
+    """Requested camera settings; None leaves one as it is."""
 
-    Attributes:
-        size: (width, height) [px].
-        white_balance_k: colour temperature [K].
-        focus: in the camera's own units.
-    """
-
-    size: tuple[int, int] | None = None
+    size: tuple[int, int] | None = None  # (width, height) [px]
     rate_hz: float | None = None
     exposure_ms: float | None = None
-    white_balance_k: float | None = None
-    focus: float | None = None
+    white_balance_k: float | None = None  # colour temperature [K]
+    focus: float | None = None  # in the camera's own units
 
     def asked(self) -> list[str]:
         """Return the names of the requested settings."""
@@ -110,23 +104,13 @@ def _both(asked: float | str | None, accepted: str) -> str:
 
 # ---- Plugged-in camera: Video4Linux through OpenCV
 
-# A driver's stamp that is further from the monotonic clock is of another clock, or 0.
-_MAX_STAMP_OFFSET_NS = 5_000_000_000
 
-
-class CameraDevice:
+class CameraDevice(LiveSource):
     """A Video4Linux camera; the JPEGs it makes are kept byte for byte.
 
     A frame's stamp is the driver's, which is monotonic and taken when the frame was received;
     where that is missing, when the frame was read.
-
-    Raises:
-        CameraError: it is missing, is no camera, or is in use by another program.
     """
-
-    live = True
-    returns = False
-    dropped = 0
 
     def __init__(self, path: Path, settings: Settings) -> None:
         if not path.exists():
@@ -141,66 +125,47 @@ class CameraDevice:
                 f"{path}: cannot be opened as a camera, or another program has it; "
                 + _those_there_are()
             )
+        super().__init__(f"camera {path}", returns=False)
         apply_settings(settings, self._capture)
         self._notes = describe_settings(settings, self._capture)
         # Else OpenCV would decode the camera's JPEGs, only for them to be compressed again.
         self._makes_jpegs = self._notes["format"] in ("MJPG", "JPEG")
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0 if self._makes_jpegs else 1)
-        self.name = f"camera {path}"
-        self.ended = ""
-        self.damaged = 0
         self._path = path
-        self._closed = False
-        self._reading = False
-        self._has_driver_stamps: bool | None = None
 
     def notes(self) -> dict[str, str]:
         """Return the settings asked and accepted, and how frames are stamped."""
-        notes = dict(self._notes)
-        if self._has_driver_stamps is not None:
-            notes["stamps"] = "driver" if self._has_driver_stamps else "arrival"
-        return notes
+        return dict(self._notes)
 
-    def frames(self) -> Iterator[CapturedFrame]:
-        """Yield the frames as they come, until the camera is unplugged."""
+    def _shots(self) -> Iterator[CapturedFrame]:
         import cv2
 
-        self._reading = True
-        try:
-            while not self._closed:
-                is_read, picture = self._capture.read()
-                monotonic_ns = time.monotonic_ns()
-                if not self._path.exists():  # after an unplug some drivers repeat the last frame
-                    self.ended = "the camera was unplugged"
-                    return
-                if not is_read:
-                    self.ended = "the camera delivers no more frames"
-                    return
-                driver_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-                plausible = abs(driver_ns - monotonic_ns) < _MAX_STAMP_OFFSET_NS
-                self._has_driver_stamps = plausible
-                data = self._jpeg(picture)
-                if data is None:
-                    self.damaged += 1
-                else:
-                    stamp_ns = wall_ns(driver_ns if plausible else monotonic_ns)
-                    yield CapturedFrame(Frame(stamp_ns, "jpeg", data))
-        finally:
-            self._capture.release()
+        while not self._is_closed:
+            is_read, picture = self._capture.read()
+            monotonic_ns = time.monotonic_ns()
+            if not self._path.exists():  # after an unplug some drivers repeat the last frame
+                self.ended = "the camera was unplugged"
+                return
+            if not is_read:
+                self.ended = "the camera delivers no more frames"
+                return
+            driver_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+            # A driver's stamp that is further from the monotonic clock is of another clock, or 0.
+            is_driver = abs(driver_ns - monotonic_ns) < 5_000_000_000
+            self._notes["stamps"] = "driver" if is_driver else "arrival"
+            is_decoded = picture.ndim == 3 and picture.shape[2] == 3
+            if is_decoded or not self._makes_jpegs:
+                data = from_bgr(picture)
+            else:
+                data = picture.tobytes().rstrip(b"\0")  # the rest of the driver's buffer
+            if not is_whole(data):
+                self.damaged += 1
+            else:
+                stamp_ns = wall_ns(driver_ns if is_driver else monotonic_ns)
+                yield CapturedFrame(Frame(stamp_ns, "jpeg", data))
 
-    def close(self) -> None:
-        """End a running `frames` with the next frame; it releases the device."""
-        self._closed = True
-        if not self._reading:
-            self._capture.release()
-
-    def _jpeg(self, picture: np.ndarray) -> bytes | None:
-        """Return a frame as a JPEG; None where it is damaged."""
-        is_decoded = picture.ndim == 3 and picture.shape[2] == 3
-        if is_decoded or not self._makes_jpegs:
-            return from_bgr(picture)
-        data = picture.tobytes().rstrip(b"\0")  # the rest of the driver's buffer
-        return data if is_whole(data) else None
+    def _release(self) -> None:
+        self._capture.release()
 
 
 def _those_there_are() -> str:
@@ -213,90 +178,48 @@ def _those_there_are() -> str:
 # ---- Opening in a thread: Ctrl-C and a deadline work even if a library blocks
 
 
-class _Opened(Protocol):
-    def close(self) -> None: ...
-
-
-Opened = TypeVar("Opened", bound=_Opened)
+Opened = TypeVar("Opened", bound=Closable)
 
 
 def opened_within(
     seconds: float, shown: str, open_source: Callable[[], Opened], *, what: str = "camera"
 ) -> Opened:
-    """Open a source within `seconds`, raising the errors of `open_source` here.
+    """Open a source within `seconds`, raising the errors of `open_source` here."""
+    # Name servers, drivers and libraries in C block the thread that calls them, and no signal is
+    # handled there until they return. What opens too late is closed.
+    opening: Future[Opened] = Future()
 
-    Name servers, drivers and libraries in C block the thread that calls them, and no signal is
-    handled there until they return. What opens too late is closed.
+    def run() -> None:
+        try:
+            source = open_source()
+        except BaseException as error:  # noqa: BLE001 (it is raised again where it is waited for)
+            if opening.set_running_or_notify_cancel():
+                opening.set_exception(error)
+            return
+        if opening.set_running_or_notify_cancel():
+            opening.set_result(source)
+        else:
+            source.close()
 
-    Raises:
-        CameraAwayError: it takes longer.
-    """
-    opening = _Opening(open_source)
-    opening.start()
+    # A daemon: a camera that never opens must not keep the process.
+    threading.Thread(target=run, name="opening", daemon=True).start()
     try:
-        if not opening.is_done.wait(seconds):
+        wait([opening], seconds)
+        if opening.cancel():
             raise CameraAwayError(
                 f"{shown}: cannot be opened within {seconds:g} s; is the {what} on?"
             )
-        return opening.take()
-    finally:
-        opening.abandon()
-
-
-class _Opening(threading.Thread, Generic[Opened]):
-    """A daemon: a camera that never opens must not keep the process."""
-
-    def __init__(self, open_source: Callable[[], Opened]) -> None:
-        super().__init__(name="opening", daemon=True)
-        self.is_done = threading.Event()
-        self._open_source = open_source
-        self._lock = threading.Lock()
-        self._is_wanted = True
-        self._source: Opened | None = None
-        self._error: BaseException | None = None
-
-    def run(self) -> None:
-        try:
-            source = self._open_source()
-            with self._lock:
-                if self._is_wanted:
-                    self._source = source
-                else:
-                    source.close()
-        except BaseException as error:  # noqa: BLE001 (it is raised again where it is waited for)
-            self._error = error
-        self.is_done.set()
-
-    def take(self) -> Opened:
-        """Return the opened source, or raise its error."""
-        with self._lock:
-            source, self._source = self._source, None
-        if source is None:
-            assert self._error is not None
-            raise self._error
-        return source
-
-    def abandon(self) -> None:
-        """Close the source unless it was taken, now or once it opens."""
-        with self._lock:
-            self._is_wanted = False
-            if self._source is not None:
-                self._source.close()
+        return opening.result()
+    except BaseException:
+        opening.cancel()
+        raise
 
 
 # ---- Video file: every frame, at the times that the file states
 
 
 class VideoFile:
-    """A video file.
-
-    Args:
-        filmed_hz: rate at which it was filmed, where the user knows better than its tags.
-
-    Raises:
-        CameraError: `path` is no file, or sound alone.
-        LogError: no video, or damaged.
-    """
+    """A video file."""
 
     live = False
     returns = False
@@ -332,11 +255,7 @@ class VideoFile:
         return notes
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Yield all frames; the file's JPEGs as they are, all else recompressed.
-
-        Raises:
-            LogError: the file is damaged; the frames before that have been delivered.
-        """
+        """Yield all frames; the file's JPEGs as they are, all else recompressed."""
         for frame in self._video.frames():
             if self._closed:
                 return

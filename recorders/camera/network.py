@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
+import select
 import socket
 import ssl
 import threading
@@ -23,7 +24,7 @@ from hashlib import sha256
 from http.client import HTTPException
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from tunenet_logs.addresses import Address, scheme_of
@@ -63,11 +64,7 @@ def with_scheme(text: str) -> str:
 
 
 def camera_address(text: str) -> Address:
-    """Parse a camera's address.
-
-    Raises:
-        UsageError: it has no host, an invalid port, or characters that no address has.
-    """
+    """Parse a camera's address, which has a host and no characters that no address has."""
     scheme = scheme_of(text)
     with suppress(UsageError):
         if text.isascii() and text.isprintable() and " " not in text:
@@ -77,32 +74,14 @@ def camera_address(text: str) -> Address:
     )
 
 
-def host_and_port(address: Address) -> tuple[str, int]:
-    """Return host and port of a bare address such as tcp://192.168.1.20:5000.
-
-    Raises:
-        UsageError: it has no port, or more than host and port.
-    """
-    parts = urlsplit(address.url)
-    more = parts.path.strip("/") or parts.query or address.full_url != address.url
-    if parts.port is None or more:
-        raise UsageError(
-            f"--camera: a {parts.scheme} address has a host and a port alone; "
-            f"write it like {parts.scheme}://192.168.1.20:5000"
-        )
-    return parts.hostname or "", parts.port
-
-
 # ---- Deadline: shared by all reads of a connection
 
 
-class Deadline:
-    """A time by which the other side must have answered.
+_LOOK_S = 0.1  # between two looks whether a wait for a pipe or a datagram was broken off
 
-    Args:
-        silence_s: the longest to wait for the next byte.
-        whole_s: the longest to wait for all of it.
-    """
+
+class Deadline:
+    """A time by which the other side must have answered, and the longest silence until then."""
 
     def __init__(self, silence_s: float, whole_s: float) -> None:
         self.silence_s = silence_s
@@ -122,14 +101,21 @@ class Deadline:
         return time.monotonic() >= self._end
 
     def next_s(self) -> float:
-        """Return how long the next read may take [s].
-
-        Raises:
-            TimeoutError: the deadline has passed.
-        """
+        """Return how long the next read may take [s]."""
         if self.is_over:
             raise TimeoutError("too late")
         return max(1e-3, min(self.silence_s, self._end - time.monotonic()))
+
+    def is_ready(self, readable: int | socket.socket) -> bool:
+        """Wait until something can be read; False where `break_off` came first."""
+        until = time.monotonic() + self.next_s()
+        while not self._is_broken_off:
+            left_s = until - time.monotonic()
+            if select.select([readable], [], [], max(0.0, min(_LOOK_S, left_s)))[0]:
+                return True
+            if left_s <= 0:
+                raise TimeoutError("nothing came")
+        return False
 
     def watch(self, connected: socket.socket) -> None:
         """Let `break_off` shut this socket down, until it is closed."""
@@ -174,24 +160,14 @@ _FINGERPRINT = re.compile(r"[0-9A-F]{64}")
 
 @dataclass(frozen=True)
 class Trust:
-    """Which certificates are trusted; by default those that a known authority signed.
+    """Which certificates are trusted; by default those that a known authority signed."""
 
-    Attributes:
-        fingerprint: SHA-256 of the only trusted certificate, in 64 capital hex digits; its names,
-            dates and issuer then do not matter.
-        is_insecure: whether any certificate is trusted.
-    """
-
-    fingerprint: str = ""
-    is_insecure: bool = False
+    fingerprint: str = ""  # SHA-256 of the only trusted certificate, in 64 capital hex digits
+    is_insecure: bool = False  # whether any certificate is trusted
 
     @classmethod
     def of(cls, fingerprint: str | None, is_insecure: bool) -> Trust:
-        """Parse the user's options; colons between the fingerprint's hex digits are optional.
-
-        Raises:
-            UsageError: it is no fingerprint, or both options are given.
-        """
+        """Parse the user's options; colons between the fingerprint's hex digits are optional."""
         if fingerprint is None:
             return cls(is_insecure=is_insecure)
         if is_insecure:
@@ -209,71 +185,40 @@ class Trust:
         return "--fingerprint" if self.fingerprint else "--insecure" if self.is_insecure else ""
 
 
-class UntrustedCertificateError(CameraError):
-    """A certificate that no known authority signed."""
-
-
-def secured(plain: socket.socket, host: str, trust: Trust, deadline: Deadline) -> ssl.SSLSocket:
-    """Start TLS on a connection and verify the certificate before anything is sent.
-
-    Args:
-        plain: the connection, which is closed with what is returned, and where this fails.
-        host: the name that the certificate must be for.
-        trust: which certificates are trusted.
-        deadline: for all later reads, too.
-
-    Raises:
-        UntrustedCertificateError: no known authority signed it. Its fingerprint is unknown then;
-            see `fingerprint`.
-        CameraError: it has another fingerprint than the trusted one.
-        OSError: the TLS handshake failed.
-    """
-    context = ssl.create_default_context()
-    if trust.option:
-        context.check_hostname = False
-        context.verify_mode = ssl.CERT_NONE
-    context.sslsocket_class = with_deadline(ssl.SSLSocket, deadline)  # type: ignore[assignment]
-    plain.settimeout(deadline.next_s())
-    with closed_on_failure(plain):
-        try:
-            connected = context.wrap_socket(plain, server_hostname=host)
-        except ssl.SSLCertVerificationError as error:
-            raise UntrustedCertificateError(error.verify_message) from error
-    if trust.fingerprint and (shown := fingerprint(connected)) != trust.fingerprint:
-        connected.close()
-        raise CameraError(
-            f"its certificate's fingerprint is {shown}, not {trust.fingerprint} as --fingerprint "
-            "says: it has a new certificate, or another answers in its place"
-        )
-    return connected
-
-
-def fingerprint(connected: ssl.SSLSocket) -> str:
-    """Return the SHA-256 of the peer's certificate, in capital hex digits."""
-    return sha256(connected.getpeercert(binary_form=True) or b"").hexdigest().upper()
-
-
 # ---- Connection: plain or TLS; errors begin with the camera's address
 
 # For redirects, login and headers together, unless the user allows a longer silence.
 OPENING_S = 10.0
 
 # Status codes, of HTTP and RTSP, of a server that is starting or overloaded: worth another try.
-PASSING = (404, 408, 425, 429, 453, 500, 502, 503, 504)
-
-_ANY_CERTIFICATE = Trust(is_insecure=True)
+_PASSING = (404, 408, 425, 429, 453, 500, 502, 503, 504)
 
 
 def connect(host: str, port: int, deadline: Deadline, trust: Trust | None) -> socket.socket:
-    """Connect to a host, by TLS unless `trust` is None; `deadline` bounds all later reads, too.
-
-    Raises:
-        CameraError: nothing answers there, or its certificate is not trusted.
-        TimeoutError: it does not answer in time.
-    """
+    """Connect to a host, by TLS unless `trust` is None; `deadline` bounds all later reads, too."""
     try:
         plain = _plain(host, port, deadline)
-        return plain if trust is None else _by_tls(plain, host, port, deadline, trust)
+        if trust is None:
+            return plain
+        try:
+            connected = _secured(plain, host, deadline, is_verified=not trust.option)
+        except ssl.SSLCertVerificationError as error:
+            # The certificate is shown for the user to compare; nothing else is sent.
+            again = _plain(host, port, deadline)
+            with _secured(again, host, deadline, is_verified=False) as unverified:
+                shown = _fingerprint(unverified)
+            raise CameraError(
+                f"its certificate cannot be verified ({error.verify_message}); to believe this "
+                f"one, add --fingerprint {shown}; to believe any, add --insecure"
+            ) from error
+        if trust.fingerprint and (shown := _fingerprint(connected)) != trust.fingerprint:
+            connected.close()
+            raise CameraError(
+                f"its certificate's fingerprint is {shown}, not {trust.fingerprint} as "
+                "--fingerprint says: it has a new certificate, or another answers in its place"
+            )
+        deadline.watch(connected)
+        return connected
     except TimeoutError:
         raise
     except ssl.SSLError as error:
@@ -288,11 +233,7 @@ def connect(host: str, port: int, deadline: Deadline, trust: Trust | None) -> so
 
 @contextmanager
 def answering(shown: str, deadline: Deadline) -> Iterator[None]:
-    """Re-raise failures to talk to a camera as errors that begin with its address, `shown`.
-
-    Raises:
-        CameraError: anything failed, or `deadline` passed.
-    """
+    """Re-raise failures to talk to a camera as errors that begin with its address, `shown`."""
     try:
         yield
     except CameraError as error:
@@ -309,6 +250,13 @@ def answering(shown: str, deadline: Deadline) -> Iterator[None]:
         raise kind(
             f"{shown}: does not answer as a camera does ({type(error).__name__}); check the address"
         ) from error
+
+
+def refused(status: int, reason: str, to: str = "") -> CameraError:
+    """Make the error of a status, of HTTP or RTSP, that is no success."""
+    remedy = "check the path" if status == 404 else "check the address"
+    kind = CameraAwayError if status in _PASSING else CameraError
+    return kind(f"answers {status} {short_name(reason)}{to}; {remedy}")
 
 
 def sent_on(url: str, schemes: tuple[str, ...]) -> CameraError:
@@ -330,26 +278,26 @@ def _plain(host: str, port: int, deadline: Deadline) -> socket.socket:
     return connected
 
 
-def _by_tls(
-    plain: socket.socket, host: str, port: int, deadline: Deadline, trust: Trust
-) -> socket.socket:
-    try:
-        connected = secured(plain, host, trust, deadline)
-    except UntrustedCertificateError as error:
-        with secured(_plain(host, port, deadline), host, _ANY_CERTIFICATE, deadline) as unverified:
-            shown = fingerprint(unverified)
-        raise CameraError(
-            f"its certificate cannot be verified ({error}); to believe this one, add "
-            f"--fingerprint {shown}; to believe any, add --insecure"
-        ) from error
-    deadline.watch(connected)
-    return connected
+def _secured(
+    plain: socket.socket, host: str, deadline: Deadline, *, is_verified: bool
+) -> ssl.SSLSocket:
+    """Start TLS on a connection, which is closed with what is returned, and where this fails."""
+    context = ssl.create_default_context()
+    if not is_verified:
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
+    context.sslsocket_class = with_deadline(ssl.SSLSocket, deadline)  # type: ignore[assignment]
+    plain.settimeout(deadline.next_s())
+    with closed_on_failure(plain):
+        return context.wrap_socket(plain, server_hostname=host)
+
+
+def _fingerprint(connected: ssl.SSLSocket) -> str:
+    return sha256(connected.getpeercert(binary_form=True) or b"").hexdigest().upper()
 
 
 # ---- Login: basic and digest authentication
 
-_MAX_CHALLENGE = 4000  # characters of a challenge that are parsed
-_MAX_SCHEMES = 10  # of one response that are considered; the strongest is taken
 # In a challenge: a scheme, or a name with its value, which may stand in quotes.
 _WORD = re.compile(r'([^\s,="]+)(?:\s*=\s*("(?:[^"\\]|\\.)*"|[^\s,]*))?')
 
@@ -357,22 +305,16 @@ _WORD = re.compile(r'([^\s,="]+)(?:\s*=\s*("(?:[^"\\]|\\.)*"|[^\s,]*))?')
 _HASHES = {"MD5": "md5", "SHA-256": "sha256", "SHA-512-256": "sha512_256"}
 
 
-@dataclass(frozen=True)
-class _Challenge:
-    """An authentication scheme that a server offers."""
+class _Challenge(NamedTuple):
+    """An authentication scheme that a server offers, and its parameters."""
 
     scheme: str
     values: dict[str, str]
 
     @property
     def algorithm(self) -> str:
-        """Digest hash algorithm."""
-        return self.values.get("algorithm", "MD5").upper().removesuffix("-SESS")
-
-    @property
-    def is_session(self) -> bool:
-        """Whether a digest hashes the password with the nonces, once for all requests."""
-        return self.values.get("algorithm", "").upper().endswith("-SESS")
+        """Digest hash algorithm, in capitals."""
+        return self.values.get("algorithm", "MD5").upper()
 
     @property
     def qualities(self) -> list[str]:
@@ -385,34 +327,21 @@ class _Challenge:
         if self.scheme == "basic":
             return 1
         is_possible = not self.qualities or "auth" in self.qualities
-        if self.scheme != "digest" or self.algorithm not in _HASHES or not is_possible:
+        algorithm = self.algorithm.removesuffix("-SESS")
+        if self.scheme != "digest" or algorithm not in _HASHES or not is_possible:
             return 0
-        return 2 + list(_HASHES).index(self.algorithm)
-
-    @property
-    def in_words(self) -> str:
-        """Scheme, and a digest's algorithm and qop."""
-        words = [self.scheme, *(self.values.get(name, "") for name in ("algorithm", "qop"))]
-        return short_name(" ".join(word for word in words if word))
+        return 2 + list(_HASHES).index(algorithm)
 
 
 class Login:
-    """Credentials, sent with every request once a server has asked for them.
-
-    Args:
-        user, password: "" for none.
-        trouble: why none is known, where there is a reason.
-
-    Raises:
-        UsageError: they hold characters that would end the header line.
-    """
+    """Credentials, sent with every request once a server has asked for them."""
 
     def __init__(self, user: str, password: str, trouble: str = "") -> None:
         if not f"{user}{password}".isprintable():
             raise UsageError("--camera: a user or password has characters that nobody can type")
-        self._user = user
+        self._user = user  # "" for none
         self._password = password
-        self._trouble = trouble
+        self._trouble = trouble  # why none is known, where there is a reason
         self._challenge: _Challenge | None = None
         self._own_nonce = ""
         self._uses = 0
@@ -440,31 +369,35 @@ class Login:
         return self._digest(self._challenge, method, uri)
 
     def take(self, challenges: Iterable[str]) -> None:
-        """Take the strongest supported challenge of a 401.
-
-        Args:
-            challenges: its `WWW-Authenticate`, in one header or several.
-
-        Raises:
-            CameraError: there are no credentials, no scheme is supported, or the server refused
-                the right answer to its last challenge.
-        """
+        """Take the strongest supported challenge of a 401."""
+        why = f": {self._trouble}" if self._trouble else ""
         if not self.is_known:
-            why = f": {self._trouble}" if self._trouble else ""
             raise CameraError(
                 f"wants a password (401{why}); put USER@ before the host, and the password into "
                 "~/.netrc or a file of its own (--password-file)"
             )
-        offers = list(_offers(challenges))
+        # The challenges of `WWW-Authenticate` headers (RFC 9110, 11.6.1): of each header 4000
+        # characters are parsed, of its schemes the first ten.
+        found = [match for text in challenges for match in _WORD.finditer(text[:4000])]
+        starts = [at for at, match in enumerate(found) if match[2] is None][:10]
+        offers: list[_Challenge] = []
+        for start, end in pairwise([*starts, len(found)]):
+            values = {match[1].lower(): match[2] for match in found[start + 1 : end]}
+            for name, value in values.items():
+                if value.startswith('"'):
+                    values[name] = re.sub(r"\\(.)", r"\1", value[1:-1])
+            offers.append(_Challenge(found[start][1].lower(), values))
         best = max(offers, key=lambda offer: offer.strength, default=None)
         if best is None or not best.strength:
-            asked = listed(offer.in_words for offer in offers) or "nothing"
+            words = (
+                (one.scheme, one.values.get("algorithm"), one.values.get("qop")) for one in offers
+            )
+            asked = listed(short_name(" ".join(filter(None, one))) for one in words) or "nothing"
             raise CameraError(
                 f"asks for a login by {asked} (401); basic is known, and digest with MD5 or "
                 "SHA-256 of the request (qop auth)"
             )
         if self._uses == 1 and best.values.get("stale", "").lower() != "true":
-            why = f": {self._trouble}" if self._trouble else ""
             raise CameraError(f"refuses this user and password (401{why}); check both")
         self._challenge = best
         self._own_nonce = secrets.token_hex(8)
@@ -476,11 +409,14 @@ class Login:
         realm, nonce = values.get("realm", ""), values.get("nonce", "")
         uses = f"{self._uses:08x}"
 
+        is_session = challenge.algorithm.endswith("-SESS")
+        kind = _HASHES[challenge.algorithm.removesuffix("-SESS")]
+
         def hashed(*words: str) -> str:
-            return hashlib.new(_HASHES[challenge.algorithm], ":".join(words).encode()).hexdigest()
+            return hashlib.new(kind, ":".join(words).encode()).hexdigest()
 
         secret = hashed(self._user, realm, self._password)
-        if challenge.is_session:
+        if is_session:  # the password is hashed with the nonces, once for all requests
             secret = hashed(secret, nonce, self._own_nonce)
         request = hashed(method, uri)
         fields = {"username": self._user, "realm": realm, "nonce": nonce, "uri": uri}
@@ -490,35 +426,18 @@ class Login:
             plain |= {"qop": "auth", "nc": uses}
         else:
             fields["response"] = hashed(secret, nonce, request)
-        if challenge.qualities or challenge.is_session:
+        if challenge.qualities or is_session:
             fields["cnonce"] = self._own_nonce
         if "opaque" in values:
             fields["opaque"] = values["opaque"]
-        quoted = (f"{name}={_quoted(value)}" for name, value in fields.items())
-        return "Digest " + ", ".join([*quoted, *(f"{name}={plain[name]}" for name in plain)])
-
-
-def _offers(challenges: Iterable[str]) -> Iterator[_Challenge]:
-    """Yield the challenges of `WWW-Authenticate` headers (RFC 9110, 11.6.1)."""
-    found = [match for text in challenges for match in _WORD.finditer(text[:_MAX_CHALLENGE])]
-    starts = [at for at, match in enumerate(found) if match[2] is None][:_MAX_SCHEMES]
-    for start, end in pairwise([*starts, len(found)]):
-        values = {match[1].lower(): _unquoted(match[2]) for match in found[start + 1 : end]}
-        yield _Challenge(found[start][1].lower(), values)
-
-
-def _quoted(text: str) -> str:
-    escaped = re.sub(r'(["\\])', r"\\\1", text)
-    return f'"{escaped}"'
-
-
-def _unquoted(text: str) -> str:
-    return re.sub(r"\\(.)", r"\1", text[1:-1]) if text.startswith('"') else text
+        quoted = {
+            name: '"{}"'.format(re.sub(r'(["\\])', r"\\\1", value))
+            for name, value in fields.items()
+        }
+        return "Digest " + ", ".join(f"{name}={one}" for name, one in (quoted | plain).items())
 
 
 # ---- Options of a network camera beyond its address
-
-_KNOWN_AUTHORITIES = Trust()
 
 # The option that names a file with a password, and the environment variable that holds one.
 PASSWORD_OPTION, PASSWORD_VARIABLE = "--password-file", "TUNENET_CAMERA_PASSWORD"
@@ -533,26 +452,15 @@ class Transport(Enum):
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """The user's options for a network camera.
+    """The user's options for a network camera."""
 
-    Attributes:
-        trust: which certificates are trusted.
-        rtsp_transport: None falls back to UDP where a camera refuses TCP.
-        password: of the address's user; None where the address, or `~/.netrc`, has it.
-        must_serve: whether a password that no camera uses is an error.
-    """
-
-    trust: Trust = _KNOWN_AUTHORITIES
-    rtsp_transport: Transport | None = None
-    password: str | None = field(default=None, repr=False)
-    must_serve: bool = False
+    trust: Trust = Trust()  # which certificates are trusted
+    rtsp_transport: Transport | None = None  # None falls back to UDP where a camera refuses TCP
+    password: str | None = field(default=None, repr=False)  # None: the address or netrc has it
+    must_serve: bool = False  # whether a password that no camera uses is an error
 
     def known(self, address: Address) -> Address:
-        """Add the password to an address that lacks one.
-
-        Raises:
-            UsageError: there are two passwords, or no user for one.
-        """
+        """Add the password to an address that lacks one."""
         if self.password is None or not (self.must_serve or address.user):
             return address
         if address.password is not None:
@@ -566,11 +474,7 @@ class NetworkOptions:
         return replace(address, password=self.password)
 
     def check(self, scheme: str) -> None:
-        """Check that the options apply to an address's scheme ("" for none).
-
-        Raises:
-            UsageError: an option is for another kind of camera.
-        """
+        """Check that the options apply to an address's scheme ("" for none)."""
         if self.trust.option and scheme not in ("https", "rtsps"):
             raise UsageError(f"{self.trust.option} is for an https or rtsps camera; leave it out")
         if self.must_serve and scheme not in ("http", "https", "rtsp", "rtsps"):

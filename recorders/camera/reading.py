@@ -16,17 +16,12 @@ from tunenet_logs.video import Packet, decoded
 
 # ---- Reading thread
 
-_MAX_STOPPING_S = 0.3  # for the thread to end: Ctrl-C shall be quick though a camera is silent
-
 
 class ReadingThread(threading.Thread):
     """A thread that queues a source's frames; its failure waits in `error`.
 
-    A daemon: a camera that fell silent must not keep the process.
-
-    Args:
-        queue_bytes: pictures that may wait in the queue.
-        counts: whether pictures count from the beginning; else from `queue.start` on.
+    A daemon: a camera that fell silent must not keep the process. At most `queue_bytes` of pictures
+    wait; they count from the beginning, or (`counts`) from `queue.start` on.
     """
 
     def __init__(self, source: Source, queue_bytes: int, *, counts: bool) -> None:
@@ -39,8 +34,26 @@ class ReadingThread(threading.Thread):
 
     def run(self) -> None:
         """Read until the source ends or fails, or the queue is closed."""
+        connection, ahead_ns = None, 0
         try:
-            self._read()
+            with closing(self.source.frames()) as shots:  # type: ignore[type-var]
+                for shot in shots:
+                    arrived_ns, told_ns = shot.frame.stamp_ns, shot.source_stamp_ns
+                    if told_ns is None:
+                        told_ns = arrived_ns
+                    if shot.connection != connection:  # in each the camera may count anew
+                        connection, ahead_ns = shot.connection, arrived_ns - told_ns
+                    is_told = shot.source_stamp_ns is not None
+                    stamp_ns = told_ns + ahead_ns if is_told else arrived_ns
+                    if not self.queue.put(
+                        CAMERA_TOPIC,
+                        stamp_ns,
+                        shot,
+                        len(shot.frame.data),
+                        arrived_ns,
+                        stands_alone=shot.stands_alone,
+                    ):
+                        return
         except TuneNetError as error:
             self.error = error
         except Exception as error:  # noqa: BLE001 (in a thread, else nobody would hear of it)
@@ -50,26 +63,6 @@ class ReadingThread(threading.Thread):
             self.error.__cause__ = error
         finally:
             self.queue.close()
-
-    def _read(self) -> None:
-        connection, ahead_ns = None, 0
-        with closing(self.source.frames()) as shots:  # type: ignore[type-var]
-            for shot in shots:
-                arrived_ns = shot.frame.stamp_ns
-                source_stamp_ns = (
-                    arrived_ns if shot.source_stamp_ns is None else shot.source_stamp_ns
-                )
-                if shot.connection != connection:  # in each the camera may count anew
-                    connection, ahead_ns = shot.connection, arrived_ns - source_stamp_ns
-                if not self.queue.put(
-                    CAMERA_TOPIC,
-                    source_stamp_ns + ahead_ns if shot.source_stamp_ns is not None else arrived_ns,
-                    shot,
-                    len(shot.frame.data),
-                    arrived_ns,
-                    stands_alone=shot.stands_alone,
-                ):
-                    return
 
     @property
     def captured(self) -> int:
@@ -81,23 +74,16 @@ class ReadingThread(threading.Thread):
         """Number of pictures dropped."""
         return self.queue.dropped + self.source.dropped
 
-    def tally(self) -> dict[str, int]:
-        """Close the queue; return the counts."""
-        self.queue.close()
-        damaged = {"damaged": self.source.damaged} if self.source.damaged else {}
-        return {"captured": self.captured, **damaged}
-
     def stop(self) -> None:
         """Close queue and source, and wait a moment for the thread to end."""
         self.queue.close()
         self.source.close()
-        self.join(_MAX_STOPPING_S)
+        self.join(0.3)  # [s]; Ctrl-C shall be quick though a camera is silent
 
 
 # ---- Transcoding: video to JPEGs, beside the thread that reads it
 
 _MAX_WAITING_BYTES = 16 * 1024 * 1024  # compressed, before the decoder: some seconds of a camera
-_MAX_HELD_BACK = 256  # pictures that a decoder may hold back; none holds so many
 
 
 class Transcoded:
@@ -105,15 +91,12 @@ class Transcoded:
 
     Where this machine cannot keep up, pictures are dropped before they are decoded, and with them
     those predicted from them, up to the next that stands alone. All are counted.
-
-    Args:
-        source: what the camera compressed; it is closed with this.
     """
 
     def __init__(self, source: PacketStream) -> None:
         self.name = source.name
         self.live = source.live
-        self._source = source
+        self._source = source  # what the camera compressed; it is closed with this
         self._reader = ReadingThread(source, _MAX_WAITING_BYTES, counts=True)
         self._given = self._before = self._shown = self._undecoded = 0
         self._is_over = False
@@ -147,11 +130,7 @@ class Transcoded:
         return {**self._source.notes(), "transcoded": "jpeg"}
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Yield the pictures in order of time, each when it was decoded.
-
-        Raises:
-            TuneNetError: the source failed, or there is no decoder for it.
-        """
+        """Yield the pictures in order of time, each when it was decoded."""
         self._reader.start()
         try:
             self._next = self._taken()
@@ -187,7 +166,7 @@ class Transcoded:
         while self._next is not None:
             shot = self._next.payload
             waiting[self._given] = shot
-            if len(waiting) > _MAX_HELD_BACK:
+            if len(waiting) > 256:  # no decoder holds back so many
                 del waiting[next(iter(waiting))]
             self._given += 1
             yield Packet(self._given - 1, shot.frame.encoding, shot.frame.data)
@@ -204,13 +183,3 @@ class Transcoded:
                 return item
             queue.pause()
         return None
-
-
-def as_kept(stream: PacketStream, *, transcode: bool) -> Source:
-    """Return a stream as logs can hold it, transcoded to JPEGs where needed or asked.
-
-    Args:
-        stream: opened.
-        transcode: whether they are to be JPEGs in any case.
-    """
-    return Transcoded(stream) if transcode or stream.needs_decoding else stream

@@ -8,48 +8,32 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import closing
-from typing import NamedTuple
+from contextlib import closing, suppress
+from queue import Empty, Full, Queue
 
 from tunenet_logs.errors import CameraAwayError
 from tunenet_logs.recorders.camera.base import CapturedFrame, Source
 
+_LOOK_S = 0.1  # how often to look at the clock while nothing comes
+
 # ---- Links: one connection each, opened and read in its own thread while it is wanted
-
-_MAX_WAITING = 4  # frames in the inbox: they are taken as they come
-
-
-class Brought(NamedTuple):
-    """What a link delivers: a frame, or None at its end.
-
-    Attributes:
-        shot: None where there are no more.
-    """
-
-    link: CameraLink
-    shot: CapturedFrame | None
 
 
 class CameraLink(threading.Thread):
-    """A thread that opens a camera and puts its frames into an inbox.
+    """A thread that opens a camera and puts its frames into an inbox, None at its end.
 
-    A daemon: a camera that never answers must not keep the process.
-
-    Attributes:
-        source: None until it is open.
-        error: why it failed; None where it did not.
-        is_wanted: False once it is given up.
+    A daemon: a camera that never answers must not keep the process. What a link that was given up
+    had put in is left to whoever takes it.
     """
 
     def __init__(self, inbox: Inbox, open_camera: Callable[[], Source]) -> None:
         super().__init__(name="camera link", daemon=True)
-        self.source: Source | None = None
-        self.error: Exception | None = None
+        self.source: Source | None = None  # None until it is open
+        self.error: Exception | None = None  # why it failed; None where it did not
+        self.is_wanted = True  # False once it is given up
         self._inbox = inbox
         self._open_camera = open_camera
-        self.is_wanted = True
 
     def run(self) -> None:
         """Open and read the camera until it ends or is given up."""
@@ -57,98 +41,48 @@ class CameraLink(threading.Thread):
             source = self.source = self._open_camera()
             try:
                 if self.is_wanted:  # one who gives it up from here on sees the source to close
-                    self._read(source)
+                    with closing(source.frames()) as shots:  # type: ignore[type-var]
+                        for shot in shots:
+                            if not self._put(shot):
+                                return
             finally:
                 source.close()
         except Exception as error:  # noqa: BLE001 (whoever takes the end of it raises it)
             self.error = error
         finally:
-            self._inbox.put(Brought(self, None))
+            self._put(None)
 
     def give_up(self) -> None:
         """Abandon the link, from any thread."""
         self.is_wanted = False
-        self._inbox.forget(self)
         if self.source is not None:
             self.source.close()
 
-    def _read(self, source: Source) -> None:
-        with closing(source.frames()) as shots:  # type: ignore[type-var]
-            for shot in shots:
-                if not self._inbox.put(Brought(self, shot)):
-                    return
+    def _put(self, shot: CapturedFrame | None) -> bool:
+        """Wait for room; return False once the link was given up."""
+        while self.is_wanted:
+            with suppress(Full):
+                self._inbox.put((self, shot), timeout=_LOOK_S)
+                return True
+        return False
 
 
-class Inbox:
-    """Queue of the frames that the running links deliver, in order of arrival."""
-
-    def __init__(self) -> None:
-        self._items: deque[Brought] = deque()
-        self._changed = threading.Condition()
-
-    def put(self, brought: Brought) -> bool:
-        """Add an item once there is room; False if its link was given up."""
-        link, shot = brought
-        with self._changed:
-            while shot and len(self._items) >= _MAX_WAITING and link.is_wanted:
-                self._changed.wait()
-            if link.is_wanted:
-                self._items.append(brought)
-                self._changed.notify_all()
-            return link.is_wanted
-
-    def take(self, wait_s: float) -> Brought | None:
-        """Return the oldest item; None where none comes within `wait_s`."""
-        with self._changed:
-            if not self._items:
-                self._changed.wait(wait_s)
-            if not self._items:
-                return None
-            self._changed.notify_all()
-            return self._items.popleft()
-
-    def forget(self, link: CameraLink) -> None:
-        """Discard the items of a link."""
-        with self._changed:
-            self._items = deque(one for one in self._items if one.link is not link)
-            self._changed.notify_all()
+Inbox = Queue[tuple[CameraLink, CapturedFrame | None]]
 
 
 # ---- Lasting camera: successive links as a single source
 
 _BETWEEN_S = 0.5  # from the start of one link to the next: more do not hurry a camera that is away
 
-# For a link to bring its first frame, before another takes its place: as long as opening may take,
-# and as key frames may be apart.
-_TRY_S = 10.0
-
-# Silence, or half of what is allowed, after which a new link is tried beside the silent one: where
-# the camera's end of a connection is gone, ours may never hear of it.
-_SILENT_S = 3.0
-
-_MAX_HANGING = 4  # links that were given up and still hang in a library; no more are opened then
-
 # A connection is brief if the camera ends it sooner than that after its first frame. So many in a
 # row end the source: a drop takes longer, and the camera would be asked again for ever.
 _BRIEF_S, _MAX_BRIEF = 1.0, 10
-
-_LOOK_S = 0.1  # how often to look at the clock while nothing comes
 
 
 def lasting_camera(
     open_camera: Callable[[], Source], *, wait_s: float, stall_s: float, say: Callable[[str], None]
 ) -> Source:
-    """Open a camera that reconnects where that can help.
-
-    Args:
-        open_camera: makes one connection.
-        wait_s: how long to retry a camera that is not there yet.
-        stall_s: longest time without a frame, in one connection or in several.
-        say: reports to the user that it is away, and that it is back.
-
-    Raises:
-        CameraError: it is not there, or cannot be opened at all.
-    """
+    """Open a camera that reconnects where that can help."""
     until = time.monotonic() + wait_s
     said = ""
     while True:
@@ -177,10 +111,6 @@ class ReconnectingCamera:
     last frame. Where it falls silent, a new one is tried beside it; the one that delivers first is
     kept. A camera that ends its stream itself is not asked again, nor one that hangs up again and
     again after a few pictures.
-
-    Args:
-        first: an open connection.
-        until: when to stop trying a camera that has never delivered a frame [monotonic s].
     """
 
     live = True
@@ -200,7 +130,7 @@ class ReconnectingCamera:
         self._source = first
         self._open_camera = open_camera
         self._say = say
-        self._inbox = Inbox()
+        self._inbox: Inbox = Queue(maxsize=4)  # frames are taken as they come
         self._links = [CameraLink(self._inbox, lambda: first)]
         self._delivering: CameraLink | None = self._links[0]
         self._hanging: list[CameraLink] = []
@@ -229,23 +159,21 @@ class ReconnectingCamera:
         return self._source.notes()
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Yield the frames as they come, each with the number of its connection.
-
-        Raises:
-            TuneNetError: reconnecting does not help.
-        """
+        """Yield the frames as they come, each with the number of its connection."""
         self._links[0].start()
         try:
             while not self._closed and not self.ended:
                 self._try_when_due()
-                brought = self._inbox.take(_LOOK_S)
-                if brought is None:
+                try:
+                    link, shot = self._inbox.get(timeout=_LOOK_S)
+                except Empty:
                     self._end_when_due()
-                elif brought.shot is None:
-                    self._has_ended(brought.link)
-                else:
-                    self._has_come(brought.link)
-                    yield brought.shot._replace(connection=self._connection)
+                    continue
+                if link.is_wanted and shot is None:
+                    self._has_ended(link)
+                elif link.is_wanted and shot is not None:
+                    self._has_come(link)
+                    yield shot._replace(connection=self._connection)
         finally:
             self.close()
 
@@ -261,8 +189,8 @@ class ReconnectingCamera:
             raise self._failure
         now = time.monotonic()
         if now - self._heard >= self._patience_s:
-            whys = ", then ".join(filter(None, (self._lost, self._not_back)))
-            self.ended = f"no frame for {self._patience_s:.1f} s" + (f": {whys}" if whys else "")
+            whys = ": " + ", then ".join(filter(None, (self._lost, self._not_back)))
+            self.ended = f"no frame for {self._patience_s:.1f} s{whys}".removesuffix(": ")
         elif now >= self._tries_until and not self._links:
             self.ended = self._lost
 
@@ -272,17 +200,22 @@ class ReconnectingCamera:
         if self._failure or now >= self._tries_until or now < self._tried + _BETWEEN_S:
             return
         if self._delivering is not None:
-            if now - self._heard < min(_SILENT_S, self._stall_s / 2):
+            # After 3 s of silence a link is tried beside the silent one: where the camera's end of
+            # a connection is gone, ours may never hear of it.
+            if now - self._heard < min(3.0, self._stall_s / 2):
                 return
             self._lose("fell silent")
         for link in self._links:
             if link is not self._delivering:
-                if now < self._tried + _TRY_S:
+                # A link has 10 s for its first frame, before another takes its place: as long as
+                # opening may take, and as key frames may be apart.
+                if now < self._tried + 10.0:
                     return
                 self._give_up(link)
                 break
         self._hanging = [link for link in self._hanging if link.is_alive()]
-        if len(self._hanging) < _MAX_HANGING:
+        # No more are opened while four that were given up still hang in a library.
+        if len(self._hanging) < 4:
             self._tried = now
             self._links.append(CameraLink(self._inbox, self._open_camera))
             self._links[-1].start()

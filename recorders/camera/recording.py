@@ -9,11 +9,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 from tunenet_logs.audio import sound_blocks, sound_notes_of, why_not_kept
 from tunenet_logs.episode import EpisodeInfo, Sound
@@ -42,52 +41,25 @@ if TYPE_CHECKING:
     from tunenet_logs.recorders.microphone import LiveSound
 
 
-# ---- Sound: written in short blocks beside the frames
+# ---- Sound of a film: written in short blocks beside the frames
 
 
-class WritesSound(Protocol):
-    """A writer of sound beside pictures.
+class FilmSoundWriter:
+    """Writes a film's sound as far as the pictures have come; nothing where it has none.
 
-    Attributes:
-        written: number of messages.
+    A live source's sound is written by a `LiveSound` of the microphone, which has the same methods.
     """
 
-    written: int
-
-    def write_until(self, writer: EpisodeWriter, stamp_ns: int) -> None:
-        """Write sound up to the stamp of the next picture."""
-        ...
-
-    def tick(self, writer: EpisodeWriter) -> None:
-        """Write what is due while no picture comes."""
-        ...
-
-    def finish(self, writer: EpisodeWriter, until_ns: int) -> None:
-        """Write the remaining sound that begins before a stamp."""
-        ...
-
-    def in_words(self) -> str:
-        """Summarize the sound for the recorder's last line."""
-        ...
-
-
-class SoundBlocks:
-    """Writes a sound as far as the pictures have come.
-
-    Attributes:
-        written: number of messages.
-    """
-
-    def __init__(self, sound: Sound) -> None:
-        self.written = 0
+    def __init__(self, sound: Sound | None) -> None:
+        self.written = 0  # number of messages
         self._heard_s = 0.0
-        self._rate_hz = round(sound.rate_hz)
-        self._blocks = sound_blocks(sound)
+        self._rate_hz = round(sound.rate_hz) if sound else 0
+        self._blocks = sound_blocks(sound) if sound else iter(())
         self._next = next(self._blocks, None)
 
     def in_words(self) -> str:
         """Summarize the sound for the recorder's last line."""
-        return f"{self._heard_s:.1f} s of sound"
+        return f"{self._heard_s:.1f} s of sound" if self._rate_hz else ""
 
     def write_until(self, writer: EpisodeWriter, stamp_ns: int) -> None:
         """Write blocks that begin before a stamp and are not yet written."""
@@ -98,40 +70,20 @@ class SoundBlocks:
             self._heard_s += len(pcm) / self._rate_hz
             self._next = next(self._blocks, None)
 
+    finish = write_until
+
     def tick(self, writer: EpisodeWriter) -> None:
         """Do nothing: the sound is written with the pictures."""
-
-    def finish(self, writer: EpisodeWriter, until_ns: int) -> None:
-        """Write the remaining blocks that begin before a stamp."""
-        self.write_until(writer, until_ns)
 
 
 # ---- Writing loop: queued frames go to the log until the recording ends
 
-# A camera was away where two frames of one connection are further apart than that, and than so many
-# times the step before.
-_MIN_GAP_NS, _MIN_GAP_STEPS = 1_000_000_000, 5
-
-_MAX_GAPS = 1000  # after which a camera that comes and goes is of no use
-_LAST_NS = 2**63 - 1  # a stamp behind all others
 _SPARE_S = 0.5  # of silence beyond what is allowed: for a source to end by itself, and to say why
 _MIN_REPORTED_LAG_S = 0.5  # with a longer one the recording falls behind
 
 
 class WritingLoop:
-    """Takes frames from the queue, stamps, writes and shows them.
-
-    Args:
-        reader: whose queue it is; running.
-        bar: moved by each picture.
-        preview: shows the pictures; they are written once "record" was pressed there.
-        sound: written beside them.
-
-    Attributes:
-        clock: maps the camera's timestamps to ours.
-        longest_lag_s: longest time that a picture waited for the one before it to be written [s].
-        gaps: in what was written so far.
-    """
+    """Takes frames from the queue, stamps, writes and shows them."""
 
     def __init__(
         self,
@@ -140,12 +92,13 @@ class WritingLoop:
         limits: Limits,
         bar: Bar,
         preview: Preview | None,
-        sound: WritesSound | None = None,
+        sound: LiveSound | FilmSoundWriter,
     ) -> None:
         typestore()  # made here, or the first picture would wait for it
+        # Maps the camera's timestamps to ours.
         self.clock = CameraTime(is_told=limits.stamps == "camera")
-        self.gaps: list[Gap] = []
-        self.longest_lag_s = 0.0
+        self.gaps: list[Gap] = []  # in what was written so far
+        self.longest_lag_s = 0.0  # that a picture waited for the one before it to be written [s]
         self._written_ns: int | None = None
         self._reader = reader
         self._writer = writer
@@ -153,8 +106,8 @@ class WritingLoop:
         self._bar = bar
         self._preview = preview
         self._sound = sound
-        self._sound_until_ns = _LAST_NS
-        self._is_recording = preview is None
+        self._sound_until_ns = 2**63 - 1
+        self._is_recording = preview is None  # else once "record" is pressed there
         self._first_ns: int | None = None
         self._newest_ns: int | None = None
         self._step_ns = 0
@@ -166,7 +119,11 @@ class WritingLoop:
         heard = time.monotonic()
         patience_s = max(stall_s, self._limits.wait_s) + _SPARE_S
         while not queue.is_done:
-            self._begin_if_pressed()
+            if not self._is_recording and self._preview and self._preview.record.is_set():
+                for _before in self.clock.rest():
+                    pass
+                self._is_recording = True
+                queue.start()
             if not ended and (ended := self._why_stopped(stop)):
                 queue.close()
             item = queue.take()
@@ -178,30 +135,20 @@ class WritingLoop:
             if source.live and not ended and time.monotonic() - heard > patience_s:
                 ended = f"no frame for {patience_s - _SPARE_S:.1f} s"
                 queue.close()
-            if self._sound is not None:
-                self._sound.tick(self._writer)
+            self._sound.tick(self._writer)
             self._writer.tick()
             queue.pause()
         self._pass_on(self.clock.rest())
-        if self._sound is not None:
-            is_cut = bool(ended) and not source.live
-            self._sound.finish(self._writer, 0 if is_cut else self._sound_until_ns)
+        is_cut = bool(ended) and not source.live
+        self._sound.finish(self._writer, 0 if is_cut else self._sound_until_ns)
         failure = "" if self._reader.error is None else str(self._reader.error)
         return ended or source.ended or failure
-
-    def _begin_if_pressed(self) -> None:
-        if self._is_recording or self._preview is None or not self._preview.record.is_set():
-            return
-        for _before in self.clock.rest():
-            pass
-        self._is_recording = True
-        self._reader.queue.start()
 
     def _why_stopped(self, stop: threading.Event) -> str:
         if stop.is_set():
             return "stopped by a signal"
-        if len(self.gaps) >= _MAX_GAPS:
-            return f"the camera went and came back {_MAX_GAPS} times"
+        if len(self.gaps) >= 1000:  # such a camera is of no use
+            return f"the camera went and came back {len(self.gaps)} times"
         is_pressed = self._preview is not None and self._preview.stop.is_set()
         return "stopped on the page" if is_pressed else ""
 
@@ -209,15 +156,19 @@ class WritingLoop:
         queue, writer = self._reader.queue, self._writer
         for frame, arrived_ns, begins_anew in pictures:
             if self._is_recording:
-                if self._is_enough(frame.stamp_ns):
+                # Cut what comes once the requested duration is reached.
+                if self._first_ns is None:
+                    self._first_ns = frame.stamp_ns
+                seconds = self._limits.seconds
+                if seconds is not None and frame.stamp_ns - self._first_ns >= seconds * 1e9:
                     self._sound_until_ns = frame.stamp_ns
                     queue.cut(CAMERA_TOPIC, 1 + sum(1 for _ in pictures))
                     return
                 if not writer.accepted:
-                    self._note_size(frame.data)
+                    with suppress(LogError):  # a file's own JPEG, kept however it is
+                        writer.note("size_px", "{}x{}".format(*image_size(frame.data)))
                 self._note_gap(frame.stamp_ns, begins_anew=begins_anew)
-                if self._sound is not None:
-                    self._sound.write_until(writer, frame.stamp_ns)
+                self._sound.write_until(writer, frame.stamp_ns)
                 is_video = frame.encoding in VIDEO_FORMATS
                 writer.write_frame(VIDEO_TOPIC if is_video else CAMERA_TOPIC, frame, arrived_ns)
                 self._bar.set_postfix_str(self._in_words(arrived_ns), refresh=False)
@@ -239,31 +190,18 @@ class WritingLoop:
         self.longest_lag_s = max(self.longest_lag_s, lag_s)
         return f"{words}, {lag_s:.1f} s late" if lag_s > _MIN_REPORTED_LAG_S else words
 
-    def _is_enough(self, stamp_ns: int) -> bool:
-        """Return whether the requested duration is reached before this picture."""
-        if self._first_ns is None:
-            self._first_ns = stamp_ns
-        seconds = self._limits.seconds
-        return seconds is not None and stamp_ns - self._first_ns >= seconds * 1e9
-
     def _note_gap(self, stamp_ns: int, *, begins_anew: bool) -> None:
         """Note at once in the log that the camera was away before a picture, if it was."""
         if self._newest_ns is None:
             self._newest_ns = stamp_ns
             return
         gap = Gap(self._newest_ns, stamp_ns)
-        longest_ns = max(_MIN_GAP_NS, _MIN_GAP_STEPS * self._step_ns)
+        # It was where two frames of one connection are over a second, and five steps, apart.
+        longest_ns = max(1_000_000_000, 5 * self._step_ns)
         self._newest_ns, self._step_ns = max(gap), stamp_ns - gap.last_ns
         if begins_anew or (self._step_ns > longest_ns and self._reader.source.live):
             self.gaps.append(gap)
             self._writer.note_at_once(*gap_note(self.gaps))
-
-    def _note_size(self, data: bytes) -> None:
-        try:
-            width, height = image_size(data)
-        except LogError:  # a file's own JPEG, kept however it is
-            return
-        self._writer.note("size_px", f"{width}x{height}")
 
 
 # ---- Recording: all of it, from the open source to its summary
@@ -271,23 +209,14 @@ class WritingLoop:
 
 @dataclass(frozen=True)
 class Limits:
-    """When a recording ends by itself, and how much may be buffered.
+    """When a recording ends by itself, and how much may be buffered."""
 
-    Attributes:
-        seconds: duration by the frames' stamps; None: until the source ends, or a signal.
-        stall_s: longest silence of a live source.
-        wait_s: longest wait for its first frame, where that is longer.
-        queue_bytes: pictures read and not yet written.
-        min_free_bytes: space to leave free on the disk; 0 for no such bound.
-        stamps: which clock the frames are stamped by.
-    """
-
-    seconds: float | None = None
-    stall_s: float = 5.0
-    wait_s: float = 0.0
-    queue_bytes: int = 64 * 1024 * 1024
-    min_free_bytes: int = 0
-    stamps: Literal["camera", "arrival"] = "camera"
+    seconds: float | None = None  # by the frames' stamps; None: to the end, or a signal
+    stall_s: float = 5.0  # longest silence of a live source
+    wait_s: float = 0.0  # longest wait for its first frame, where that is longer
+    queue_bytes: int = 64 * 1024 * 1024  # pictures read and not yet written
+    min_free_bytes: int = 0  # space to leave free on the disk; 0 for no such bound
+    stamps: Literal["camera", "arrival"] = "camera"  # which clock the frames are stamped by
 
 
 def record_camera(
@@ -301,17 +230,9 @@ def record_camera(
     preview: Preview | None = None,
     microphone: LiveSound | None = None,
 ) -> Summary:
-    """Record a source's frames to a log until it ends, stalls or is stopped.
-
-    With a preview, recording begins when "record" is pressed there. A microphone records beside a
-    live source, from its first frame on.
-
-    Raises:
-        MicrophoneError: it does not start (no log is left).
-        CameraError: no frame came (no log is left), or the source failed (what came is kept).
-        LogError: `path` exists or cannot be written, or its disk has too little space; what was
-            written before is kept.
-    """
+    """Record a source's frames to a log until it ends, stalls or is stopped."""
+    # With a preview, recording begins when "record" is pressed there. A microphone records beside a
+    # live source, from its first frame on.
     heard_notes = microphone.notes() if microphone else {}
     notes = {**info.notes, **source.notes(), **heard_notes}
     info = replace(info, source=source.name, notes=notes)
@@ -319,19 +240,26 @@ def record_camera(
         closing(source),
         stop_flag() as stop,
         EpisodeWriter(
-            path,
-            info,
-            overwrite=overwrite,
-            live=source.live,
-            min_free_bytes=limits.min_free_bytes,
+            path, info, overwrite=overwrite, live=source.live, min_free_bytes=limits.min_free_bytes
         ) as writer,
         progress.bar(None, "recording", "frame") as bar,
     ):
         reader = ReadingThread(source, limits.queue_bytes, counts=preview is None)
-        blocks = microphone or _sound_of(source, writer)
-        writer.tally = partial(_tally, reader, blocks)
-        loop = WritingLoop(reader, writer, limits, bar, preview, blocks)
-        _listen(microphone, writer)
+        sound = microphone or _film_sound(source, writer)
+
+        def tally() -> dict[str, int]:
+            reader.queue.close()
+            damaged = {"damaged": source.damaged} if source.damaged else {}
+            return {"captured": reader.captured + sound.written, **damaged}
+
+        writer.tally = tally
+        loop = WritingLoop(reader, writer, limits, bar, preview, sound)
+        if microphone is not None:
+            try:
+                microphone.start()
+            except MicrophoneError:
+                writer.discard()
+                raise
         reader.start()
         try:
             ended = loop.run(stop)
@@ -354,15 +282,15 @@ def record_camera(
             writer.note("ball_at_px", f"{preview.click.x_px:.1f},{preview.click.y_px:.1f}")
             writer.note("ball_at_stamp_ns", str(preview.click.stamp_ns))
         writer.close(ended)
-        heard = blocks.written if blocks else 0
         stamps = _stamped(path, writer.info.notes, limits) if source.live else ""
+    frames = writer.written - sound.written
     if reader.error is not None:
         raise CameraError(
-            f"{reader.error}; the {writer.written - heard} frames before that are kept in {path}"
+            f"{reader.error}; the {frames} frames before that are kept in {path}"
         ) from reader.error
     return Summary(
         reader.captured,
-        writer.written - heard,
+        frames,
         reader.dropped,
         ended,
         source.damaged,
@@ -370,37 +298,20 @@ def record_camera(
         lag_s=lag_s,
         gaps=tuple(loop.gaps),
         stamps=stamps,
-        sound=blocks.in_words() if blocks else "",
+        sound=sound.in_words(),
     )
 
 
-def _listen(microphone: LiveSound | None, writer: EpisodeWriter) -> None:
-    if microphone is None:
-        return
-    try:
-        microphone.start()
-    except MicrophoneError:
-        writer.discard()
-        raise
-
-
-def _sound_of(source: Source, writer: EpisodeWriter) -> SoundBlocks | None:
+def _film_sound(source: Source, writer: EpisodeWriter) -> FilmSoundWriter:
     """Return a video file's sound to write; a note of the log says what it is, or why not."""
     sound = source.sound() if isinstance(source, VideoFile) else None
-    if sound is None:
-        return None
-    why_not = why_not_kept(sound)
-    notes = {"sound_warnings": f"not kept: {why_not}"} if why_not else sound_notes_of(sound)
-    for name, text in notes.items():
-        writer.note(name, text)
-    return None if why_not else SoundBlocks(sound)
-
-
-def _tally(reader: ReadingThread, sound: WritesSound | None) -> dict[str, int]:
-    """Count the frames that came and the blocks of sound written beside them."""
-    counts = reader.tally()
-    counts["captured"] += sound.written if sound else 0
-    return counts
+    why_not = why_not_kept(sound) if sound else ""
+    if why_not:
+        writer.note("sound_warnings", f"not kept: {why_not}")
+    elif sound:
+        for name, text in sound_notes_of(sound).items():
+            writer.note(name, text)
+    return FilmSoundWriter(None if why_not else sound)
 
 
 def _stamped(path: Path, notes: Mapping[str, str], limits: Limits) -> str:

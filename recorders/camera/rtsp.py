@@ -16,23 +16,24 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from urllib.parse import urlsplit
 
 from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraAwayError, CameraError
-from tunenet_logs.recorders.camera.base import CapturedFrame
+from tunenet_logs.recorders.camera.feeds import RECEIVE_BYTES
 from tunenet_logs.recorders.camera.network import (
     OPENING_S,
-    PASSING,
     Deadline,
     Login,
     Transport,
     Trust,
     answering,
     connect,
+    refused,
     sent_on,
 )
 from tunenet_logs.recorders.camera.streams import NOT_PARSED, PacketStream
@@ -46,16 +47,11 @@ from tunenet_logs.terminal import short_name
 # kind, number, time and sender.
 _PACKET = struct.Struct(">BBHBBHII")
 
-_PLAIN = 0x80  # RTP's first byte, where nothing stands between its head and its payload
-_MARKER = 0x80
 _IS_FIRST, _IS_LAST = 0x80, 0x40  # bits of the FU header: a fragment begins, or ends, its NAL unit
-_MAX_JOINED_BYTES = 60_000  # of a joined packet: its length is stated in two bytes
 
-# Bytes before a fragment's data: the NAL unit's header and the FU header (RFC 6184, 7798).
-_HEADS = {"H264": 2, "H265": 3}
-
-# The bits of a payload's first byte that hold its type, and the type of a fragment.
-_KINDS = {"H264": (0x1F, 28), "H265": (0x7E, 49 << 1)}
+# By coding (RFC 6184, 7798): bytes before a fragment's data, the NAL unit's header and the FU
+# header; the bits of a payload's first byte that hold its type; and the type of a fragment.
+_FRAGMENTS = {"H264": (2, 0x1F, 28), "H265": (3, 0x7E, 49 << 1)}
 
 
 class FragmentJoiner:
@@ -63,27 +59,18 @@ class FragmentJoiner:
 
     Packets are renumbered, so that a sequence number is missing where a packet is, and nowhere
     else. Unknown packets are passed on as they came.
-
-    Args:
-        coding: "H264" or "H265"; packets of any other are passed on as they came.
-        channel: on which the pictures come.
     """
 
     def __init__(self, coding: str, channel: int) -> None:
-        self._head_bytes = _HEADS.get(coding, 0)
-        self._mask, self._kind = _KINDS.get(coding, (0, 0))
-        self._channel = channel
+        self._head_bytes, self._mask, self._kind = _FRAGMENTS.get(coding, (0, 0, 0))
+        self._channel = channel  # on which the pictures come
         self._joined = 0
         self._first_ticks: int | None = None
         self._last_ticks = 0
         self._is_whole = True
 
     def is_open(self, ticks: int | None) -> bool:
-        """Return whether the picture at `ticks` (first: 0) is the last, its end missing.
-
-        Args:
-            ticks: its time, from 0 for the first.
-        """
+        """Return whether the picture at `ticks` (first: 0) is the last, its end missing."""
         if ticks is None or self._first_ticks is None or self._is_whole:
             return False
         return self._first_ticks + ticks & 0xFFFFFFFF == self._last_ticks
@@ -106,20 +93,22 @@ class FragmentJoiner:
             _, _, _, plain, kind, number, ticks, sender = _PACKET.unpack_from(packets, at)
             if self._first_ticks is None:
                 self._first_ticks = ticks
-            self._last_ticks, self._is_whole = ticks, bool(kind & _MARKER)
+            self._last_ticks, self._is_whole = ticks, bool(kind & 0x80)  # its marker
             head = bytes(packets[at + payload : at + data_at])
             fragment = head[-1]
-            is_fragment = plain == _PLAIN and head[0] & self._mask == self._kind
+            # Nothing stands between the head and the payload of a plain packet.
+            is_fragment = plain == 0x80 and head[0] & self._mask == self._kind
             unit = head[:-1] + bytes((fragment & 0x3F,))
             if (
                 is_fragment
                 and begun_at >= 0
                 and follows == (number, ticks, sender, unit)
                 and not fragment & _IS_FIRST
-                and len(out) - begun_at + end - at < _MAX_JOINED_BYTES
+                # A joined packet's length is stated in two bytes.
+                and len(out) - begun_at + end - at < 60_000
             ):
                 out += packets[at + data_at : end]
-                out[begun_at + 5] |= kind & _MARKER
+                out[begun_at + 5] |= kind & 0x80
                 if not out[begun_at + data_at - 1] & _IS_FIRST:  # both in one would be an error
                     out[begun_at + data_at - 1] |= fragment & _IS_LAST
                 struct.pack_into(">H", out, begun_at + 2, len(out) - begun_at - 4)
@@ -136,46 +125,22 @@ class FragmentJoiner:
 
 # ---- UDP: one port for RTP, the next for RTCP
 
-# Asked of the kernel, which gives what it allows: a large key picture comes all at once.
-_RECEIVE_BYTES = 8 * 1024 * 1024
-
-_MAX_PORT_TRIES = 100  # for two free ports that follow each other
-_MAX_PACKET_BYTES = 65_536
 _MAX_AT_ONCE = 256  # packets that are taken before anything else is looked after
-_MAX_TORN = 4096  # times of pictures of which something was lost, until they are asked for
-
-# RTP without pictures, and a receiver's report of nothing (RFC 3550): they open a router's way.
-_EMPTY_PACKET = struct.pack(">BBHII", 0x80, 0, 0, 0, 0)
-_EMPTY_REPORT = struct.pack(">BBHI", 0x80, 201, 1, 0)
-
-_NUMBER_AND_TICKS = struct.Struct(">HI")  # of an RTP packet, behind its first two bytes
 
 
 class RtpPorts:
-    """A pair of UDP ports that receive from one host, and send to no other.
-
-    Args:
-        control: the connection to that host.
-
-    Attributes:
-        numbers: the ports; an even one, and the next.
-        lost: packets missing by their sequence numbers.
-        has_any: whether one has come.
-
-    Raises:
-        CameraError: there are no free ports.
-    """
+    """A pair of UDP ports that receive from one host, and send to no other."""
 
     def __init__(self, control: socket.socket) -> None:
-        self.lost = 0
-        self.has_any = False
+        self.lost = 0  # packets missing by their sequence numbers
+        self.has_any = False  # whether one has come
         self._host = control.getpeername()[0]
         self._next: int | None = None
         self._first_ticks = self._last_ticks = 0
-        self._torn: deque[int] = deque(maxlen=_MAX_TORN)
-        self._buffer = bytearray(_MAX_PACKET_BYTES)
+        self._torn: deque[int] = deque(maxlen=4096)  # times of pictures that lost something
+        self._buffer = bytearray(65_536)
         own = control.getsockname()[0]
-        for _ in range(_MAX_PORT_TRIES):
+        for _ in range(100):  # until two free ports follow each other
             packets = socket.socket(control.family, socket.SOCK_DGRAM)
             reports = socket.socket(control.family, socket.SOCK_DGRAM)
             try:
@@ -190,18 +155,20 @@ class RtpPorts:
             reports.close()
         else:
             raise CameraError("no two UDP ports are free here; try --rtsp-transport tcp")
-        packets.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
+        packets.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
         self.sockets = (packets, reports)
-        self.numbers = (port, port + 1)
+        self.numbers = (port, port + 1)  # the ports; an even one, and the next
         for one in self.sockets:
             one.setblocking(False)
 
     def open_ways(self, packets_port: int, reports_port: int) -> None:
         """Punch holes through NATs and firewalls with empty packets."""
-        ways = ((packets_port, _EMPTY_PACKET), (reports_port or packets_port + 1, _EMPTY_REPORT))
-        for one, (port, nothing) in zip(self.sockets, ways, strict=True):
+        # RTP without pictures, and a receiver's report of nothing (RFC 3550).
+        nothing = struct.pack(">BBHII", 0x80, 0, 0, 0, 0), struct.pack(">BBHI", 0x80, 201, 1, 0)
+        ways = (packets_port, reports_port or packets_port + 1)
+        for one, port, data in zip(self.sockets, ways, nothing, strict=True):
             if 0 < port < 65536:
-                one.sendto(nothing, (self._host, port))
+                one.sendto(data, (self._host, port))
 
     def packets(self) -> Iterator[tuple[int, memoryview]]:
         """Yield (0, RTP packet) or (1, RTCP report); each is valid until the next."""
@@ -214,7 +181,7 @@ class RtpPorts:
                 if sender[0] == self._host and size >= (12, 8)[channel]:
                     self.has_any = True
                     if channel == 0:
-                        self._count(*_NUMBER_AND_TICKS.unpack_from(self._buffer, 2))
+                        self._count(*struct.unpack_from(">HI", self._buffer, 2))
                     yield channel, memoryview(self._buffer)[:size]
 
     def close(self) -> None:
@@ -223,11 +190,7 @@ class RtpPorts:
             one.close()
 
     def is_torn(self, ticks: int | None) -> bool:
-        """Return whether packets were lost, or came late, within or beside a picture.
-
-        Args:
-            ticks: its time, from 0 for the first.
-        """
+        """Return whether packets were lost, or came late, within or beside a picture."""
         if ticks is None:
             return False
         sent_ticks = self._first_ticks + ticks & 0xFFFFFFFF
@@ -259,15 +222,11 @@ _DOLLAR = ord("$")  # what a packet begins with; after it one byte of channel an
 
 @dataclass(frozen=True)
 class Reply:
-    """A camera's reply.
-
-    Attributes:
-        headers: (name in lower case, value), each as often as it was sent.
-    """
+    """A camera's reply."""
 
     status: int
     reason: str
-    headers: tuple[tuple[str, str], ...]
+    headers: tuple[tuple[str, str], ...]  # (name in lower case, value), as often as sent
     body: bytes
 
     def every(self, name: str) -> list[str]:
@@ -280,28 +239,17 @@ class Reply:
 
 
 class RtspWire:
-    """A reader of an RTSP connection.
-
-    Args:
-        connected: the connection; its reads raise when they take too long.
-
-    Attributes:
-        early: packets that came before an awaited reply.
-    """
+    """A reader of an RTSP connection."""
 
     def __init__(self, connected: socket.socket) -> None:
-        self.early = bytearray()
+        self.early = bytearray()  # packets that came before an awaited reply
         self._socket = connected
         self._buffer = bytearray(_BUFFER_BYTES)
         self._view = memoryview(self._buffer)
         self._used = self._filled = 0
 
     def reply(self) -> Reply:
-        """Wait for the next reply.
-
-        Raises:
-            CameraError: what comes is none, or has no end.
-        """
+        """Wait for the next reply."""
         while True:
             came = self.take(is_playing=False)
             if isinstance(came, Reply):
@@ -323,23 +271,21 @@ class RtspWire:
         return count
 
     def take(self, *, is_playing: bool) -> memoryview | Reply | None:
-        """Return a run of whole packets, or a reply; None where more has to come.
-
-        Packets are valid until the next `fill`.
-
-        Args:
-            is_playing: whether noise between packets is skipped; else it is an error.
-
-        Raises:
-            CameraError: what came is neither.
-        """
+        """Return a run of whole packets, or a reply; None where more has to come."""
+        # Packets are valid until the next `fill`.
         while self._used < self._filled and self._buffer[self._used] in b"\r\n":
             self._used += 1
         start = self._used
         if self._used == self._filled:
             return None
         if self._buffer[start] == _DOLLAR:
-            self._used = self._end_of_packets()
+            buffer, at, last = self._buffer, self._used, self._filled - 4
+            while at <= last and buffer[at] == _DOLLAR:
+                end = at + 4 + (buffer[at + 2] << 8 | buffer[at + 3])
+                if end > self._filled:
+                    break
+                at = end
+            self._used = at
             return self._view[start : self._used] if self._used > start else None
         try:
             return self._taken_reply()
@@ -350,21 +296,8 @@ class RtspWire:
         self._used = self._filled if found < 0 else found
         return self.take(is_playing=True) if found >= 0 else None
 
-    def _end_of_packets(self) -> int:
-        buffer, at, last = self._buffer, self._used, self._filled - 4
-        while at <= last and buffer[at] == _DOLLAR:
-            end = at + 4 + (buffer[at + 2] << 8 | buffer[at + 3])
-            if end > self._filled:
-                break
-            at = end
-        return at
-
     def _taken_reply(self) -> Reply | None:
-        """Parse the reply that begins here; None where it is incomplete.
-
-        Raises:
-            ValueError: it is no reply.
-        """
+        """Parse the reply that begins here; None where it is incomplete."""
         head = bytes(self._view[self._used : self._filled][: _MAX_HEAD_BYTES + 4])
         if not head.startswith(_VERSION[: len(head)]):
             raise ValueError("no reply")
@@ -387,76 +320,6 @@ class RtspWire:
         return replace(reply, body=bytes(self._view[start : self._used]))
 
 
-# ---- RTSP requests: CSeq, authentication, session
-
-_UNSUPPORTED_TRANSPORT = 461
-_MAX_REQUEST_TRIES = 3  # for one reply: without login, with it, and with a fresh nonce
-
-
-class RtspRequests:
-    """Requests over one RTSP connection.
-
-    Attributes:
-        wire: reader of the connection.
-        session: session identifier; "" before there is one.
-    """
-
-    def __init__(self, connected: socket.socket, login: Login) -> None:
-        self.wire = RtspWire(connected)
-        self.session = ""
-        self._socket = connected
-        self._login = login
-        self._count = 0
-
-    def send(self, method: str, place: str, headers: dict[str, str] | None = None) -> None:
-        """Send a request without waiting for its reply."""
-        self._count += 1
-        lines = [f"{method} {place} RTSP/1.0", f"CSeq: {self._count}", "User-Agent: tunenet-record"]
-        lines += [f"{name}: {value}" for name, value in (headers or {}).items()]
-        if self.session:
-            lines.append(f"Session: {self.session}")
-        if login := self._login.header(method, place):
-            lines.append(f"Authorization: {login}")
-        self._socket.sendall("\r\n".join((*lines, "", "")).encode())
-
-    def ask(
-        self,
-        method: str,
-        place: str,
-        headers: dict[str, str] | None = None,
-        refusal: int | None = None,
-    ) -> Reply:
-        """Send a request; return its reply, with status 200 or `refusal`.
-
-        Raises:
-            CameraError: the reply has another status.
-        """
-        self.send(method, place, headers)
-        reply = self.wire.reply()
-        for _ in range(_MAX_REQUEST_TRIES - 1):
-            if reply.status != 401:
-                break
-            self.log_in(reply)
-            self.send(method, place, headers)
-            reply = self.wire.reply()
-        if reply.status in (200, refusal):
-            return reply
-        if 300 <= reply.status < 400:
-            raise sent_on(reply.header("location"), ("rtsp", "rtsps"))
-        remedy = "check the path" if reply.status == 404 else "check the address"
-        said = f"{reply.status} {short_name(reply.reason)}"
-        kind = CameraAwayError if reply.status in PASSING else CameraError
-        raise kind(f"answers {said} to {method}; {remedy}")
-
-    def log_in(self, reply: Reply) -> None:
-        """Take the challenge of a 401 reply.
-
-        Raises:
-            CameraError: it cannot be answered.
-        """
-        self._login.take(reply.every("www-authenticate"))
-
-
 # ---- SDP: parse what a session description (RFC 8866) says of its video, and no more
 
 _MEDIA = re.compile(r"m=video \S+ (\S+) (\d{1,3})\b")
@@ -464,32 +327,21 @@ _PROTOCOLS = ("RTP/AVP", "RTP/AVPF", "RTP/AVP/TCP", "RTP/AVP/UDP")
 
 # Attributes that say how the video is coded: none of them names a place.
 _CODING = re.compile(r"a=(rtpmap|fmtp|framerate|framesize):[\x20-\x7e]{1,4000}")
-_MAX_CODING_LINES = 20
 _CODEC = re.compile(r"a=rtpmap:\d{1,3}\s+([\w-]+)/")
 _CONTROL = re.compile(r"a=control:([\x21-\x7e]{1,1000})\s*")
 
 
 @dataclass(frozen=True)
 class Description:
-    """A camera's first video.
+    """A camera's first video."""
 
-    Attributes:
-        whole: control URL of the session; "" if there is none.
-        control: control URL of this video; "" if there is none.
-        coding: the lines that describe its coding.
-    """
-
-    whole: str
-    control: str
-    coding: tuple[str, ...]
+    whole: str  # control URL of the session; "" if there is none
+    control: str  # control URL of this video; "" if there is none
+    coding: tuple[str, ...]  # the lines that describe its coding
 
     @classmethod
     def of(cls, text: str) -> Description:
-        """Parse a description.
-
-        Raises:
-            CameraError: it holds no video, or one sent by an unknown protocol.
-        """
+        """Parse a description."""
         session, *media = re.split(r"^(?=m=)", text, flags=re.MULTILINE)
         for section in media:
             if not (found := _MEDIA.match(section)):
@@ -499,7 +351,7 @@ class Description:
                 known = short_name(protocol)
                 raise CameraError(f"sends its video by {known}; switch it to RTP/AVP")
             kept = [one[0] for one in map(_CODING.fullmatch, section.splitlines()) if one]
-            coding = (f"m=video 0 RTP/AVP {kind}", *kept[:_MAX_CODING_LINES])
+            coding = (f"m=video 0 RTP/AVP {kind}", *kept[:20])
             return cls(_control(session), _control(section), coding)
         raise CameraError("holds no video; give the address of its video")
 
@@ -510,11 +362,7 @@ class Description:
         return next((one[1].upper() for one in found if one), "")
 
     def text(self, control: str) -> str:
-        """Format a description of this video alone, under the control name `control`.
-
-        Args:
-            control: what names it here.
-        """
+        """Format a description of this video alone, under the control name `control`."""
         head = ("v=0", "o=- 0 0 IN IP4 127.0.0.1", "s=-", "c=IN IP4 127.0.0.1", "t=0 0")
         media, *attributes = self.coding
         return "\r\n".join((*head, media, f"a=control:{control}", *attributes, ""))
@@ -527,12 +375,14 @@ def _control(section: str) -> str:
 
 # ---- RTSP client: ask the camera, one host, to play its video over TCP, TLS or UDP
 
+_UNSUPPORTED_TRANSPORT = 461
 _PORTS = {"rtsp": 554, "rtsps": 322}  # of addresses that name none
 _CHANNELS = re.compile(r"\binterleaved\s*=\s*(\d{1,3})")
 _SERVER_PORTS = re.compile(r"\bserver_port\s*=\s*(\d{1,5})(?:-(\d{1,5}))?")
 _SESSION = re.compile(r"([\x21-\x3a\x3c-\x7e]{1,200})(?:\s*;\s*timeout\s*=\s*(\d{1,6}))?")
 _URL = re.compile(r"rtsps?://[\x21-\x7e]{1,1500}")
 
+_NO_HEADERS: Mapping[str, str] = MappingProxyType({})
 _REFRESH_S = (1.0, 30.0)  # shortest and longest time between two keep-alive requests
 
 
@@ -540,22 +390,8 @@ class RtspClient:
     """A camera that has been asked to play.
 
     URLs that it names are only words in requests to it: no other host is ever called. Packets are
-    taken from its own address alone.
-
-    Args:
-        deadline: until it plays; afterwards for each read.
-        trust: which certificates are trusted.
-        transport: None tries TCP, and UDP where the camera refuses that; TLS is for TCP alone.
-
-    Attributes:
-        socket: the control connection.
-        wire: its reader.
-        ports: UDP ports for the packets; None if they are interleaved.
-        channel: of interleaved RTP; the next one is for RTCP.
-        description: of its video.
-
-    Raises:
-        CameraError: it cannot be reached, refuses, or has no video.
+    taken from its own address alone. Without a transport, TCP is tried, and UDP where the camera
+    refuses that; TLS is for TCP alone. `deadline` bounds all until it plays, afterwards each read.
     """
 
     def __init__(
@@ -564,16 +400,17 @@ class RtspClient:
         parts = urlsplit(address.url)
         is_encrypted = parts.scheme == "rtsps"
         port = parts.port or _PORTS[parts.scheme]
-        login = Login.of(address)
-        self.ports: RtpPorts | None = None
-        self.channel = 0
+        self.ports: RtpPorts | None = None  # for packets by UDP; None if they are interleaved
+        self.channel = 0  # of interleaved RTP; the next one is for RTCP
         self._place = address.url
+        self._login = Login.of(address)
+        self._session = ""  # its identifier; "" before there is one
+        self._count = 0
         self._refresh = "OPTIONS"
         self._refresh_s = _REFRESH_S[1]
         self._next_refresh_s = 0.0
         self.socket = connect(parts.hostname or "", port, deadline, trust if is_encrypted else None)
-        self._requests = RtspRequests(self.socket, login)
-        self.wire = self._requests.wire
+        self.wire = RtspWire(self.socket)
         with closed_on_failure(self):
             self._play(Transport.TCP if is_encrypted else transport)
         deadline.renew(math.inf)
@@ -582,7 +419,7 @@ class RtspClient:
         """Send a keep-alive when it is due; return the time until the next [s]."""
         if (left_s := self._next_refresh_s - time.monotonic()) > 0:
             return left_s
-        self._requests.send(self._refresh, self._place)
+        self._send(self._refresh, self._place)
         self._next_refresh_s = time.monotonic() + self._refresh_s
         return self._refresh_s
 
@@ -590,24 +427,56 @@ class RtspClient:
         """Handle an unsolicited reply: a 401 renews the login in time."""
         if reply.status == 401:
             with suppress(CameraError):  # the camera will end it
-                self._requests.log_in(reply)
+                self._login.take(reply.every("www-authenticate"))
                 self._next_refresh_s = time.monotonic() + _REFRESH_S[0]
 
     def close(self) -> None:
         """Send TEARDOWN and close the connection; safe to call twice."""
-        if self._requests.session:
+        if self._session:
             with suppress(OSError):
-                self._requests.send("TEARDOWN", self._place)
-        self._requests.session = ""
+                self._send("TEARDOWN", self._place)
+        self._session = ""
         self.socket.close()
         if self.ports is not None:
             self.ports.close()
 
+    def _send(self, method: str, place: str, headers: Mapping[str, str] = _NO_HEADERS) -> None:
+        """Send a request without waiting for its reply."""
+        self._count += 1
+        lines = [f"{method} {place} RTSP/1.0", f"CSeq: {self._count}", "User-Agent: tunenet-record"]
+        lines += [f"{name}: {value}" for name, value in headers.items()]
+        if self._session:
+            lines.append(f"Session: {self._session}")
+        if proof := self._login.header(method, place):
+            lines.append(f"Authorization: {proof}")
+        self.socket.sendall("\r\n".join((*lines, "", "")).encode())
+
+    def _ask(
+        self,
+        method: str,
+        place: str,
+        headers: Mapping[str, str] = _NO_HEADERS,
+        refusal: int | None = None,
+    ) -> Reply:
+        """Send a request; return its reply, with status 200 or `refusal`."""
+        tries = 0
+        while True:
+            self._send(method, place, headers)
+            reply = self.wire.reply()
+            tries += 1
+            if reply.status != 401 or tries == 3:  # without login, with it, with a fresh nonce
+                break
+            self._login.take(reply.every("www-authenticate"))
+        if reply.status in (200, refusal):
+            return reply
+        if 300 <= reply.status < 400:
+            raise sent_on(reply.header("location"), ("rtsp", "rtsps"))
+        raise refused(reply.status, reply.reason, f" to {method}")
+
     def _play(self, transport: Transport | None) -> None:
-        ask = self._requests.ask
-        if "GET_PARAMETER" in ask("OPTIONS", self._place).header("public").upper():
+        if "GET_PARAMETER" in self._ask("OPTIONS", self._place).header("public").upper():
             self._refresh = "GET_PARAMETER"
-        answer = ask("DESCRIBE", self._place, {"Accept": "application/sdp"})
+        answer = self._ask("DESCRIBE", self._place, {"Accept": "application/sdp"})
         self.description = Description.of(answer.body.decode("utf-8", "replace"))
         base = answer.header("content-base") or answer.header("content-location")
         base = base if _URL.fullmatch(base) else self._place
@@ -615,24 +484,19 @@ class RtspClient:
         video = _joined(base, self.description.control)
         wanted = (transport,) if transport else (Transport.TCP, Transport.UDP)
         if not any(self._is_set_up(video, one) for one in wanted):
-            refused = " and ".join(one.name for one in wanted)
-            raise CameraError(f"refuses {refused} (461); leave out or change --rtsp-transport")
-        ask("PLAY", self._place, {"Range": "npt=0.000-"})
+            refusing = " and ".join(one.name for one in wanted)
+            raise CameraError(f"refuses {refusing} (461); leave out or change --rtsp-transport")
+        self._ask("PLAY", self._place, {"Range": "npt=0.000-"})
         self._next_refresh_s = time.monotonic() + self._refresh_s
 
     def _is_set_up(self, video: str, transport: Transport) -> bool:
-        """Send SETUP; return whether the camera accepts the transport.
-
-        Raises:
-            CameraError: it answers with another transport.
-        """
+        """Send SETUP; return whether the camera accepts the transport."""
         wanted = "/TCP;unicast;interleaved=0-1"
         if transport is Transport.UDP:
             self.ports = RtpPorts(self.socket)
             wanted = ";unicast;client_port={}-{}".format(*self.ports.numbers)
-        answer = self._requests.ask(
-            "SETUP", video, {"Transport": f"RTP/AVP{wanted}"}, _UNSUPPORTED_TRANSPORT
-        )
+        asked = {"Transport": f"RTP/AVP{wanted}"}
+        answer = self._ask("SETUP", video, asked, _UNSUPPORTED_TRANSPORT)
         if answer.status == _UNSUPPORTED_TRANSPORT:
             return False
         said = answer.header("transport")
@@ -647,9 +511,8 @@ class RtspClient:
         if self.ports and (found := _SERVER_PORTS.search(said)):
             self.ports.open_ways(int(found[1]), int(found[2] or 0))
         if found := _SESSION.match(answer.header("session")):
-            self._requests.session = found[1]
-            shortest_s, longest_s = _REFRESH_S
-            self._refresh_s = min(max(int(found[2] or 60) / 2, shortest_s), longest_s)
+            self._session = found[1]
+            self._refresh_s = min(max(int(found[2] or 60) / 2, _REFRESH_S[0]), _REFRESH_S[1])
         return True
 
 
@@ -665,33 +528,21 @@ def _joined(base: str, control: str) -> str:
 # ---- Relay: serve the camera's packets to FFmpeg on this machine alone
 
 _VIDEO = "video"  # control name of the one video, for FFmpeg
-_MAX_CONNECTING_S = 10.0  # for FFmpeg to connect: it is asked to at once
-_MAX_ENDING_S = 0.2  # for what ends by itself to say why
 _MAX_WAIT_S = 1.0  # for a packet, before anything else is looked after
-_MAX_REQUEST_BYTES = 16 * 1024
-
-# From what was passed on to what is read next, over TCP, which keeps it: the pieces of a picture
-# are passed on together then, and the first of them at once, as its time of arrival wants it.
-_GATHERING_S = 0.003
 
 
 class RtspRelay:
-    """A loopback RTSP server for one reader.
-
-    Args:
-        client: the camera, playing; it is closed here.
-        silence_s: the longest time without a packet.
-    """
+    """A loopback RTSP server for one reader."""
 
     def __init__(self, client: RtspClient, silence_s: float) -> None:
         self._ended = ""
-        self._client = client
+        self._client = client  # the camera, playing; it is closed here
         self._joiner = FragmentJoiner(client.description.codec, client.channel)
-        self._silence_s = silence_s
+        self._silence_s = silence_s  # the longest time without a packet
         self._is_closed = False
         self._path = secrets.token_hex(8)  # others on this machine may call, but do not know it
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(_MAX_CONNECTING_S)
+        self._listener.settimeout(10.0)  # [s]; FFmpeg is asked to connect at once
         self._reader: socket.socket | None = None
         self._thread = threading.Thread(target=self._run, name="rtsp relay", daemon=True)
         self._thread.start()
@@ -707,11 +558,7 @@ class RtspRelay:
         return self._client.ports.lost if self._client.ports else 0
 
     def is_torn(self, ticks: int | None) -> bool:
-        """Return whether packets were lost in or beside a picture, or its end never came.
-
-        Args:
-            ticks: its time, from 0 for the first; asked in order, when more has come or none will.
-        """
+        """Return whether packets were lost in or beside a picture, or its end never came."""
         ports = self._client.ports
         return self._joiner.is_open(ticks) or (ports is not None and ports.is_torn(ticks))
 
@@ -729,7 +576,7 @@ class RtspRelay:
     def ended_by(self) -> str:
         """Stop relaying; return why it had ended, "" where it was still running."""
         is_asked = self._is_closed
-        self._thread.join(_MAX_ENDING_S)
+        self._thread.join(0.2)  # [s]; what ends by itself says why
         was_running = self._thread.is_alive()
         self.close()
         return "" if is_asked or was_running else self._ended
@@ -740,7 +587,17 @@ class RtspRelay:
                 self._reader, _ = self._listener.accept()
             with self._reader as reader:
                 reader.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._ended = self._played(reader)
+                try:
+                    self._greet(reader)
+                    self._ended = self._pass_on(reader)
+                except TimeoutError:
+                    ports = self._client.ports
+                    hint = " over UDP; if a firewall is between, try --rtsp-transport tcp"
+                    said = hint if ports and not ports.has_any else ""
+                    self._ended = f"no data for {self._silence_s:.1f} s{said}"
+                except OSError as error:
+                    why = error.strerror or type(error).__name__
+                    self._ended = f"the connection to the camera broke ({why})"
                 self._client.close()
                 reader.shutdown(socket.SHUT_WR)
                 while reader.recv(65536):  # closed before it is read out, it would lose packets
@@ -749,20 +606,6 @@ class RtspRelay:
             pass  # nobody reads any more
         finally:
             self._client.close()
-
-    def _played(self, reader: socket.socket) -> str:
-        """Serve FFmpeg; return why there is no more, "" if FFmpeg hung up."""
-        try:
-            self._greet(reader)
-            return self._pass_on(reader)
-        except TimeoutError:
-            ports = self._client.ports
-            hint = " over UDP; if a firewall is between, try --rtsp-transport tcp"
-            said = hint if ports and not ports.has_any else ""
-            return f"no data for {self._silence_s:.1f} s{said}"
-        except OSError as error:
-            why = error.strerror or type(error).__name__
-            return f"the connection to the camera broke ({why})"
 
     def _greet(self, reader: socket.socket) -> None:
         """Answer FFmpeg's requests up to PLAY."""
@@ -778,7 +621,7 @@ class RtspRelay:
         method, said = "", bytearray()
         while method != "PLAY":
             while (end := said.find(b"\r\n\r\n")) < 0:
-                if len(said) > _MAX_REQUEST_BYTES or not (more := reader.recv(4096)):
+                if len(said) > 16 * 1024 or not (more := reader.recv(4096)):
                     raise ConnectionError("nobody reads")
                 said += more
             request, *lines = said[:end].decode("latin-1").split("\r\n")
@@ -791,7 +634,7 @@ class RtspRelay:
             reader.sendall((head + answers[method]).encode())
 
     def _pass_on(self, reader: socket.socket) -> str:
-        """Relay packets until one side ends."""
+        """Relay packets until one side ends; return why, "" where FFmpeg hung up."""
         client, wire = self._client, self._client.wire
         udp = client.ports.sockets if client.ports else ()
         reader.sendall(self._joiner.joined(memoryview(wire.early)))
@@ -809,7 +652,9 @@ class RtspRelay:
                 return ""
             if client.socket in ready:
                 if not udp:
-                    time.sleep(max(0.0, passed_s + _GATHERING_S - time.monotonic()))
+                    # TCP keeps what comes meanwhile: the pieces of a picture are passed on
+                    # together, the first of them at once, as its time of arrival wants it.
+                    time.sleep(max(0.0, passed_s + 0.003 - time.monotonic()))
                 if not wire.fill():
                     return "the stream was closed by the camera"
         return ""
@@ -843,16 +688,7 @@ _OPTIONS = {
 
 
 class RtspStream(PacketStream):
-    """An RTSP stream.
-
-    Args:
-        timeout_s: the longest silence. Opening may take 10 s, or so long where that is longer.
-        trust: which certificates are trusted.
-        transport: None falls back to UDP where the camera refuses TCP.
-
-    Raises:
-        CameraError: nothing answers there, or not with a video.
-    """
+    """An RTSP stream."""
 
     def __init__(
         self, address: Address, timeout_s: float, trust: Trust, transport: Transport | None
@@ -865,6 +701,7 @@ class RtspStream(PacketStream):
         deadline = Deadline(timeout_s, max(OPENING_S, timeout_s))
         with answering(address.shown, deadline):
             client = RtspClient(address, deadline, trust, transport)
+        # None falls back to UDP where the camera refuses TCP.
         self._transport = Transport.UDP if client.ports else Transport.TCP
         self._relay = RtspRelay(client, timeout_s)
         with closed_on_failure(self._relay):
@@ -886,14 +723,11 @@ class RtspStream(PacketStream):
         lost = {"lost_packets": str(self._relay.lost)} if self._relay.lost else {}
         return super().notes() | {"transport": self._transport.value} | lost
 
-    def frames(self) -> Iterator[CapturedFrame]:
-        """Yield the pictures as they come, until the stream ends or falls silent."""
-        try:
-            yield from super().frames()
-        finally:
-            self.ended = self._relay.ended_by() or self.ended
-
     def close(self) -> None:
         """End a running `frames`; the camera is told to stop."""
         super().close()
         self._relay.close()
+
+    def _release(self) -> None:
+        super()._release()
+        self.ended = self._relay.ended_by() or self.ended

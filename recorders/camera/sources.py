@@ -15,14 +15,7 @@ from tunenet_logs.addresses import scheme_of
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.camera.base import Source
 from tunenet_logs.recorders.camera.device import CameraDevice, Settings, VideoFile, opened_within
-from tunenet_logs.recorders.camera.feeds import (
-    ByteFeed,
-    PipeFeed,
-    TcpFeed,
-    TimedFeed,
-    UdpFeed,
-    opened_pipe,
-)
+from tunenet_logs.recorders.camera.feeds import ByteFeed, PipeFeed, TcpFeed, TimedFeed, UdpFeed
 from tunenet_logs.recorders.camera.network import (
     OPENING_S,
     Deadline,
@@ -31,61 +24,8 @@ from tunenet_logs.recorders.camera.network import (
     camera_address,
     with_scheme,
 )
-from tunenet_logs.recorders.camera.reading import as_kept
+from tunenet_logs.recorders.camera.reading import Transcoded
 from tunenet_logs.recorders.camera.streams import PacketStream, stream_of
-
-# ---- Plain bytes: TCP, UDP, a FIFO or standard input
-
-
-def open_tcp(text: str, timeout_s: float) -> Source:
-    """Open a camera that streams to whoever connects to tcp://HOST:PORT.
-
-    Raises:
-        UsageError, CameraError: see `TcpFeed` and `stream_of`.
-    """
-    address, deadline = camera_address(text), _opening(timeout_s)
-    with answering(address.shown, deadline):
-        feed = TcpFeed(address, deadline)
-    return _stream(feed, address.shown, deadline, timeout_s)
-
-
-def open_udp(text: str, timeout_s: float) -> Source:
-    """Open a stream sent to a UDP port of this machine.
-
-    Raises:
-        UsageError, CameraError: see `UdpFeed` and `stream_of`.
-    """
-    deadline = _opening(timeout_s)
-    return _stream(UdpFeed(text, deadline), text, deadline, timeout_s)
-
-
-def open_pipe(text: str, timeout_s: float) -> Source:
-    """Open what a program writes to standard input or a FIFO, or a file redirected there.
-
-    Raises:
-        UsageError, CameraError: see `opened_pipe` and `stream_of`.
-    """
-    deadline = _opening(timeout_s)
-    pipe = opened_pipe(text)
-    feed = PipeFeed(pipe.descriptor, deadline)
-    return _stream(feed, pipe.shown, deadline, timeout_s, live=pipe.is_written_to)
-
-
-def _opening(timeout_s: float) -> Deadline:
-    """Make the first picture's deadline: the program that sends it may have to start."""
-    longest_s = max(OPENING_S, timeout_s)
-    return Deadline(longest_s, longest_s)
-
-
-def _stream(
-    feed: ByteFeed, shown: str, deadline: Deadline, timeout_s: float, *, live: bool = True
-) -> Source:
-    source = stream_of(TimedFeed(feed, deadline, timeout_s), shown, live=live)
-    deadline.silence_s = timeout_s
-    return source
-
-
-# ---- Opening by scheme, or by kind
 
 # By a setting's name, the option that asks for it: an error names what the user wrote.
 _SETTING_OPTIONS = {
@@ -98,8 +38,6 @@ _SETTING_OPTIONS = {
 
 # Beyond what opening a network camera allows: for name servers, and for its own, clearer error.
 _SPARE_S = 5.0
-
-_MAX_DEVICE_S = 30.0  # to open a plugged-in camera: drivers try for seconds, each setting too
 
 
 @dataclass(frozen=True)
@@ -122,22 +60,7 @@ def open_source(
     network: NetworkOptions | None = None,
     transcode: bool = False,
 ) -> Source:
-    """Open a camera or a video file.
-
-    Args:
-        text: a device's number or /dev/... path, an address, "-" for standard input, a FIFO, or a
-            file.
-        settings: what to ask of a device.
-        filmed_hz: rate at which a file was filmed, where its tags do not say so.
-        timeout_s: the longest silence of a live camera.
-        network: options of a network camera.
-        transcode: whether pictures of a camera that sends video are to become JPEGs.
-
-    Raises:
-        UsageError: an option does not apply to this source, or an address is invalid.
-        CameraError: it cannot be opened.
-        LogError: a file that is no video.
-    """
+    """Open a camera or a video file."""
     text = with_scheme(text)
     kind = _kind_of(text)
     if kind in _BY_OTHERS:
@@ -153,7 +76,14 @@ def open_source(
     wishes = SourceOptions(
         settings or Settings(), filmed_hz, timeout_s, network or NetworkOptions(), transcode
     )
-    _refuse_what_is_others(kind, wishes)
+    if kind != "a device" and wishes.settings.asked():
+        option = _SETTING_OPTIONS[wishes.settings.asked()[0]]
+        raise UsageError(f"{option} is for a camera that is plugged in; leave it out")
+    if kind != "a file" and wishes.filmed_hz is not None:
+        raise UsageError("--fps is for a video file; a camera's rate is measured")
+    if kind in ("a device", "a file") and wishes.transcode:
+        raise UsageError("--transcode is for a camera that sends video; leave it out")
+    wishes.network.check(kind)
     return OPENERS[kind](text, wishes)
 
 
@@ -185,24 +115,10 @@ def _is_number(text: str) -> bool:
     return text.isascii() and text.isdecimal() and len(text) < 5
 
 
-def _refuse_what_is_others(kind: str, wishes: SourceOptions) -> None:
-    if kind != "a device" and wishes.settings.asked():
-        option = _SETTING_OPTIONS[wishes.settings.asked()[0]]
-        raise UsageError(f"{option} is for a camera that is plugged in; leave it out")
-    if kind != "a file" and wishes.filmed_hz is not None:
-        raise UsageError("--fps is for a video file; a camera's rate is measured")
-    if kind in ("a device", "a file") and wishes.transcode:
-        raise UsageError("--transcode is for a camera that sends video; leave it out")
-    wishes.network.check(kind)
-
-
 def _device(text: str, wishes: SourceOptions) -> Source:
     path = Path(f"/dev/video{int(text)}" if _is_number(text) else text)
-    return opened_within(_MAX_DEVICE_S, str(path), lambda: CameraDevice(path, wishes.settings))
-
-
-def _file(text: str, wishes: SourceOptions) -> Source:
-    return VideoFile(Path(text), wishes.filmed_hz)
+    # Drivers try for seconds, at each setting too.
+    return opened_within(30.0, str(path), lambda: CameraDevice(path, wishes.settings))
 
 
 def _http(text: str, wishes: SourceOptions) -> Source:
@@ -228,19 +144,38 @@ def _rtsp(text: str, wishes: SourceOptions) -> Source:
 
 
 def _bytes(text: str, wishes: SourceOptions) -> Source:
-    opener = {"tcp": open_tcp, "udp": open_udp}.get(scheme_of(text), open_pipe)
-    return _opened(text, wishes, lambda: opener(text, wishes.timeout_s))
+    def opened() -> Source:
+        # The program that sends the first picture may have to start.
+        longest_s = max(OPENING_S, wishes.timeout_s)
+        deadline = Deadline(longest_s, longest_s)
+        shown, live, scheme = text, True, scheme_of(text)
+        feed: ByteFeed
+        if scheme == "tcp":
+            address = camera_address(text)
+            shown = address.shown
+            with answering(shown, deadline):
+                feed = TcpFeed(address, deadline)
+        elif scheme == "udp":
+            feed = UdpFeed(text, deadline)
+        else:
+            feed = pipe = PipeFeed(text, deadline)
+            shown, live = pipe.shown, pipe.is_written_to
+        source = stream_of(TimedFeed(feed, deadline, wishes.timeout_s), shown, live=live)
+        deadline.silence_s = wishes.timeout_s
+        return source
+
+    return _opened(text, wishes, opened)
 
 
 def _opened(
     shown: str, wishes: SourceOptions, opening: Callable[[], Source], more_s: float = 0.0
 ) -> Source:
-    """Open a network or piped source, transcoded where the log cannot hold its codec."""
+    """Open a network or piped source, transcoded where asked, or where no log holds its codec."""
 
     def opened() -> Source:
         source = opening()
-        if isinstance(source, PacketStream):
-            return as_kept(source, transcode=wishes.transcode)
+        if isinstance(source, PacketStream) and (wishes.transcode or source.needs_decoding):
+            return Transcoded(source)
         return source
 
     longest_s = max(OPENING_S, wishes.timeout_s) + more_s + _SPARE_S
@@ -251,7 +186,7 @@ def _opened(
 OPENERS: Mapping[str, Callable[[str, SourceOptions], Source]] = MappingProxyType(
     {
         "a device": _device,
-        "a file": _file,
+        "a file": lambda text, wishes: VideoFile(Path(text), wishes.filmed_hz),
         "a pipe": _bytes,
         "http": _http,
         "https": _http,

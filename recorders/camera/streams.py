@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from tunenet_logs.episode import Frame
@@ -18,8 +18,8 @@ from tunenet_logs.errors import CameraError, LogError
 from tunenet_logs.images import MAX_PIXELS
 from tunenet_logs.media import Mp4Claims
 from tunenet_logs.messages import is_whole
-from tunenet_logs.recorders.camera.base import CapturedFrame, Source
-from tunenet_logs.recorders.camera.feeds import MULTIPART, TimedFeed
+from tunenet_logs.recorders.camera.base import CapturedFrame, LiveSource, Source
+from tunenet_logs.recorders.camera.feeds import MAX_PICTURE_BYTES, MULTIPART, TimedFeed
 from tunenet_logs.recorders.camera.network import answering
 from tunenet_logs.recorders.session import closed_on_failure
 from tunenet_logs.timing.stamps import now_ns, wall_ns
@@ -31,38 +31,23 @@ if TYPE_CHECKING:
 
 # ---- Access units: packets as whole pictures, with timestamp and time of arrival
 
-# Of one picture; a JPEG of 36 megapixels has 30 MB. What has more never ends.
-_MAX_UNIT_BYTES = 64 * 1024 * 1024
-
 
 class Unit(NamedTuple):
-    """One compressed picture (access unit).
-
-    Attributes:
-        ticks: presentation timestamp in the stream's time base; None where the stream has none.
-        arrived_ns: when its first byte arrived [ns].
-        is_key: whether the container marks it as a key frame.
-        is_corrupt: whether FFmpeg reports data missing from it.
-    """
+    """One compressed picture (access unit)."""
 
     data: bytes
-    ticks: int | None
-    arrived_ns: int
-    is_key: bool
-    is_corrupt: bool
+    ticks: int | None  # presentation timestamp in the stream's time base, if it has any
+    arrived_ns: int  # when its first byte arrived [ns]
+    is_key: bool  # whether the container marks it as a key frame
+    is_corrupt: bool  # whether FFmpeg reports data missing from it
 
 
 def whole_units(
     packets: Iterable[Packet], arrived_ns: Callable[[Packet], int], *, is_cut: bool
 ) -> Iterator[Unit]:
-    """Yield one unit per non-empty packet of a parsed stream.
-
-    Args:
-        packets: as FFmpeg's parser returns them.
-        arrived_ns: when a packet's first byte arrived [ns].
-        is_cut: whether the parser searches for a picture's end: it finds it in the next one, and
-            reports data missing from that one on the picture before.
-    """
+    """Yield one unit per non-empty packet of a parsed stream."""
+    # Where the parser searches for a picture's end (`is_cut`), it finds it in the next picture, and
+    # reports what is missing from that one on the picture before.
     is_next_corrupt = False
     for packet in packets:
         if packet.size:
@@ -73,44 +58,35 @@ def whole_units(
 
 
 def joined_units(packets: Iterable[Packet], arrived_ns: Callable[[Packet], int]) -> Iterator[Unit]:
-    """Yield one unit per run of packets with one timestamp, which in RTP is one picture.
-
-    FFmpeg's parser, which would join them too, loses the time of the first picture, and returns
-    each so late that its arrival is the next one's.
-
-    Args:
-        packets: as they came, not parsed.
-        arrived_ns: when a packet's first byte arrived [ns].
-    """
+    """Yield one unit per run of packets with one timestamp, which in RTP is one picture."""
+    # FFmpeg's parser, which would join them too, loses the time of the first picture, and returns
+    # each so late that its arrival is the next one's.
     pieces: list[bytes] = []
     size = 0
-    ticks: int | None = None
-    came_ns = 0
-    is_key = is_corrupt = False
+    unit = Unit(b"", None, 0, is_key=False, is_corrupt=False)
     for packet in packets:
         if not packet.size:
             continue
-        is_next = packet.pts is not None and packet.pts != ticks
-        if pieces and (is_next or size > _MAX_UNIT_BYTES):
-            yield Unit(b"".join(pieces), ticks, came_ns, is_key, is_corrupt)
-            pieces, size, is_key, is_corrupt = [], 0, False, False
+        is_next = packet.pts is not None and packet.pts != unit.ticks
+        if pieces and (is_next or size > MAX_PICTURE_BYTES):
+            yield unit._replace(data=b"".join(pieces))
+            pieces, size = [], 0
         if not pieces:
-            came_ns, ticks = arrived_ns(packet), packet.pts
+            unit = Unit(b"", packet.pts, arrived_ns(packet), is_key=False, is_corrupt=False)
         pieces.append(bytes(packet))
         size += packet.size
-        is_key = is_key or packet.is_keyframe
-        is_corrupt = is_corrupt or packet.is_corrupt
+        unit = unit._replace(
+            is_key=unit.is_key or packet.is_keyframe,
+            is_corrupt=unit.is_corrupt or packet.is_corrupt,
+        )
     if pieces:
-        yield Unit(b"".join(pieces), ticks, came_ns, is_key, is_corrupt)
+        yield unit._replace(data=b"".join(pieces))
 
 
 # ---- H.264 and H.265: random access points and parameter sets (Rec. ITU-T, annex B)
 # Each NAL unit follows a start code; its type is in its first byte.
 
 _START = b"\0\0\1"
-
-# NAL units of a picture before its first slice, such as parameter sets; encoders write a handful.
-_MAX_NAL_UNITS = 64
 
 # Types of NAL units: parameter sets (VPS in H.265, SPS, PPS), slices, which hold the pixels, and of
 # those the ones from which a decoder can begin.
@@ -123,15 +99,10 @@ _H264_SEI, _RECOVERY_POINT = 6, 6
 
 
 class PictureHead(NamedTuple):
-    """What precedes a picture's first slice.
+    """What precedes a picture's first slice."""
 
-    Attributes:
-        stands_alone: whether it is a random access point, where a decoder can begin.
-        parameter_sets: those that it carries (VPS, SPS, PPS), with their start codes.
-    """
-
-    stands_alone: bool
-    parameter_sets: bytes
+    stands_alone: bool  # whether it is a random access point, where a decoder can begin
+    parameter_sets: bytes  # those that it carries (VPS, SPS, PPS), with their start codes
 
 
 def head_of(data: bytes, codec: str) -> PictureHead:
@@ -139,7 +110,7 @@ def head_of(data: bytes, codec: str) -> PictureHead:
     recovers = False
     sets: list[bytes] = []
     at = data.find(_START)
-    for _ in range(_MAX_NAL_UNITS):
+    for _ in range(64):  # encoders write a handful of NAL units before the first slice
         if not 0 <= at < len(data) - 4:
             break
         at += 3
@@ -172,7 +143,7 @@ NOT_PARSED = {"fflags": "noparse+nofillin"}
 _CUT_CONTAINERS = frozenset({"mpegts", "mpeg"})
 
 
-class PacketStream:
+class PacketStream(LiveSource):
     """The video of an open container as it comes; nothing is decoded.
 
     H.264 and H.265 become Annex B pictures that carry their parameter sets at every random access
@@ -183,33 +154,18 @@ class PacketStream:
     FFmpeg returns the rest of a damaged picture as if it were whole, and decoders make something of
     it that looks like one. So where a loss is known, the picture is left out and counted as
     damaged, and so are those predicted from it.
-
-    Args:
-        container: opened, with a time-out; closed here. For RTP it is opened with `NOT_PARSED`.
-        shown: the camera's public name.
-        timeout_s: the longest silence that it was opened with.
-        is_damaged: whether packets were lost in a picture or just before it, by its time in the
-            stream's time base (of RTP from 0 for the first); called in order.
-        arrived_ns: when a packet's first byte arrived; by default when FFmpeg returns it.
-
-    Attributes:
-        returns: False once a video file is over, which has a duration; a live camera has none.
-        needs_decoding: whether the log cannot hold this codec.
-
-    Raises:
-        CameraError: it holds no video.
     """
-
-    live = True
-    dropped = 0
 
     def __init__(
         self,
-        container: InputContainer,
+        container: InputContainer,  # opened, with a time-out, of RTP with `NOT_PARSED`; closed here
         shown: str,
-        timeout_s: float,
+        timeout_s: float,  # the longest silence that it was opened with
         *,
-        is_damaged: Callable[[int | None], bool] | None = None,
+        # Whether packets were lost in a picture or just before it, by its time in the stream's time
+        # base (of RTP from 0 for the first); called in order.
+        is_damaged: Callable[[int | None], bool] = lambda _ticks: False,
+        # When a packet's first byte arrived; by default when FFmpeg returns it.
         arrived_ns: Callable[[Packet], int] = lambda _packet: now_ns(),
     ) -> None:
         from av.format import Flags
@@ -217,26 +173,20 @@ class PacketStream:
         if not container.streams.video:
             container.close()
             raise CameraError(f"{shown}: holds no video; give the address of its video")
-        self.name = f"camera {shown}"
-        self.ended = ""
-        self.returns = True
-        self.damaged = 0
+        super().__init__(f"camera {shown}")
         self._container = container
         self._stream = container.streams.video[0]
         self._codec = self._stream.codec_context.name
         self._format = _LOG_FORMATS.get(self._codec, self._codec)
         self._formats = frozenset(container.format.name.split(","))
         self._is_rtp = bool(self._formats & _RTP_CONTAINERS)
+        # Whether the log cannot hold this codec.
         self.needs_decoding = self._codec not in _LOG_FORMATS and self._codec != "mjpeg"
         self._has_times = not container.format.flags & Flags.no_timestamps.value
         self._sets = b""
-        self._began = False
         self._is_damaged = is_damaged
-        self._is_broken = False
         self._timeout_s = timeout_s
         self._arrived_ns = arrived_ns
-        self._closed = False
-        self._reading = False
 
     def notes(self) -> dict[str, str]:
         """Return the codec."""
@@ -257,32 +207,8 @@ class PacketStream:
             decoder.width, decoder.height, decoder.pix_fmt = said.width, said.height, said.pix_fmt
         return decoder
 
-    def frames(self) -> Iterator[CapturedFrame]:
-        """Yield the pictures as they come, until the stream ends or falls silent."""
-        self._reading = True
-        try:
-            for unit in self._units():
-                if self._closed:
-                    return
-                yield from self._shots(unit)
-        finally:
-            self._container.close()
-
-    def close(self) -> None:
-        """End a running `frames` with the next packet; it closes the connection."""
-        self._closed = True
-        if not self._reading:
-            self._container.close()
-
-    def _units(self) -> Iterator[Unit]:
-        if self._is_rtp:
-            self._sets = self._stream.codec_context.extradata or b""
-            return joined_units(self._packets(), self._arrived_ns)
-        packets = self._packets()
-        if self._codec in _TO_ANNEX_B:
-            packets = self._as_annex_b(packets)
-        is_cut = not self._formats.isdisjoint(_CUT_CONTAINERS)
-        return whole_units(packets, self._arrived_ns, is_cut=is_cut)
+    def _release(self) -> None:
+        self._container.close()
 
     def _packets(self) -> Iterator[Packet]:
         """Demux until the stream ends, breaks, or is silent for too long."""
@@ -301,6 +227,9 @@ class PacketStream:
         from av.bitstream import BitStreamFilterContext
         from av.error import FFmpegError
 
+        if self._codec not in _TO_ANNEX_B:
+            yield from packets
+            return
         rewrite = BitStreamFilterContext(_TO_ANNEX_B[self._codec], self._stream)
         for packet in packets:
             if not packet.size:
@@ -310,37 +239,42 @@ class PacketStream:
             except FFmpegError:
                 self.damaged += 1
 
-    def _shots(self, unit: Unit) -> Iterator[CapturedFrame]:
-        data, stands_alone = unit.data, unit.is_key
-        if self._codec == "mjpeg":
-            if is_whole(data):
-                yield CapturedFrame(Frame(unit.arrived_ns, "jpeg", data), self._told_ns(unit.ticks))
-            else:
+    def _shots(self) -> Iterator[CapturedFrame]:
+        is_broken, has_begun = False, self.needs_decoding
+        if self._is_rtp:
+            self._sets = self._stream.codec_context.extradata or b""
+            units = joined_units(self._packets(), self._arrived_ns)
+        else:
+            is_cut = not self._formats.isdisjoint(_CUT_CONTAINERS)
+            packets = self._as_annex_b(self._packets())
+            units = whole_units(packets, self._arrived_ns, is_cut=is_cut)
+        for unit in units:
+            data, stands_alone = unit.data, unit.is_key
+            if self._codec == "mjpeg":
+                if is_whole(data):
+                    frame = Frame(unit.arrived_ns, "jpeg", data)
+                    yield CapturedFrame(frame, self._told_ns(unit.ticks))
+                else:
+                    self.damaged += 1
+                continue
+            if self._codec in _TO_ANNEX_B:
+                stands_alone, sets = head_of(data, self._format)
+                if sets:
+                    self._sets = sets
+                elif stands_alone:  # a random access point carries its parameter sets
+                    data = self._sets + data
+            if not has_begun and not stands_alone:
+                continue
+            is_damaged = unit.is_corrupt or self._is_damaged(unit.ticks)
+            is_broken = is_damaged or (is_broken and not stands_alone)
+            if is_broken:
                 self.damaged += 1
-            return
-        if self._codec in _TO_ANNEX_B:
-            data, stands_alone = self._with_sets(data)
-        if not self._began and not stands_alone and not self.needs_decoding:
-            return
-        is_damaged = unit.is_corrupt or bool(self._is_damaged and self._is_damaged(unit.ticks))
-        self._is_broken = is_damaged or (self._is_broken and not stands_alone)
-        if self._is_broken:
-            self.damaged += 1
-            return
-        self._began = True
-        if self.needs_decoding and self._is_rtp:  # where it can begin, its decoder alone knows
-            stands_alone = True
-        frame = Frame(unit.arrived_ns, self._format, data)
-        yield CapturedFrame(frame, self._told_ns(unit.ticks), stands_alone)
-
-    def _with_sets(self, data: bytes) -> tuple[bytes, bool]:
-        """Add parameter sets to a random access point that lacks them; return whether it is one."""
-        stands_alone, sets = head_of(data, self._format)
-        if sets:
-            self._sets = sets
-        elif stands_alone:
-            data = self._sets + data
-        return data, stands_alone
+                continue
+            has_begun = True
+            if self.needs_decoding and self._is_rtp:  # where it can begin, its decoder alone knows
+                stands_alone = True
+            frame = Frame(unit.arrived_ns, self._format, data)
+            yield CapturedFrame(frame, self._told_ns(unit.ticks), stands_alone)
 
     def _told_ns(self, ticks: int | None) -> int | None:
         base = self._stream.time_base if self._has_times else None
@@ -360,16 +294,7 @@ _TIMELESS = frozenset({"h264", "hevc", "mjpeg"})
 
 
 class ContainerStream(PacketStream):
-    """The video in a byte stream, demuxed by FFmpeg, which opens nothing itself.
-
-    Args:
-        kind: FFmpeg's name of the format.
-        shown: where the bytes come from, for errors.
-        live: whether pictures arrive as they are taken; else the container's timestamps are used.
-
-    Raises:
-        CameraError: it holds no video, or nothing came in time.
-    """
+    """The video in a byte stream, demuxed by FFmpeg, which opens nothing itself."""
 
     def __init__(self, feed: TimedFeed, kind: str, shown: str, *, live: bool) -> None:
         self._bytes = _Bytes(feed, kind)
@@ -379,29 +304,26 @@ class ContainerStream(PacketStream):
             feed.timeout_s,
             arrived_ns=lambda packet: wall_ns(feed.arrived_ns(packet.pos)),
         )
-        self.live = live or kind in _TIMELESS
+        self.live = live or kind in _TIMELESS  # else the container's timestamps are used
         self.returns = self.live
         self._feed = feed
-        self._shown = shown
+        self._shown = shown  # where the bytes come from, for errors
 
-    def frames(self) -> Iterator[CapturedFrame]:
-        """Yield the pictures as they come, until the stream ends or falls silent.
+    def close(self) -> None:
+        """End a running `frames`, which closes the feed."""
+        self._feed.deadline.break_off()
+        super().close()
 
-        Raises:
-            CameraError: the stream is invalid.
-        """
+    def _shots(self) -> Iterator[CapturedFrame]:
         self._feed.got_picture()
-        try:
-            for shot in super().frames():
-                self._feed.got_picture()
-                if self.live:
-                    yield shot
-                elif shot.source_stamp_ns is not None:
-                    yield CapturedFrame(
-                        replace(shot.frame, stamp_ns=shot.source_stamp_ns), None, shot.stands_alone
-                    )
-        finally:
-            self._feed.close()
+        for shot in super()._shots():
+            self._feed.got_picture()
+            if self.live:
+                yield shot
+            elif shot.source_stamp_ns is not None:
+                yield CapturedFrame(
+                    replace(shot.frame, stamp_ns=shot.source_stamp_ns), None, shot.stands_alone
+                )
         broken = self._bytes.broken
         if isinstance(broken, CameraError):
             with answering(self._shown, self._feed.deadline):
@@ -411,23 +333,19 @@ class ContainerStream(PacketStream):
         elif not self.live:
             self.ended = ""
 
-    def close(self) -> None:
-        """End a running `frames`, which closes the feed."""
-        self._feed.deadline.break_off()
-        super().close()
+    def _release(self) -> None:
+        super()._release()
+        self._feed.close()
 
 
 class _Bytes:
     """A feed as FFmpeg's input: a broken feed ends, and what came before is kept.
 
     An exception would be lost on its way through FFmpeg, or printed.
-
-    Attributes:
-        broken: the error that ended it; None while it runs, and at a regular end.
     """
 
     def __init__(self, feed: TimedFeed, kind: str) -> None:
-        self.broken: OSError | CameraError | None = None
+        self.broken: OSError | CameraError | None = None  # the error that ended it
         self._feed = feed
         self._claims = Mp4Claims() if kind == "mov" else None
 
@@ -470,14 +388,11 @@ def _refuse(*_words: object) -> NoReturn:
     raise CameraError("names other files or hosts; only what it holds itself is recorded")
 
 
-# ---- Delimiters of a multipart stream, found in one pass
-# A regular expression may backtrack over hostile bytes with the whole process waiting.
+# ---- Multipart: split the stream into parts, tolerating sloppy senders
 
 # In a delimiter: RFC 2046 has two dashes and 70 characters; some senders repeat the dashes.
 _MAX_DASHES, _MAX_TOKEN = 70, 70
-
-# Longer than any delimiter with its blanks: so much of what was searched must be kept.
-_TAIL_BYTES = 512
+_TAIL_BYTES = 512  # longer than any delimiter with its blanks: so much of what was searched is kept
 
 # What a boundary may contain (RFC 2046), without the blank.
 _TOKEN = (string.ascii_letters + string.digits + "'()+_,./:=?-").encode()
@@ -485,104 +400,8 @@ _TOKEN = (string.ascii_letters + string.digits + "'()+_,./:=?-").encode()
 _BLANKS = b" \t\r\n\f\v\0"
 _ENDS = (b" ", b"\t", b"\r", b"\n")
 _JPEG_END = b"\xff\xd9"
-_DASH, _LINE_FEED, _RETURN = b"-\n\r"
-
-
-@dataclass(frozen=True)
-class Delimiter:
-    """A delimiter line.
-
-    Attributes:
-        end: index just after its line feed.
-        closes: whether it ends the stream.
-    """
-
-    end: int
-    closes: bool
-
-
-class Delimiters:
-    """Finds delimiters; `token` is the boundary without leading dashes, b"" for any."""
-
-    def __init__(self, token: bytes) -> None:
-        self._token = token
-        self._mark = b"--" + token
-
-    def line(self, buffer: bytearray, start: int) -> tuple[Delimiter | None, int]:
-        """Find the first whole delimiter line from `start` on; also where to resume."""
-        while (at := buffer.find(b"\n", start)) >= 0:
-            start = at + 1
-            line = bytes(buffer[max(0, at - _TAIL_BYTES) : at]).removesuffix(b"\r").rstrip(b" \t")
-            if not self._token and _is_any(line[len(line.rstrip(_TOKEN)) :]):
-                return Delimiter(start, closes=False), start
-            if self._token and line.endswith((self._mark, self._mark + b"--")):
-                return Delimiter(start, closes=not line.endswith(self._mark)), start
-        return None, max(start, len(buffer))
-
-    def end_of_body(
-        self, buffer: bytearray | bytes, start: int, *, is_all: bool
-    ) -> tuple[int | None, int]:
-        """Find the end of the first body from `start` on; also where to resume.
-
-        With a token, the end lies before the line break of a delimiter. Without one a picture may
-        hold what looks like a delimiter, so one counts only after the end of a JPEG. `is_all` says
-        that nothing more comes.
-        """
-        mark = self._mark if self._token else _JPEG_END
-        while (at := buffer.find(mark, start)) >= 0:
-            end = at + len(mark)
-            behind = bytes(buffer[end : end + _TAIL_BYTES])
-            may_go_on = not is_all and len(behind) < _TAIL_BYTES
-            found = _ends_line(behind) if self._token else _leads_to_any(behind)
-            if found is None and may_go_on:
-                return None, at
-            if found:
-                cut = _line_break_before(buffer, at) if self._token else end
-                if cut is not None:
-                    return cut, cut
-            start = at + 1
-        return None, max(start, len(buffer) - len(mark) + 1)
-
-
-def _is_any(run: bytes) -> bool:
-    """Return whether a run of token characters ends with dashes and a token."""
-    at = run.find(b"--", max(0, len(run) - _MAX_DASHES - _MAX_TOKEN))
-    return at >= 0 and len(run) - at > 2
-
-
-def _ends_line(behind: bytes) -> bool | None:
-    """Return whether a delimiter ends here; None where more bytes are needed."""
-    rest = behind.removeprefix(b"--")
-    return None if rest in (b"", b"-") else rest[:1] in _ENDS
-
-
-def _leads_to_any(behind: bytes) -> bool | None:
-    """Return whether blanks and any delimiter follow; None as in `_ends_line`."""
-    rest = behind.lstrip(_BLANKS)
-    run = len(rest) - len(rest.lstrip(_TOKEN))
-    if run == len(rest):
-        return None if b"--".startswith(rest[:2]) and run <= _MAX_DASHES + _MAX_TOKEN else False
-    is_delimiter = rest.startswith(b"--") and 2 < run <= _MAX_DASHES + _MAX_TOKEN
-    return is_delimiter and rest[run : run + 1] in _ENDS
-
-
-def _line_break_before(buffer: bytearray | bytes, at: int) -> int | None:
-    """Return the index of the line break before a delimiter's dashes, or None."""
-    begin = at
-    while begin > max(0, at - _MAX_DASHES) and buffer[begin - 1] == _DASH:
-        begin -= 1
-    if not begin or buffer[begin - 1] != _LINE_FEED:
-        return None
-    return begin - 2 if begin > 1 and buffer[begin - 2] == _RETURN else begin - 1
-
-
-# ---- Multipart: split the stream into parts, tolerating sloppy senders
-
-# Of one picture: several times a large JPEG; a stream without an end must not fill the memory.
-_MAX_PART_BYTES = 32 * 1024 * 1024
 
 _MAX_HEADER_BYTES = 16 * 1024  # of the headers of one part: a camera sends about 100
-_MAX_READ_BYTES = 256 * 1024  # of one read: a few pictures
 
 # Headers in which servers report a picture's time [s]; capture first, then sending.
 _TIMES = (
@@ -597,18 +416,12 @@ _TIMES = (
 _SECONDS = re.compile(rb"(\d{1,11})\.(\d{1,9})\d*")
 
 
-@dataclass(frozen=True)
-class Part:
-    """One part of the stream.
+class Part(NamedTuple):
+    """One part of the stream."""
 
-    Attributes:
-        arrived_ns: monotonic time at which its first byte arrived.
-        source_stamp_ns: the time in its headers, of an unknown clock; None where they have none.
-    """
-
-    arrived_ns: int
+    arrived_ns: int  # monotonic time at which its first byte arrived
     data: bytes
-    source_stamp_ns: int | None = None
+    source_stamp_ns: int | None = None  # the time in its headers, of an unknown clock
 
 
 class MultipartParser:
@@ -616,64 +429,65 @@ class MultipartParser:
 
     A part ends after its Content-Length where it states one, else at the next delimiter. Senders
     differ in whether the boundary they announce has its two leading dashes already: both are
-    accepted, and so is a stream that announces none.
-
-    Args:
-        read: up to so many bytes, as soon as there are any; b"" at the end.
-        boundary: as announced, or "".
-        clock_ns: monotonic time.
-
-    Attributes:
-        is_closed: whether the last delimiter ended the stream.
+    accepted, and so is a stream that announces none ("").
     """
 
     def __init__(
         self, read: Callable[[int], bytes], boundary: str, clock_ns: Callable[[], int]
     ) -> None:
-        self._delimiters = Delimiters(boundary.lstrip("-").encode("latin-1", "replace"))
-        self._read = read
-        self._clock_ns = clock_ns
+        self._token = boundary.lstrip("-").encode("latin-1", "replace")
+        self._mark = b"--" + self._token
+        self._read = read  # up to so many bytes, as soon as there are any; b"" at the end
+        self._clock_ns = clock_ns  # monotonic time
         self._buffer = bytearray()
         self._arrived_ns = 0
         self._at_end = False
-        self.is_closed = False
+        self.is_closed = False  # whether the last delimiter ended the stream
 
     def parts(self) -> Iterator[Part]:
-        """Yield the parts in order; one that is cut short is delivered as it is.
-
-        Raises:
-            CameraError: it is no multipart stream, or a part has no end.
-        """
+        """Yield the parts in order; one that is cut short is delivered as it is."""
         while self._skip_delimiter():
             headers = self._headers()
             if not self._buffer and not self._fill():
                 return
             arrived_ns = self._arrived_ns
-            length = _content_length(headers)
-            data = self._until_delimiter() if length is None else self._take(length)
-            yield Part(arrived_ns, data, _told_ns(headers))
+            text = headers.get(b"content-length", b"")
+            stated = int(text[:18]) if text.isdigit() else 0
+            has_length = 0 < stated <= MAX_PICTURE_BYTES
+            data = self._take(stated) if has_length else self._until_delimiter()
+            told = (_SECONDS.fullmatch(headers.get(name, b"")) for name in _TIMES)
+            stamps_ns = (int(one[1]) * 10**9 + int(one[2].ljust(9, b"0")) for one in told if one)
+            yield Part(arrived_ns, data, next(stamps_ns, None))
 
     def _fill(self) -> bool:
-        data = b"" if self._at_end else self._read(_MAX_READ_BYTES)
+        data = b"" if self._at_end else self._read(256 * 1024)  # a few pictures
         self._arrived_ns = self._clock_ns()
         self._at_end = not data
         self._buffer += data
         return bool(data)
 
     def _skip_delimiter(self) -> bool:
-        """Skip past the next delimiter; False at the end of the stream."""
+        """Skip past the next whole delimiter line; False at the end of the stream."""
         skipped = looked = 0
         while True:
-            found, looked = self._delimiters.line(self._buffer, looked)
-            if found is not None:
-                del self._buffer[: found.end]
-                self.is_closed = found.closes
-                return not found.closes
-            surplus = max(0, looked - _TAIL_BYTES)
+            while (at := self._buffer.find(b"\n", looked)) >= 0:
+                looked = at + 1
+                line = bytes(self._buffer[max(0, at - _TAIL_BYTES) : at])
+                line = line.removesuffix(b"\r").rstrip(b" \t")
+                if self._token:
+                    is_delimiter = line.endswith((self._mark, self._mark + b"--"))
+                else:  # a run of token characters that ends with dashes and a token
+                    run = line[len(line.rstrip(_TOKEN)) :][-_MAX_DASHES - _MAX_TOKEN :]
+                    is_delimiter = 0 <= run.find(b"--") < len(run) - 2
+                if is_delimiter:
+                    del self._buffer[:looked]
+                    self.is_closed = bool(self._token) and not line.endswith(self._mark)
+                    return not self.is_closed
+            surplus = max(0, len(self._buffer) - _TAIL_BYTES)
             del self._buffer[:surplus]
-            looked -= surplus
+            looked = len(self._buffer)
             skipped += surplus
-            if max(skipped, len(self._buffer)) > _MAX_PART_BYTES:
+            if max(skipped, looked) > MAX_PICTURE_BYTES:
                 raise CameraError("sends no part of a multipart stream; is it a camera's stream?")
             if not self._fill():
                 return False
@@ -702,38 +516,68 @@ class MultipartParser:
         while len(self._buffer) < length and self._fill():
             pass
         body = bytes(self._buffer[:length])
-        cut = None
         if not body.rstrip(b"\0 \t\r\n").endswith(b"\xff\xd9"):  # less came than was stated?
-            cut, _ = self._delimiters.end_of_body(body, 0, is_all=True)
-        used = len(body) if cut is None else cut
-        del self._buffer[:used]
-        return body[:used]
+            cut, _ = self._end_of_body(body, 0, is_all=True)
+            body = body[:cut]
+        del self._buffer[: len(body)]
+        return body
 
     def _until_delimiter(self) -> bytes:
         looked = 0
         while True:
-            end, looked = self._delimiters.end_of_body(self._buffer, looked, is_all=self._at_end)
+            end, looked = self._end_of_body(self._buffer, looked, is_all=self._at_end)
             if end is not None or self._at_end:
                 break
-            if len(self._buffer) > _MAX_PART_BYTES:
-                raise CameraError(f"sends a part of more than {_MAX_PART_BYTES} bytes")
+            if len(self._buffer) > MAX_PICTURE_BYTES:
+                raise CameraError(f"sends a part of more than {MAX_PICTURE_BYTES} bytes")
             self._fill()
         body = bytes(self._buffer[:end])
         del self._buffer[: len(body)]
         return body.removesuffix(b"\r\n") if end is None else body
 
+    def _end_of_body(
+        self, buffer: bytearray | bytes, start: int, *, is_all: bool
+    ) -> tuple[int | None, int]:
+        """Find the end of the first body from `start` on; also where to resume.
 
-def _content_length(headers: dict[bytes, bytes]) -> int | None:
-    text = headers.get(b"content-length", b"")
-    stated = int(text[:18]) if text.isdigit() else 0
-    return stated if 0 < stated <= _MAX_PART_BYTES else None
+        With a token, the end lies before the line break of a delimiter. Without one a picture may
+        hold what looks like a delimiter, so one counts only after the end of a JPEG. `is_all` says
+        that nothing more comes. One pass: a regular expression may backtrack over hostile bytes
+        with the whole process waiting.
+        """
+        mark = self._mark if self._token else _JPEG_END
+        while (at := buffer.find(mark, start)) >= 0:
+            end = at + len(mark)
+            behind = bytes(buffer[end : end + _TAIL_BYTES])
+            found = _ends_line(behind) if self._token else _leads_to_any(behind)
+            if found is None and not is_all and len(behind) < _TAIL_BYTES:
+                return None, at
+            if found and not self._token:
+                return end, end
+            if found:  # the line break before the delimiter's dashes
+                head = bytes(buffer[max(0, at - _MAX_DASHES - 2) : at])
+                before = head.rstrip(b"-")
+                if before.endswith(b"\n"):
+                    cut = at - len(head) + len(before.removesuffix(b"\n").removesuffix(b"\r"))
+                    return cut, cut
+            start = at + 1
+        return None, max(start, len(buffer) - len(mark) + 1)
 
 
-def _told_ns(headers: dict[bytes, bytes]) -> int | None:
-    for name in _TIMES:
-        if found := _SECONDS.fullmatch(headers.get(name, b"")):
-            return int(found[1]) * 1_000_000_000 + int(found[2].ljust(9, b"0"))
-    return None
+def _ends_line(behind: bytes) -> bool | None:
+    """Return whether a delimiter ends here; None where more bytes are needed."""
+    rest = behind.removeprefix(b"--")
+    return None if rest in (b"", b"-") else rest[:1] in _ENDS
+
+
+def _leads_to_any(behind: bytes) -> bool | None:
+    """Return whether blanks and any delimiter follow; None as in `_ends_line`."""
+    rest = behind.lstrip(_BLANKS)
+    run = len(rest) - len(rest.lstrip(_TOKEN))
+    if run == len(rest):
+        return None if b"--".startswith(rest[:2]) and run <= _MAX_DASHES + _MAX_TOKEN else False
+    is_delimiter = rest.startswith(b"--") and 2 < run <= _MAX_DASHES + _MAX_TOKEN
+    return is_delimiter and rest[run : run + 1] in _ENDS
 
 
 # ---- Reported times: whether those that a server sends come from a clock
@@ -742,32 +586,18 @@ def _told_ns(headers: dict[bytes, bytes]) -> int | None:
 # what is no clock does so often.
 _MAX_FAULT_SHARE, _MAX_FREE_FAULTS = 0.01, 2
 
-# Over which the server's clock and ours are compared: jitter and bursts are shorter.
-_MIN_SPAN_NS = 1_000_000_000
-
-_MAX_RATE_RATIO = 2.0  # of the two clocks: none is so wrong, but another unit is
-
 
 class ToldTimes:
-    """A filter that passes reported timestamps until they prove not to be a clock's.
-
-    Attributes:
-        is_trusted: whether they may still be a clock's.
-    """
+    """A filter that passes reported timestamps until they prove not to be a clock's."""
 
     def __init__(self) -> None:
-        self.is_trusted = True
+        self.is_trusted = True  # whether they may still be a clock's
         self._first: tuple[int, int] | None = None
         self._latest_ns = 0
         self._count = self._faults = 0
 
     def taken_ns(self, source_stamp_ns: int | None, arrived_ns: int) -> int | None:
-        """Return a picture's reported time [ns]; None where it is not to be trusted.
-
-        Args:
-            source_stamp_ns: by the server's clock.
-            arrived_ns: by ours.
-        """
+        """Return a picture's reported time [ns]; None where it is not to be trusted."""
         if source_stamp_ns is None or not self.is_trusted:
             return None
         if self._first is None:
@@ -782,68 +612,47 @@ class ToldTimes:
             self._first = source_stamp_ns, arrived_ns
             self.is_trusted = self._faults <= _MAX_FREE_FAULTS + _MAX_FAULT_SHARE * self._count
             return None
-        self.is_trusted = self._runs_with_ours(
-            source_stamp_ns - self._first[0], arrived_ns - self._first[1]
+        shortest_ns, longest_ns = sorted(
+            (source_stamp_ns - self._first[0], arrived_ns - self._first[1])
         )
+        # Jitter and bursts are shorter than a second; no clock is wrong by half, another unit is.
+        is_short = longest_ns < 1_000_000_000
+        self.is_trusted = is_short or longest_ns < 2.0 * shortest_ns
         return source_stamp_ns if self.is_trusted else None
-
-    @staticmethod
-    def _runs_with_ours(source_stamp_ns: int, arrived_ns: int) -> bool:
-        longest_ns = max(source_stamp_ns, arrived_ns)
-        return longest_ns < _MIN_SPAN_NS or longest_ns < _MAX_RATE_RATIO * min(
-            source_stamp_ns, arrived_ns
-        )
 
 
 # ---- MJPEG (multipart/x-mixed-replace), as most cheap cameras send it
 
 
-class MjpegStream:
+class MjpegStream(LiveSource):
     """An MJPEG stream; its JPEGs are kept byte for byte.
 
     A frame's reported time is that of its part's headers, where those are a clock's.
-
-    Args:
-        shown: where the bytes come from, for errors.
-        boundary: as announced, or "".
     """
 
-    live = True
-    dropped = 0
-
     def __init__(self, feed: TimedFeed, shown: str, boundary: str = "") -> None:
-        self.name = f"camera {shown}"
-        self.ended = ""
-        self.returns = True
-        self.damaged = 0
+        super().__init__(f"camera {shown}")
         self._shown = shown
         self._feed = feed
         self._parser = MultipartParser(feed.read, boundary, feed.arrived_ns)
         self._told = ToldTimes()
-        self._closed = False
-        self._reading = False
 
     def notes(self) -> dict[str, str]:
         """Return a note where the reported times were left out."""
         return {} if self._told.is_trusted else {"told_times": "left out: they are no clock's"}
 
-    def frames(self) -> Iterator[CapturedFrame]:
-        """Yield the whole JPEGs as they come, until the stream ends or falls silent.
+    def close(self) -> None:
+        """End a running `frames`, which closes the connection."""
+        self._feed.deadline.break_off()
+        super().close()
 
-        Raises:
-            CameraError: it is no multipart stream.
-        """
-        self._reading = True
+    def _shots(self) -> Iterator[CapturedFrame]:
         self._feed.got_picture()
         try:
             for part in self._parser.parts():
-                if self._closed:
-                    return
                 if is_whole(part.data):
-                    source_stamp_ns = self._told.taken_ns(part.source_stamp_ns, part.arrived_ns)
-                    yield CapturedFrame(
-                        Frame(wall_ns(part.arrived_ns), "jpeg", part.data), source_stamp_ns
-                    )
+                    told_ns = self._told.taken_ns(part.source_stamp_ns, part.arrived_ns)
+                    yield CapturedFrame(Frame(wall_ns(part.arrived_ns), "jpeg", part.data), told_ns)
                     self._feed.got_picture()
                 else:
                     self.damaged += 1
@@ -853,31 +662,16 @@ class MjpegStream:
             self.ended = self._feed.why_broken(error)
         except CameraError as error:
             raise CameraError(f"{self._shown}: {error}") from error
-        finally:
-            self._feed.close()
 
-    def close(self) -> None:
-        """End a running `frames`, which closes the connection."""
-        self._closed = True
-        self._feed.deadline.break_off()
-        if not self._reading:
-            self._feed.close()
+    def _release(self) -> None:
+        self._feed.close()
 
 
 # ---- Opening: by the format that the first bytes reveal
 
 
 def stream_of(feed: TimedFeed, shown: str, *, live: bool) -> Source:
-    """Open the source that a feed's first bytes call for.
-
-    Args:
-        feed: closed with the source, and where this fails.
-        shown: where it comes from, for errors.
-        live: whether pictures arrive as they are taken.
-
-    Raises:
-        CameraError: it is no video, or nothing came in time.
-    """
+    """Open the source that a feed's first bytes call for."""
     with closed_on_failure(feed), answering(shown, feed.deadline):
         kind = feed.format()
         if kind == MULTIPART:

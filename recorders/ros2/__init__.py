@@ -21,11 +21,7 @@ _TYPE = re.compile(r"(\w+)::(msg|srv|action)::dds_::(\w+)_")
 
 
 def checked_topic(text: str) -> str:
-    """Validate a topic name; return it as ROS 2 writes it, from the root.
-
-    Raises:
-        UsageError: it is not a valid topic name.
-    """
+    """Validate a topic name; return it as ROS 2 writes it, from the root."""
     topic = text.strip()
     topic = topic if topic.startswith("/") else f"/{topic}"
     if len(topic) > _MAX_CHARACTERS or not _TOPIC.fullmatch(topic) or "__" in topic:

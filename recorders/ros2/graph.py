@@ -92,7 +92,6 @@ WIRE_TYPES: dict[str, type[IdlStruct]] = {JOINT_STATE: JointState, JOINT_ANGLES:
 _ANY_STATE = SampleState.Any | ViewState.Any | InstanceState.Any  # each sample is taken once
 _MAX_AT_ONCE = 1000  # messages taken in one call: a second at 1 kHz; bounds memory after a pause
 _MAX_WAITING = 100_000  # messages of a topic; more than a minute and a half at 1 kHz
-_INFINITE_NS = 2**63 - 1  # DDS writes infinity as this: such a stamp is no time
 
 # QoS policies that we request and a publisher may not offer, by DDS's numbers.
 _POLICIES = {
@@ -114,21 +113,13 @@ class Subscription:
     Keeps all that arrived until it is taken (KEEP_ALL): with a short history, a moment's pause of
     this process loses messages that nothing counts. Volatile durability, XCDR1 and the publisher's
     own reliability match every publisher of ROS 2.
-
-    Attributes:
-        topic: as ROS 2 writes it.
-        type_name: as ROS 2 writes it.
-        condition: triggered while there is something to take.
-
-    Raises:
-        DDSException: DDS refuses.
     """
 
     def __init__(
         self, participant: DomainParticipant, topic: str, type_name: str, *, is_reliable: bool
     ) -> None:
-        self.topic = topic
-        self.type_name = type_name
+        self.topic = topic  # as ROS 2 writes it
+        self.type_name = type_name  # as ROS 2 writes it
         qos = Qos(
             Policy.Reliability.Reliable(max_blocking_time=duration(milliseconds=100))
             if is_reliable
@@ -143,14 +134,10 @@ class Subscription:
         )
         self._topic = Topic(participant, dds_topic(topic), WIRE_TYPES[type_name])
         self._reader: DataReader[Any] = DataReader(participant, self._topic, qos=qos)
-        self.condition = ReadCondition(self._reader, _ANY_STATE)
+        self.condition = ReadCondition(self._reader, _ANY_STATE)  # something can be taken
 
     def take(self) -> Iterator[tuple[int, bytes]]:
-        """Yield the messages since the last call: source timestamp [ns] and CDR.
-
-        Raises:
-            TopicError: DDS failed.
-        """
+        """Yield the messages since the last call: source timestamp [ns] and CDR."""
         is_more = True
         while is_more:
             with dds_failure(f"{self.topic}: receiving failed"):
@@ -159,7 +146,8 @@ class Subscription:
             for data, info in taken:
                 if info.valid_data:
                     stamp_ns = info.source_timestamp
-                    yield (stamp_ns if 0 < stamp_ns < _INFINITE_NS else now_ns()), data
+                    # DDS writes infinity as this: such a stamp is no time
+                    yield (stamp_ns if 0 < stamp_ns < 2**63 - 1 else now_ns()), data
 
     @property
     def lost(self) -> int:
@@ -184,10 +172,8 @@ class Subscription:
 
 
 def take_raw(reader: DataReader[Any]) -> Sequence[_Taken]:
-    """Take messages as they came, as `DataReader.take` does before decoding.
-
-    By a private name of cyclonedds: where a later version lacks it, `take_decoded` does it.
-    """
+    """Take messages as they came, as `DataReader.take` does before decoding."""
+    # By a private name of cyclonedds: where a later version lacks it, `take_decoded` does it.
     if _PRIVATE_TAKE is None:
         return take_decoded(reader)
     taken = _PRIVATE_TAKE(reader._ref, _ANY_STATE, _MAX_AT_ONCE)
@@ -223,35 +209,18 @@ _LOOPBACK = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface addres
 </Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
 
-_MAX_PUBLISHERS = 100_000  # read from discovery at once: more than any network of robots has
-_LOOK_AGAIN_S = 0.02  # between two looks for publishers: discovery takes some tens of milliseconds
-
 
 @dataclass(frozen=True)
 class Publisher:
-    """A published topic, of one publisher or several.
+    """A published topic, of one publisher or several."""
 
-    Attributes:
-        topic: as ROS 2 writes it.
-        types: the published types, as ROS 2 writes them.
-        is_reliable: whether every publisher's reliability is RELIABLE.
-    """
-
-    topic: str
-    types: tuple[str, ...]
-    is_reliable: bool
+    topic: str  # as ROS 2 writes it
+    types: tuple[str, ...]  # the published types, as ROS 2 writes them
+    is_reliable: bool  # whether every publisher's reliability is RELIABLE
 
 
 class Node:
-    """A participant of a DDS domain, as a ROS 2 node is; CYCLONEDDS_URI applies here, too.
-
-    Args:
-        domain: as ROS_DOMAIN_ID, 0 to 232.
-        is_loopback: whether to stay on this machine.
-
-    Raises:
-        TopicError: the domain cannot be joined.
-    """
+    """A participant of a DDS domain, as a ROS 2 node is; CYCLONEDDS_URI applies here, too."""
 
     def __init__(self, domain: int, *, is_loopback: bool) -> None:
         with dds_failure(
@@ -267,7 +236,7 @@ class Node:
     def publishers(self) -> dict[str, Publisher]:
         """Return the publishers known now, by topic."""
         found: dict[str, list[tuple[str, bool]]] = {}
-        for publication in self._published.read(_MAX_PUBLISHERS):
+        for publication in self._published.read(100_000):  # more than any network of robots has
             topic = ros_topic(publication.topic_name)
             if topic is not None and publication.sample_info.instance_state == InstanceState.Alive:
                 # Where it is unknown it is neither, and best effort matches.
@@ -292,14 +261,10 @@ class Node:
             found = self.publishers()
             if found.keys() >= set(topics) or is_stopped() or time.monotonic() > end:
                 return found
-            time.sleep(_LOOK_AGAIN_S)
+            time.sleep(0.02)  # [s]; discovery takes some tens of milliseconds
 
     def subscribe(self, publisher: Publisher, type_name: str) -> Subscription:
-        """Subscribe to a topic.
-
-        Raises:
-            TopicError: DDS refuses.
-        """
+        """Subscribe to a topic."""
         with dds_failure(f"{publisher.topic} cannot be received"):
             made = Subscription(
                 self._participant, publisher.topic, type_name, is_reliable=publisher.is_reliable
@@ -308,10 +273,6 @@ class Node:
         return made
 
     def wait(self, seconds: float) -> None:
-        """Wait for a sample of any subscription, at most `seconds`.
-
-        Raises:
-            TopicError: DDS failed.
-        """
+        """Wait for a sample of any subscription, at most `seconds`."""
         with dds_failure("waiting for messages failed"):
             self._waitset.wait(duration(seconds=seconds))

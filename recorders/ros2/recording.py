@@ -1,7 +1,7 @@
 """Record topics of a ROS 2 graph to a log: messages are kept as they came, gaps counted.
 
-`TopicProbe` finds out which joints a topic has, `Pace` measures its rate and gaps by its stamps;
-`record_joints` records until a signal, the end of the duration, or silence.
+`Pace` measures a topic's rate and gaps by its stamps; `record_joints` records until a signal, the
+end of the duration, or silence.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,154 +21,20 @@ from tunenet_logs import messages
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.errors import TopicError
 from tunenet_logs.formats.base import DAMAGED
+from tunenet_logs.recorders.orders import JointOrder
 from tunenet_logs.recorders.ros2.graph import WIRE_TYPES, Node, Publisher, Subscription
 from tunenet_logs.recorders.session import LiveRecording, Summary, stop_flag
 from tunenet_logs.terminal import Bar, Progress, listed, one_line
 
-# ---- Joints: what messages report of them, as far as a recording needs it
-
-
-@dataclass(frozen=True)
-class JointMessage:
-    """The joints in a message.
-
-    Attributes:
-        names: empty where the message carries none.
-        joints: number of joints.
-        has_positions: whether it has positions.
-        has_efforts: whether it has efforts.
-    """
-
-    names: tuple[str, ...]
-    joints: int
-    has_positions: bool
-    has_efforts: bool
-
-
-def read_message(topic: str, type_name: str, cdr: bytes) -> JointMessage:
-    """Read the joints of a message.
-
-    Raises:
-        TopicError: it does not match its type.
-    """
-    try:
-        message: Any = messages.typestore().deserialize_cdr(cdr, type_name)
-    except (SerdeError, *DAMAGED) as error:
-        raise TopicError(f"{topic}: a message is no {type_name} ({error})") from error
-    if type_name == messages.JOINT_ANGLES:
-        is_torque = "torque" in topic.rpartition("/")[2]
-        return JointMessage((), 7, has_positions=not is_torque, has_efforts=is_torque)
-    parts = (message.name, message.position, message.velocity, message.effort)
-    return JointMessage(
-        tuple(message.name),
-        max(len(part) for part in parts),
-        has_positions=len(message.position) > 0,
-        has_efforts=len(message.effort) > 0,
-    )
-
-
-class TopicProbe:
-    """What a topic's publishers report of joints, gathered until it is complete.
-
-    There may be several, such as an arm's and a gripper's: the first to come says nothing of the
-    others.
-
-    Args:
-        expected: joints that the user named.
-
-    Attributes:
-        is_met: whether its messages so far have the named joints, or any if none were named.
-        has_positions: whether one of them since then has positions.
-        has_efforts: likewise, efforts.
-    """
-
-    def __init__(self, topic: str, type_name: str, expected: Sequence[str]) -> None:
-        self.is_met = False
-        self.has_positions = False
-        self.has_efforts = False
-        self._topic = topic
-        self._type_name = type_name
-        self._expected = expected
-        self._there: tuple[str, ...] = ()
-        self._doubt: TopicError | None = None
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether further messages cannot add anything."""
-        return self.is_met and self.has_positions and self.has_efforts
-
-    def hear(self, cdr: bytes) -> None:
-        """Inspect a message."""
-        try:
-            message = read_message(self._topic, self._type_name, cdr)
-            if message.names:
-                self._there = tuple(dict.fromkeys((*self._there, *message.names)))
-                message = replace(message, names=self._there)
-            check_names(self._topic, message, self._expected)
-        except TopicError as error:
-            self._doubt = error
-            return
-        self.is_met = True
-        self.has_positions |= message.has_positions
-        self.has_efforts |= message.has_efforts
-
-    def check(self) -> None:
-        """Check that the messages so far, if any, have the named joints.
-
-        Raises:
-            TopicError: they lack one; see `read_message` and `check_names`.
-        """
-        if self._doubt is not None and not self.is_met:
-            raise self._doubt
-
-
-def check_names(topic: str, message: JointMessage, expected: Sequence[str]) -> None:
-    """Check that a message has the joints that the user named, if any.
-
-    Raises:
-        TopicError: a name is missing, or a message without names has another number of joints.
-    """
-    if not expected:
-        return
-    if not message.names and message.joints != len(expected):
-        raise TopicError(
-            f"{topic}: its messages carry no names and {message.joints} joints, but --joint-names "
-            f"has {len(expected)}"
-        )
-    missing = [name for name in expected if name not in message.names]
-    if message.names and missing:
-        raise TopicError(
-            one_line(
-                f"{topic}: no joint {listed(missing)}; there are {listed(message.names)}: "
-                "correct --joint-names"
-            )
-        )
-
-
-def stamp_of(type_name: str, cdr: bytes) -> int:
-    """Return the header stamp [ns]; 0 where it is not set or there is none."""
-    if type_name != messages.JOINT_STATE or len(cdr) < 12:
-        return 0
-    order = "little" if cdr[1] & 1 else "big"
-    seconds = int.from_bytes(cdr[4:8], order, signed=True)
-    return seconds * 1_000_000_000 + int.from_bytes(cdr[8:12], order)
-
-
 # ---- Pace: sample rate and gaps by a topic's own stamps
 
-# Intervals that are judged in one go: a median for each message would cost more than the rest.
-_JUDGED_INTERVALS = 100
-
 # Intervals whose median is the usual one: 0.2 s at 1 kHz, so a rate that changes is followed.
-_USUAL_INTERVALS = 200
 _MIN_INTERVALS = 5  # without which there is no usual one
 
 # A gap is longer than so many usual intervals: a sample is missing, whatever the jitter. And it is
 # longer than 10 ms: an arm does not get far in less, and without a real-time kernel computers are
 # late by that.
 _MIN_GAP_PERIODS, _MIN_GAP_NS = 2.5, 10_000_000
-
-_MIN_INTERVAL_NS = 10_000  # samples that are closer came in one piece, and show no rate
 
 
 class Pace:
@@ -183,7 +49,7 @@ class Pace:
         self._gaps = 0
         self._longest_gap_ns = 0
         self._last_ns: int | None = None
-        self._recent: deque[int] = deque(maxlen=_USUAL_INTERVALS)
+        self._recent: deque[int] = deque(maxlen=200)
         self._fresh: list[int] = []
 
     def add(self, stamp_ns: int) -> None:
@@ -191,7 +57,8 @@ class Pace:
         self.samples += 1
         if self._last_ns is not None and stamp_ns > self._last_ns:
             self._fresh.append(stamp_ns - self._last_ns)
-            if len(self._fresh) >= _JUDGED_INTERVALS:
+            # A median for each message would cost more than the rest.
+            if len(self._fresh) >= 100:
                 self._settle()
         self._last_ns = stamp_ns
 
@@ -199,7 +66,8 @@ class Pace:
     def rate_hz(self) -> float:
         """Rate of the last 200 samples, by their median interval [Hz]; 0 if unknown."""
         self._settle()
-        if len(self._recent) < _MIN_INTERVALS or self._usual_ns() < _MIN_INTERVAL_NS:
+        # Samples that are closer than 10 us came in one piece, and show no rate.
+        if len(self._recent) < _MIN_INTERVALS or self._usual_ns() < 10_000:
             return 0.0
         return 1e9 / self._usual_ns()
 
@@ -242,50 +110,14 @@ class Pace:
 # ---- Recording: several topics to one log
 
 _MAX_WAIT_S = 0.1  # for a message: a signal to stop is heard within it
-_SHOW_S = 0.5  # between two updates of the line on the terminal
-_MEETING_S = 1.0  # for which a topic is probed before it is judged: it may have several publishers
-_MAX_TURN_S = 0.25  # counted of a turn of the loop: a process that was stopped was not waiting
-
-
-@dataclass(frozen=True)
-class JointOrder:
-    """What to record.
-
-    Attributes:
-        topics: as ROS 2 writes them.
-        joint_names: required joints; for messages without names, theirs in order.
-        seconds: duration from the first message on; None: until a signal.
-        timeout_s: the longest to wait for a publisher, or that a topic may be silent.
-        domain: as ROS_DOMAIN_ID, 0 to 232.
-        is_loopback: whether to stay on this machine.
-        min_free_bytes: space to leave free on the disk; 0 for no such bound.
-    """
-
-    topics: tuple[str, ...]
-    joint_names: tuple[str, ...] = ()
-    seconds: float | None = None
-    timeout_s: float = 5.0
-    domain: int = 0
-    is_loopback: bool = False
-    min_free_bytes: int = 0
-
-    @property
-    def source(self) -> str:
-        """The topics, in words."""
-        return f"ros2 {', '.join(self.topics)}"
 
 
 @dataclass(frozen=True)
 class JointSummary:
-    """Summary of a recording.
+    """Summary of a recording."""
 
-    Attributes:
-        counts: messages of all topics.
-        topics: rate and gaps of each topic, in words.
-    """
-
-    counts: Summary
-    topics: Mapping[str, str]
+    counts: Summary  # messages of all topics
+    topics: Mapping[str, str]  # rate and gaps of each topic, in words
 
     def in_words(self) -> str:
         """Summarize the recording for the recorder's last line."""
@@ -301,16 +133,8 @@ def record_joints(
     progress: Progress,
     warn: Callable[[str], None],
 ) -> JointSummary:
-    """Record topics to a log until a signal, the end of the duration, or silence.
-
-    `warn` is told what a user should know while it can still be changed.
-
-    Raises:
-        TopicError: a topic is not published, of an unsupported type, silent, or lacks the named
-            joints; no log is left.
-        LogError: `path` exists or cannot be written, or its disk has too little space; what was
-            written before is kept.
-    """
+    """Record topics to a log until a signal, the end of the duration, or silence."""
+    # `warn` is told what a user should know while it can still be changed.
     notes = {"domain": str(order.domain)}
     if order.joint_names:
         notes["joint_names"] = ",".join(order.joint_names)
@@ -334,27 +158,70 @@ def record_joints(
     return JointSummary(summary, {heard.name: heard.in_words() for heard in session.heard})
 
 
-@dataclass
-class _Heard:
-    """A topic's state while recording.
+class _Topic:
+    """A topic while it is recorded: its pace, and what its messages say of joints.
 
-    Attributes:
-        meeting: probe of its joints.
-        meeting_s: how long it has been probed.
-        is_known: whether the probe is over.
-        silent_s: time since the last message.
+    It may have several publishers, such as an arm's and a gripper's: the first to come says nothing
+    of the others.
     """
 
-    subscription: Subscription
-    meeting: TopicProbe
-    pace: Pace = field(default_factory=Pace)
-    meeting_s: float = 0.0
-    is_known: bool = False
-    silent_s: float = 0.0
+    def __init__(self, subscription: Subscription, expected: Sequence[str]) -> None:
+        self.subscription = subscription
+        self.name = subscription.topic
+        self.pace = Pace()
+        self.probed_s = 0.0
+        self.is_known = False  # whether its joints have been judged
+        self.silent_s = 0.0  # time since the last message
+        self.is_met = False  # whether its messages have the named joints, or any
+        self.has_positions = self.has_efforts = False  # whether one of them since then has
+        self._expected = expected  # joints that the user named
+        self._there: tuple[str, ...] = ()
+        self._doubt: TopicError | None = None
+
+    def hear(self, cdr: bytes) -> None:
+        """Find out which joints a message has."""
+        kind = self.subscription.type_name
+        try:
+            message: Any = messages.typestore().deserialize_cdr(cdr, kind)
+        except (SerdeError, *DAMAGED) as error:
+            self._doubt = TopicError(f"{self.name}: a message is no {kind} ({error})")
+            return
+        if kind == messages.JOINT_ANGLES:
+            count, has_efforts = 7, "torque" in self.name.rpartition("/")[2]
+            has_positions = not has_efforts
+        else:
+            parts = (message.name, message.position, message.velocity, message.effort)
+            count = max(len(part) for part in parts)
+            has_positions, has_efforts = len(message.position) > 0, len(message.effort) > 0
+            self._there = tuple(dict.fromkeys((*self._there, *message.name)))
+        expected, there = self._expected, self._there
+        missing = [name for name in expected if name not in there]
+        if expected and not there and count != len(expected):
+            self._doubt = TopicError(
+                f"{self.name}: its messages carry no names and {count} joints, but --joint-names "
+                f"has {len(expected)}"
+            )
+        elif there and missing:
+            self._doubt = TopicError(
+                one_line(
+                    f"{self.name}: no joint {listed(missing)}; there are {listed(there)}: "
+                    "correct --joint-names"
+                )
+            )
+        else:
+            self.is_met = True
+            self.has_positions |= has_positions
+            self.has_efforts |= has_efforts
 
     @property
-    def name(self) -> str:
-        return self.subscription.topic
+    def is_complete(self) -> bool:
+        """Whether further messages cannot add anything."""
+        return self.is_met and self.has_positions and self.has_efforts
+
+    def check(self) -> None:
+        """Check that the messages so far, if any, have the named joints."""
+        if self._doubt is not None and not self.is_met:
+            raise self._doubt
 
     def in_words(self) -> str:
         """Describe rate, gaps and losses."""
@@ -363,18 +230,14 @@ class _Heard:
     def silence(self) -> str:
         """Describe how long nothing came, and why as far as DDS knows."""
         subscription = self.subscription
-        words = f"no message on {subscription.topic} for {self.silent_s:.1f} s"
+        words = f"no message on {self.name} for {self.silent_s:.1f} s"
         if subscription.unmatched and not subscription.publishers:
             return f"{words}: its publisher's {subscription.why_unmatched} does not go with ours"
         return words if subscription.publishers else f"{words}: its publisher is gone"
 
 
 class _Session:
-    """One recording.
-
-    Raises:
-        TopicError: a topic is not published, or of an unsupported type.
-    """
+    """One recording."""
 
     def __init__(
         self,
@@ -395,25 +258,18 @@ class _Session:
             raise TopicError(self._not_published(published))
         types = {topic: _known_type(published[topic]) for topic in order.topics}
         self.heard = [
-            _Heard(
-                self._node.subscribe(published[topic], types[topic]),
-                TopicProbe(topic, types[topic], order.joint_names),
-            )
+            _Topic(self._node.subscribe(published[topic], types[topic]), order.joint_names)
             for topic in order.topics
         ]
 
     def run(self) -> str:
-        """Record; return why it ended, "" for its usual end.
-
-        Raises:
-            TopicError: nothing came, or not the named joints.
-        """
+        """Record; return why it ended, "" for its usual end."""
         try:
             ended = self._receive()
             for heard in self.heard:
                 self._judge(heard)
         except TopicError as error:
-            if not self._is_heard:
+            if not all(heard.is_met for heard in self.heard):
                 raise
             ended = str(error)
         if not self._recording.captured:
@@ -435,10 +291,6 @@ class _Session:
                     f"{heard.subscription.unmatched} publishers not heard",
                 )
 
-    @property
-    def _is_heard(self) -> bool:
-        return all(heard.meeting.is_met for heard in self.heard)
-
     def _receive(self) -> str:
         turn_s = shown_s = time.monotonic()
         first_s: float | None = None
@@ -446,54 +298,61 @@ class _Session:
             self._node.wait(_MAX_WAIT_S)
             is_stopped = self._stop.is_set()
             now_s = time.monotonic()
-            passed_s, turn_s = min(now_s - turn_s, _MAX_TURN_S), now_s
+            # A process that was stopped was not waiting: a turn counts for a quarter of a second.
+            passed_s, turn_s = min(now_s - turn_s, 0.25), now_s
             for heard in self.heard:
                 if not self._take(heard, passed_s):
                     return ""  # the log ended by itself; closing it says why
             if first_s is None and self._recording.captured:
                 first_s = now_s
-            if ended := self._ending(is_stopped=is_stopped):
-                return ended
+            if is_stopped:
+                before = "" if self._recording.captured else " before a message"
+                return f"stopped by a signal{before}"
+            for heard in self.heard:
+                if heard.silent_s > self._order.timeout_s:
+                    return heard.silence()
             seconds = self._order.seconds
             if seconds is not None and first_s is not None and now_s - first_s >= seconds:
                 return ""
-            if now_s - shown_s >= _SHOW_S:
+            if now_s - shown_s >= 0.5:
                 shown_s = now_s
                 self._bar.set_postfix_str(
                     "; ".join(f"{heard.name} {heard.in_words()}" for heard in self.heard),
                     refresh=False,
                 )
 
-    def _take(self, heard: _Heard, passed_s: float) -> bool:
+    def _take(self, heard: _Topic, passed_s: float) -> bool:
         """Write a topic's new messages to the log; False once that is over."""
         count = 0
         subscription = heard.subscription
         for stamp_ns, cdr in subscription.take():
             if not heard.is_known:
-                heard.meeting.hear(cdr)
+                heard.hear(cdr)
             if not self._recording.put_message(heard.name, subscription.type_name, stamp_ns, cdr):
                 return False
-            heard.pace.add(stamp_of(subscription.type_name, cdr) or stamp_ns)
+            told_ns = 0  # the header's stamp, where it is set
+            if subscription.type_name == messages.JOINT_STATE and len(cdr) >= 12:
+                order = "little" if cdr[1] & 1 else "big"
+                seconds = int.from_bytes(cdr[4:8], order, signed=True)
+                told_ns = seconds * 10**9 + int.from_bytes(cdr[8:12], order)
+            heard.pace.add(told_ns or stamp_ns)
             count += 1
-        heard.meeting_s += passed_s if heard.pace.samples else 0.0
-        if heard.meeting.is_complete or heard.meeting_s >= _MEETING_S:
+        heard.probed_s += passed_s if heard.pace.samples else 0.0
+        # A topic is probed for a second before it is judged: it may have several publishers.
+        if heard.is_complete or heard.probed_s >= 1.0:
             self._judge(heard)
         heard.silent_s = 0.0 if count else heard.silent_s + passed_s
         if count:
             self._bar.update(count)
         return True
 
-    def _judge(self, heard: _Heard) -> None:
-        """Check a topic's joints by its messages so far, once.
-
-        Raises:
-            TopicError: it lacks the named joints.
-        """
+    def _judge(self, heard: _Topic) -> None:
+        """Check a topic's joints by its messages so far, once."""
         if heard.is_known:
             return
-        heard.meeting.check()
+        heard.check()
         heard.is_known = True
-        met = [other.meeting for other in self.heard if other.is_known and other.meeting.is_met]
+        met = [other for other in self.heard if other.is_known and other.is_met]
         if len(met) == len(self.heard):
             lacking = [] if any(other.has_positions for other in met) else ["positions"]
             lacking += [] if any(other.has_efforts for other in met) else ["torques (effort)"]
@@ -502,13 +361,6 @@ class _Session:
                     f"no {' and no '.join(lacking)} in {', '.join(self._order.topics)}: a payload "
                     "needs both; name the topic that has them too"
                 )
-
-    def _ending(self, *, is_stopped: bool) -> str:
-        if is_stopped:
-            captured = self._recording.captured
-            return "stopped by a signal" if captured else "stopped by a signal before a message"
-        silent = [heard for heard in self.heard if heard.silent_s > self._order.timeout_s]
-        return silent[0].silence() if silent else ""
 
     def _not_published(self, published: Mapping[str, Publisher]) -> str:
         missing = [topic for topic in self._order.topics if topic not in published]

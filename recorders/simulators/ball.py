@@ -30,46 +30,24 @@ from tunenet_logs.recorders.simulators.known import ball_world
 # Time s counts from the first impact, height u from contact. Without drag the ball falls from u = 1
 # at s = -1; n impacts later u = x (w - x), x the time since that impact, w the speed that it left.
 
-_MAX_FLIGHTS = 400  # more than any log has: it ends the flights of a restitution of almost 1
 _MIN_SPEED = 1e-5  # [drop heights, sqrt(2 H / g)]; a slower is at rest: it would rise 2.5e-11 H
-_MAX_RISE_RAD = 1.5  # angle of a rise, atan of speed over terminal speed; pi/2 is infinitely fast
 _MIN_DRAG = 1e-7  # with less, a flight is a parabola: logarithms over it lose half their digits
 
 
 @dataclass(frozen=True)
 class Bounce:
-    """A ball's bounces, in dimensionless numbers.
+    """A ball's bounces, in dimensionless numbers."""
 
-    Attributes:
-        restitution: at the first impact, e_1.
-        slope: p of e_n = e_1 (v_n / v_1)^-p: how the restitution falls with the impact's speed.
-        drag: quadratic drag, deceleration over speed squared, times the drop height.
-        each: restitutions at the first impacts, where they follow no law.
-        constant_below: fraction of the first impact's speed below which the restitution no longer
-            changes with speed: a power law has no bound.
-        flies_in: whether the ball flies before the top of the fall, too: it was thrown, or bounced
-            before. Else it is held there.
-        contact: duration of each impact's contact [sqrt(2 H / g)].
-    """
-
-    restitution: float
-    slope: float = 0.0
-    drag: float = 0.0
-    each: tuple[float, ...] = ()
-    constant_below: float = 0.0
+    restitution: float  # at the first impact, e_1
+    slope: float = 0.0  # p of e_n = e_1 (v_n / v_1)^-p, the restitution over speed
+    drag: float = 0.0  # quadratic drag, deceleration over speed squared, times the drop height
+    each: tuple[float, ...] = ()  # restitutions at the first impacts, where they follow no law
+    constant_below: float = 0.0  # of the first speed: from there e stays; a power has no bound
     starts_in_flight: bool = False
-    contact: float = 0.0
+    contact: float = 0.0  # duration of each impact's contact [sqrt(2 H / g)]
 
     def heights(self, places: Array) -> Array:
-        """Compute heights u over contact.
-
-        Args:
-            places: times s [sqrt(2 H / g)] after the first impact, shape (T,).
-
-        Returns:
-            Shape (T,) [drop heights]; 1 before the fall of a ball that is held, 0 once it is at
-            rest.
-        """
+        """Compute heights u over contact at times s after the first impact, each of shape (T,)."""
         starts, speeds = self.flights(float(places.max(initial=0.0)))
         falls = places < 0.0
         flies = ~falls
@@ -86,7 +64,8 @@ class Bounce:
         since = places[falls] + lasts
         fall = 1.0 - np.log(np.cosh(rate * np.clip(since, 0.0, lasts))) / self.drag
         if self.starts_in_flight:
-            to_top = np.clip(-rate * since, 0.0, _MAX_RISE_RAD)
+            # The angle of a rise is the atan of speed over terminal speed: pi/2 is infinitely fast.
+            to_top = np.clip(-rate * since, 0.0, 1.5)
             fall = fall + np.log(np.cos(to_top)) / self.drag
         heights[falls] = fall
         angles = np.arctan(speeds * np.sqrt(self.drag / 2.0))
@@ -102,22 +81,15 @@ class Bounce:
         return heights
 
     def flights(self, last: float) -> tuple[Array, Array]:
-        """Compute start times and speeds of the flights up to a time.
-
-        Args:
-            last: time s [sqrt(2 H / g)].
-
-        Returns:
-            Times of their starts, the first 0 (or when the first contact ends), and speeds there
-            [drop heights, sqrt(2 H / g)], each of shape (N,).
-        """
+        """Compute when flights up to a time s start, and their first speeds, each of shape (N,)."""
         first, each, given = self.impact_speed, self.each, len(self.each)
         usual, power, has_drag = self.restitution, -self.slope, self.drag >= _MIN_DRAG
         per_speed, twice_rate = math.sqrt(self.drag / 2.0), math.sqrt(2.0 * self.drag)
         slowest = self.constant_below
         start, speed = self.contact, (each[0] if each else min(usual, 1.0)) * first
         starts, speeds, count = [start], [speed], 1
-        while start <= last and count < _MAX_FLIGHTS and speed > _MIN_SPEED:
+        # No log has 400 flights: the bound ends those of a restitution of almost 1.
+        while start <= last and count < 400 and speed > _MIN_SPEED:
             lasted = impact = speed
             if has_drag:  # as in `flight`
                 reach = speed * per_speed
@@ -157,10 +129,8 @@ class Bounce:
         return math.asinh(math.sqrt(math.expm1(2.0 * self.drag))) / math.sqrt(2.0 * self.drag)
 
     def flight(self, speed: float) -> tuple[float, float]:
-        """Compute duration and final speed of a flight that begins with `speed`.
-
-        Up: v' = -2 - drag v^2 gives an arctan; down: the same with +, an asinh.
-        """
+        """Compute duration and final speed of a flight that begins with `speed`."""
+        # Up: v' = -2 - drag v^2 gives an arctan; down: the same with +, an asinh.
         if self.drag < _MIN_DRAG:
             return speed, speed
         reach = speed * math.sqrt(self.drag / 2.0)
@@ -193,24 +163,17 @@ def flown(
             return height_m + rise, terminal * math.tan(left)
         height_m += math.log(math.hypot(1.0, speed_m_s / terminal)) / drag_1_m
         seconds, speed_m_s = seconds - rises_s, 0.0
-    return _fallen(height_m, speed_m_s, seconds, rate, terminal, drag_1_m)
+    # The downward part of a flight is a later part of a fall from rest.
+    since = math.atanh(min(-speed_m_s / terminal, _MAX_TERMINAL_SHARE))
+    until = since + rate * seconds
+    fall_m = (_log_cosh(until) - _log_cosh(since)) / drag_1_m
+    return height_m - fall_m, -terminal * math.tanh(until)
 
 
 def flown_heights_m(
     height_m: float, speed_m_s: float, seconds: Array, gravity_m_s2: float, drag_1_m: float
 ) -> Array:
-    """Compute heights [m] after times of free flight; see `flown`.
-
-    Args:
-        height_m: at the start [m].
-        speed_m_s: upward speed at the start.
-        seconds: since the start, increasing, shape (T,).
-        gravity_m_s2: downward acceleration.
-        drag_1_m: of the air.
-
-    Returns:
-        Shape (T,).
-    """
+    """Compute heights [m] after times of free flight; see `flown`."""
     if drag_1_m < _MIN_FLIGHT_DRAG_1_M:
         return height_m + (speed_m_s - gravity_m_s2 / 2 * seconds) * seconds
     rate, terminal = _scales(gravity_m_s2, drag_1_m)
@@ -260,21 +223,6 @@ def _scales(gravity_m_s2: float, drag_1_m: float) -> tuple[float, float]:
     return math.sqrt(gravity_m_s2 * drag_1_m), math.sqrt(gravity_m_s2 / drag_1_m)
 
 
-def _fallen(
-    height_m: float,
-    speed_m_s: float,
-    seconds: float,
-    rate: float,
-    terminal: float,
-    drag_1_m: float,
-) -> tuple[float, float]:
-    """Compute the downward part of a flight: a later part of a fall from rest."""
-    since = math.atanh(min(-speed_m_s / terminal, _MAX_TERMINAL_SHARE))
-    until = since + rate * seconds
-    fall_m = (_log_cosh(until) - _log_cosh(since)) / drag_1_m
-    return height_m - fall_m, -terminal * math.tanh(until)
-
-
 def _log_cosh(value: float) -> float:
     """Compute log(cosh(value)), also where cosh is too large, or too near to 1."""
     if value < 1:
@@ -297,20 +245,11 @@ MIN_SPEED_M_S = 0.05
 
 @dataclass(frozen=True)
 class SpeedLaw:
-    """Power law of the restitution, e(v) = restitution (v / at_m_s)^-slope.
+    """Power law of the restitution, e(v) = restitution (v / at_m_s)^-slope."""
 
-    Attributes:
-        restitution: at an impact of `at_m_s`.
-        slope: p; 0 for one restitution at all speeds.
-        at_m_s: speed along the surface's normal.
-
-    Raises:
-        UsageError: a value that no ball has.
-    """
-
-    restitution: float
-    slope: float = 0.0
-    at_m_s: float = 3.0
+    restitution: float  # at an impact of `at_m_s`
+    slope: float = 0.0  # p; 0 for one restitution at all speeds
+    at_m_s: float = 3.0  # speed along the surface's normal
 
     def __post_init__(self) -> None:
         if not 0 <= self.restitution <= 1:
@@ -357,30 +296,18 @@ _MAX_S = 3600.0  # of a rollout at given times: a ball that keeps its height bou
 
 @dataclass(frozen=True)
 class DropRig:
-    """Set-up of a drop.
+    """Set-up of a drop."""
 
-    Attributes:
-        gap_m: height of the ball's underside over the plane when it is let go.
-        speed_m_s: upward speed then: 0 for a ball that is dropped. Only with calibrated contacts.
-        rate_hz: samples a second; with calibrated contacts the engine steps from impact to impact,
-            else once a sample.
-        hold_s: how long the ball is held before it is let go.
-        start_ns: where the rig's clock is 0, and its first sample unless `times_s` says otherwise.
-        times_s: sample times instead [s], increasing; empty for a uniform rate. Only with
-            calibrated contacts.
-
-    Raises:
-        UsageError: a value is not finite or out of range.
-    """
-
-    gap_m: float = 1.0
+    gap_m: float = 1.0  # height of the ball's underside over the plane when it is let go
     radius_m: float = 0.05
+    # Samples a second; with calibrated contacts the engine steps from impact to impact, else once a
+    # sample.
     rate_hz: float = 60.0
     samples: int = 400
-    hold_s: float = 0.0
-    start_ns: int = 0
-    times_s: tuple[float, ...] = ()
-    speed_m_s: float = 0.0
+    hold_s: float = 0.0  # how long the ball is held before it is let go
+    start_ns: int = 0  # where the rig's clock is 0
+    times_s: tuple[float, ...] = ()  # sample times instead [s], only with calibrated contacts
+    speed_m_s: float = 0.0  # upward speed then, only with calibrated contacts; 0 is a drop
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -468,38 +395,27 @@ class DropSimulator:
     With the calibrated settings sample 0 is the start, the restitution may fall with the impact's
     speed, and the air may slow the ball. With the paper's, samples are taken after each step, as
     its authors do, and there is one restitution and the engine's damping.
-
-    Args:
-        contact: how impacts are solved.
-        world: with that ball and these contacts; one of the default engine if None.
     """
 
     def __init__(
         self, rig: DropRig, contact: ContactSettings = CALIBRATED, world: BallWorld | None = None
     ) -> None:
         self.rig = rig
-        self.contact = contact
+        self.contact = contact  # how impacts are solved
         self.parameters = REAL_BALL if contact.meet_impacts else (RESTITUTION,)
+        # With that ball and these contacts; one of the default engine if None.
         self._world = world or ball_world(rig.radius_m, contact)
         self.engine = self._world.engine
         self.step_hz = rig.rate_hz
 
     def with_rig(self, rig: DropRig) -> DropSimulator:
-        """Put the same ball on another rig, without building the world again.
-
-        Raises:
-            UsageError: the ball's radius differs.
-        """
+        """Put the same ball on another rig, without building the world again."""
         if rig.radius_m != self.rig.radius_m:
             raise UsageError(f"a ball of {self.rig.radius_m:g} m radius cannot change its size")
         return DropSimulator(rig, self.contact, self._world)
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
-        """Drop the ball; `values` left out are 0. See `Simulator.rollout`.
-
-        Args:
-            values: by name: the restitution, and as far as they are not 0 the others.
-        """
+        """Drop the ball; `values` left out are 0. See `Simulator.rollout`."""
         known = {parameter.name: parameter for parameter in self.parameters}
         if RESTITUTION.name not in values or not values.keys() <= known.keys():
             takes = ", ".join(known)
@@ -510,17 +426,19 @@ class DropSimulator:
         if self.contact.meet_impacts:
             heights_m = self._flown(truth, seconds)
         else:
-            heights_m = self._stepped(truth[RESTITUTION.name])
+            # The centre's heights after each plain step.
+            rig, world = self.rig, self._world
+            heights_m = np.full(rig.samples, rig.radius_m + rig.gap_m)
+            world.place(rig.gap_m, truth[RESTITUTION.name])
+            held = min(round(rig.hold_s * rig.rate_hz), rig.samples)
+            heights_m[held:] = world.steps(1.0 / rig.rate_hz, rig.samples - held)
             stamps_ns += round(1e9 / self.rig.rate_hz)
         positions = np.column_stack([np.zeros((len(heights_m), 2)), heights_m])
         info = EpisodeInfo(
             kind="drop",
             source=self.engine,
             preset=self.contact.name,
-            rig={
-                "ball_diameter_m": 2 * self.rig.radius_m,
-                "drop_height_m": self.rig.gap_m,
-            },
+            rig={"ball_diameter_m": 2 * self.rig.radius_m, "drop_height_m": self.rig.gap_m},
             truth=truth,
         )
         return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, positions, ("x", "y", "z"), "m")})
@@ -535,13 +453,4 @@ class DropSimulator:
         heights_m = np.full(len(seconds), rig.radius_m + rig.gap_m)
         free = seconds > rig.hold_s
         heights_m[free] = flight.heights_m(seconds[free] - rig.hold_s)
-        return heights_m
-
-    def _stepped(self, restitution: float) -> Array:
-        """Simulate the centre's heights after each plain step [m], shape (T,)."""
-        rig = self.rig
-        heights_m = np.full(rig.samples, rig.radius_m + rig.gap_m)
-        self._world.place(rig.gap_m, restitution)
-        held = min(round(rig.hold_s * rig.rate_hz), rig.samples)
-        heights_m[held:] = self._world.steps(1.0 / rig.rate_hz, rig.samples - held)
         return heights_m

@@ -24,31 +24,17 @@ GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True)
 class Parameter:
-    """A physical parameter of a simulator.
+    """A physical parameter of a simulator."""
 
-    Attributes:
-        name: the field's standard term, e.g. "restitution".
-        unit: "1" where it has none.
-        bounds: smallest and largest value that physics allows.
-        training_range: from where training pairs are drawn.
-        initial: the guess that tuning starts from.
-        prior_sd: prior standard deviation of that guess, where it is measured and not chosen, as a
-            log's initial state is; None for what is tuned.
-    """
-
-    name: str
-    unit: str
-    bounds: tuple[float, float]
-    training_range: tuple[float, float]
-    initial: float
-    prior_sd: float | None = None
+    name: str  # the field's standard term, e.g. "restitution".
+    unit: str  # "1" where it has none
+    bounds: tuple[float, float]  # smallest and largest value that physics allows
+    training_range: tuple[float, float]  # from where training pairs are drawn
+    initial: float  # the guess that tuning starts from
+    prior_sd: float | None = None  # of a measured guess, as a log's initial state is
 
     def checked(self, value: float) -> float:
-        """Return `value` if it is within bounds.
-
-        Raises:
-            UsageError: not finite, or out of bounds.
-        """
+        """Return `value` if it is within bounds."""
         low, high = self.bounds
         if not (math.isfinite(value) and low <= value <= high):
             raise UsageError(f"{self.name} {value:g} is not a number from {low:g} to {high:g}")
@@ -86,15 +72,11 @@ class BallWorld(Protocol):
     """A plane at z = 0 and a ball of 1 kg over it; used for many rollouts.
 
     A step is semi-implicit Euler: v += -g dt, then z += v dt.
-
-    Attributes:
-        engine: name and version.
-        contact: how contacts are solved.
     """
 
-    engine: str
+    engine: str  # name and version
     radius_m: float
-    contact: ContactSettings
+    contact: ContactSettings  # how contacts are solved
 
     def place(self, gap_m: float, restitution: float) -> None:
         """Put the ball at rest with its underside `gap_m` over the plane.
@@ -140,13 +122,9 @@ class BallWorld(Protocol):
 
 
 class Engine(Protocol):
-    """A physics engine, such as a module with these names.
+    """A physics engine, such as a module with these names."""
 
-    Attributes:
-        name: with its version, as a log and a tuning state it: "pybullet 3.2.7".
-    """
-
-    name: str
+    name: str  # with its version, as a log and a tuning state it: "pybullet 3.2.7"
 
     def ball_world(self, radius_m: float, contact: ContactSettings) -> BallWorld:
         """Make a ball over a plane."""
@@ -202,35 +180,18 @@ _LIMITS = (
 
 @dataclass(frozen=True)
 class RolloutSettings:
-    """Settings of the engine and the arm's position control.
+    """Settings of the engine and the arm's position control."""
 
-    Attributes:
-        name: the preset these belong to.
-        gravity_m_s2: of an arm that stands upright.
-        step_hz: of the simulation.
-        burn_in: steps before the first sample, while the arm converges to its path.
-        samples: steps that are recorded.
-        force_nm: effort limit of a joint's motor.
-        position_gain: share of a position error that a step takes away.
-        velocity_gain: share of a velocity error likewise.
-        solver_iterations: with 50, the engine's default, an arm lags by up to 0.004 rad at the
-            paper's gains.
-        is_damped: with the engine's default damping, which takes 0.007 N·m rms on the circle.
-
-    Raises:
-        UsageError: a value is not finite or out of range.
-    """
-
-    name: str
-    gravity_m_s2: tuple[float, float, float] = UPRIGHT_GRAVITY_M_S2
-    step_hz: float = 240.0
-    burn_in: int = 150
-    samples: int = 1200
-    force_nm: float = 500.0
-    position_gain: float = 0.3
-    velocity_gain: float = 1.0
-    solver_iterations: int = 200
-    is_damped: bool = False
+    name: str  # the preset these belong to
+    gravity_m_s2: tuple[float, float, float] = UPRIGHT_GRAVITY_M_S2  # of an arm that stands upright
+    step_hz: float = 240.0  # of the simulation
+    burn_in: int = 150  # steps before the first sample, while the arm converges to its path
+    samples: int = 1200  # steps that are recorded
+    force_nm: float = 500.0  # effort limit of a joint's motor
+    position_gain: float = 0.3  # share of a position error that a step takes away
+    velocity_gain: float = 1.0  # share of a velocity error likewise
+    solver_iterations: int = 200  # with 50, the default, an arm lags by up to 0.004 rad
+    is_damped: bool = False  # with the engine's damping: 0.007 N·m rms on the circle
 
     def __post_init__(self) -> None:
         for name, low, high in _LIMITS:
@@ -251,34 +212,21 @@ OVERLAP_M = 1e-9  # of a ball in a plane at an impact: engines act only on what 
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """How the engine solves contacts; None is the engine's default.
+    """How the engine solves contacts; None is the engine's default."""
 
-    Attributes:
-        name: the preset these belong to.
-        gravity_m_s2: downward acceleration.
-        meet_impacts: cut the step that reaches the surface so that it ends there, and integrate
-            flight exactly; else plain fixed steps.
-        resting_speed_m_s: rebounds slower than this are at rest (with `meet_impacts`).
-        contact_distance_m: between surfaces, at which a contact is made.
-        solver_distance_m: between surfaces, from which the solver works on a contact.
-        contact_slop_m: overlap that the solver leaves.
-        error_reduction: fraction of an overlap that one step takes away.
-        inelastic_below_m_s: the engine takes the restitution of slower impacts to be 0.
-        linear_damping: fraction of its speed that a body loses in a second.
-        angular_damping: the same of its spin.
-    """
-
-    name: str
-    gravity_m_s2: float
+    name: str  # the preset these belong to
+    gravity_m_s2: float  # downward acceleration
+    # Cut the step that reaches the surface so that it ends there, and integrate flight exactly;
+    # else plain fixed steps.
     meet_impacts: bool
-    resting_speed_m_s: float = 0.0
-    contact_distance_m: float | None = None
-    solver_distance_m: float | None = None
-    contact_slop_m: float | None = None
-    error_reduction: float | None = None
-    inelastic_below_m_s: float | None = None
-    linear_damping: float | None = None
-    angular_damping: float | None = None
+    resting_speed_m_s: float = 0.0  # rebounds slower than this are at rest (with `meet_impacts`)
+    contact_distance_m: float | None = None  # between surfaces, at which a contact is made
+    solver_distance_m: float | None = None  # from which the solver works on a contact
+    contact_slop_m: float | None = None  # overlap that the solver leaves
+    error_reduction: float | None = None  # fraction of an overlap that one step takes away
+    inelastic_below_m_s: float | None = None  # slower impacts have a restitution of 0
+    linear_damping: float | None = None  # fraction of its speed that a body loses in a second
+    angular_damping: float | None = None  # the same of its spin
 
 
 # The restitution that is set is the one that is got. An engine can lose or add energy at an impact

@@ -21,34 +21,21 @@ from tunenet_logs.errors import UsageError
 
 Point = tuple[float, float, float]
 
-_MAX_M = 1e4  # of a camera's or its target's coordinates: a larger one is a mistake
-# Smallest and largest side of a picture: a scene holds three in memory, of 24 bytes a pixel.
-_SIZES_PX = (16, 8192)
-
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A pinhole camera without distortion, upright (world z up).
-
-    Attributes:
-        target_m: the point in the centre of its picture.
-        size_px: (width, height).
-        fov_deg: vertical field of view.
-
-    Raises:
-        UsageError: a value is not finite or out of range, or the camera looks straight up or down.
-    """
+    """A pinhole camera without distortion, upright (world z up)."""
 
     position_m: Point
-    target_m: Point
-    size_px: tuple[int, int] = (320, 240)
-    fov_deg: float = 60.0
+    target_m: Point  # the point in the centre of its picture
+    size_px: tuple[int, int] = (320, 240)  # (width, height)
+    fov_deg: float = 60.0  # vertical field of view
 
     def __post_init__(self) -> None:
         for name in ("position_m", "target_m"):
-            if not all(abs(value) < _MAX_M for value in getattr(self, name)):
+            if not all(abs(value) < 1e4 for value in getattr(self, name)):
                 raise UsageError(f"camera: {name} {getattr(self, name)} is out of range")
-        low, high = _SIZES_PX
+        low, high = 16, 8192  # a scene holds three pictures in memory, of 24 bytes a pixel
         if not all(low <= value <= high for value in self.size_px):
             raise UsageError(f"camera: size {self.size_px} is not from {low} to {high} px")
         if not 1 <= self.fov_deg <= 150:
@@ -72,15 +59,7 @@ class PinholeCamera:
         return np.array([right, np.cross(forward, right), forward])
 
     def image_from_world(self, points_m: Array) -> Array:
-        """Project points into the picture.
-
-        Args:
-            points_m: in the world, shape (N, 3).
-
-        Returns:
-            Shape (N, 2) [px], x right, y down, the first pixel's centre at 0, 0; NaN for a point
-            behind the camera.
-        """
+        """Project points, (N, 3), to pixels, (N, 2): x right, y down; NaN behind the camera."""
         seen = (points_m - np.array(self.position_m)) @ self.camera_from_world.T
         depth = np.where(seen[:, 2] > 0, seen[:, 2], np.nan)
         middle = (np.array(self.size_px) - 1) / 2
@@ -105,14 +84,9 @@ def random_camera(
     size_px: tuple[int, int] = (320, 240),
     fov_deg: float = 60.0,
 ) -> PinholeCamera:
-    """Draw the paper's random camera, in drop heights, so that it fits any drop.
-
-    The paper draws r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m and aims at (0, 0, 2) m for
-    drops from about 4.5 m. A camera that does not see the whole drop is drawn again.
-
-    Raises:
-        UsageError: no camera of this view has the whole drop in its picture.
-    """
+    """Draw the paper's random camera, in drop heights, so that it fits any drop."""
+    # The paper draws r ~ U(5, 10) m, theta ~ U(0, 2 pi), z ~ U(5, 8) m and aims at (0, 0, 2) m for
+    # drops from about 4.5 m. A camera that does not see the whole drop is drawn again.
     scale = gap_m / 4.5
     path = np.array([[0.0, 0.0, radius_m], [0.0, 0.0, radius_m + gap_m]])
     for _ in range(200):
@@ -130,58 +104,47 @@ def random_camera(
 
 _OVERSAMPLING = 4  # rays per pixel along each side: 16 grey levels of an edge
 _MAX_RAYS = 2**17  # that are followed at once: it bounds the memory of a picture of any size
-_FLOOR = 4.0  # half a side of the square floor, in distances from the camera to its target
 _TEXTURE_PX = 512  # side of the floor's texture
 _LAID_PX = 128  # side of the part of the texture that covers the floor
-_BACKGROUND = 255.0  # grey of what is neither floor nor ball: an overexposed wall or sky
 # Direction to the light, of any length: from above and a little aside, as lamps are.
 _LIGHT = np.array([0.35, -0.5, 2.5])
 
 # Parts of the light: from everywhere, by Lambert's law, and mirrored upwards as a soft gloss.
 _AMBIENT, _DIFFUSE, _SPECULAR = 0.6, 0.35, 0.05
 
-_SHADOW = 0.55  # fraction of the light that remains in the middle of the ball's shadow
 Box = tuple[int, int, int, int]  # left, top, right, bottom [px]; the last two are outside
 
 
 @dataclass(frozen=True)
 class BallPicture:
-    """The part of a picture that shows the ball, H x W pixels.
+    """The part of a picture that shows the ball, H x W pixels."""
 
-    Attributes:
-        box: where it lies.
-        cover: fraction of each pixel that is ball, shape (H, W).
-        intensity: light from that fraction, 0 to 1, averaged over it, shape (H, W).
-    """
-
-    box: Box
-    cover: Array
-    intensity: Array
+    box: Box  # where it lies
+    cover: Array  # fraction of each pixel that is ball, shape (H, W)
+    intensity: Array  # light from that fraction, 0 to 1, averaged over it, shape (H, W)
 
 
 class BallScene:
-    """A ball of one colour over a textured floor, as one camera sees it.
-
-    Args:
-        rng: draws colours and texture.
-    """
+    """A ball of one colour over a textured floor, as one camera sees it."""
 
     def __init__(self, camera: PinholeCamera, radius_m: float, rng: np.random.Generator) -> None:
         self._camera = camera
         self._radius_m = radius_m
         floor_colour = np.clip(rng.uniform(0.7, 0.95) + rng.uniform(-0.08, 0.08, 3), 0, 1)
-        self._ground = _ground(camera, floor_colour, _floor_texture(rng))
+        # Draw the floor's texture, grey, 0 to 255.
+        import cv2
+
+        side = (_TEXTURE_PX, _TEXTURE_PX)
+        rough = cv2.resize(rng.normal(0, 12, (48, 48)), side, interpolation=cv2.INTER_CUBIC)
+        fine = cv2.GaussianBlur(rng.normal(0, 10, side), (0, 0), 1.5)
+        grey = np.clip(190 + rough + fine, 0, 255)
+        self._ground = _ground(
+            camera, floor_colour, grey[-_LAID_PX:, -_LAID_PX:].astype(np.float32)
+        )
         self._ball_colour = 255 * _ball_colour(rng)
 
     def picture(self, centers_m: Array) -> Array:
-        """Render the ball at several positions in one exposure (motion blur).
-
-        Args:
-            centers_m: of the ball, equally long at each, shape (S, 3).
-
-        Returns:
-            RGB, 0 to 255, shape (H, W, 3), not rounded.
-        """
+        """Draw the ball equally long at each centre, (S, 3); RGB, 0 to 255, shape (H, W, 3)."""
         fraction = 1 / len(centers_m)
         floor = self._ground.copy()
         for center in centers_m:
@@ -197,13 +160,7 @@ class BallScene:
 
 
 def draw_ball(camera: PinholeCamera, center_m: Array, radius_m: float) -> BallPicture:
-    """Render a sphere at `center_m`, (3,); the box is empty if unseen or around the camera.
-
-    Args:
-        camera: where from.
-        center_m: of the ball, shape (3,).
-        radius_m: of the ball.
-    """
+    """Render a sphere at `center_m`, (3,); the box is empty if unseen or around the camera."""
     turn = camera.camera_from_world
     center = turn @ (center_m - np.array(camera.position_m))
     light = turn @ _LIGHT / np.linalg.norm(_LIGHT)
@@ -236,7 +193,7 @@ def _ground(camera: PinholeCamera, colour: Array, texture: NDArray[np.float32]) 
 
     turn = camera.camera_from_world
     x_m, y_m, z_m = camera.position_m
-    half_m = _FLOOR * math.dist(camera.position_m, camera.target_m)
+    half_m = 4.0 * math.dist(camera.position_m, camera.target_m)
     upright = _LIGHT[2] / np.linalg.norm(_LIGHT)
     lit = colour * float(_intensity(upright, 1.0))
     width, height = camera.size_px
@@ -261,7 +218,8 @@ def _ground(camera: PinholeCamera, colour: Array, texture: NDArray[np.float32]) 
             borderMode=cv2.BORDER_REPLICATE,
         ).reshape(columns.shape)
         floor = np.where(hit, grey, 0.0).mean(axis=0)[:, :, None] * lit
-        ground[_inside(strip)] = floor + _BACKGROUND * (1 - hit.mean(axis=0))[:, :, None]
+        # What is neither floor nor ball is white: an overexposed wall or sky.
+        ground[_inside(strip)] = floor + 255.0 * (1 - hit.mean(axis=0))[:, :, None]
     return ground
 
 
@@ -282,16 +240,15 @@ def _shadow(camera: PinholeCamera, center_m: Array, radius_m: float) -> tuple[Bo
     dark = np.zeros((bottom - top, right - left), np.uint8)
     if dark.size:
         corners = np.clip(np.round(16 * (pixels - (left, top))), -(2**20), 2**20).astype(np.int32)
-        strength = 255 * (1 - _SHADOW) * (radius_m / (radius_m + blur)) ** 2
+        # 55 % of the light remains in the middle of the ball's shadow.
+        strength = 255 * (1 - 0.55) * (radius_m / (radius_m + blur)) ** 2
         cv2.fillPoly(dark, [corners], round(strength), cv2.LINE_AA, 4)
     return box, dark / 255.0
 
 
 def _ball_box(camera: PinholeCamera, center: Array, radius_m: float) -> Box:
-    """Return the bounding box of a sphere at a point in camera axes.
-
-    Planes through the camera that touch the sphere bound it, two in each direction.
-    """
+    """Return the bounding box of a sphere at a point in camera axes."""
+    # Planes through the camera that touch the sphere bound it, two in each direction.
     if math.hypot(*center) <= radius_m:
         return (0, 0, 0, 0)
     spans = []
@@ -324,11 +281,7 @@ def _strips(box: Box) -> Iterator[Box]:
 
 
 def _rays(camera: PinholeCamera, box: Box) -> tuple[Array, Array]:
-    """Return P rays per pixel: x right and y down, in camera axes at depth 1.
-
-    Returns:
-        Shapes (P, 1, W) and (P, H, 1), for H x W pixels.
-    """
+    """Return P rays per pixel: x right and y down, in camera axes at depth 1."""
     left, top, right, bottom = box
     parts = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
     down, across = (part.reshape(-1, 1) for part in np.meshgrid(parts, parts, indexing="ij"))
@@ -350,17 +303,6 @@ def _inside(box: Box) -> tuple[slice, slice]:
     """Return the rows and columns of a box as slices."""
     left, top, right, bottom = box
     return slice(top, bottom), slice(left, right)
-
-
-def _floor_texture(rng: np.random.Generator) -> NDArray[np.float32]:
-    """Draw the floor's texture, grey, 0 to 255."""
-    import cv2
-
-    side = (_TEXTURE_PX, _TEXTURE_PX)
-    rough = cv2.resize(rng.normal(0, 12, (48, 48)), side, interpolation=cv2.INTER_CUBIC)
-    fine = cv2.GaussianBlur(rng.normal(0, 10, side), (0, 0), 1.5)
-    grey = np.clip(190 + rough + fine, 0, 255)
-    return grey[-_LAID_PX:, -_LAID_PX:].astype(np.float32)
 
 
 def _ball_colour(rng: np.random.Generator) -> Array:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 AIR_KG_M3 = 1.2  # density of air at 20 degrees Celsius and sea level
-_MAX_DENSITY_KG_M3 = 22_590.0  # of osmium, the densest metal: a denser ball was given in grams
 _MAX_RATIO = 1.2  # of two values of one quantity: balls of a kind differ by a few percent
 
 
@@ -73,7 +72,8 @@ class Ball:
     @property
     def is_denser_than_metal(self) -> bool:
         """Whether no ball is so dense: its mass is likely given in grams."""
-        return (self.density_kg_m3 or 0.0) > _MAX_DENSITY_KG_M3
+        # Osmium is the densest metal: a denser ball was given in grams.
+        return (self.density_kg_m3 or 0.0) > 22_590.0
 
     @property
     def drag_1_m(self) -> float | None:
@@ -108,11 +108,7 @@ BALLS: Mapping[str, Ball] = {
 
 
 def ball_named(name: str) -> Ball:
-    """Look up a ball of the table.
-
-    Raises:
-        UsageError: there is none of this name; the message lists those that there are.
-    """
+    """Look up a ball of the table."""
     known = name.strip().lower().replace(" ", "-").replace("_", "-")
     if known not in BALLS:
         raise UsageError(f"no ball {name!r} is known; there is: {', '.join(BALLS)}")
@@ -168,14 +164,7 @@ ENGINE_VARIABLE = "TUNENET_ENGINE"
 
 
 def engine(name: str | None = None) -> Engine:
-    """Import an engine when first needed.
-
-    Args:
-        name: None for the one that `simulated_by` chose, else the first that is installed.
-
-    Raises:
-        UsageError: no such engine, or it is not installed.
-    """
+    """Import an engine when first needed."""
     wanted = name or os.environ.get(ENGINE_VARIABLE)
     if wanted is not None and wanted not in ENGINES:
         raise UsageError(f"no engine is named {wanted!r}; there is: {', '.join(ENGINES)}")
@@ -227,15 +216,7 @@ def simulated_by(name: str | None) -> Iterator[None]:
 
 
 def named_version(module: str, *packages: str) -> str:
-    """Return a module's name with its version, as a log states it: "mujoco 4.0.0".
-
-    Args:
-        module: as it is imported.
-        packages: other distributions that provide it.
-
-    Raises:
-        ModuleNotFoundError: it is not installed.
-    """
+    """Return a module's name with its version, as a log states it: "mujoco 4.0.0"."""
     from importlib.metadata import PackageNotFoundError, version
 
     if find_spec(module) is None:

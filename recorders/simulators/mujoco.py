@@ -50,15 +50,9 @@ def mujoco() -> ModuleType:
 
 # ---- Arm: inverse dynamics along a path, and position control
 
-# MuJoCo takes no body without inertia; this one moves no torque by 1e-9 N·m.
-_MIN_MOMENT_KG_M2 = 1e-12
-
 
 def inverse_dynamics(
-    arm: Arm,
-    path: JointPath,
-    payload: Payload | None,
-    gravity_m_s2: tuple[float, float, float],
+    arm: Arm, path: JointPath, payload: Payload | None, gravity_m_s2: tuple[float, float, float]
 ) -> Array:
     """Compute the torques along a path, shape (T, J) [N·m]; see `Engine`."""
     model, data = _model(arm, payload, gravity_m_s2)
@@ -79,9 +73,6 @@ def position_control(
 
     A motor gives the torque with which the step ends at the speed that PyBullet's position control
     aims at: the joint's own, with a share of the errors of speed and position taken away.
-
-    Raises:
-        UsageError: settings that only another engine can reproduce.
     """
     if settings.is_damped:
         raise UsageError(
@@ -133,7 +124,8 @@ def _body(parent: Any, origin_m: Sequence[float], rpy: Sequence[float], weight: 
         mass=weight.mass_kg,
         ipos=weight.com_m,
         iquat=_quaternion(axes),
-        inertia=np.maximum(moments, _MIN_MOMENT_KG_M2),
+        # MuJoCo takes no body without inertia; this one moves no torque by 1e-9 N·m.
+        inertia=np.maximum(moments, 1e-12),
     )
 
 
@@ -166,12 +158,8 @@ _BALL_MODEL = """
 """
 
 
-class MujocoBallWorld:
-    """A MuJoCo model of a plane and a ball; see `tunenet_logs.recorders.simulators.base.BallWorld`.
-
-    Raises:
-        UsageError: contacts that only another engine can reproduce.
-    """
+class _MujocoBallWorld:
+    """A MuJoCo model of a plane and a ball; see `BallWorld` of `recorders.simulators.base`."""
 
     def __init__(self, radius_m: float, contact: ContactSettings) -> None:
         if contact.name != CALIBRATED.name:
@@ -197,27 +185,22 @@ class MujocoBallWorld:
         self._restitution = 0.0
 
     def place(self, gap_m: float, restitution: float) -> None:
-        """See `BallWorld`; the solver begins anew, too."""
         self._reset(self._model, self._data)
         self._position[2] = self.radius_m + gap_m
         self._restitution = restitution
 
     def set_restitution(self, restitution: float) -> None:
-        """See `BallWorld`."""
         self._restitution = restitution
 
     def set_speed(self, speed_m_s: float) -> None:
-        """See `BallWorld`."""
         self._velocity[:] = 0.0, 0.0, speed_m_s, 0.0, 0.0, 0.0
 
     def step(self, period_s: float) -> tuple[float, float]:
-        """See `BallWorld`."""
         self._take(period_s)
         self._step(self._model, self._data)
         return float(self._position[2]), float(self._velocity[2])
 
     def steps(self, period_s: float, count: int) -> list[float]:
-        """See `BallWorld`."""
         self._take(period_s)
         step, model, data, position = self._step, self._model, self._data, self._position
         heights_m: list[float] = []
@@ -234,7 +217,7 @@ class MujocoBallWorld:
         friction: float,
         inertia_share: float,
     ) -> tuple[Array, Array]:
-        """See `BallWorld`.
+        """Solve an impact in one step.
 
         MuJoCo solves the push and the friction as one convex problem, in which slip that is left
         lifts the ball. So slip is damped by what Coulomb's law takes of it, and none is left over.
@@ -262,4 +245,4 @@ class MujocoBallWorld:
 # ---- Names that an `Engine` has beside the functions above
 
 name = named_version("mujoco")
-ball_world = MujocoBallWorld
+ball_world = _MujocoBallWorld

@@ -60,7 +60,7 @@ def pybullet() -> ModuleType:
     return module
 
 
-class BulletBallWorld:
+class _BulletBallWorld:
     """A physics client with a plane and a ball; see `simulators.base.BallWorld`."""
 
     engine = name
@@ -106,19 +106,16 @@ class BulletBallWorld:
         self.set_speed(0.0)
 
     def set_restitution(self, restitution: float) -> None:
-        """See `BallWorld`."""
         self._bullet.changeDynamics(
             self._ball, -1, restitution=restitution, physicsClientId=self._client
         )
 
     def set_speed(self, speed_m_s: float) -> None:
-        """See `BallWorld`."""
         self._bullet.resetBaseVelocity(
             self._ball, [0, 0, speed_m_s], [0, 0, 0], physicsClientId=self._client
         )
 
     def step(self, period_s: float) -> tuple[float, float]:
-        """See `BallWorld`."""
         bullet, client = self._bullet, self._client
         bullet.setTimeStep(period_s, physicsClientId=client)
         bullet.stepSimulation(physicsClientId=client)
@@ -127,7 +124,6 @@ class BulletBallWorld:
         return position[2], velocity[2]
 
     def steps(self, period_s: float, count: int) -> list[float]:
-        """See `BallWorld`."""
         client, ball = self._client, self._ball
         step = self._bullet.stepSimulation
         pose = self._bullet.getBasePositionAndOrientation
@@ -147,7 +143,6 @@ class BulletBallWorld:
         friction: float,
         inertia_share: float,
     ) -> tuple[Array, Array]:
-        """See `BallWorld`."""
         bullet, client, ball = self._bullet, self._client, self._ball
         self.place(-OVERLAP_M, restitution)
         moment = inertia_share * self.radius_m**2
@@ -167,7 +162,7 @@ class BulletBallWorld:
         return np.array(velocity), np.array(spin)
 
 
-ball_world = BulletBallWorld
+ball_world = _BulletBallWorld
 
 
 def _keywords(contact: ContactSettings, table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
@@ -181,16 +176,11 @@ def _keywords(contact: ContactSettings, table: Mapping[str, tuple[str, ...]]) ->
 
 
 def inverse_dynamics(
-    arm: Arm,
-    path: JointPath,
-    payload: Payload | None,
-    gravity_m_s2: tuple[float, float, float],
+    arm: Arm, path: JointPath, payload: Payload | None, gravity_m_s2: tuple[float, float, float]
 ) -> Array:
-    """Compute the torques along a path, shape (T, J) [N·m]; see `Engine`.
-
-    Bullet caches what it has computed for a body, even when its masses change; so every call
-    begins with an empty world.
-    """
+    """Compute the torques along a path, shape (T, J) [N·m]; see `Engine`."""
+    # Bullet caches what it has computed for a body, even when its masses change; so every call
+    # begins with an empty world.
     bullet, client = pybullet(), _arm_client("inverse dynamics")
     bullet.resetSimulation(physicsClientId=client)
     body = _load_arm(client, arm, payload, is_damped=False)

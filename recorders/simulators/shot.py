@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,11 +42,7 @@ _LIMITS: dict[str, dict[str, _Range]] = {
         "inertia_share": (0.2, 0.7),
         "drag_1_m": (0.0, 10.0),
     },
-    "plane": {
-        "incline_deg": (0.0, 80.0),
-        "downhill_m": (0.001, 10.0),
-        "friction": (0.0, 5.0),
-    },
+    "plane": {"incline_deg": (0.0, 80.0), "downhill_m": (0.001, 10.0), "friction": (0.0, 5.0)},
     "hoop": {
         "forward_m": (0.01, 10.0),
         "up_m": (-10.0, 10.0),
@@ -55,31 +51,19 @@ _LIMITS: dict[str, dict[str, _Range]] = {
         "restitution": (0.0, 1.0),
         "friction": (0.0, 5.0),
     },
-    "release": {
-        "lowest_m": (0.005, 50.0),
-        "highest_m": (0.005, 50.0),
-        "height_sd_m": (0.0, 0.5),
-    },
+    "release": {"lowest_m": (0.005, 50.0), "highest_m": (0.005, 50.0), "height_sd_m": (0.0, 0.5)},
 }
 
 
 @dataclass(frozen=True)
 class ShotBall:
-    """The ball.
-
-    Attributes:
-        mass_kg: for the air's drag; None to leave the air out, unless `drag_1_m` is known.
-        drag_coefficient: Cd; .47 is a smooth sphere's at these speeds.
-        inertia_share: moment of inertia over m r^2: 2/5 if it is solid, 2/3 if it is a thin shell.
-        drag_1_m: deceleration by the air over speed squared, where it was measured; None to have it
-            from size, mass and coefficient.
-    """
+    """The ball."""
 
     radius_m: float = 0.03
-    mass_kg: float | None = 0.040
-    drag_coefficient: float = 0.47
-    inertia_share: float = 0.4
-    drag_1_m: float | None = None
+    mass_kg: float | None = 0.040  # for the air's drag; None to leave it out, or for `drag_1_m`
+    drag_coefficient: float = 0.47  # Cd; .47 is a smooth sphere's at these speeds
+    inertia_share: float = 0.4  # moment of inertia over m r^2: 2/5 if solid, 2/3 of a thin shell
+    drag_1_m: float | None = None  # measured, deceleration over speed squared; else computed
 
     @property
     def air_drag_1_m(self) -> float:
@@ -94,17 +78,11 @@ class ShotBall:
 
 @dataclass(frozen=True)
 class Plane:
-    """The inclined plane.
+    """The inclined plane."""
 
-    Attributes:
-        incline_deg: from the horizontal, down towards the hoop.
-        downhill_m: how far it goes on from the impact point, along its slope.
-        friction: Coulomb's coefficient between ball and plane.
-    """
-
-    incline_deg: float = 25.0
-    downhill_m: float = 0.15
-    friction: float = 0.25
+    incline_deg: float = 25.0  # from the horizontal, down towards the hoop
+    downhill_m: float = 0.15  # how far it goes on from the impact point, along its slope
+    friction: float = 0.25  # Coulomb's coefficient between ball and plane
 
     @property
     def normal(self) -> Array:
@@ -121,23 +99,14 @@ class Plane:
 
 @dataclass(frozen=True)
 class Hoop:
-    """A horizontal hoop, its rim a torus.
+    """A horizontal hoop, its rim a torus."""
 
-    Attributes:
-        forward_m: its centre from the impact point, horizontally.
-        up_m: likewise, vertically; negative where it is below.
-        free_radius_m: of the opening.
-        rim_m: thickness of the rim.
-        restitution: of the ball on the rim.
-        friction: likewise.
-    """
-
-    forward_m: float = 0.45
-    up_m: float = -0.10
-    free_radius_m: float = 0.066
-    rim_m: float = 0.005
-    restitution: float = 0.6
-    friction: float = 0.25
+    forward_m: float = 0.45  # its centre from the impact point, horizontally
+    up_m: float = -0.10  # likewise, vertically; negative where it is below
+    free_radius_m: float = 0.066  # of the opening
+    rim_m: float = 0.005  # thickness of the rim
+    restitution: float = 0.6  # of the ball on the rim
+    friction: float = 0.25  # likewise
 
     @property
     def center_m(self) -> Array:
@@ -156,26 +125,16 @@ class Release:
 
     A height is how far the ball falls until it touches the plane: 0 where the gripper holds it
     against the impact point.
-
-    Attributes:
-        lowest_m: smallest height.
-        highest_m: largest height.
-        height_sd_m: standard deviation of the robot's heights.
     """
 
-    lowest_m: float = 0.25
-    highest_m: float = 0.85
-    height_sd_m: float = 0.002
+    lowest_m: float = 0.25  # smallest height
+    highest_m: float = 0.85  # largest height
+    height_sd_m: float = 0.002  # standard deviation of the robot's heights
 
 
 @dataclass(frozen=True)
 class ShotRig:
-    """The complete rig.
-
-    Raises:
-        UsageError: a value is not finite, out of range, or contradicts another; names it as the
-            rig's file does ("hoop.forward_m").
-    """
+    """The complete rig."""
 
     ball: ShotBall = field(default_factory=ShotBall)
     plane: Plane = field(default_factory=Plane)
@@ -189,7 +148,13 @@ class ShotRig:
         for part, limits in _LIMITS.items():
             one = getattr(self, part)
             for item in fields(one):
-                _check(f"{part}.{item.name}", getattr(one, item.name), limits[item.name])
+                name, value = f"{part}.{item.name}", getattr(one, item.name)
+                low, high = limits[item.name]
+                if value is None and name in _NULLABLE:
+                    continue
+                if value is None or not (math.isfinite(value) and low <= value <= high):
+                    told = "missing" if value is None else f"{value:g}"
+                    raise UsageError(f"{name} {told} is not a number from {low:g} to {high:.6g}")
         if self.release.lowest_m >= self.release.highest_m:
             raise UsageError(
                 f"release.lowest_m {self.release.lowest_m:g} is not below release.highest_m "
@@ -200,7 +165,16 @@ class ShotRig:
                 f"hoop.free_radius_m {self.hoop.free_radius_m:g} lets no ball of ball.radius_m "
                 f"{self.ball.radius_m:g} through; make the hoop wider"
             )
-        _check_apart(self)
+        # Check that the hoop is clear of the ball's fall, from the highest release.
+        hoop, ball = self.hoop, self.ball
+        across = abs(hoop.forward_m - float(self.touch_m[0]))
+        highest_m = float(self.touch_m[2]) + self.release.highest_m
+        near_m = math.hypot(max(across - hoop.ring_radius_m, 0.0), max(hoop.up_m - highest_m, 0.0))
+        if near_m <= ball.radius_m + hoop.rim_m:
+            raise UsageError(
+                f"hoop.forward_m {hoop.forward_m:g}: the hoop hangs in the ball's way to the "
+                "plane; move it away"
+            )
         try:
             _ = self.ball.body
         except UsageError as error:
@@ -216,28 +190,6 @@ class ShotRig:
         return self.ball.radius_m * self.plane.normal
 
 
-def _check(name: str, value: float | None, limits: _Range) -> None:
-    if value is None and name in _NULLABLE:
-        return
-    low, high = limits
-    if value is None or not (math.isfinite(value) and low <= value <= high):
-        told = "missing" if value is None else f"{value:g}"
-        raise UsageError(f"{name} {told} is not a number from {low:g} to {high:.6g}")
-
-
-def _check_apart(rig: ShotRig) -> None:
-    """Check that the hoop is clear of the ball's fall, from the highest release."""
-    hoop, ball = rig.hoop, rig.ball
-    across = abs(hoop.forward_m - float(rig.touch_m[0]))
-    highest_m = float(rig.touch_m[2]) + rig.release.highest_m
-    near_m = math.hypot(max(across - hoop.ring_radius_m, 0.0), max(hoop.up_m - highest_m, 0.0))
-    if near_m <= ball.radius_m + hoop.rim_m:
-        raise UsageError(
-            f"hoop.forward_m {hoop.forward_m:g}: the hoop hangs in the ball's way to the plane; "
-            "move it away"
-        )
-
-
 # ---- Contact with plane and rim: Newton restitution and Coulomb friction
 
 _MIN_REBOUND_M_S = 0.01  # of a ball that would stay (5 um high): it rolls on in small hops
@@ -246,17 +198,11 @@ _MIN_M = 1e-9  # below any length here: it only keeps a direction from being div
 
 @dataclass
 class BallStates:
-    """The states of N balls at a moment; they do not touch each other.
+    """The states of N balls at a moment; they do not touch each other."""
 
-    Attributes:
-        position_m: of the centres, shape (N, 3).
-        velocity_m_s: shape (N, 3).
-        spin_rad_s: shape (N, 3).
-    """
-
-    position_m: Array
-    velocity_m_s: Array
-    spin_rad_s: Array
+    position_m: Array  # of the centres, shape (N, 3)
+    velocity_m_s: Array  # shape (N, 3)
+    spin_rad_s: Array  # shape (N, 3)
 
 
 def collide(
@@ -265,53 +211,57 @@ def collide(
     normals: Array,
     restitution: Array,
     friction: float,
-    radius_m: float,
-    inertia_share: float,
+    ball: ShotBall,
 ) -> None:
-    """Apply the impulse of an impact to balls, in place.
+    """Solve impacts of balls `which` (M,) along unit normals (M, 3) away from what they touch.
 
     Along the normal the speed is reversed times the restitution (Newton's law of impact); across it
     friction takes the slip of the touching point, at most all of it, and at most the friction
     coefficient times the normal impulse (Coulomb's law): sticking takes slip / (1 + 1 / k), with
     k = I / (m r^2); 2/7 of it for a solid sphere.
-
-    Args:
-        balls: all of them.
-        which: those that touch, shape (M,).
-        normals: unit vectors from what is touched to their centres, shape (M, 3).
-        restitution: shape (M,).
-        friction: Coulomb's coefficient.
-        radius_m: of the balls.
-        inertia_share: k.
     """
     velocity, spin = balls.velocity_m_s[which], balls.spin_rad_s[which]
-    slip = velocity + np.cross(spin, -radius_m * normals)
+    slip = velocity + np.cross(spin, -ball.radius_m * normals)
     inward = -np.sum(slip * normals, axis=1)
     slip += inward[:, None] * normals
     outward = np.maximum(restitution * inward, _MIN_REBOUND_M_S)
     pushed = inward + outward
     slipping = np.linalg.norm(slip, axis=1)
-    held = np.minimum(slipping / (1 + 1 / inertia_share), friction * pushed)
+    held = np.minimum(slipping / (1 + 1 / ball.inertia_share), friction * pushed)
     along = slip * (held / np.maximum(slipping, 1e-12))[:, None]
     balls.velocity_m_s[which] = velocity + pushed[:, None] * normals - along
     torque = np.cross(-normals, -along)
-    balls.spin_rad_s[which] = spin + torque / (inertia_share * radius_m)
+    balls.spin_rad_s[which] = spin + torque / (ball.inertia_share * ball.radius_m)
 
 
 # Functions that do what `collide` does.
-Collide = Callable[[BallStates, NDArray[np.int64], Array, Array, float, float, float], None]
+Collide = Callable[[BallStates, NDArray[np.int64], Array, Array, float, ShotBall], None]
 
 
-class Surface(Protocol):
-    """A fixed surface."""
+def solved_by(world: BallWorld) -> Collide:
+    """Make a `collide` that solves impacts in the engine of `world`, one after another."""
 
-    def gaps_m(self, positions_m: Array) -> Array:
-        """Compute signed gaps from the ball to the surface, (N, 3) -> (N,) [m]."""
-        ...
+    def collide(
+        balls: BallStates,
+        which: NDArray[np.int64],
+        normals: Array,
+        restitution: Array,
+        friction: float,
+        ball: ShotBall,
+    ) -> None:
+        for index, normal, wanted in zip(which.tolist(), normals, restitution, strict=True):
+            # The axes of a frame whose z is the normal, as rows, shape (3, 3).
+            aside = np.eye(3)[int(np.argmin(np.abs(normal)))]
+            x = np.cross(aside, normal)
+            x /= np.linalg.norm(x)
+            axes = np.array([x, np.cross(normal, x), normal])
+            velocity, spin = axes @ balls.velocity_m_s[index], axes @ balls.spin_rad_s[index]
+            least = _MIN_REBOUND_M_S / max(-float(velocity[2]), 1e-9)
+            rebound = max(float(wanted), least)
+            velocity, spin = world.impact(velocity, spin, rebound, friction, ball.inertia_share)
+            balls.velocity_m_s[index], balls.spin_rad_s[index] = axes.T @ velocity, axes.T @ spin
 
-    def normals(self, positions_m: Array) -> Array:
-        """Compute unit normals from the surface to the ball's centre, (N, 3) -> (N, 3)."""
-        ...
+    return collide
 
 
 class Board:
@@ -322,11 +272,11 @@ class Board:
         self._radius_m, self._end_m = rig.ball.radius_m, rig.plane.downhill_m
 
     def gaps_m(self, positions_m: Array) -> Array:
-        """See `Surface`."""
+        """Compute signed gaps from the ball to the plane, (N, 3) -> (N,) [m]."""
         return positions_m @ self._normal - self._radius_m
 
     def normals(self, positions_m: Array) -> Array:
-        """See `Surface`."""
+        """Return the unit normals towards the balls, shape (N, 3)."""
         return np.broadcast_to(self._normal, positions_m.shape)
 
     def holds(self, positions_m: Array) -> NDArray[np.bool_]:
@@ -342,12 +292,12 @@ class Rim:
         self._reach_m = rig.ball.radius_m + rig.hoop.rim_m / 2
 
     def gaps_m(self, positions_m: Array) -> Array:
-        """See `Surface`."""
+        """Compute signed gaps from the ball to the rim, (N, 3) -> (N,) [m]."""
         out, up = self._from_ring(positions_m)
         return np.hypot(out, up) - self._reach_m
 
     def normals(self, positions_m: Array) -> Array:
-        """See `Surface`."""
+        """Compute unit normals from the rim to the balls' centres, (N, 3) -> (N, 3)."""
         offset = positions_m - self._center_m
         out, up = self._from_ring(positions_m)
         across = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), _MIN_M)
@@ -365,40 +315,6 @@ class Rim:
         return np.hypot(offset[:, 0], offset[:, 1]) - self._ring_m, offset[:, 2]
 
 
-# ---- Impacts solved by a physics engine
-
-
-def solved_by(world: BallWorld) -> Collide:
-    """Make a `collide` that solves impacts in the engine of `world`, one after another."""
-
-    def collide(
-        balls: BallStates,
-        which: NDArray[np.int64],
-        normals: Array,
-        restitution: Array,
-        friction: float,
-        radius_m: float,  # noqa: ARG001 (the world's)
-        inertia_share: float,
-    ) -> None:
-        for ball, normal, wanted in zip(which.tolist(), normals, restitution, strict=True):
-            axes = _upright(normal)
-            velocity, spin = axes @ balls.velocity_m_s[ball], axes @ balls.spin_rad_s[ball]
-            least = _MIN_REBOUND_M_S / max(-float(velocity[2]), 1e-9)
-            rebound = max(float(wanted), least)
-            velocity, spin = world.impact(velocity, spin, rebound, friction, inertia_share)
-            balls.velocity_m_s[ball], balls.spin_rad_s[ball] = axes.T @ velocity, axes.T @ spin
-
-    return collide
-
-
-def _upright(normal: Array) -> Array:
-    """Return the axes of a frame whose z is the normal, as rows, shape (3, 3)."""
-    aside = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    x = np.cross(aside, normal)
-    x /= np.linalg.norm(x)
-    return np.array([x, np.cross(normal, x), normal])
-
-
 # ---- Flights: many shots at once, from release to below the hoop
 
 Mask = NDArray[np.bool_]
@@ -406,35 +322,21 @@ Mask = NDArray[np.bool_]
 STEP_S = 0.002  # between positions that are kept
 COARSE_S = 0.004  # step where none is kept: it moves where a ball passes by less than 0.02 mm
 
-# A flight ends after 8 times its fall, but not before 4 s: a ball may roll for ever.
-_MAX_FALLS, _MIN_LONGEST_S = 8, 4.0
-
-_ROUNDS = 14  # iterations for the time of a contact
 _OFF_M = 1e-9  # gap that a ball is left with after an impact: rounding must not leave it inside
-_BELOW_RADII = 3.0  # ball radii below the hoop from where none comes back
 
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """Results of N shots.
+    """Results of N shots."""
 
-    Attributes:
-        offset_m: of the centre from the hoop's, forward and left, where it last came down through
-            the hoop's plane after an impact; NaN where it never did; shape (N, 2).
-        gap_m: smallest gap from ball to rim on the way, inside or outside of the hoop; negative
-            where ball and rim overlap; shape (N,).
-        is_through: whether that was inside of the rim, shape (N,).
-        has_touched: whether it hit the rim, shape (N,).
-        impact_m_s: speed along the plane's normal at the first impact, shape (N,).
-        positions_m: of the centres every step, shape (T, N, 3); T is 0 where they are not kept.
-    """
-
+    # Of the centre from the hoop's, forward and left, where it last came down through the hoop's
+    # plane after an impact; NaN where it never did; shape (N, 2).
     offset_m: Array
-    gap_m: Array
-    is_through: Mask
-    has_touched: Mask
-    impact_m_s: Array
-    positions_m: Array
+    gap_m: Array  # smallest gap from ball to rim on the way, below 0 where they overlap, shape (N,)
+    is_through: Mask  # whether that was inside of the rim, shape (N,)
+    has_touched: Mask  # whether it hit the rim, shape (N,)
+    impact_m_s: Array  # speed along the plane's normal at the first impact, shape (N,)
+    positions_m: Array  # of the centres every step, shape (T, N, 3); T is 0 where they are not kept
 
 
 def fly(
@@ -449,24 +351,22 @@ def fly(
     keep: bool = False,
     impacts: Collide = collide,
 ) -> Flights:
-    """Release balls and simulate each until it is below the hoop.
-
-    Args:
-        rig: plane, hoop and ball.
-        law: restitution of the balls on the plane, by speed.
-        released: N balls at time 0; changed in place.
-        shifts: added to each ball's restitution, shape (N,).
-        has_rim: whether the rim is an obstacle.
-        drags_1_m: of each ball, shape (N,); the rig's ball's if None.
-        step_s: between positions.
-        keep: whether to return the positions.
-        impacts: how they are solved.
-    """
+    """Release balls and simulate each until it is below the hoop."""
     if drags_1_m is None:
         drags_1_m = np.full(len(shifts), rig.ball.air_drag_1_m)
     run = _Run(rig, law, released, shifts, drags_1_m, has_rim, impacts)
     kept = [released.position_m.copy()] if keep else []
-    for _ in range(int(np.ceil(_longest_s(rig, released, drags_1_m) / step_s))):
+    # Bound a flight's duration by the fall, with drag, from the highest start.
+    low_m = min(_floor_m(rig), float(rig.touch_m[2]))
+    fall_m = float(released.position_m[:, 2].max(initial=low_m)) - low_m
+    drag = float(drags_1_m.max(initial=0.0))
+    fall_s = np.sqrt(2 * fall_m / rig.gravity_m_s2)
+    if drag:
+        lost = drag * fall_m
+        still_s = 1 / np.sqrt(drag * rig.gravity_m_s2)
+        fall_s = still_s * (lost + np.log1p(np.sqrt(-np.expm1(-2 * lost))))
+    # A flight ends after 8 times its fall, but not before 4 s: a ball may roll for ever.
+    for _ in range(math.ceil(max(4.0, 8 * float(fall_s)) / step_s)):
         run.step(step_s)
         if keep:
             kept.append(released.position_m.copy())
@@ -482,21 +382,9 @@ def fly(
     )
 
 
-def _longest_s(rig: ShotRig, released: BallStates, drags_1_m: Array) -> float:
-    """Bound a flight's duration by the fall, with drag, from the highest start."""
-    low_m = min(_floor_m(rig), float(rig.touch_m[2]))
-    fall_m = float(released.position_m[:, 2].max(initial=low_m)) - low_m
-    drag = float(drags_1_m.max(initial=0.0))
-    fall_s = np.sqrt(2 * fall_m / rig.gravity_m_s2)
-    if drag:
-        lost = drag * fall_m
-        still_s = 1 / np.sqrt(drag * rig.gravity_m_s2)
-        fall_s = still_s * (lost + np.log1p(np.sqrt(-np.expm1(-2 * lost))))
-    return max(_MIN_LONGEST_S, _MAX_FALLS * float(fall_s))
-
-
 def _floor_m(rig: ShotRig) -> float:
-    return rig.hoop.up_m - _BELOW_RADII * rig.ball.radius_m
+    # From three radii below the hoop no ball comes back.
+    return rig.hoop.up_m - 3.0 * rig.ball.radius_m
 
 
 class _Run:
@@ -532,7 +420,10 @@ class _Run:
         while len(going):
             left = self._advance(going, left)
             going, left = going[left > 0], left[left > 0]
-        self._end()
+        # Finish the balls that fall below the hoop after their impact.
+        is_low = self._balls.position_m[:, 2] < _floor_m(self._rig)
+        falls = is_low & (self._balls.velocity_m_s[:, 2] < 0)
+        self.is_over |= falls & (self._is_past_board | ~np.isnan(self.impact_m_s))
 
     def _advance(self, going: NDArray[np.int64], left: Array) -> Array:
         """Advance to the end of the step or its first impact; return the time left."""
@@ -540,7 +431,7 @@ class _Run:
         start, speed = balls.position_m[going], balls.velocity_m_s[going]
         end, faster = self.flown(going, start, speed, left)
         used, hit = left.copy(), np.zeros(len(going), dtype=int)
-        surfaces: list[Surface] = [self._board, self._rim] if self._has_rim else [self._board]
+        surfaces = [self._board, self._rim] if self._has_rim else [self._board]
         for number, surface in enumerate(surfaces, start=1):
             inside = surface.gaps_m(end) < 0
             if number == 1:
@@ -585,7 +476,7 @@ class _Run:
 
     def _touch_s(
         self,
-        surface: Surface,
+        surface: Board | Rim,
         which: NDArray[np.int64],
         start: Array,
         speed: Array,
@@ -595,7 +486,7 @@ class _Run:
         low, high = np.zeros(len(most)), most.copy()
         above = np.maximum(surface.gaps_m(start), _OFF_M / 2)
         below = surface.gaps_m(self.flown(which, start, speed, most)[0])
-        for turn in range(_ROUNDS):
+        for turn in range(14):
             middle = (low + high) / 2
             if turn % 3:
                 middle = low + (high - low) * above / (above - below)
@@ -622,9 +513,7 @@ class _Run:
         else:
             self.has_touched[which] = True
             restitution = np.full(len(which), self._rig.hoop.restitution)
-        self._collide(
-            balls, which, normals, restitution, friction, ball.radius_m, ball.inertia_share
-        )
+        self._collide(balls, which, normals, restitution, friction, ball)
         off = _OFF_M - surface.gaps_m(balls.position_m[which])
         balls.position_m[which] += np.maximum(off, 0.0)[:, None] * normals
 
@@ -659,13 +548,6 @@ class _Run:
             self.offset_m[going[rows]] = (at - self._rig.hoop.center_m)[:, :2]
             self.is_through[going[rows]] = self._rim.is_within(at)
 
-    def _end(self) -> None:
-        """Finish the balls that fall below the hoop after their impact."""
-        falls = self._balls.velocity_m_s[:, 2] < 0
-        is_low = self._balls.position_m[:, 2] < _floor_m(self._rig)
-        has_bounced = self._is_past_board | ~np.isnan(self.impact_m_s)
-        self.is_over |= falls & is_low & has_bounced
-
 
 # ---- Shots: release, simulate, and record one as an episode
 
@@ -680,34 +562,15 @@ def shoot(rig: ShotRig, law: SpeedLaw, heights_m: Array) -> Flights:
 
 
 def passes(
-    rig: ShotRig,
-    law: SpeedLaw,
-    heights_m: Array,
-    shifts: Array,
-    drags_1_m: Array | None = None,
+    rig: ShotRig, law: SpeedLaw, heights_m: Array, shifts: Array, drags_1_m: Array | None = None
 ) -> Flights:
-    """Simulate shots as if the rim were not there: where they pass it, and how near.
-
-    Args:
-        rig: plane, hoop and ball.
-        law: of the ball.
-        heights_m: shape (N,).
-        shifts: added to the restitution of each shot, shape (N,).
-        drags_1_m: of each shot's ball, shape (N,); the rig's ball's if None.
-    """
+    """Simulate shots as if the rim were not there: where they pass it, and how near."""
     start = released(rig, heights_m)
     return fly(rig, law, start, shifts, has_rim=False, drags_1_m=drags_1_m, step_s=COARSE_S)
 
 
 def shoot_in_engine(rig: ShotRig, law: SpeedLaw, height_m: float, step_s: float) -> Flights:
-    """Simulate one shot with the rim, each impact solved by the chosen engine.
-
-    Args:
-        rig: plane, hoop and ball.
-        law: of the ball.
-        height_m: how far the ball falls.
-        step_s: between the positions of its path.
-    """
+    """Simulate one shot with the rim, each impact solved by the chosen engine."""
     return fly(
         rig,
         law,
@@ -728,21 +591,12 @@ def released(rig: ShotRig, heights_m: Array) -> BallStates:
 
 @dataclass(frozen=True)
 class BounceShot:
-    """One shot; see `Simulator`.
-
-    Attributes:
-        height_m: how far the ball falls.
-        slope: exponent of the restitution over speed; see `SpeedLaw`.
-        at_m_s: the impact's speed at which it has the restitution that is set.
-
-    Raises:
-        UsageError: a value is not finite or out of range.
-    """
+    """One shot; see `Simulator`."""
 
     rig: ShotRig
-    height_m: float
-    slope: float = 0.0
-    at_m_s: float = 3.0
+    height_m: float  # how far the ball falls
+    slope: float = 0.0  # exponent of the restitution over speed; see `SpeedLaw`
+    at_m_s: float = 3.0  # the impact's speed at which it has the restitution that is set
     rate_hz: float = 240.0
 
     parameters: tuple[Parameter, ...] = (RESTITUTION,)
@@ -837,11 +691,7 @@ def rig_text(rig: ShotRig) -> str:
 
 
 def read_rig(path: Path) -> ShotRig:
-    """Read a rig from a file; the default rig's values replace missing ones.
-
-    Raises:
-        UsageError: cannot be read, is no YAML, or holds an invalid value; names file and value.
-    """
+    """Read a rig from a file; the default rig's values replace missing ones."""
     try:
         data = read_small_file(path, _MAX_FILE_BYTES)
     except OSError as error:
@@ -851,7 +701,19 @@ def read_rig(path: Path) -> ShotRig:
             f"{path}: {error}, and no rig's file is; give --rig such a file"
         ) from error
     try:
-        return _rig_of(_loaded(data))
+        told = _loaded(data)
+        values = _mapping(told, "the file", [*_PARTS, _GRAVITY])
+        given: dict[str, Any] = {}
+        for name, kind in _PARTS.items():
+            if name in values:
+                known = [item.name for item in fields(kind)]
+                part = _mapping(values[name], name, known)
+                given[name] = kind(
+                    **{key: _number(f"{name}.{key}", one) for key, one in part.items()}
+                )
+        if _GRAVITY in values:
+            given[_GRAVITY] = _number(_GRAVITY, values[_GRAVITY])
+        return ShotRig(**given)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
 
@@ -875,19 +737,6 @@ def _loaded(data: bytes) -> Any:
         raise UsageError(
             f"no YAML{where} ({one_line(what)}); see tunenet-plan --save-rig"
         ) from error
-
-
-def _rig_of(told: Any) -> ShotRig:
-    values = _mapping(told, "the file", [*_PARTS, _GRAVITY])
-    given: dict[str, Any] = {}
-    for name, kind in _PARTS.items():
-        if name in values:
-            known = [item.name for item in fields(kind)]
-            part = _mapping(values[name], name, known)
-            given[name] = kind(**{key: _number(f"{name}.{key}", one) for key, one in part.items()})
-    if _GRAVITY in values:
-        given[_GRAVITY] = _number(_GRAVITY, values[_GRAVITY])
-    return ShotRig(**given)
 
 
 def _mapping(told: Any, what: str, known: list[str]) -> dict[str, Any]:

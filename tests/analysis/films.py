@@ -24,7 +24,9 @@ def short_film(made: Made, rate_hz: int = 60) -> Path:
 def rendered_ball(made: Made) -> Episode:
     """The drop of `ORDER` before `CAMERA`, 84 pictures."""
     order = {**vars(ORDER)}
-    path = made("filmed_for_tracking.mcap", lambda one: film(one, FilmOrder(CAMERA), **order))
+    path = made(
+        "filmed_for_tracking.mcap", lambda one: film(one, FilmOrder(camera=CAMERA), **order)
+    )
     return kept(read_episode(path))
 
 

@@ -11,8 +11,8 @@ import pytest
 from tests.analysis.records import HALF, drop_record, payload_record, rejected_record
 from tunenet_logs.analysis.compare import LEVEL, MAX_LOGS, Comparison, PairTest, compare, told_apart
 from tunenet_logs.analysis.experiment import record_of as tuned_record
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import Estimate, Record
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
@@ -85,7 +85,7 @@ def test_tuned_drops_of_one_ball_agree_and_another_ball_stands_out():
                 simulate_drop(
                     DropOrder(restitution=restitution, height_m=height_m, noise_m=0.001, seed=seed)
                 ),
-                Options(),
+                TuneOptions(),
             )
         )
         for seed, (restitution, height_m) in enumerate(drops)

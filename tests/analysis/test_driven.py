@@ -19,9 +19,9 @@ from tests.driven_logs import (
     write_cdr,
 )
 from tunenet_logs.analysis.experiment import Claim, Tuning
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.experiment import PayloadExperiment
 from tunenet_logs.analysis.registry import EXPERIMENTS, experiment_named, kinds_in
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
@@ -89,10 +89,10 @@ def test_nothing_claims_commands_and_forces(drives: Episode):
 
 def test_a_log_of_commands_alone_is_refused_as_one_of_nothing(tmp_path: Path, drives: Episode):
     del drives
-    tuning = tune_log(tmp_path / "drives.mcap", Options())
+    tuning = tune_log(tmp_path / "drives.mcap", TuneOptions())
     nothing = replace(read_episode(tmp_path / "drives.mcap"), signals={})
     assert tuning.verdict == "rejected"
-    assert tuning.reason == tune_episode(nothing, Options(), tmp_path / "drives.mcap").reason
+    assert tuning.reason == tune_episode(nothing, TuneOptions(), tmp_path / "drives.mcap").reason
     assert not any(line.startswith("/") for line in tuning.warnings)
 
 
@@ -100,10 +100,10 @@ def test_a_payload_is_found_in_what_was_measured(drives: Episode):
     order = PayloadOrder(mass_kg=0.6, is_driver=True)
     episode = replace(simulate_payload(order), info=replace(drives.info))
     both = together(drives, episode)
-    options = Options(selection=Selection())
+    options = TuneOptions()
     assert shown(tune_episode(both, options)) == shown(tune_episode(episode, options))
     for one in (both, episode):
-        found = PayloadExperiment().detect(one, options.selection, "default")
+        found = PayloadExperiment().detect(one, options, "default")
         assert found.topic == found.log.position.topic == "/joint_states"
     assert PayloadExperiment().claim(both, "/a_plan") is Claim.NONE
 
@@ -112,7 +112,7 @@ def test_a_drop_is_found_in_what_was_measured(drives: Episode):
     episode = replace(simulate_drop(DropOrder()), info=replace(drives.info))
     both = together(drives, episode)
     assert kinds_in(both, None) == kinds_in(episode, None) == ("drop",)
-    assert shown(tune_episode(both, Options())) == shown(tune_episode(episode, Options()))
+    assert shown(tune_episode(both, TuneOptions())) == shown(tune_episode(episode, TuneOptions()))
 
 
 def test_a_commanded_effort_is_no_measured_one(drives: Episode):
@@ -120,7 +120,7 @@ def test_a_commanded_effort_is_no_measured_one(drives: Episode):
     episode = simulate_payload(PayloadOrder(mass_kg=0.6))
     signals = {name: one for name, one in episode.signals.items() if "effort" not in name}
     silent = replace(episode, signals=signals, info=replace(drives.info))
-    tuning = tune_episode(together(drives, silent), Options(task="payload"))
+    tuning = tune_episode(together(drives, silent), TuneOptions(task="payload"))
     assert tuning.verdict == "rejected"
     assert tuning.reason is not None
     assert tuning.reason.startswith("no joint torques in this log (there: /joint_states.position")

@@ -19,9 +19,9 @@ from tunenet_logs.analysis.estimators.base import (
     Trace,
 )
 from tunenet_logs.analysis.experiment import Claim, Preset
+from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.record import Motion, Rebound, read_record, to_json
 from tunenet_logs.analysis.registry import EXPERIMENTS, METHODS, experiment_named, method_named
-from tunenet_logs.analysis.selection import Options, Selection, Subject
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
@@ -101,7 +101,7 @@ class TeaExperiment:
         """See `Experiment.claim`."""
         return Claim.CERTAIN if "/tea" in episode.signals else Claim.NONE
 
-    def detect(self, episode: Episode, selection: Selection, preset: str) -> TeaDetection:
+    def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> TeaDetection:
         """See `Experiment.detect`."""
         if "/tea" not in episode.signals:
             raise NotFoundError("no tea in it")
@@ -155,7 +155,7 @@ def test_every_method_is_there_under_its_name(name: str):
 
 def test_a_new_estimator_is_one_line(monkeypatch: pytest.MonkeyPatch, drop_log: Path):
     monkeypatch.setitem(METHODS, "halving", f"{__name__}:Halving")
-    tuning = tune_log(drop_log, Options(method="halving", iterations=3))
+    tuning = tune_log(drop_log, TuneOptions(method="halving", iterations=3))
     assert tuning.method == "halving"
     assert tuning.rollouts == 4  # the initial guess is simulated too, to be shown
     assert tuning.interval95 is None
@@ -166,7 +166,7 @@ def test_a_new_experiment_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path:
     from tunenet_logs.analysis.review.tuning import write_review
 
     monkeypatch.setitem(EXPERIMENTS, "tea", f"{__name__}:TeaExperiment")
-    tuning = tune_episode(tea(3.0), Options(iterations=40))
+    tuning = tune_episode(tea(3.0), TuneOptions(iterations=40))
     assert tuning.verdict == "ok"
     assert tuning.estimate is not None
     assert tuning.estimate[0] == pytest.approx(3.0, abs=1e-3)
@@ -178,7 +178,7 @@ def test_a_new_experiment_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path:
     write_review(tuning, made, tmp_path / "tea.rrd")
     assert (tmp_path / "tea.rrd").stat().st_size > 1000
     with pytest.raises(UsageError, match="needs a network"):
-        tune_episode(tea(2.0), Options(method="tunenet+line"))
+        tune_episode(tea(2.0), TuneOptions(method="tunenet+line"))
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_methods_are_offered_as_far_as_they_fit(
     monkeypatch: pytest.MonkeyPatch, method: str, said: str | None
 ):
     monkeypatch.setitem(EXPERIMENTS, "tea", f"{__name__}:TeaExperiment")
-    tuning = tune_episode(tea(3.0), Options(method=method, iterations=40))
+    tuning = tune_episode(tea(3.0), TuneOptions(method=method, iterations=40))
     if said is None:
         assert tuning.estimate is not None
         assert tuning.estimate[0] == pytest.approx(3.0, abs=0.01)
@@ -207,7 +207,7 @@ def test_methods_are_offered_as_far_as_they_fit(
 def test_every_method_answers_a_drop(drop_log: Path, method: str):
     if method == "tpe":
         pytest.importorskip("optuna")
-    tuning = tune_log(drop_log, Options(method=method, iterations=12))
+    tuning = tune_log(drop_log, TuneOptions(method=method, iterations=12))
     assert tuning.trace is not None, tuning.reason
     exact = method in ("tunenet+refine", "tunenet", "fit", "tunenet+line", "line", "secant")
     assert abs(float(tuning.trace.estimate[0]) - 0.7) < (1e-3 if exact else 0.25)
@@ -218,9 +218,9 @@ def test_the_exact_fit_needs_no_network_and_no_start(drop_log: Path):
     both, alone, far = (
         tune_log(drop_log, options)
         for options in (
-            Options(),
-            Options(method="fit"),
-            Options(method="fit", initial=(0.2,)),
+            TuneOptions(),
+            TuneOptions(method="fit"),
+            TuneOptions(method="fit", initial=(0.2,)),
         )
     )
     assert alone.digest == ""
@@ -230,13 +230,13 @@ def test_the_exact_fit_needs_no_network_and_no_start(drop_log: Path):
 
 
 def test_weights_that_a_method_does_not_use_are_said(drop_log: Path):
-    tuning = tune_log(drop_log, Options(method="fit", weights=drop_log))
+    tuning = tune_log(drop_log, TuneOptions(method="fit", weights=drop_log))
     assert "--weights not used: the method fit has no network" in tuning.warnings
 
 
 def test_a_log_that_a_method_does_not_fit_never_stops_the_others(tmp_path: Path):
     good = record(tmp_path / "a.mcap", restitution=0.6, height_m=1.0)
     arm = Path(__file__).resolve().parents[2] / "sample_logs" / "payload.mcap"
-    results = tune_all([arm, good], Options(method="secant"), tmp_path / "out", 1, QUIET)
+    results = tune_all([arm, good], TuneOptions(method="secant"), tmp_path / "out", 1, QUIET)
     assert [result.row.record.verdict for result in results][1] != "rejected"
     assert "it is for drops" in (results[0].row.record.reason or "")

@@ -17,7 +17,7 @@ from tunenet_logs.analysis.evaluation.worlds.camera import (
     TrackFault,
     draw_scene,
 )
-from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.errors import NotFoundError
 
@@ -121,14 +121,14 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "selection",
     [
-        Selection(topic="/nowhere"),
-        Selection(start_s=1e6),
-        Selection(start_s=0.0, end_s=0.05),
+        TuneOptions(topic="/nowhere"),
+        TuneOptions(start_s=1e6),
+        TuneOptions(start_s=0.0, end_s=0.05),
     ],
 )
 @pytest.mark.parametrize("name", ["dull", "filmed", "payload"])
-def test_a_part_of_a_log_in_which_there_is_nothing(name: str, selection: Selection) -> None:
-    _check(ROOT / "sample_logs" / f"{name}.mcap", Options(selection=selection))
+def test_a_part_of_a_log_in_which_there_is_nothing(name: str, selection: TuneOptions) -> None:
+    _check(ROOT / "sample_logs" / f"{name}.mcap", selection)
 
 
 @pytest.mark.parametrize("task", ["drop", "payload"])
@@ -140,7 +140,7 @@ def test_a_log_that_is_cut_or_of_another_task(
     whole = (ROOT / "sample_logs" / f"{name}.mcap").read_bytes()
     log = tmp_path / "cut.mcap"
     log.write_bytes(whole[: int(fraction * len(whole))])
-    _check(log, Options(task=task), must_be_rejected=False)
+    _check(log, TuneOptions(task=task), must_be_rejected=False)
 
 
 @pytest.mark.parametrize("fault", TRACK_FAULTS, ids=lambda fault: fault.name)
@@ -172,8 +172,8 @@ def test_real_files(folder: str, names: str) -> None:
         _check(log, must_be_rejected=False)
 
 
-def _check(log: Path, options: Options | None = None, *, must_be_rejected: bool = True) -> None:
-    tuning = tune_log(log, options or Options())
+def _check(log: Path, options: TuneOptions | None = None, *, must_be_rejected: bool = True) -> None:
+    tuning = tune_log(log, options or TuneOptions())
     assert not must_be_rejected or tuning.verdict == "rejected"
     if tuning.verdict == "rejected":
         assert tuning.reason is not None

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.presentation import Row, interval_words, result_words, row_of, table
 from tunenet_logs.analysis.record import Equivalent, Equivalents, Motion
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_log
 
 
@@ -20,7 +20,9 @@ def rowed(tuning: Tuning) -> Row:
 
 def test_the_table_shows_the_truth_only_where_a_log_states_one(drop_log: Path, tmp_path: Path):
     (tmp_path / "b.mcap").write_text("no log")
-    known, unknown = (rowed(tune_log(path, Options())) for path in (drop_log, tmp_path / "b.mcap"))
+    known, unknown = (
+        rowed(tune_log(path, TuneOptions())) for path in (drop_log, tmp_path / "b.mcap")
+    )
     assert "truth" in table([known, unknown]).splitlines()[0]
     assert "truth" not in table([unknown]).splitlines()[0]
     assert "is not an MCAP log" in table([unknown])
@@ -43,27 +45,27 @@ def test_an_interval_has_as_many_decimals_as_its_width_asks_for(
 
 
 def test_no_interval_reads_as_certainty(drop_log: Path):
-    tuning = tune_log(drop_log, Options())
+    tuning = tune_log(drop_log, TuneOptions())
     assert tuning.interval95 is not None
     words = interval_words(*tuning.interval95[0])
     low, high = words.split(" to ")
     assert low != high
     assert words in table([rowed(tuning)])
-    assert f" | {words} | " in result_words(record_of(tuning), tuning.preset, "drop")
+    assert f" | {words} |" in result_words(record_of(tuning), tuning.preset, "drop")
 
 
 def test_the_table_has_slope_drag_and_how_well_the_simulator_fits(drop_log: Path):
-    header, line = table([rowed(tune_log(drop_log, Options()))]).splitlines()
+    header, line = table([rowed(tune_log(drop_log, TuneOptions()))]).splitlines()
     for name in ("slope", "drag [1/m]", "fits", "95 % interval"):
         assert name in header
     assert "0.00 %" in line
-    paper = table([rowed(tune_log(drop_log, Options(method="brent")))]).splitlines()[0]
+    paper = table([rowed(tune_log(drop_log, TuneOptions(method="brent")))]).splitlines()[0]
     assert "slope" not in paper
     assert "drag" not in paper
 
 
 def test_what_an_airless_simulator_needs_and_what_the_log_leaves_open_is_said(drop_log: Path):
-    tuning = tune_log(drop_log, Options())
+    tuning = tune_log(drop_log, TuneOptions())
     record = record_of(tuning)
     without = Equivalents(Equivalent(0.486, 1.05, (6.7,)), Equivalent(0.49, 1.0, (6.7,)))
     said = replace(
@@ -76,19 +78,19 @@ def test_what_an_airless_simulator_needs_and_what_the_log_leaves_open_is_said(dr
 
 
 def test_a_suspects_interval_is_marked_as_such(drop_log: Path):
-    tuning = tune_log(drop_log, Options())
+    tuning = tune_log(drop_log, TuneOptions())
     checks = tuple(
         replace(check, passed=check.name != "hold-out prediction") for check in tuning.checks
     )
     tuning = replace(tuning, checks=checks, verdict="suspect", reason="hold-out prediction: no")
     assert " (suspect)" in table([rowed(tuning)])
     words = result_words(record_of(tuning), tuning.preset, "drop")
-    assert "95 % (suspect)" in words
+    assert "95 % interval (suspect)" in words
     assert words.index("hold-out prediction") < words.index("| restitution")
 
 
 def test_an_interval_is_given_unless_a_check_doubts_the_value_itself(drop_log: Path):
-    tuning = tune_log(drop_log, Options())
+    tuning = tune_log(drop_log, TuneOptions())
     for name, has in (
         ("no samples missing", True),
         ("first flight seen", True),

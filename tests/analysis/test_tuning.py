@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from tests.conftest import ROOT, record
 from tests.engines import needs_pybullet
 from tests.strangers import Stranger, bounce_heights, write_poses
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.recorders.session import record_episode
@@ -35,7 +36,7 @@ def test_a_fresh_drop_is_found_to_four_digits(
 ):
     order = {"height_m": height_m, "radius_m": radius_m, "rate_hz": rate_hz}
     path = record(tmp_path / "a.mcap", restitution=restitution, **order)
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     assert tuning.verdict == "ok", tuning.reason
     assert value(tuning) == pytest.approx(restitution, abs=1e-4)
 
@@ -54,7 +55,7 @@ def test_fresh_drops_of_any_height_rate_and_ball(tmp_path: Path):
             radius_m=float(rng.uniform(0.02, 0.5)),
             rate_hz=float(rng.uniform(60, 240)),
         )
-        tuning = tune_log(path, Options())
+        tuning = tune_log(path, TuneOptions())
         assert tuning.verdict == "ok", tuning.reason
         off.append(abs(value(tuning) - truth))
     assert np.mean(off) < 2e-4
@@ -73,7 +74,7 @@ def test_fresh_drops_of_any_height_rate_and_ball(tmp_path: Path):
 def test_a_strangers_noisy_log_costs_little(tmp_path: Path, stranger: Stranger):
     stamps, positions = replace(stranger, seconds=6.0).samples()
     write_poses(tmp_path / "a.mcap", stamps, positions, topic="/any/1")
-    tuning = tune_log(tmp_path / "a.mcap", Options())
+    tuning = tune_log(tmp_path / "a.mcap", TuneOptions())
     assert tuning.detection.topic == "/any/1"
     assert value(tuning) == pytest.approx(stranger.restitution, abs=0.003)
 
@@ -95,7 +96,7 @@ def test_strangers_noisy_logs_held_before_the_release(tmp_path: Path):
         )
         stamps, positions = one.samples()
         write_poses(tmp_path / "a.mcap", stamps, positions, topic=f"/any/{index}")
-        tuning = tune_log(tmp_path / "a.mcap", Options())
+        tuning = tune_log(tmp_path / "a.mcap", TuneOptions())
         assert tuning.detection.topic == f"/any/{index}"
         off.append(abs(value(tuning) - one.restitution))
     assert np.mean(off) < 0.001
@@ -109,7 +110,7 @@ def changed_truth(episode: Episode, truth: Mapping[str, float]) -> Episode:
     "preset",
     ["default", *(pytest.param(name, marks=needs_pybullet) for name in ("paper", "paper-code"))],
 )
-def test_truth_in_the_log_changes_nothing(tmp_path: Path, preset: str):
+def test_truth_in_the_log_changes_nothing(tmp_path: Path, preset: Any):
     episode = simulate_drop(DropOrder(restitution=0.6, height_m=4.0, noise_m=0.001))
     bare = replace(episode, info=EpisodeInfo())
     for name, one in {
@@ -120,7 +121,9 @@ def test_truth_in_the_log_changes_nothing(tmp_path: Path, preset: str):
     }.items():
         path = tmp_path / f"{name}.mcap"
         record_episode(one, path, overwrite=False, progress=Progress(quiet=True))
-    first, *others = (tune_log(path, Options(preset=preset)) for path in sorted(tmp_path.iterdir()))
+    first, *others = (
+        tune_log(path, TuneOptions(preset=preset)) for path in sorted(tmp_path.iterdir())
+    )
     assert first.trace is not None
     for other in others:
         assert other.trace is not None
@@ -131,18 +134,18 @@ def test_truth_in_the_log_changes_nothing(tmp_path: Path, preset: str):
 
 
 def test_rollouts_are_counted_with_the_one_that_judges(drop_log: Path):
-    tuning = tune_log(drop_log, Options(iterations=7, method="tunenet"))
+    tuning = tune_log(drop_log, TuneOptions(iterations=7, method="tunenet"))
     assert tuning.rollouts == 8
     assert tuning.trace is not None
     assert len(tuning.trace.steps) == 8
-    refined = tune_log(drop_log, Options(iterations=7))
+    refined = tune_log(drop_log, TuneOptions(iterations=7))
     assert refined.rollouts == 9
     assert refined.trace is not None
     assert len(refined.trace.steps) == 9
 
 
 def test_the_first_guess_is_the_ball_that_does_not_bounce(drop_log: Path):
-    default, high = (tune_log(drop_log, Options(initial=one)) for one in (None, (0.95,)))
+    default, high = (tune_log(drop_log, TuneOptions(initial=one)) for one in (None, (0.95,)))
     assert default.trace is not None
     assert high.trace is not None
     assert default.trace.steps[0].values[0] == 0
@@ -156,7 +159,7 @@ def test_the_paper_presets_find_the_engines_number(tmp_path: Path):
     for index, truth in enumerate(np.linspace(0.32, 0.68, 10)):
         order = {"preset": "paper", "restitution": float(truth), "height_m": 3.6 + 0.08 * index}
         path = record(tmp_path / f"{index}.mcap", **order)
-        tuning = tune_log(path, Options(preset="paper-code", initial=(0.5,)))
+        tuning = tune_log(path, TuneOptions(preset="paper-code", initial=(0.5,)))
         assert not tuning.physical
         assert tuning.cross_check is None
         off.append(abs(value(tuning) - truth))
@@ -165,7 +168,7 @@ def test_the_paper_presets_find_the_engines_number(tmp_path: Path):
 
 @needs_pybullet
 def test_a_drop_that_the_papers_network_never_saw_gets_a_warning(drop_log: Path):
-    tuning = tune_log(drop_log, Options(preset="paper"))
+    tuning = tune_log(drop_log, TuneOptions(preset="paper"))
     assert any("outside" in warning for warning in tuning.warnings)
 
 
@@ -173,7 +176,7 @@ def test_a_drop_that_the_papers_network_never_saw_gets_a_warning(drop_log: Path)
 def test_any_axis_may_be_up(tmp_path: Path, up: str):
     stamps, positions = Stranger(0.66, up=up).samples()
     write_poses(tmp_path / "a.mcap", stamps, positions)
-    tuning = tune_log(tmp_path / "a.mcap", Options())
+    tuning = tune_log(tmp_path / "a.mcap", TuneOptions())
     assert value(tuning) == pytest.approx(0.66, abs=0.003)
     assert (up == "z") or any(f"+{up}" in warning for warning in tuning.warnings)
 
@@ -188,15 +191,15 @@ def test_the_first_of_several_drops_is_used_and_the_window_can_be_chosen(tmp_pat
     stamps = np.round(np.arange(len(heights)) / rate * 1e9).astype(np.int64) + 10**18
     positions = np.column_stack([0 * heights, 0 * heights, heights])
     write_poses(tmp_path / "a.mcap", stamps, positions)
-    first = tune_log(tmp_path / "a.mcap", Options())
+    first = tune_log(tmp_path / "a.mcap", TuneOptions())
     assert value(first) == pytest.approx(0.5, abs=0.002)
     assert any("2 drops" in warning for warning in first.warnings)
-    later = Options(selection=Selection(start_s=5.5))
+    later = TuneOptions(start_s=5.5)
     assert value(tune_log(tmp_path / "a.mcap", later)) == pytest.approx(0.8, abs=0.002)
 
 
 def test_where_the_cross_check_disagrees_no_interval_is_given():
-    tuning = tune_log(ROOT / "sample_logs" / "noisy.mcap", Options())
+    tuning = tune_log(ROOT / "sample_logs" / "noisy.mcap", TuneOptions())
     assert tuning.cross_check is not None
     assert tuning.interval95 is not None
     other = replace(tuning.cross_check, agrees=False)

@@ -12,6 +12,7 @@ from tests.test_sample_logs import FOLDER
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.options import TuneOptions, options_of
 from tunenet_logs.analysis.tuning import tune_log
+from tunenet_logs.console import options_in
 from tunenet_logs.reader import read_episode
 
 ARMS = Path(__file__).parents[2] / "recorders" / "simulators" / "arm" / "known"
@@ -84,7 +85,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, tuple[Path, M
 
 @cache
 def _plain(log: Path, words: tuple[tuple[str, Any], ...]) -> Tuning:
-    return tune_log(log, options_of(dict(words)))  # pyright: ignore[reportArgumentType]
+    return tune_log(log, options_of(dict(words)))
 
 
 def _outcome(tuning: Tuning) -> str:
@@ -104,7 +105,7 @@ def test_an_option_changes_the_record_or_a_warning_names_it(
     assert plain.verdict == "ok"
     assert not any("not used" in warning for warning in plain.warnings)
     said = {**words, **SAID[option]}
-    tuning = tune_log(log, options_of(said))  # pyright: ignore[reportArgumentType]
+    tuning = tune_log(log, options_of(said))
     unused = [warning for warning in tuning.warnings if "not used" in warning]
     names_it = any(option in warning.split(" not used")[0] for warning in unused)
     changes = _outcome(tuning) != _outcome(plain)
@@ -144,7 +145,7 @@ def test_a_table_reads_the_same_without(
     said: dict[str, Any], unused: list[str] | None, tmp_path: Path
 ) -> None:
     log = _track_csv(tmp_path / "table.csv", "time (s),z (m)")
-    reading = options_of(said).selection.reading  # pyright: ignore[reportArgumentType]
+    reading = options_of(said).reading
     warnings = read_episode(log, reading).warnings
     expected = ["--fps", "--length-unit", "--torque-constants"] if unused is None else unused
     assert [warning.split(" not used")[0] for warning in warnings] == expected
@@ -156,6 +157,6 @@ def test_every_option_about_a_log_is_tried() -> None:
     about_the_method = {"task", "preset", "method", "weights"}
     need_a_file_or_columns = {"arm_card", "columns"}
     assert (
-        set(TuneOptions.__annotations__) - tried - about_a_model
+        set(options_in(TuneOptions)) - tried - about_a_model
         == about_the_method | need_a_file_or_columns
     )

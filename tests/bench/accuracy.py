@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.recorders.session import record_episode
 from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
@@ -41,7 +41,7 @@ def errors(noise_m: float, hold_s: float, seed: int) -> np.ndarray:
             path = Path(folder) / f"{index}.mcap"
             quiet = Progress(quiet=True)
             record_episode(simulate_drop(order), path, overwrite=False, progress=quiet)
-            tuning = tune_log(path, Options())
+            tuning = tune_log(path, TuneOptions())
             if tuning.estimate is not None and tuning.trace is not None:
                 network = tuning.trace.steps[-2].values[0]
                 check = tuning.cross_check.value if tuning.cross_check else np.nan

@@ -29,7 +29,7 @@ import numpy as np
 
 from tests.recorders.coming_camera import ComingCamera, ComingRtspCamera
 from tests.recorders.live_wait import ending, wait_until
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.reader import read_episode
 from tunenet_logs.timing.stamps import Gap, noted_gaps
@@ -154,7 +154,7 @@ def _looked_at(log: Path, line: str, planned: Planned) -> tuple[str, str, float]
 
 def _tuned(log: Path, gaps: tuple[Gap, ...], first_ns: int) -> tuple[str, str]:
     """Return what is wrong with the tuning of a log, and its verdict."""
-    tuning = tune_log(log, Options())
+    tuning = tune_log(log, TuneOptions())
     if tuning.detection is not None:
         start_s, end_s = (tuning.detection.window[name] for name in ("start_s", "end_s"))
         for gap in gaps:

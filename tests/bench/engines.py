@@ -32,8 +32,8 @@ from tunenet_logs.analysis.export.registry import (
     export_format,
     texts,
 )
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import Record
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.recorders.simulated import DropOrder, simulate_drop
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
@@ -47,7 +47,7 @@ COARSE_S = 1 / 240
 def tuned(restitution: float) -> Record:
     """Tune a ball that fell 1 m in a simulation, recorded for 3 s at 240 Hz."""
     order = DropOrder(restitution=restitution, height_m=1.0, rate_hz=240.0, seconds=3.0)
-    return record_of(tune_episode(simulate_drop(order), Options(task="drop")))
+    return record_of(tune_episode(simulate_drop(order), TuneOptions(task="drop")))
 
 
 def ball(engine: ExportFormat, record: Record, options: ExportOptions) -> ExportedBall:

@@ -28,7 +28,7 @@ from tunenet_logs.analysis.evaluation.worlds.clips import (
     draw_clip,
     draw_stage,
 )
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 
 _SEED = 77
 # Number of a drawn clip, and of the film made of it: size [px], pictures a second, seconds before
@@ -94,7 +94,7 @@ def cost(path: Path, out: Path) -> dict[str, Any]:
     """Measure one film, from the file to JSON and review."""
     bare_s, duration_s = min(luma(path) for _ in range(2))
     cpu_s, wall_s = time.process_time(), time.perf_counter()
-    result = tuned_and_written(Work(path, out / path.stem), Options(), Writing())
+    result = tuned_and_written(Work(path, out / path.stem), TuneOptions(), Writing())
     cpu_s, wall_s = time.process_time() - cpu_s, time.perf_counter() - wall_s
     return {
         "verdict": result.row.record.verdict,
@@ -110,7 +110,7 @@ def figures(drawn: int) -> dict[str, Any]:
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        tuned_and_written(Work(SAMPLES / "filmed.mcap", folder / "first"), Options(), Writing())
+        tuned_and_written(Work(SAMPLES / "filmed.mcap", folder / "first"), TuneOptions(), Writing())
         paths = {
             film: drawn_film(folder / f"{at}.mp4", *what)
             for at, (film, what) in enumerate(list(_FILMS.items())[:drawn])

@@ -25,7 +25,7 @@ from tqdm import tqdm
 from tests.bench.lab_drops import VERDICTS, LabDrop, hand_waved, random_drop, still
 from tests.bench.lab_layouts import LAYOUTS, OF_BODIES, Written, write_layout, write_plain
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 
 _SEEDS = 23_000_000  # drops are drawn from these and a seed: nothing was chosen on them
@@ -63,7 +63,7 @@ class Outcome:
 def tuned(path: Path) -> Tuning:
     """Tune a file; an error that is no one's fault but the tuner's is a finding too."""
     try:
-        return tune_log(path, Options())
+        return tune_log(path, TuneOptions())
     except Exception as error:  # noqa: BLE001 - whatever it is, it is counted and named
         words = f"CRASH: {type(error).__name__}: {error}"
         return Tuning(path, None, "default", "rejected", words)

@@ -27,8 +27,8 @@ from tests.bench.lab_drops import VERDICTS, LabDrop, random_drop
 from tests.export_writers import oriented
 from tests.strangers import write_poses
 from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import to_json
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 
@@ -137,7 +137,7 @@ def told_of(
     if kind.is_pose and not is_file:
         signal = Signal("/ball/pose", stamps_ns, places, ("x", "y", "z"), "m")
         episode = Episode(EpisodeInfo(), {signal.name: signal})
-        return json.loads(to_json(record_of(tune_episode(episode, Options()))))
+        return json.loads(to_json(record_of(tune_episode(episode, TuneOptions()))))
     path = folder / ("log.mcap" if kind.is_pose else "log.csv")
     if kind.is_pose:
         write_poses(path, stamps_ns + 1_700_000_000_000_000_000, places)
@@ -146,7 +146,7 @@ def told_of(
         for stamp, place in zip(stamps_ns, places, strict=True):
             rows.append(f"{stamp / 1e9:.9f}," + ",".join(f"{one:.9g}" for one in place))
         path.write_text("\n".join(rows) + "\n")
-    return json.loads(to_json(record_of(tune_log(path, Options()))))
+    return json.loads(to_json(record_of(tune_log(path, TuneOptions()))))
 
 
 def answer_to(name: str, seed: int, index: int, folder: Path) -> Answer:

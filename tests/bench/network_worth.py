@@ -36,10 +36,10 @@ from tunenet_logs.analysis.evaluation.studies.drop_methods import (
     estimate_batches,
     train_on_papers,
 )
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
 from tunenet_logs.analysis.payload.detection import TRAININGS
 from tunenet_logs.analysis.payload.experiment import PayloadExperiment
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tunenet.network import Model
 from tunenet_logs.analysis.tunenet.weights import shipped_model
 from tunenet_logs.analysis.tuning import tune_episode
@@ -70,7 +70,7 @@ def tuned_pair(work: LogWork) -> Pair:
     with tempfile.TemporaryDirectory() as folder:
         log = made_log(kind, seed, index, Path(folder))
         for at in (0, 1) if index % 2 else (1, 0):
-            options = Options(method=LOG_METHODS[at], selection=Selection(tares=log.tares))
+            options = TuneOptions(method=LOG_METHODS[at], tares=log.tares)
             tuning = tune_episode(log.episode, options)
             if tuning.estimate is not None and tuning.trace is not None:
                 values[at] = tuning.estimate[0]
@@ -150,7 +150,7 @@ def payload_errors(work: Sequence[LogWork]) -> Array:
     for rows, (kind, seed, index) in zip(errors, work, strict=True):
         with tempfile.TemporaryDirectory() as folder:
             log = made_log(kind, seed, index, Path(folder))
-        found = experiment.detect(log.episode, Selection(tares=log.tares), "default")
+        found = experiment.detect(log.episode, TuneOptions(tares=log.tares), "default")
         for own, (method, _) in zip(rows, methods.values(), strict=True):
             problem = experiment.problem(found, np.array([_middle(PAYLOAD_MASS.training_range)]))
             trace = method.estimator.estimate(problem, ROLLOUTS[-1])

@@ -18,6 +18,7 @@ from tests.bench.promised_runs import JOBS, ROOT, SCRIPTS, digest, make_clips, r
 from tests.bench.promises_recorders import recorders
 
 SAMPLES = ROOT / "sample_logs"
+ALL = {"tunenet-tune": ["all"], "tunenet-record": ["all"]}  # which tell little without it
 SUBCOMMANDS = {"tunenet-logs": ("info", "check", "recover", "import")}
 LINES = Path(__file__).with_name("refusals.txt")
 
@@ -40,6 +41,7 @@ def all_help(folder: Path) -> dict[str, str]:
     below = [[name, one] for name, ones in SUBCOMMANDS.items() for one in ones]
     shells = [["--print-completion", one] for one in ("bash", "zsh", "tcsh")]
     asked = [[*words, "--help"] for words in (*commands, *below)]
+    asked += [[name, "--help", *topic] for name, topic in ALL.items()]
     asked += [[*words, *more] for words in commands for more in (["--version"], *shells)]
 
     def told(words: Sequence[str]) -> str:
@@ -71,7 +73,9 @@ def _swept(line: str) -> Iterator[list[str]]:
     if not sign:
         return
     head = 2 if words[0] in SUBCOMMANDS else 1
-    for option, value in _OPTION.findall(ran([*words[:head], "--help"], ROOT).out):
+    for option, value in _OPTION.findall(
+        ran([*words[:head], "--help", *ALL.get(words[0], [])], ROOT).out
+    ):
         if option not in _NOT_SWEPT:
             given = value[1:].split(",")[0].rstrip("}") if value.startswith("{") else "1"
             given = "nonsense" if sign == "?" else given

@@ -24,9 +24,9 @@ from tunenet_logs.analysis.drop.bounce_posterior import drop_posterior
 from tunenet_logs.analysis.drop.motion import rig_like
 from tunenet_logs.analysis.evaluation.worlds.ball import DroppedBall, drop_ball
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import to_json
 from tunenet_logs.analysis.result_files import log_sha256
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.recorders.simulators.ball import DropSimulator
 
@@ -56,7 +56,7 @@ def write_log(path: Path, index: int) -> None:
 def tuned(path: Path) -> Tuning:
     """Tune a log as `tunenet-tune` does, and make its JSON."""
     log_sha256(path)
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     to_json(record_of(tuning))
     return tuning
 

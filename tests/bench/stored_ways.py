@@ -30,10 +30,9 @@ from tests.bench.storing import (
     write_zip,
 )
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import Episode
-from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.recorders.session import record_episode
 from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop
 from tunenet_logs.terminal import Progress
@@ -239,9 +238,7 @@ def tuned(way: Way) -> Tuning:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / way.name
         way.store(path)
-        return tune_log(
-            path, Options(selection=Selection(reading=ReadOptions(rate_hz=way.rate_hz)))
-        )
+        return tune_log(path, TuneOptions(fps=way.rate_hz))
 
 
 def row(name: str, tuning: Tuning, reference: Tuning) -> tuple[str, bool]:
@@ -268,7 +265,7 @@ def main() -> None:
         record_episode(
             at_rate(episode, RATE_HZ), log, overwrite=False, progress=Progress(quiet=True)
         )
-        reference = tune_log(log, Options())
+        reference = tune_log(log, TuneOptions())
     assert reference.interval95 is not None, reference.reason
     low, high = reference.interval95[0]
     print(f"truth {ORDER.restitution}; the log says {low:.4f} to {high:.4f}")

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tunenet_logs.analysis.experiment import record_of
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 
@@ -223,7 +223,7 @@ class _Line:
 
     def add(self, made: Throw) -> None:
         """Tune one recording."""
-        tuning = tune_episode(made.episode(), Options())
+        tuning = tune_episode(made.episode(), TuneOptions())
         self.verdicts[tuning.verdict] += 1
         found = record_of(tuning).rebounds
         near = (

@@ -22,7 +22,7 @@ import numpy as np
 
 from tunenet_logs.analysis.evaluation.studies.video import track_errors_px
 from tunenet_logs.analysis.evaluation.worlds.clips import ClipOrder, draw_clip, write_clip
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tracking.frames import Pictures
 from tunenet_logs.analysis.tracking.track import track_ball
 from tunenet_logs.analysis.tuning import tune_log
@@ -53,10 +53,10 @@ def speed() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         paths = [write_clip(the_clip(as_log=one), folder) for one in (False, True)]
-        tune_log(paths[0], Options())  # everything is imported now
+        tune_log(paths[0], TuneOptions())  # everything is imported now
         for path in paths:
             wall, cpu = time.perf_counter(), time.process_time()
-            tuning = tune_log(path, Options())
+            tuning = tune_log(path, TuneOptions())
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             print(
                 f"{path.suffix[1:]:5} {CLIP_S:g} s of 640 x 480 at 60 fps: {wall:.1f} s, of them "
@@ -67,7 +67,7 @@ def speed() -> None:
 
 def peak_mib(path: str) -> None:
     """Tune, and print this process's peak memory."""
-    tune_log(Path(path), Options())
+    tune_log(Path(path), TuneOptions())
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.recorders.session import record_episode
 from tunenet_logs.recorders.simulated import DropOrder, FilmOrder, film_drop
@@ -47,7 +47,7 @@ def tuned(seed: int, index: int) -> tuple[float, float | None, str, float]:
         path = Path(folder) / "drop.mcap"
         quiet = Progress(quiet=True)
         record_episode(film_drop(order, film), path, overwrite=False, progress=quiet)
-        tuning = tune_log(path, Options())
+        tuning = tune_log(path, TuneOptions())
     estimate = None if tuning.estimate is None else float(tuning.estimate[0])
     check = tuning.cross_check.value if tuning.cross_check else float("nan")
     words = tuning.verdict if tuning.reason is None else f"{tuning.verdict}: {tuning.reason}"

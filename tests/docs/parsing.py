@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.util
-import inspect
 import io
-import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -122,11 +120,9 @@ def module_options(module: str) -> set[str]:
 def _main(script: str) -> Callable[[], object]:
     """What a script calls when its process is set up, which would change this one's signals."""
     place, _, function = scripts()[script].partition(":")
-    source = inspect.getsource(getattr(importlib.import_module(place), function))
-    started = re.search(r'start\("([^"]+)", "([^"]+)"\)', source)
-    assert started is not None, f"{place} does not start {script}"
-    assert started[1] == script
-    return importlib.import_module(started[2]).main
+    name, module = getattr(importlib.import_module(place), function).args
+    assert name == script
+    return importlib.import_module(module).main
 
 
 def _options(entry: Callable[[], object], name: str) -> set[str]:

@@ -165,7 +165,7 @@ def test_friction_stops_the_slip_or_takes_coulombs_share():
     normal = np.array([[0.0, 0.0, 1.0]])
     for friction, sticks in ((0.25, True), (0.05, False)):
         balls = BallStates(np.zeros((1, 3)), np.array([[1.0, 0.5, -3.0]]), np.zeros((1, 3)))
-        collide(balls, np.array([0]), normal, np.array([0.7]), friction, 0.03, 0.4)
+        collide(balls, np.array([0]), normal, np.array([0.7]), friction, ShotBall(0.03))
         slip = balls.velocity_m_s + np.cross(balls.spin_rad_s, -0.03 * normal)
         assert balls.velocity_m_s[0, 2] == pytest.approx(2.1)
         before, after = np.hypot(1.0, 0.5), np.linalg.norm(balls.velocity_m_s[0, :2])

@@ -75,7 +75,7 @@ def test_closing_ends_a_read_that_waits():
         source = open_source(url, timeout_s=LAST_RESORT_S)
         reading = threading.Thread(target=lambda: list(source.frames()), daemon=True)
         reading.start()
-        while not source._reading:  # type: ignore[attr-defined]
+        while not source._is_read:  # type: ignore[attr-defined]
             pass
         source.close()
         reading.join(LAST_RESORT_S / 2)

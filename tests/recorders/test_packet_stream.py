@@ -20,7 +20,7 @@ from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.messages import CAMERA_TOPIC, VIDEO_TOPIC
 from tunenet_logs.reader import read_episode
 from tunenet_logs.recorders.camera.base import Source
-from tunenet_logs.recorders.camera.reading import as_kept
+from tunenet_logs.recorders.camera.reading import Transcoded
 from tunenet_logs.recorders.camera.recording import Limits, record_camera
 from tunenet_logs.recorders.camera.streams import PacketStream, head_of
 from tunenet_logs.recorders.session import Summary
@@ -114,7 +114,7 @@ def test_a_log_of_packets_holds_the_pictures_of_the_film(tmp_path: Path, film: F
 
 @pytest.mark.parametrize("film", [H264_MP4, H265_MKV, MPEG4, MJPEG])
 def test_what_a_log_cannot_hold_and_what_shall_not_stay_becomes_jpegs(tmp_path: Path, film: Film):
-    source = as_kept(opened(film.write(tmp_path)), transcode=film != MPEG4)
+    source = Transcoded(opened(film.write(tmp_path)))
     summary, episode = recorded(source, tmp_path / "a.mcap")
     assert (summary.captured, summary.written, summary.damaged) == (FRAMES, FRAMES, 0)
     assert episode.picture_topics == (CAMERA_TOPIC,)

@@ -32,7 +32,7 @@ def test_a_stream_without_a_container_is_read_at_the_rate_said(tmp_path: Path, n
             )
         container.mux(stream.encode())
     for rate_hz in (None, 240.0):
-        episode = read_episode(path, ReadOptions(rate_hz=rate_hz))
+        episode = read_episode(path, ReadOptions(fps=rate_hz))
         frames = list(episode.frames())
         assert [number_in(frame.decode()) for frame in frames] == list(range(20))
         stamps_ns = np.array([frame.stamp_ns for frame in frames])
@@ -46,7 +46,7 @@ def test_a_stream_without_any_rate_counts_frames(command: Command, tmp_path: Pat
     assert episode.frames_untimed
     assert episode.info.notes["rate_hz"] == "unknown"
     assert [frame.stamp_ns for frame in episode.frames()] == [n * FRAME_NS for n in range(20)]
-    assert not read_episode(path, ReadOptions(rate_hz=50)).frames_untimed
+    assert not read_episode(path, ReadOptions(fps=50)).frames_untimed
     result = command("tunenet-record", "--camera", path, "-o", tmp_path / "a.mcap")
     assert result.returncode == 1
     assert "add --fps" in result.stderr
@@ -54,7 +54,7 @@ def test_a_stream_without_any_rate_counts_frames(command: Command, tmp_path: Pat
 
 def test_the_rate_said_goes_before_uneven_stamps(tmp_path: Path):
     path = write_video(tmp_path / "a.mp4", UNEVEN)
-    episode = read_episode(path, ReadOptions(rate_hz=100))
+    episode = read_episode(path, ReadOptions(fps=100))
     assert [frame.stamp_ns for frame in episode.frames()] == [
         10_000_000 * number for number in range(len(UNEVEN))
     ]

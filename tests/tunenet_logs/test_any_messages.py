@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from tunenet_logs.formats.base import MessageError, UnusableError
+from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
+from tunenet_logs.formats.decoders import decoder_for
 from tunenet_logs.formats.ros import any_ros_type, parsed
 
 KINDS = (
@@ -138,3 +140,30 @@ def test_idl_says_what_a_message_is_made_of():
 def test_idl_that_is_made_to_hurt_is_refused_at_once(text: str):
     with pytest.raises(UnusableError):
         parsed(text.encode(), "ros2idl", "a/msg/B")
+
+
+OWN_POINT = "\n".join(
+    [
+        "std_msgs/Header header\nlab_msgs/Point32 point\nfloat32 quality",
+        "=" * 80,
+        "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
+        "=" * 80,
+        "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec",
+        "=" * 80,
+        "MSG: lab_msgs/Point32\nfloat32 x\nfloat32 y\nfloat32 z\n",
+    ]
+)
+
+
+def test_a_listed_type_is_read_as_its_log_defines_it():
+    """Single precision and a field more; but not without a field that is read."""
+    kind = "geometry_msgs/msg/PointStamped"
+    decode = decoder_for(RawChannel("/p", kind, "cdr", "ros2msg", OWN_POINT.encode()))
+    stamp = struct.pack("<iI", 5, 6) + struct.pack("<I", 4) + b"map\0"
+    message = decode(b"\0\1\0\0" + stamp + struct.pack("<4f", 1.5, -2.5, 3.5, 0.9))
+    assert (message.point.x, message.point.y, message.point.z) == (1.5, -2.5, 3.5)
+    assert (message.header.stamp.sec, message.header.frame_id) == (5, "map")
+    for change in (("float32 z", "float32 up"), ("float32 z", "string z"), ("lab_msgs/", "no/")):
+        text = OWN_POINT.replace(*change, 1)
+        with pytest.raises(UnusableError, match=r"schema|definition"):
+            decoder_for(RawChannel("/p", kind, "cdr", "ros2msg", text.encode()))

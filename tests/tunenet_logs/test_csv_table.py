@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.strangers import Stranger, write_table
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import UNSTATED, Episode
 from tunenet_logs.errors import LogError, TuneNetError
@@ -240,7 +240,7 @@ def test_a_drop_in_millimetres_with_decimal_commas_tunes(tmp_path: Path):
         for stamp, (_, _, z) in zip(stamps, positions, strict=True)
     ]
     (tmp_path / "b.csv").write_text("time_ms;height_mm\n" + "\n".join(rows))
-    tuned = [tune_log(tmp_path / name, Options()) for name in ("a.csv", "b.csv")]
+    tuned = [tune_log(tmp_path / name, TuneOptions()) for name in ("a.csv", "b.csv")]
     values = [float(one.estimate[0]) for one in tuned if one.estimate is not None]
     assert values == pytest.approx([0.7, 0.7], abs=0.01)
     assert tuned[1].verdict == "ok"

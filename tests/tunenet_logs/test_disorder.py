@@ -12,7 +12,7 @@ from mcap.writer import Writer
 
 from tests.conftest import Command
 from tests.strangers import Stranger, write_poses, write_poses_folder, write_table
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.formats.columns.table import rows_of_runs
@@ -87,7 +87,7 @@ def test_local_time_at_the_end_of_summer_time_is_a_clock_that_is_set_back(tmp_pa
     stamps, positions = DROP.samples()
     stamps[150:] -= 3600 * SECOND
     write_table(tmp_path / "a.csv", stamps, positions)
-    tuning = tune_log(tmp_path / "a.csv", Options())
+    tuning = tune_log(tmp_path / "a.csv", TuneOptions())
     assert tuning.verdict == "suspect"
     assert tuning.reason is not None
     assert tuning.reason.startswith("samples are all there")
@@ -131,7 +131,7 @@ def test_a_log_is_tuned_as_in_order(tmp_path: Path, kind: str, command: Command)
         else:
             path = tmp_path / str(window)
             write_poses_folder(path, stamps[order], positions[order], "/ball/pose")
-        tuning = tune_log(path, Options())
+        tuning = tune_log(path, TuneOptions())
         assert tuning.verdict == "ok", tuning.reason
         assert tuning.trace is not None
         values.append(tuning.trace.estimate)
@@ -145,7 +145,7 @@ def test_what_is_left_out_caps_the_verdict_and_is_said(tmp_path: Path, command: 
     stamps, positions = DROP.samples()
     stamps[300:] -= SECOND // 2
     write_poses(tmp_path / "a.mcap", stamps, positions)
-    tuning = tune_log(tmp_path / "a.mcap", Options())
+    tuning = tune_log(tmp_path / "a.mcap", TuneOptions())
     assert tuning.verdict == "suspect"
     assert "samples are all there" in str(tuning.reason)
     checked = command("tunenet-logs", "check", tmp_path / "a.mcap")
@@ -155,7 +155,7 @@ def test_what_is_left_out_caps_the_verdict_and_is_said(tmp_path: Path, command: 
     assert f"{len(stamps) - 300} by a clock that was set" in checked.stdout
     imported = command("tunenet-logs", "import", tmp_path / "a.mcap", "-o", tmp_path / "b.mcap")
     assert f"{len(stamps) - 300} by a clock that was set" in imported.stdout
-    assert tune_log(tmp_path / "b.mcap", Options()).verdict == "suspect"
+    assert tune_log(tmp_path / "b.mcap", TuneOptions()).verdict == "suspect"
 
 
 @pytest.mark.parametrize(("every", "verdict"), [(200, "ok"), (20, "suspect")])
@@ -167,7 +167,7 @@ def test_rows_that_cannot_be_read_count(tmp_path: Path, every: int, verdict: str
     (tmp_path / "a.csv").write_text("\n".join((head, *rows)) + "\n")
     [signal] = read_episode(tmp_path / "a.csv").signals.values()
     assert sum(signal.left_out.values()) == pytest.approx(len(stamps) / every, abs=1)
-    assert tune_log(tmp_path / "a.csv", Options()).verdict == verdict
+    assert tune_log(tmp_path / "a.csv", TuneOptions()).verdict == verdict
 
 
 def test_samples_of_one_stamp_count_only_where_they_differ():
@@ -191,7 +191,7 @@ def test_lost_chunks_count_in_the_log_and_in_what_is_recovered(tmp_path: Path, c
     command("tunenet-logs", "recover", tmp_path / "a.mcap", "-o", tmp_path / "b.mcap")
     [saved] = read_episode(tmp_path / "b.mcap").signals.values()
     assert sum(saved.left_out.values()) == missing
-    assert tune_log(tmp_path / "b.mcap", Options()).verdict == "suspect"
+    assert tune_log(tmp_path / "b.mcap", TuneOptions()).verdict == "suspect"
 
 
 def test_a_channel_that_is_defined_again_as_another_is_damage(tmp_path: Path, command: Command):

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests import strangers
 from tests.conftest import BIN
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.copying import import_log
 from tunenet_logs.episode import EpisodeInfo, Frame
@@ -155,7 +155,9 @@ def test_the_same_frames_come_out_of_every_container(filmed_log: Path, tmp_path:
         found = list(read_episode(log).frames())
         assert [one.stamp_ns for one in found] == [one.stamp_ns for one in truth], log
         assert all(one.data == two.data for one, two in zip(found, truth, strict=True)), log
-    first, last = (tune_log(log, Options()).estimate for log in (tmp_path / "ours.mcap", logs[0]))
+    first, last = (
+        tune_log(log, TuneOptions()).estimate for log in (tmp_path / "ours.mcap", logs[0])
+    )
     assert first is not None
     assert last is not None
     assert abs(first[0] - last[0]) < 1e-3
@@ -174,7 +176,7 @@ def test_an_import_tunes_like_what_it_came_from(tmp_path: Path, kind: str):
     write(log, *samples)  # type: ignore[operator]
     imported = import_log(log, tmp_path / "imported.mcap")
     assert imported.messages == len(samples[0])
-    one, other = (tune_log(path, Options()) for path in (log, tmp_path / "imported.mcap"))
+    one, other = (tune_log(path, TuneOptions()) for path in (log, tmp_path / "imported.mcap"))
     assert one.estimate is not None
     assert other.estimate is not None
     assert abs(one.estimate[0] - other.estimate[0]) < 1e-9

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.export_writers_video import FilmedTrack, mtrack2, phyphox_xlsx
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.copying import import_log
 from tunenet_logs.episode import FRAME_NS, Episode
@@ -65,7 +65,9 @@ def test_pixels_and_frames_stay_what_they_are(film_track: Path):
 
 
 def test_an_import_is_tuned_as_what_it_came_from(film_track: Path):
-    first, second = (tune_log(log, options=Options()) for log in (film_track, imported(film_track)))
+    first, second = (
+        tune_log(log, options=TuneOptions()) for log in (film_track, imported(film_track))
+    )
     assert first.estimate is not None
     assert second.estimate == pytest.approx(first.estimate, abs=1e-6)
     assert second.detection.units == first.detection.units
@@ -74,7 +76,7 @@ def test_an_import_is_tuned_as_what_it_came_from(film_track: Path):
 
 def test_what_a_user_says_goes_before_the_notes(film_track: Path):
     log = imported(film_track)
-    episode = read_episode(log, ReadOptions(rate_hz=RATE_HZ, length_unit="mm"))
+    episode = read_episode(log, ReadOptions(fps=RATE_HZ, length_unit="mm"))
     signal = episode.signals[only(episode)]
     assert (signal.unit, signal.counts_frames) == ("m", False)
     assert signal.rate_hz == pytest.approx(RATE_HZ, rel=1e-5)
@@ -102,6 +104,6 @@ def test_pictures_without_a_rate_stay_without_one(tmp_path: Path):
     assert read_episode(log).frames_untimed
     steps = [one.stamp_ns for one in read_episode(log).frames()]
     assert np.diff(steps).tolist() == [FRAME_NS] * 4
-    timed = read_episode(log, ReadOptions(rate_hz=500))
+    timed = read_episode(log, ReadOptions(fps=500))
     assert not timed.frames_untimed
     assert np.diff([one.stamp_ns for one in timed.frames()]).tolist() == [2_000_000] * 4

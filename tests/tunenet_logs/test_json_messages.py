@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from tests.strangers import write_texts
 from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
+from tunenet_logs.formats.decoders import decoder_for
 from tunenet_logs.formats.message_types import message_type_of
-from tunenet_logs.formats.registry import decoder_for
 from tunenet_logs.reader import read_episode
 
 POINT = {"x": 1, "y": 2.5, "z": -0.1}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tests.conftest import ROOT
 from tests.strangers import Stranger
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.reader import read_episode
@@ -92,7 +92,7 @@ def value(tuning: Tuning) -> float:
 
 @pytest.fixture(scope="module")
 def even() -> float:
-    return value(tune_log(FILMED, Options()))
+    return value(tune_log(FILMED, TuneOptions()))
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_a_film_that_stalls_tells_the_same(
     with EpisodeWriter(path, EpisodeInfo(kind="drop"), live=False) as writer:
         for frame, stamp_ns in zip(frames, stamps, strict=True):
             writer.write_frame("/camera", replace(frame, stamp_ns=int(stamp_ns)))
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     assert value(tuning) == pytest.approx(even, abs=0.001)
     assert any("came in bursts" in warning for warning in tuning.warnings)
 
@@ -122,7 +122,9 @@ def test_positions_that_stall_tell_the_same(tmp_path: Path):
         ) as writer:
             for stamp_ns, position_m in zip(arrived, positions, strict=True):
                 writer.write_pose("/mocap/ball", int(stamp_ns), position_m)
-    even, stalled = (tune_log(tmp_path / f"{one}.mcap", Options()) for one in ("even", "stalled"))
+    even, stalled = (
+        tune_log(tmp_path / f"{one}.mcap", TuneOptions()) for one in ("even", "stalled")
+    )
     assert value(stalled) == pytest.approx(value(even), abs=1e-4)
 
 

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
-import re
-import shlex
 import subprocess
-import sys
-import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -18,7 +14,7 @@ import pytest
 from tests.conftest import ROOT
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions, reading_of
+from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions, columns_of
 from tunenet_logs.formats.registry import may_be_log
 from tunenet_logs.reader import read_episode
 
@@ -105,7 +101,7 @@ def test_matrices_of_kitti_are_frames(tmp_path: Path):
     (signal,) = read(tmp_path / "00.txt", KITTI).signals.values()
     np.testing.assert_allclose(signal.values, PLACES, atol=1e-9)
     assert signal.counts_frames
-    (signal,) = read(tmp_path / "01.txt", KITTI, reading_of({"fps": 50.0})).signals.values()
+    (signal,) = read(tmp_path / "01.txt", KITTI, ReadOptions(fps=50.0)).signals.values()
     assert signal.rate_hz == pytest.approx(50)
 
 
@@ -121,7 +117,7 @@ def test_what_an_echo_does_not_tell_is_asked_for_by_a_line_that_works(tmp_path: 
     text = rows(lambda s, n, _t, one: f"{s},{n},map,{numbers(one, ',')}")
     told = refusal(tmp_path / "a.csv", text)
     assert told.endswith("--columns x=4,y=5,z=6")
-    columns = reading_of({"columns": told.rpartition(" ")[2]})
+    columns = ReadOptions(columns=columns_of(told.rpartition(" ")[2]))
     (signal,) = read(tmp_path / "a.csv", text, columns).signals.values()
     np.testing.assert_allclose(signal.values, PLACES)
     assert signal.stamps_ns.tolist() == TIMES_NS.tolist()
@@ -182,6 +178,45 @@ def test_deeplabcut_s_three_rows_of_names(tmp_path: Path, individuals: bool):
     assert "10 places with a likelihood below 0.6 were left out" in episode.warnings
 
 
+@pytest.mark.parametrize("tracks", [("",), ("track_0", "track_1")])
+def test_sleap_s_instances_are_in_pixels(tmp_path: Path, tracks: tuple[str, ...]):
+    rows = "".join(
+        f"{track},{at},0.99,{x + shift:.6f},{y:.6f},0.98\n"
+        for at, (x, y, _) in enumerate(PLACES)
+        for shift, track in enumerate(tracks)
+    )
+    episode = read(tmp_path / "a.csv", "track,frame_idx,instance.score,ball.x,ball.y,s\n" + rows)
+    assert len(episode.signals) == len(tracks)
+    for shift, signal in enumerate(episode.signals.values()):
+        np.testing.assert_allclose(signal.values[:, :2], PLACES[:, :2] + [shift, 0])
+        assert (signal.unit, signal.counts_frames) == ("px", True)
+
+
+@pytest.mark.parametrize(
+    ("names", "mark", "form"),
+    [
+        ("t,position,colour", ",", '"[{}, {}, {}]"'),
+        ("t;ball;colour", ";", "[{}, {}, {}]"),
+        ("# by hand\nt,ball_mm,colour", ",", "[{}  {} {}]"),
+    ],
+)
+def test_lists_in_cells_are_columns(tmp_path: Path, names: str, mark: str, form: str):
+    scale = 1000.0 if "mm" in names else 1.0
+    rows = "".join(
+        f"{at / 100}{mark}{form.format(*(scale * one))}{mark}red\n" for at, one in enumerate(PLACES)
+    )
+    (signal,) = read(tmp_path / "a.csv", f"{names}\n{rows}").signals.values()
+    np.testing.assert_allclose(signal.values, PLACES, atol=1e-12)
+    assert signal.unit == ("m" if "mm" in names else "")
+
+
+def test_a_list_that_breaks_off_costs_its_row(tmp_path: Path):
+    rows = "".join(f'{at / 100},"[{at}, 2, 3]"\n' for at in range(30))
+    episode = read(tmp_path / "a.csv", f"t,position\n{rows}".replace("[7, 2, 3]", "[7, 2"))
+    assert len(next(iter(episode.signals.values())).values) == 29
+    assert "1 of 30 rows" in episode.losses[0]
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252"])
 def test_encodings(tmp_path: Path, encoding: str):
     text = "Drop in Köln, µ\nt (s),x (m),y (m),z (m)\n" + TUM.replace(" ", ",").replace(
@@ -200,15 +235,16 @@ def test_json_under_another_name(tmp_path: Path):
 @pytest.mark.parametrize(
     ("name", "data", "what", "remedy"),
     [
-        ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(600), "an HDF5 file", "h5py"),
-        ("b.h5", bytes(512) + b"\x89HDF\r\n\x1a\n" + bytes(9), "an HDF5 file", "h5py"),
-        ("a.mat", b"MATLAB 7.3 MAT-file".ljust(600), "MATLAB file of version 7.3", "-v7"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(600), "an HDF5 file that is not read", "write it"),
+        ("b.h5", bytes(512) + b"\x89HDF\r\n\x1a\n" + bytes(9), "an HDF5 file", "write it again"),
+        ("a.mat", b"MATLAB 7.3 MAT-file".ljust(600), "a MATLAB file that is not read", "-v7"),
         ("a.slp", b"\x89HDF\r\n\x1a\n" + bytes(600), "a project of SLEAP", "Analysis CSV"),
         ("p.h5", b"\x89HDF\r\n\x1a\n" + bytes(99) + b"pandas_type", "an HDF5", "read_hdf"),
         ("a.mf4", b"MDF     4.10    " + bytes(99), "a measurement of ASAM (MDF)", "asammdf"),
         ("a.nc", b"CDF\x01" + bytes(99), "a NetCDF file", "xarray"),
-        ("a.feather", b"ARROW1\0\0" + bytes(99), "an Arrow (Feather) file", "read_feather"),
-        ("a.arrows", b"\xff\xff\xff\xff\x10\0\0\0", "a stream of Arrow records", "open_stream"),
+        ("a.feather", b"FEA1\0\0" + bytes(99), "a Feather file of version 1", "read_feather"),
+        ("b.feather", b"ARROW1\0\0" + bytes(99), "Arrow file that is not read", "write it again"),
+        ("a.arrows", b"\xff\xff\xff\xff\x10\0\0\0", "Arrow file that is not read", "write it"),
         ("a.ulg", b"ULog\x01\x12\x35\x01" + bytes(99), "a PX4 autopilot", "ulog2csv "),
         ("a.tdms", b"TDSm" + bytes(99), "a TDMS file", "nptdms"),
         ("a.rrd", b"RRF2" + bytes(99), "for the Rerun viewer", "name the log"),
@@ -227,30 +263,6 @@ def test_what_is_not_read_is_called_what_it_is(
     told = refusal(tmp_path / name, data)
     assert what in told
     assert remedy in told.partition("; ")[2]
-
-
-def test_a_file_of_torch_is_named_and_not_unpacked(tmp_path: Path):
-    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
-        archive.writestr("a/data.pkl", b"\x80\x02}q.")
-    assert "saved by PyTorch" in refusal(tmp_path / "a.pt", (tmp_path / "a.zip").read_bytes())
-
-
-def test_a_line_to_type_works_as_it_is_printed(tmp_path: Path):
-    """Those whose libraries the project has itself; the others' are tried by hand."""
-    pa = pytest.importorskip("pyarrow")
-    table = pa.table({"t": np.arange(30) / 100, "z": PLACES[:, 2]})
-    with pa.ipc.new_stream(str(tmp_path / "a.arrows"), table.schema) as stream:
-        stream.write_table(table)
-    with pa.ipc.new_file(str(tmp_path / "a.feather"), table.schema) as file:
-        file.write_table(table)
-    for name in ("a.arrows", "a.feather"):
-        told = refusal(tmp_path / name, (tmp_path / name).read_bytes())
-        found = re.search(r'python (-c ".*")', told)
-        assert found is not None
-        words = shlex.split(found[1])
-        subprocess.run([sys.executable, *words], check=True, cwd=tmp_path, timeout=60)
-        (signal,) = read_episode(tmp_path / f"{name}.parquet").signals.values()
-        np.testing.assert_allclose(signal.values[:, 2], PLACES[:, 2])
 
 
 @pytest.mark.parametrize("name", ["body.sto", "tum_hash.txt", "ros2_echo.csv", "dlc.csv"])

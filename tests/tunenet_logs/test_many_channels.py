@@ -12,7 +12,8 @@ from tests.strangers import POSE, Stranger, write_poses
 from tunenet_logs.describe import describe
 from tunenet_logs.formats import ros
 from tunenet_logs.formats.base import RawChannel, UnusableError
-from tunenet_logs.formats.ros import idl_types, ros_decoder
+from tunenet_logs.formats.decoders import decoder_for
+from tunenet_logs.formats.ros import idl_types
 from tunenet_logs.messages import encode, pose, typestore
 from tunenet_logs.reader import read_episode
 
@@ -41,27 +42,27 @@ def described(path: Path) -> list[str]:
 
 def test_a_definition_is_parsed_once(monkeypatch: pytest.MonkeyPatch):
     calls: list[str] = []
-    parse = ros._PARSERS["ros2msg"]
+    parse = ros._parsed
 
     def counted(text: str, name: str):
         calls.append(name)
         return parse(text, name)
 
-    monkeypatch.setitem(ros._PARSERS, "ros2msg", counted)
-    ros._is_same.cache_clear()
+    monkeypatch.setattr(ros, "_parsed", counted)
+    ros.parsed.cache_clear()
     for number in range(100):
-        ros_decoder(RawChannel(f"/ch{number}", POSE, "cdr", "ros2msg", TEXT))
+        decoder_for(RawChannel(f"/ch{number}", POSE, "cdr", "ros2msg", TEXT))
     for _ in range(2):
         for text in (b"float64 x", b"\xff"):
             with pytest.raises(UnusableError):
-                ros_decoder(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
+                decoder_for(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
     assert calls.count(POSE) == 2
 
 
 def test_a_definition_that_is_far_too_large_is_not_parsed():
     text = TEXT + b"# more\n" * 100_000
     with pytest.raises(UnusableError, match="large"):
-        ros_decoder(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
+        decoder_for(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
 
 
 def test_of_thousands_of_channels_those_that_can_be_used_are_shown(tmp_path: Path):

@@ -136,7 +136,7 @@ def test_a_folder_of_packed_files_is_one_recording():
 @pytest.mark.parametrize(
     ("start", "said"),
     [
-        (b"\x89HDF\r\n\x1a\n", "is an HDF5 file"),
+        (b"\x89HDF\r\n\x1a\n", "is an HDF5 file that is not read"),
         (b"\x7fELF", "is a program"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a file of an office program"),
         (b"ULog\x01\x12\x35", "ulog2csv"),

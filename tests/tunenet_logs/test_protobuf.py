@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.strangers import WRITERS, Stranger
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
-from tunenet_logs.formats.registry import decoder_for
+from tunenet_logs.formats.decoders import decoder_for
 from tunenet_logs.reader import read_episode
 
 POSE = "foxglove.PoseInFrame"
@@ -65,7 +65,7 @@ def test_every_encoding_tunes_to_the_same_value(tmp_path: Path, restitution: flo
     found = []
     for name, write_one in WRITERS.items():
         write_one(tmp_path / name, stamps, positions)
-        tuning = tune_log(tmp_path / name, Options())
+        tuning = tune_log(tmp_path / name, TuneOptions())
         assert tuning.estimate is not None, (name, tuning.reason)
         found.append(float(tuning.estimate[0]))
     assert np.ptp(found) < 1e-9

@@ -102,7 +102,7 @@ def slow_clip(path: Path, sound_s: float) -> Episode:
     tags = {"com.android.capture.fps": "120.000000"}
     with_tags = {"movflags": "use_metadata_tags", **tags}
     write_clip(path, samples, "aac", film="libx264", pictures=120, tags=with_tags)
-    return read_episode(path, ReadOptions(rate_hz=120.0))
+    return read_episode(path, ReadOptions(fps=120.0))
 
 
 @pytest.mark.parametrize(("sound_s", "slower"), [(4.0, 4.0), (1.0, 1.0)])

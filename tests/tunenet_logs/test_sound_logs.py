@@ -55,7 +55,7 @@ def test_a_recording_keeps_the_sound_of_its_film(
     summary = record(film, log, rate_hz)
     assert (summary.captured, summary.written, summary.dropped) == (90, 90, 0)
     assert " s of sound" in summary.in_words("frames")
-    options = ReadOptions(rate_hz=rate_hz)
+    options = ReadOptions(fps=rate_hz)
     before, after = sound_in(read_episode(film, options)), sound_in(read_episode(log))
     assert after.rate_hz == before.rate_hz
     assert (after.file_rate_hz, after.codec) == (RATE_HZ, "pcm-s16")

@@ -203,16 +203,17 @@ def test_damaged_places_are_kept_within_the_budget(tmp_path: Path):
 def test_a_chunk_that_is_found_again_and_again_is_looked_for_from_near(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from tunenet_logs.formats import mcap as mcap_search
+    from tunenet_logs.formats import mcap
 
     looked: list[int] = []
-    begins = mcap_search._begins
+    blocks = mcap._McapReading._blocks
 
-    def counted(block: bytes):
-        looked.append(len(block))
-        return begins(block)
+    def counted(self: mcap._McapReading):
+        for block in blocks(self):
+            looked.append(len(block))
+            yield block
 
-    monkeypatch.setattr(mcap_search, "_begins", counted)
+    monkeypatch.setattr(mcap._McapReading, "_blocks", counted)
     path = tmp_path / "a.mcap"
     begin = struct.pack("<BQQQQII", 6, 40, 0, 1, 0, 0, 4) + b"zstd" + b"\xff" * 40
     path.write_bytes(MAGIC + HEADER + begin * 2000 + bytes(1_000_000))
@@ -312,13 +313,13 @@ def test_a_definition_of_many_channels_is_read_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int
 ):
     made: list[str] = []
-    usual = decoders.decoder_for
+    usual = decoders.listed_type
 
     def counted(channel: RawChannel):
         made.append(channel.topic)
         return usual(channel)
 
-    monkeypatch.setattr(decoders, "decoder_for", counted)
+    monkeypatch.setattr(decoders, "listed_type", counted)
     write_channels(tmp_path / "a.mcap", count)
     assert len(read_episode(tmp_path / "a.mcap").channels) == count
     assert made == ["/ch0"]

@@ -6,10 +6,13 @@ A `Container` takes a file apart into `Record`s, within a `Budget`; what it cann
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import islice
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -48,22 +51,14 @@ Decode = Callable[[bytes | memoryview], Any]
 
 @dataclass(frozen=True, eq=False)
 class RawChannel:
-    """A channel as its container describes it; compared by identity.
-
-    Attributes:
-        type_name: as written in the container ("sensor_msgs/JointState" in ROS 1).
-        encoding: of the messages: "cdr", "ros1", "protobuf", "json", ...
-        schema_encoding: of `schema`: "ros2msg", "ros2idl", "ros1msg", "protobuf", ... "" where the
-            container holds none.
-        metadata: other key-value pairs of the channel, kept for a copy.
-    """
+    """A channel as its container describes it; compared by identity."""
 
     topic: str
-    type_name: str
-    encoding: str
-    schema_encoding: str = ""
+    type_name: str  # as written in the container ("sensor_msgs/JointState" in ROS 1)
+    encoding: str  # of the messages: "cdr", "ros1", "protobuf", "json", ...
+    schema_encoding: str = ""  # "ros2msg", "protobuf", ...; "" where the container holds none
     schema: bytes = b""
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = field(default_factory=dict)  # kept for a copy
 
 
 @dataclass(slots=True)
@@ -79,19 +74,13 @@ class RawMessage:
 
 @dataclass(eq=False)
 class RawMessages:
-    """Undecoded messages in one contiguous buffer, in file order.
-
-    Attributes:
-        plain: the buffer.
-        channels: by number.
-        heads: channel number, sequence, log_ns and publish_ns of each message, shape (N,).
-        begins: first byte of each message in `plain`, shape (N,).
-        ends: end byte of each message, shape (N,).
-    """
+    """Undecoded messages in one contiguous buffer, in file order."""
 
     plain: memoryview
-    channels: Mapping[int, RawChannel]
+    channels: Mapping[int, RawChannel]  # by number
+    # channel number, sequence, log_ns and publish_ns of each message, shape (N,)
     heads: NDArray[np.void]
+    # first byte of each message in `plain`, shape (N,), and in `ends` the end byte
     begins: NDArray[np.int64]
     ends: NDArray[np.int64]
 
@@ -155,25 +144,15 @@ def one_by_one(records: Iterable[Record]) -> Iterator[Record]:
 
 @dataclass(frozen=True)
 class Loss:
-    """Data of a log that is missing, unreadable, or of unverified integrity.
+    """Data of a log that is missing, unreadable, or of unverified integrity."""
 
-    Attributes:
-        what: description, without the place.
-        file: name of the file, where the log has several; else "".
-        at_byte: where it begins; None for the whole file.
-        size: bytes concerned.
-        messages: number of messages lost; None where only the size is known.
-        harmless: whether all messages were read nevertheless.
-        taints: whether messages that were read may have been changed.
-    """
-
-    what: str
-    file: str = ""
-    at_byte: int | None = None
-    size: int = 0
-    messages: int | None = None
-    harmless: bool = False
-    taints: bool = False
+    what: str  # without the place
+    file: str = ""  # its name, where the log has several
+    at_byte: int | None = None  # where it begins; None for the whole file
+    size: int = 0  # bytes concerned
+    messages: int | None = None  # lost; None where only the size is known
+    harmless: bool = False  # whether all messages were read nevertheless
+    taints: bool = False  # whether messages that were read may have been changed
 
     def __str__(self) -> str:
         """Format the loss with its place."""
@@ -188,10 +167,7 @@ class Loss:
 def lost_share(losses: Iterable[Loss], read: int, size: int) -> float:
     """Return the lost fraction of a log, by messages where they are counted, else by bytes.
 
-    Args:
-        losses: all of them.
-        read: messages that were read.
-        size: of the file [bytes].
+    `read` messages were read of a file of `size` bytes.
     """
     harm = [loss for loss in losses if not loss.harmless]
     known = [loss.messages for loss in harm if loss.messages is not None]
@@ -201,10 +177,14 @@ def lost_share(losses: Iterable[Loss], read: int, size: int) -> float:
 
 
 class Container(Protocol):
-    """Reader of one kind of file."""
+    """Reader of one kind of log."""
 
     def __call__(
-        self, path: Path, losses: list[Loss], topics: Sequence[str] | None = None
+        self,
+        path: Path,
+        losses: list[Loss],
+        topics: Sequence[str] | None = None,
+        budget: Budget | None = None,
     ) -> Iterator[Record]:
         """Yield the records in file order, each channel before its messages.
 
@@ -215,6 +195,8 @@ class Container(Protocol):
             path: the file, or the folder of a log in several files.
             losses: filled while reading.
             topics: yield only messages of these; None for all.
+            budget: what is left of it, where the file was unpacked from another or is one of
+                several.
 
         Raises:
             LogError: nothing of it can be read.
@@ -235,9 +217,7 @@ def described(error: BaseException) -> str:
 _FREE_BYTES = 1024 * 1024 * 1024  # what any file may unpack to in all, however small it is
 _MAX_RATIO = 256  # bytes unpacked for each byte of the file, beyond these: messages pack by less
 _FREE_RECORDS = 250_000  # of any file, however small it is
-# Of the file, for each record beyond these: a message has 31 bytes before it is compressed, and its
-# entry in most indexes 16.
-_BYTES_A_RECORD = 4
+_BYTES_A_RECORD = 4  # of the file, for each record beyond: a message has 31 before it is compressed
 MAX_CHANNELS = 10_000  # of a log; robots have hundreds
 # Of types, in a log; all that ROS has are a megabyte, and a bag repeats them for each topic.
 _MAX_DEFINITION_BYTES = 128 * 1024 * 1024
@@ -251,25 +231,24 @@ class OverBudgetError(Exception):
     """Reading stopped because the log exceeds its budget."""
 
 
+def block_sizes() -> Iterator[int]:
+    """Yield sizes of blocks [bytes] to search one by one: what is sought is near, mostly."""
+    size = 4 * 1024
+    while True:
+        yield size
+        size = min(2 * size, 1024 * 1024)
+
+
 @dataclass
 class Budget:
-    """Resource budget of one log, proportional to its size.
+    """Resource budget of one log, in proportion to its size; `spend*` raise OverBudgetError."""
 
-    Attributes:
-        file_bytes: size of the log.
-        spent_bytes: bytes decompressed so far.
-        spent_records: records read so far, or work of the same cost.
-        channels: number of channels described so far.
-        definition_bytes: size of their type definitions.
-        files_bytes: size of the files of the log that were read before.
-    """
-
-    file_bytes: int
-    spent_bytes: int = 0
-    spent_records: int = 0
-    channels: int = 0
-    definition_bytes: int = 0
-    files_bytes: int = 0
+    file_bytes: int  # size of the log
+    spent_bytes: int = 0  # decompressed so far
+    spent_records: int = 0  # read so far, or work of the same cost
+    channels: int = 0  # described so far
+    definition_bytes: int = 0  # of their types
+    files_bytes: int = 0  # size of the files of the log that were read before
 
     def share(self, read: int) -> float:
         """Return the fraction of the log read, with `read` bytes of the current file."""
@@ -281,45 +260,64 @@ class Budget:
         return _FREE_RECORDS + self.file_bytes // _BYTES_A_RECORD - self.spent_records
 
     def spend(self, count: int) -> None:
-        """Charge `count` bytes about to be decompressed.
-
-        Raises:
-            OverBudgetError: the log decompresses to more than the limit.
-        """
+        """Charge `count` bytes about to be decompressed."""
         self.spent_bytes += count
         if self.spent_bytes > _FREE_BYTES + _MAX_RATIO * self.file_bytes:
             raise OverBudgetError(f"the log unpacks to more than {_MAX_RATIO} times its size")
 
     def spend_records(self, count: int = 1) -> None:
-        """Charge records, or work of the same cost.
-
-        Raises:
-            OverBudgetError: they exceed the limit for the log's size.
-        """
+        """Charge records, or work of the same cost."""
         self.spent_records += count
         if self.left_records < 0:
             raise OverBudgetError("it holds far more records than a log of its size")
 
-    def spend_definition(self, count: int) -> None:
-        """Charge `count` bytes of a type definition.
+    def spend_damage(self) -> None:
+        """Charge a damaged place, which is reported in any case."""
+        self.spent_records += DAMAGE_RECORDS
 
-        Raises:
-            OverBudgetError: all definitions exceed the limit.
-        """
-        self.definition_bytes += count
-        if self.definition_bytes > _MAX_DEFINITION_BYTES:
-            raise OverBudgetError(f"it has over {_MAX_DEFINITION_BYTES} bytes of definitions")
-
-    def spend_channel(self) -> None:
-        """Charge a channel.
-
-        Raises:
-            OverBudgetError: there are more than `MAX_CHANNELS`.
-        """
+    def spend_channel(self, definition: bytes | str = b"") -> None:
+        """Charge a channel with the definition of its type."""
         self.channels += 1
         self.spend_records(PART_RECORDS)
         if self.channels > MAX_CHANNELS:
             raise OverBudgetError(f"it has over {MAX_CHANNELS} channels")
+        self.spend_definition(definition)
+
+    def spend_definition(self, definition: bytes | str) -> None:
+        """Charge the definition of a type."""
+        self.definition_bytes += len(definition)
+        if self.definition_bytes > _MAX_DEFINITION_BYTES:
+            raise OverBudgetError(f"it has over {_MAX_DEFINITION_BYTES} bytes of definitions")
+
+
+# ---- Names of message types
+
+# Old names of types: ROS 1 moved this one to another package.
+_SAME_TYPE = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+
+
+def ros_name(type_name: str) -> str:
+    """Return a type name as ROS 2 writes it: "sensor_msgs/msg/JointState".
+
+    So becomes "sensor_msgs/JointState", and "sensor_msgs::msg::JointState" of the OMG's IDL.
+    """
+    package, _, name = type_name.replace("::", "/").partition("/")
+    if name and "/" not in name:
+        name = f"msg/{name}"
+    full = f"{package}/{name}" if name else package
+    return _SAME_TYPE.get(full, full)
+
+
+def type_key(type_name: str) -> str:
+    """Return the canonical name of a type, be it written by ROS 1, ROS 2 or Foxglove."""
+    name = ros_name(type_name)
+    package, _, plain = name.rpartition("/msg/")
+    return f"foxglove.{plain}" if package in ("foxglove_msgs", "foxglove") else name
+
+
+def plain_type(type_name: str) -> str:
+    """Return a type name without its package: "JointState"."""
+    return re.split(r"[/.:]", type_name)[-1]
 
 
 # ---- Stamps in messages of ROS 1, ROS 2, protobuf and JSON.
@@ -329,11 +327,7 @@ STAMP_FIELDS = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"), ("sec
 
 
 def time_ns(time: Any) -> int:
-    """Convert a time of ROS, protobuf or JSON to ns.
-
-    Raises:
-        ValueError: it has no known pair of fields.
-    """
+    """Convert a time of ROS, protobuf or JSON to ns; raise ValueError for no known fields."""
     for whole, part in STAMP_FIELDS:
         if hasattr(time, whole) and hasattr(time, part):
             return int(getattr(time, whole)) * 1_000_000_000 + int(getattr(time, part))
@@ -352,29 +346,31 @@ def ros_stamp_ns(message: Any) -> int:
 # ---- Structure of message types, in any encoding: fields, lists, numbers, texts.
 
 _MAX_LISTED = 200  # fields listed of a type
+MAX_NODES = 5000  # parts of a type or message that are looked at, lists of any length aside
 
 
 class Plain(Enum):
-    """A leaf of a structure."""
+    """A leaf of a structure; the value describes it in messages."""
 
     NUMBER = "a number"
     WHOLE = "a whole number"
-    FLAG = "a flag"
+    FLAG = "true, false, 1 or 0"
     TEXT = "a text"
+    DATA = "bytes"
     OTHER = "nothing that is read"
+    # What is asked of a type alone:
+    OPTIONAL = "a number that may be absent"
+    TIME = "a time in seconds and nanoseconds"
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """A message, or a part of one, with fields.
+    """A message, or a part of one, with fields."""
 
-    Attributes:
-        name: of its type, "" where it has none.
-        fields: by name, in their order.
-    """
-
-    name: str
-    fields: Mapping[str, Node]
+    name: str  # of its type, "" where it has none
+    fields: Mapping[str, Node]  # by name, in their order
+    # fields whose absence shows, in protobuf; None where no field can be absent
+    can_lack: frozenset[str] | None = None
 
     @property
     def is_time(self) -> bool:
@@ -384,42 +380,73 @@ class Structure:
     @property
     def is_place(self) -> bool:
         """Whether it is a position x, y, z, and no quaternion."""
-        return "w" not in self.fields and all(
-            self.fields.get(axis) in NUMBERS for axis in ("x", "y", "z")
-        )
+        return "w" not in self.fields and all(self.fields.get(axis) in NUMBERS for axis in "xyz")
 
 
 @dataclass(frozen=True, eq=False)
 class Listed:
-    """A list of equal parts.
-
-    Attributes:
-        of: each part.
-        count: fixed length; None where it varies.
-    """
+    """A list of equal parts, `count` of them; None where that varies."""
 
     of: Node
     count: int | None = None
 
 
-Node = Structure | Listed | Plain  # a message, or a part of one
+@dataclass(frozen=True, eq=False)
+class Maybe:
+    """A part that is asked of a type, but may be absent or of another kind."""
+
+    of: Node
+
+
+Node = Structure | Listed | Plain | Maybe  # a message, or a part of one
 NUMBERS = (Plain.NUMBER, Plain.WHOLE)  # what may be measured
+# Decodes those of many messages, shape (R, L), that share the first one's layout: a message whose
+# numbers are arrays of shape (N, ...), and of which rows these are, shape (R,).
+StackedDecoder = Callable[[NDArray[np.uint8]], tuple[Any, NDArray[np.bool_]]]
+# Where a part of a message is: names of fields, and numbers in lists from 0.
+Steps = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class AnyType:
+    """Structure and decoder of the messages of one type."""
+
+    structure: Structure | None  # fields of the type; None where only a message shows them (JSON)
+    decode: Decode
+    checks_presence: bool = False  # whether an absent field reads as zero, as in protobuf
+    # decoder of many messages at once (`ros.stacked_decoder`), where there is one
+    stacked: StackedDecoder | None = None
+
+    def getter(self, steps: Steps) -> Callable[[Any], Any]:
+        """Return a function that gets the part at `steps` of a message.
+
+        It raises LookupError or AttributeError where that is absent.
+        """
+        is_plain = bool(steps) and not any(isinstance(one, int) or "." in one for one in steps)
+        if is_plain and not self.checks_presence:
+            return attrgetter(".".join(map(str, steps)))
+
+        def get(message: Any) -> Any:
+            for step in steps:
+                if isinstance(step, int):
+                    message = message[step]
+                    continue
+                if self.checks_presence:
+                    field = message.DESCRIPTOR.fields_by_name[step]
+                    if field.has_presence and not message.HasField(step):
+                        raise LookupError(f"it has no {step}")
+                message = getattr(message, step)
+            return message
+
+        return get
 
 
 class NotThereError(LookupError):
     """A field that a type lacks, named by the message."""
 
 
-def node_at(top: Structure, steps: tuple[str | int, ...]) -> Node:
-    """Return the part of a type at a path.
-
-    Args:
-        top: the type.
-        steps: names of fields, and numbers in lists from 0.
-
-    Raises:
-        NotThereError: the type has no such part.
-    """
+def node_at(top: Structure, steps: Steps) -> Node:
+    """Return the part of a type at a path; raise NotThereError where it has none."""
     node: Node = top
     for step in steps:
         if isinstance(step, int):
@@ -435,12 +462,7 @@ def node_at(top: Structure, steps: tuple[str | int, ...]) -> Node:
 
 def numbers_in(node: Node, prefix: str = "") -> list[str]:
     """List the numeric and time fields of a type, as `--columns` names them; 200 at most."""
-    found: list[str] = []
-    for path in _numbers(node, prefix):
-        if len(found) == _MAX_LISTED:
-            break
-        found.append(path)
-    return found
+    return list(islice(_numbers(node, prefix), _MAX_LISTED))
 
 
 def likely_field(fields: Sequence[str]) -> str:
@@ -451,10 +473,8 @@ def likely_field(fields: Sequence[str]) -> str:
 def _numbers(node: Node, path: str) -> Iterator[str]:
     if isinstance(node, Listed):
         yield from _numbers(node.of, f"{path}[0]")
-    elif isinstance(node, Structure) and node.is_time:
-        yield path
-    elif isinstance(node, Structure):
+    elif isinstance(node, Structure) and not node.is_time:
         for name, inner in node.fields.items():
             yield from _numbers(inner, f"{path}.{name}" if path else name)
-    elif node in NUMBERS:
+    elif isinstance(node, Structure) or node in NUMBERS:
         yield path

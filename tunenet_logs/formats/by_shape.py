@@ -1,8 +1,7 @@
 """Extract positions from messages of unknown types, by the names and shapes of their fields.
 
-`any_type` decodes a message by the definition in the log, or a JSON message by its own content.
-`shape_reader` finds what in it is a measured position, or says why that is ambiguous: then the user
-chooses with `--columns`. `ShapeMessages` does so for the messages of one channel.
+`shape_reader` finds what in a type is a measured position, or says why that is ambiguous: then the
+user chooses with `--columns`. `ShapeMessages` does so for the messages of one channel.
 """
 
 from __future__ import annotations
@@ -10,209 +9,32 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tunenet_logs.formats.base import (
-    DAMAGED,
+    MAX_NODES,
     NUMBERS,
-    Decode,
+    AnyType,
     Listed,
     MessageError,
     Node,
     Plain,
     RawChannel,
+    Steps,
     Structure,
     UnusableError,
-    described,
     likely_field,
+    node_at,
     numbers_in,
     time_ns,
+    type_key,
 )
-from tunenet_logs.formats.compressed import MAX_PART_BYTES
-from tunenet_logs.formats.decoders import (
-    MAX_REPEATED_BYTES,
-    MAX_SCHEMA_BYTES,
-    any_json,
-    descriptor_of,
-    has_lists,
-)
-from tunenet_logs.formats.message_types import PositionSample, type_key
-from tunenet_logs.formats.ros import SCHEMA_ENCODINGS, any_ros_type, known_types, parsed, ros_name
-
-if TYPE_CHECKING:
-    from google.protobuf.descriptor import Descriptor, FieldDescriptor
-
-_MAX_TYPE_DEPTH = 8  # of parts within parts that are looked at: a type may hold itself
-_MAX_NODES = 5000  # parts of a type that are looked at
-# Time to read a byte of IDL and of protobuf, relative to one of another definition.
-_IDL_WEIGHT, _PROTOBUF_WEIGHT = 8.0, 1 / 16
-
-_WEIGHTS = {"ros2idl": _IDL_WEIGHT, "omgidl": _IDL_WEIGHT, "protobuf": _PROTOBUF_WEIGHT}
-
-# Where a part of a message is: names of fields, and numbers in lists from 0.
-Steps = tuple[str | int, ...]
-
-
-@dataclass
-class SchemaBudget:
-    """Bytes of untrusted definitions that may be read in one log.
-
-    Attributes:
-        left_bytes: of definitions.
-        left_guesses: bytes of messages that may be decoded to infer their structure.
-    """
-
-    left_bytes: int = 2 * 1024 * 1024
-    left_guesses: int = 4 * 1024 * 1024
-
-    def spend(self, channel: RawChannel) -> None:
-        """Charge the definition of a channel's type to the budget.
-
-        Raises:
-            UnusableError: the budget is exhausted.
-        """
-        weight = _WEIGHTS.get(channel.schema_encoding, 1.0)
-        count = int(weight * len(channel.schema))
-        if count > self.left_bytes:
-            raise UnusableError("the log has more definitions than are read")
-        self.left_bytes -= count
-
-
-@dataclass(frozen=True)
-class AnyType:
-    """Structure and decoder of the messages of one type.
-
-    Attributes:
-        structure: fields of the type; None where only a message shows them (JSON).
-        decode: decoder of one message.
-        checks_presence: whether an absent field reads as zero, as in protobuf.
-    """
-
-    structure: Structure | None
-    decode: Decode
-    checks_presence: bool = False
-
-    def getter(self, steps: Steps) -> Callable[[Any], Any]:
-        """Return a function that gets the field at ``steps`` of a message.
-
-        The function raises LookupError or AttributeError where it is absent.
-        """
-        if self.checks_presence:
-            return lambda message: _present(message, steps)
-        if steps and not any(isinstance(step, int) or "." in step for step in steps):
-            return attrgetter(".".join(map(str, steps)))
-        return lambda message: _at(message, steps)
-
-
-def _at(message: Any, steps: Steps) -> Any:
-    for step in steps:
-        message = message[step] if isinstance(step, int) else getattr(message, step)
-    return message
-
-
-def _present(message: Any, steps: Steps) -> Any:
-    for step in steps:
-        if isinstance(step, int):
-            message = message[step]
-            continue
-        field = message.DESCRIPTOR.fields_by_name[step]
-        if field.has_presence and not message.HasField(step):
-            raise LookupError(f"it has no {step}")
-        message = getattr(message, step)
-    return message
-
-
-def any_type(channel: RawChannel, budget: SchemaBudget) -> AnyType:
-    """Return structure and decoder of a channel's messages of any type.
-
-    Raises:
-        UnusableError: their encoding or definition is not supported.
-    """
-    budget.spend(channel)
-    if channel.encoding in SCHEMA_ENCODINGS:
-        return _ros(channel)
-    if channel.encoding == "protobuf" and channel.schema_encoding == "protobuf":
-        return _protobuf(channel)
-    if channel.encoding == "json":
-        return AnyType(None, any_json)
-    raise UnusableError(f"message encoding {channel.encoding[:20]!r} is not read")
-
-
-def _ros(channel: RawChannel) -> AnyType:
-    name, is_ros1 = ros_name(channel.type_name), channel.encoding == "ros1"
-    types = dict(known_types(is_ros1=is_ros1))
-    encodings = SCHEMA_ENCODINGS[channel.encoding]
-    if channel.schema_encoding in encodings:
-        types |= parsed(channel.schema, channel.schema_encoding, name)
-        plain = channel.type_name.replace("::", "/")
-        name = name if name in types or plain not in types else plain
-    elif name not in types and channel.schema_encoding:
-        raise UnusableError(
-            f"its definition is in {channel.schema_encoding[:20]!r}, which is not read "
-            f"(only {', '.join(encodings)})"
-        )
-    elif name not in types:
-        raise UnusableError("its type is not known here, and the log does not define it")
-    structure, decode = any_ros_type(types, name, is_ros1=is_ros1)
-    return AnyType(structure, decode)
-
-
-def _protobuf(channel: RawChannel) -> AnyType:
-    if len(channel.schema) > MAX_SCHEMA_BYTES:
-        raise UnusableError("its schema is too large")
-    from google.protobuf.message import Error
-    from google.protobuf.message_factory import GetMessageClass
-
-    try:
-        descriptor = descriptor_of(channel.schema, channel.type_name)
-        structure = _Proto().structure(descriptor, 0)
-        parse = GetMessageClass(descriptor).FromString
-        most = MAX_REPEATED_BYTES if has_lists(descriptor) else MAX_PART_BYTES
-    except (Error, *DAMAGED) as error:
-        raise UnusableError(f"its schema is damaged: {described(error)}") from error
-
-    def decode(data: bytes | memoryview) -> Any:
-        if len(data) > most:
-            raise MessageError(f"a message of {len(data)} bytes is over the limit of {most}")
-        try:
-            return parse(bytes(data))
-        except (Error, *DAMAGED) as error:
-            raise MessageError(f"a message is damaged: {described(error)}") from error
-
-    return AnyType(structure, decode, checks_presence=True)
-
-
-class _Proto:
-    """Structure of a protobuf type, bounded in depth and in number of fields."""
-
-    def __init__(self) -> None:
-        self._nodes = 0
-
-    def structure(self, descriptor: Descriptor, depth: int) -> Structure:
-        fields = {field.name: self._field(field, depth) for field in descriptor.fields}
-        return Structure(descriptor.full_name, fields)
-
-    def _field(self, field: FieldDescriptor, depth: int) -> Node:
-        self._nodes += 1
-        one = self._one(field, depth)
-        return Listed(one) if field.is_repeated else one
-
-    def _one(self, field: FieldDescriptor, depth: int) -> Node:
-        if field.message_type is not None:
-            is_map = field.message_type.GetOptions().map_entry
-            if is_map or depth > _MAX_TYPE_DEPTH or self._nodes > _MAX_NODES:
-                return Plain.OTHER
-            return self.structure(field.message_type, depth + 1)
-        if field.type in (field.TYPE_DOUBLE, field.TYPE_FLOAT):
-            return Plain.NUMBER
-        if field.type == field.TYPE_STRING:
-            return Plain.TEXT
-        if field.type == field.TYPE_BOOL:
-            return Plain.FLAG
-        return Plain.OTHER if field.type == field.TYPE_BYTES else Plain.WHOLE
+from tunenet_logs.formats.decoders import MAX_TYPE_DEPTH, SchemaBudget, any_type
+from tunenet_logs.formats.message_types import PositionSample
+from tunenet_logs.formats.ros import SCHEMA_ENCODINGS
 
 
 def structure_of(message: Any) -> Structure:
@@ -223,7 +45,7 @@ def structure_of(message: Any) -> Structure:
 
 def _node(value: Any, seen: list[int], depth: int) -> Node:
     seen[0] += 1
-    if depth > _MAX_TYPE_DEPTH or seen[0] > _MAX_NODES:
+    if depth > MAX_TYPE_DEPTH or seen[0] > MAX_NODES:
         return Plain.OTHER
     if isinstance(value, SimpleNamespace):
         fields = {name: _node(one, seen, depth + 1) for name, one in vars(value).items()}
@@ -240,85 +62,32 @@ def _node(value: Any, seen: list[int], depth: int) -> Node:
 
 # ---- `ShapeReader`: find the positions in messages of one type.
 
-# Fields that lead to where something is.
-_WORDS = frozenset(
-    [
-        "pose",
-        "position",
-        "point",
-        "translation",
-        "transform",
-        "pose_stamped",
-        "location",
-        "odometry",
-        "odom",
-        "pos",
-        "center",
-        "centroid",
-        "bbox",
-        "coordinates",
-    ]
+# Fields that lead to where something is; what lists of bare points are called, without an s.
+_WORD = re.compile(
+    "pose|position|point|translation|transform|pose_stamped|location|odometry|odom|pos|center|"
+    "centroid|bbox|coordinates"
 )
-
-# What lists of bare points are called, without an s.
-_LISTS = _WORDS | frozenset(
-    [
-        "marker",
-        "object",
-        "ball",
-        "track",
-        "detection",
-        "body",
-        "bodies",
-        "entity",
-        "target",
-        "obstacle",
-    ]
+_LIST = re.compile(
+    f"{_WORD.pattern}|marker|object|ball|track|detection|body|bodies|entity|target|obstacle"
 )
-
 # Packages whose types are said to be in metres.
-_IN_METRES = frozenset(
-    [
-        "geometry_msgs",
-        "nav_msgs",
-        "tf2_msgs",
-        "visualization_msgs",
-        "vision_msgs",
-        "gazebo_msgs",
-        "foxglove",
-    ]
+_IN_METRES = re.compile(
+    "(geometry_msgs|nav_msgs|tf2_msgs|visualization_msgs|vision_msgs|gazebo_msgs|foxglove)\\b"
 )
-
-# How types begin whose positions are planned, maps, clouds, or directions.
-_NOT_MEASURED = [
-    "nav_msgs/msg/Path",
-    "sensor_msgs/",
-    "trajectory_msgs/",
-    "moveit_msgs/",
-    "shape_msgs/",
-    "map_msgs/",
-    "geometry_msgs/msg/Vector3",
-    "geometry_msgs/msg/Quaternion",
-    "geometry_msgs/msg/Polygon",
-    "visualization_msgs/msg/InteractiveMarker",
-    "nav_msgs/msg/Map",
-    "rcl_interfaces/",
-    "tunenet_msgs/",
-    "foxglove.PointCloud",
-    "foxglove.LaserScan",
-    "foxglove.Grid",
-    "foxglove.Scene",
-    "foxglove.VoxelGrid",
-    "foxglove.Log",
-    "foxglove.CameraCalibration",
-]
+# Types whose positions are planned, maps, clouds, or directions.
+_NOT_MEASURED = re.compile(
+    "(sensor|trajectory|moveit|shape|map|tunenet)_msgs/|rcl_interfaces/|nav_msgs/msg/(Path|Map)|"
+    "geometry_msgs/msg/(Vector3|Quaternion|Polygon)|visualization_msgs/msg/InteractiveMarker|"
+    r"foxglove\.(PointCloud|LaserScan|Grid|Scene|VoxelGrid|Log|CameraCalibration)"
+)
 
 # Flags of an object, with their value where it is not seen.
 _UNSEEN = {"occluded": True, "is_occluded": True}
-_UNSEEN |= dict.fromkeys(
-    ("tracking_valid", "is_tracking_valid", "tracked", "is_tracked", "valid", "is_valid"), False
-)
-_UNSEEN |= dict.fromkeys(("visible", "is_visible"), False)
+_UNSEEN |= dict.fromkeys(("tracking_valid", "is_tracking_valid", "tracked", "is_tracked"), False)
+_UNSEEN |= dict.fromkeys(("valid", "is_valid", "visible", "is_visible"), False)
+# Fields that identify an object.
+_NAME = re.compile("name|ns|child_frame_id|label|subject|id|.*_name", re.DOTALL)
+_NUMBER = re.compile("id|.*_id", re.DOTALL)
 _DELETED = (2, 3)  # `action` of a marker that is taken away
 _MAX_PLACE_DEPTH = 6  # of fields within fields, down to a position
 _MAX_THINGS = 100  # of one topic: more are no bodies, but a drawing
@@ -341,13 +110,12 @@ class _Thing:
 
 def may_hold_positions(type_name: str) -> bool:
     """Return whether positions of a type may be measured, not planned, mapped or directions."""
-    return not type_key(type_name).startswith(tuple(_NOT_MEASURED))
+    return not _NOT_MEASURED.match(type_key(type_name))
 
 
 def unit_of(type_name: str) -> str:
     """Return the unit of a type's positions: "m", or "" where it is unstated."""
-    name = type_key(type_name)
-    return "m" if name.replace(".", "/").partition("/")[0] in _IN_METRES else ""
+    return "m" if _IN_METRES.match(type_key(type_name)) else ""
 
 
 class ShapeReader:
@@ -431,11 +199,9 @@ def _identity(thing: _Thing, entry: Any) -> str:
 
 
 def shape_reader(kind: AnyType, top: Structure) -> ShapeReader | str:
-    """Build the reader of positions of a type, or say why there is none ("" without any evidence).
+    """Build the reader of positions of a type of structure `top`.
 
-    Args:
-        kind: structure and decoder of the messages.
-        top: their structure.
+    Where there is none, return why, or "" without any evidence.
     """
     if places := _places(top, _MAX_PLACE_DEPTH):
         if len(places) > 1:
@@ -449,7 +215,7 @@ def shape_reader(kind: AnyType, top: Structure) -> ShapeReader | str:
     for name, node in top.fields.items():
         if not isinstance(node, Listed) or not isinstance(node.of, Structure):
             continue
-        if node.of.is_place and name.lower().removesuffix("s") not in _LISTS:
+        if node.of.is_place and not _LIST.fullmatch(name.lower().removesuffix("s")):
             continue
         places = _places(node.of, _MAX_PLACE_DEPTH - 1)
         if len(places) == 1:
@@ -473,7 +239,7 @@ def _places(node: Node, depth: int) -> list[Steps]:
     return [
         (name, *rest)
         for name, inner in node.fields.items()
-        if name.lower() in _WORDS
+        if _WORD.fullmatch(name.lower())
         for rest in _places(inner, depth - 1)
     ]
 
@@ -484,18 +250,20 @@ def _thing(kind: AnyType, node: Structure, place: Steps) -> _Thing:
     def getters(of: Callable[[str, Node], bool]) -> tuple[Get, ...]:
         return tuple(kind.getter((name,)) for name, inner in fields.items() if of(name, inner))
 
-    at: Node = node
-    for step in place:
-        assert isinstance(at, Structure)
-        assert isinstance(step, str)
-        at = at.fields[step]
     stamp = stamp_steps(node)
     is_marker = "action" in fields and "ns" in fields
     return _Thing(
         place=kind.getter(place) if place else lambda entry: entry,
-        is_list=isinstance(at, Listed),
-        names=getters(_is_name),
-        numbers=getters(_is_number),
+        is_list=isinstance(node_at(node, place), Listed),
+        names=getters(
+            lambda name, inner: inner is Plain.TEXT and bool(_NAME.fullmatch(name)),
+        ),
+        numbers=getters(
+            lambda name, inner: (
+                (inner.of if isinstance(inner, Listed) else inner) is Plain.WHOLE
+                and bool(_NUMBER.fullmatch(name))
+            )
+        ),
         indices=getters(lambda name, inner: name.endswith("index") and inner is Plain.WHOLE),
         unseen=tuple(
             (kind.getter((name,)), _UNSEEN[name])
@@ -505,16 +273,6 @@ def _thing(kind: AnyType, node: Structure, place: Steps) -> _Thing:
         stamp=kind.getter(stamp) if stamp else None,
         action=kind.getter(("action",)) if is_marker else None,
     )
-
-
-def _is_name(name: str, node: Node) -> bool:
-    is_told = name in ("name", "ns", "child_frame_id", "label", "subject", "id")
-    return node is Plain.TEXT and (is_told or name.endswith("_name"))
-
-
-def _is_number(name: str, node: Node) -> bool:
-    number = node.of if isinstance(node, Listed) else node
-    return number is Plain.WHOLE and (name == "id" or name.endswith("_id"))
 
 
 def _beside(kind: AnyType, top: Structure, entries: str) -> Get | None:
@@ -547,29 +305,20 @@ _TRIES = 100  # JSON messages that may leave their shape open, as an empty list 
 
 
 class ShapeMessages:
-    """Reader of one channel's messages, by `ShapeReader`.
+    """Reader of one channel's messages, by `ShapeReader`; where none is given, a message tells."""
 
-    Args:
-        kind: structure and decoder of the type.
-        reader: reader of their positions; None where only a message tells.
-        top: structure of the messages.
-        budget: for messages that are decoded only to infer their structure.
-    """
-
-    def __init__(
-        self,
-        kind: AnyType,
-        reader: ShapeReader | None,
-        top: Structure | None,
-        budget: SchemaBudget,
-    ) -> None:
+    def __init__(self, kind: AnyType, reader: ShapeReader | None, budget: SchemaBudget) -> None:
         self._budget = budget
         self._kind = kind
         self._reader = reader
         self._tries = _TRIES
         self._why = ""
-        self._top = top
-        self._stamp = kind.getter(steps) if top and (steps := stamp_steps(top)) else None
+        self._top = kind.structure
+        self._stamp = self._stamp_getter()
+
+    def _stamp_getter(self) -> Get | None:
+        steps = stamp_steps(self._top) if self._top else ()
+        return self._kind.getter(steps) if steps else None
 
     def decode(self, data: bytes | memoryview) -> Any:
         """Decode a message; None where it is unreadable and its shape still unknown.
@@ -583,39 +332,26 @@ class ShapeMessages:
             return None
         self._tries -= 1
         self._budget.left_guesses -= len(data)
-        try:
+        with suppress(MessageError):
             return self._kind.decode(data)
-        except MessageError:
-            return None
+        return None
 
     def read(self, message: Any) -> Iterable[PositionSample]:
-        """Return the positions of a message.
-
-        Raises:
-            ValueError, TypeError, AttributeError: its content is invalid.
-        """
-        reader = self._reader or self._told_by(message)
-        if reader is None or message is None:
+        """Return the positions of a message; its content may raise DAMAGED."""
+        if message is None:
             return ()
+        if self._reader is None:
+            self._top = structure_of(message)
+            reader = shape_reader(self._kind, self._top)
+            if isinstance(reader, str):
+                self._why = self._why or reader
+                return ()
+            self._reader, self._stamp = reader, self._stamp_getter()
         try:
             stamp_ns = time_ns(self._stamp(message)) if self._stamp is not None else 0
         except LookupError:
             stamp_ns = 0
-        return reader(message, stamp_ns)
-
-    def _told_by(self, message: Any) -> ShapeReader | None:
-        if message is None:
-            return None
-        top = structure_of(message)
-        self._top = top
-        reader = shape_reader(self._kind, top)
-        if isinstance(reader, str):
-            self._why = self._why or reader
-            return None
-        if steps := stamp_steps(top):
-            self._stamp = self._kind.getter(steps)
-        self._reader = reader
-        return reader
+        return self._reader(message, stamp_ns)
 
     def outcome(self, topic: str) -> tuple[str, list[str]]:
         """Return why the channel is not used ("" where it is), and notes on it."""
@@ -648,13 +384,13 @@ def shape_messages(channel: RawChannel, budget: SchemaBudget) -> ShapeMessages |
             raise  # it may well be a type that a task uses
         return None
     if kind.structure is None:
-        return ShapeMessages(kind, None, None, budget)
+        return ShapeMessages(kind, None, budget)
     reader = shape_reader(kind, kind.structure)
     if isinstance(reader, str):
         if reader:
             raise UnusableError(f"{reader}; {_choose(channel.topic, kind.structure)}")
         return None
-    return ShapeMessages(kind, reader, kind.structure, budget)
+    return ShapeMessages(kind, reader, budget)
 
 
 def _choose(topic: str, top: Structure | None) -> str:

@@ -12,6 +12,7 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +24,55 @@ from tunenet_logs.files import open_regular
 from tunenet_logs.formats.base import Budget, Loss, OverBudgetError, described
 
 MAX_PART_BYTES = 128 * 1024 * 1024  # that one chunk or message may unpack to
-_CUT_PIECE_BYTES = 64 * 1024  # unpacked at a time of cut data: what precedes the damage is kept
+MAX_FOREIGN_BYTES = 1024**3  # unpacked of a file of no messages; no larger one is read
+_FED_BYTES = 2048  # of a file at a time: zstd bounds no output, which is 64 MiB at most then
+_PIECE_BYTES = 1024 * 1024  # unpacked at a time, where that can be bounded
+_CUT_PIECE_BYTES = 64 * 1024  # fed or unpacked at a time of cut data, to keep what is whole
+_MAX_WINDOW_BYTES = 128 * 1024 * 1024  # what zstd may look back; its own default
+_FREE_SHARE = 0.9  # of the free room of the system's temporary folder
 # Begins a file, or a message that a recorder compressed by itself, as ROS 2 can. No other message
 # of ROS begins like this: its encoding begins with a zero.
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
+# What the libraries raise on damaged data; an OSError is bz2's.
+_ERRORS = (
+    zstandard.ZstdError,
+    zlib.error,
+    RuntimeError,
+    OSError,
+    ValueError,
+    EOFError,
+    MemoryError,
+)
+
+
+@dataclass(frozen=True)
+class Compression:
+    """A way to compress; a new one is a row of `COMPRESSIONS`."""
+
+    magic: bytes  # first bytes of a file
+    suffixes: tuple[str, ...]  # of a file, behind that of the file inside
+    command: str  # that unpacks a file
+    begin: Callable[[], Any]  # makes a decompressor of a stream
+    bounds_output: bool = True  # whether that takes `max_length`, a bound of what it returns
+
+
+def _zstd() -> Any:
+    return zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES).decompressobj()
+
+
+# By name, as in containers; those of ROS 1 say "bz2".
+COMPRESSIONS = {
+    "zstd": Compression(ZSTD_MAGIC, (".zstd", ".zst"), "zstd -d", _zstd, bounds_output=False),
+    "gzip": Compression(b"\x1f\x8b\x08", (".gz",), "gunzip", lambda: zlib.decompressobj(31)),
+    "bzip2": Compression(b"BZh", (".bz2",), "bunzip2", bz2.BZ2Decompressor),
+    "lz4": Compression(b"\x04\x22\x4d\x18", (".lz4",), "lz4 -d", lz4.frame.LZ4FrameDecompressor),
+}
+_IN_CONTAINERS = {"bz2": "bzip2", "lz4": "lz4"}  # parts that are fed as streams; zstd has its own
+
 
 def unpack_message(message: bytes | memoryview, budget: Budget) -> bytes | memoryview:
-    """Decompress a message that begins with `ZSTD_MAGIC`.
-
-    Raises:
-        ValueError: it is damaged or too large.
-        OverBudgetError: the log decompresses to more than the limit.
-    """
+    """Decompress a message that begins with `ZSTD_MAGIC`; raises as `unpack`."""
     try:
         stated = zstandard.get_frame_parameters(message).content_size
     except zstandard.ZstdError as error:
@@ -62,10 +99,9 @@ def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | m
         if compression == "zstd":
             with zstandard.ZstdDecompressor().stream_reader(data) as stream:
                 plain = stream.read(stated + 1)
-        elif compression == "lz4":
-            plain = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=stated + 1)
-        elif compression == "bz2":
-            plain = bz2.BZ2Decompressor().decompress(data, max_length=stated + 1)
+        elif compression in _IN_CONTAINERS:
+            stream = COMPRESSIONS[_IN_CONTAINERS[compression]].begin()
+            plain = stream.decompress(data, max_length=stated + 1)
         elif compression in ("", "none"):
             plain = data
         else:
@@ -78,66 +114,26 @@ def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | m
 
 
 def unpack_start(data: bytes | memoryview, compression: str, most: int) -> bytes:
-    """Decompress as much as possible of truncated data; nothing of an unknown compression.
-
-    Args:
-        data: compressed bytes, with or without their end.
-        compression: "zstd", "lz4", "bz2", or "" or "none".
-        most: bytes to decompress at most.
-    """
+    """Decompress at most `most` bytes of truncated data; nothing of an unknown compression."""
     if compression in ("", "none"):
         return bytes(data[:most])
     plain = bytearray()
-    if compression == "zstd":
-        unpacker = zstandard.ZstdDecompressor()
-        with suppress(zstandard.ZstdError), unpacker.stream_reader(data) as packed:
-            while (room := most - len(plain)) > 0 and (
-                piece := packed.read(min(_CUT_PIECE_BYTES, room))
-            ):
-                plain += piece
-        return bytes(plain)
-    if compression not in ("lz4", "bz2"):
-        return b""
-    stream = lz4.frame.LZ4FrameDecompressor() if compression == "lz4" else bz2.BZ2Decompressor()
-    try:
-        for at in range(0, len(data), _CUT_PIECE_BYTES):
-            piece = data[at : at + _CUT_PIECE_BYTES]
-            plain += stream.decompress(piece, max_length=most - len(plain))
-            if stream.eof or len(plain) >= most:
-                break
-    except (RuntimeError, OSError, EOFError, MemoryError):
-        pass  # what came before is whole
+    with suppress(*_ERRORS):  # what came before is whole
+        if compression == "zstd":
+            with zstandard.ZstdDecompressor().stream_reader(data) as packed:
+                while piece := packed.read(min(_CUT_PIECE_BYTES, most - len(plain))):
+                    plain += piece
+        elif compression in _IN_CONTAINERS:
+            stream = COMPRESSIONS[_IN_CONTAINERS[compression]].begin()
+            for at in range(0, len(data), _CUT_PIECE_BYTES):
+                piece = data[at : at + _CUT_PIECE_BYTES]
+                plain += stream.decompress(piece, max_length=most - len(plain))
+                if stream.eof or len(plain) >= most:
+                    break
     return bytes(plain)
 
 
 # ---- Whole files: unpack one to a temporary file.
-
-_READ_BYTES = 2048  # fed at a time: zstd bounds no output, which is 64 MiB at most then
-_PIECE_BYTES = 1024 * 1024  # unpacked at a time, where that can be bounded
-_MAX_WINDOW_BYTES = 128 * 1024 * 1024  # what zstd may look back; its own default
-MAX_FOREIGN_BYTES = 1024**3  # unpacked of a file of no messages; no larger one is read
-_FREE_SHARE = 0.9  # of the free room of the system's temporary folder
-# Kinds of compression, by the first bytes of a file.
-_UNPACKERS = {
-    ZSTD_MAGIC: "zstd",
-    b"\x1f\x8b\x08": "gzip",
-    b"BZh": "bzip2",
-    b"\x04\x22\x4d\x18": "lz4",
-}
-
-# Behind the suffix of the file inside.
-SUFFIXES = (".zstd", ".zst", ".gz", ".bz2", ".lz4")
-
-# What the libraries raise on damaged data.
-_ERRORS = (
-    zstandard.ZstdError,
-    zlib.error,
-    RuntimeError,
-    OSError,
-    ValueError,
-    EOFError,
-    MemoryError,
-)
 
 
 class _CutError(Exception):
@@ -146,28 +142,17 @@ class _CutError(Exception):
 
 def compression_of(start: bytes) -> str:
     """Detect a whole-file compression by the first bytes: "zstd", "gzip", ..., or ""."""
-    return next((kind for magic, kind in _UNPACKERS.items() if start.startswith(magic)), "")
-
-
-def unpacked_name(path: Path) -> str:
-    """Return the name of the file inside: "drop.mcap.zst" holds drop.mcap."""
-    return path.stem if path.suffix.lower() in SUFFIXES and path.stem else path.name
+    return next((name for name, one in COMPRESSIONS.items() if start.startswith(one.magic)), "")
 
 
 def unpacked_start(path: Path, compression: str, most: int) -> bytes:
-    """Decompress the beginning of the file inside, `most` bytes at most.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
+    """Decompress the beginning of the file inside, `most` bytes at most."""
     plain = bytearray()
-    try:
+    with suppress(_CutError):  # what came before is whole
         for piece in _pieces(path, compression):
             plain += piece
             if len(plain) >= most:
                 break
-    except _CutError:
-        pass  # what came before is whole
     return bytes(plain[:most])
 
 
@@ -192,9 +177,35 @@ def unpacked(
         LogError: nothing can be decompressed, it is more than a log may hold, or there is no room.
         OSError: the disk fails.
     """
+    suffixes = [suffix for one in COMPRESSIONS.values() for suffix in one.suffixes]
+    name = path.stem if path.suffix.lower() in suffixes and path.stem else path.name
     with tempfile.TemporaryDirectory(prefix="tunenet-logs-") as folder:
-        plain = Path(folder) / unpacked_name(path)
-        written = _unpack(path, compression, plain, budget, losses, most_bytes)
+        plain = Path(folder) / name  # "drop.mcap.zst" holds drop.mcap
+        room = int(_FREE_SHARE * shutil.disk_usage(folder).free)
+        written = 0
+        try:
+            with open(plain, "wb") as file:
+                for piece in _pieces(path, compression):
+                    budget.spend(len(piece))
+                    written += len(piece)
+                    if most_bytes is not None and written > most_bytes:
+                        raise LogError(
+                            f"{path}: unpacks to over {most_bytes >> 20} MiB, the limit; split it"
+                        )
+                    if written > room:
+                        raise LogError(
+                            f"{path}: unpacks to more than there is room in "
+                            f"{plain.parent.parent}; make room, or set TMPDIR to a folder that has "
+                            "it"
+                        )
+                    file.write(piece)
+        except OverBudgetError as error:
+            raise LogError(
+                f"{path}: {error}, which no recording does; if you trust it, unpack it first"
+            ) from error
+        except _CutError as cut:
+            what = f"its {compression} data is {cut}; what precedes that was read"
+            losses.append(Loss(what, size=written))
         if not written:
             raise LogError(
                 f"{path}: nothing of its {compression} data can be unpacked; copy it again"
@@ -202,96 +213,30 @@ def unpacked(
         yield plain
 
 
-def _unpack(
-    path: Path,
-    compression: str,
-    plain: Path,
-    budget: Budget,
-    losses: list[Loss],
-    most_bytes: int | None,
-) -> int:
-    """Decompress to `plain` and return the bytes written; raises as `unpacked` does."""
-    room = int(_FREE_SHARE * shutil.disk_usage(plain.parent).free)
-    written = 0
-    try:
-        with open(plain, "wb") as file:
-            for piece in _pieces(path, compression):
-                budget.spend(len(piece))
-                written += len(piece)
-                if most_bytes is not None and written > most_bytes:
-                    raise LogError(
-                        f"{path}: unpacks to over {most_bytes >> 20} MiB, the limit; split it"
-                    )
-                if written > room:
-                    raise LogError(
-                        f"{path}: unpacks to more than there is room in {plain.parent.parent}; "
-                        "make room, or set TMPDIR to a folder that has it"
-                    )
-                file.write(piece)
-    except OverBudgetError as error:
-        raise LogError(
-            f"{path}: {error}, which no recording does; if you trust it, unpack it first"
-        ) from error
-    except _CutError as cut:
-        what = f"its {compression} data is {cut}; what precedes that was read"
-        losses.append(Loss(what, size=written))
-    return written
-
-
 def _pieces(path: Path, compression: str) -> Iterator[bytes]:
-    """Yield the decompressed data piece by piece.
-
-    Raises:
-        _CutError: the data is damaged or ends too early; all that precedes it was yielded.
-        OSError: the disk fails.
-    """
-    begin, feed = _KINDS[compression]
-    stream, waiting = begin(), b""
+    """Yield the decompressed data piece by piece, all before the damage of a `_CutError`."""
+    kind = COMPRESSIONS[compression]
+    stream, waiting = kind.begin(), b""
     with open_regular(path) as file:
-        while data := waiting or file.read(_READ_BYTES):
+        while data := waiting or file.read(_FED_BYTES):
             if stream.eof:  # several may lie one behind the other
                 if not any(data):
                     waiting = b""
                     continue  # padding
-                stream = begin()
-            pieces = feed(stream, data)
-            while True:
+                stream = kind.begin()
+            is_fed = False
+            while not is_fed:
                 try:
-                    piece = next(pieces, None)
+                    if not kind.bounds_output:
+                        piece, is_fed = stream.decompress(data), True
+                    else:
+                        piece = stream.decompress(data, _PIECE_BYTES)
+                        data = getattr(stream, "unconsumed_tail", b"")  # gzip's; others keep it
+                        needs_input = getattr(stream, "needs_input", not data)
+                        is_fed = stream.eof or needs_input
                 except _ERRORS as error:
                     raise _CutError(f"damaged ({described(error)})") from error
-                if piece is None:
-                    break
                 yield piece
             waiting = stream.unused_data if stream.eof else b""
     if not stream.eof:
         raise _CutError("cut, as of a copy that was broken off")
-
-
-def _feed_zstd(stream: Any, data: bytes) -> Iterator[bytes]:
-    yield stream.decompress(data)
-
-
-def _feed_gzip(stream: Any, data: bytes) -> Iterator[bytes]:
-    while data and not stream.eof:
-        yield stream.decompress(data, _PIECE_BYTES)
-        data = stream.unconsumed_tail
-
-
-def _feed_others(stream: Any, data: bytes) -> Iterator[bytes]:
-    yield stream.decompress(data, _PIECE_BYTES)
-    while not (stream.eof or stream.needs_input):
-        yield stream.decompress(b"", _PIECE_BYTES)
-
-
-def _zstd() -> Any:
-    return zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES).decompressobj()
-
-
-# What begins a stream of each kind, and what feeds it.
-_KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any, bytes], Iterator[bytes]]]] = {
-    "zstd": (_zstd, _feed_zstd),
-    "gzip": (lambda: zlib.decompressobj(31), _feed_gzip),
-    "bzip2": (bz2.BZ2Decompressor, _feed_others),
-    "lz4": (lz4.frame.LZ4FrameDecompressor, _feed_others),
-}

@@ -1,7 +1,8 @@
-"""Decode JSON and protobuf messages of ROS and Foxglove types: bounded, every field checked.
+"""Decode the messages of a channel, in any encoding: bounded, every field checked that is read.
 
-Neither encoding proves a message's type, so both are checked against `shape_of` their channel: JSON
-message by message, protobuf once, by the descriptor in the log.
+`any_type` decodes by the definition in the log, or a JSON message by its own content. Neither
+definition nor content proves what a type is called: of the `TYPES` that are read by their name,
+`listed_type` asks for the fields, of the definition once, of JSON message by message.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ import base64
 import json
 import math
 from collections.abc import Callable
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import cache
 from graphlib import TopologicalSorter
 from importlib import import_module
 from types import SimpleNamespace
@@ -20,128 +22,192 @@ import numpy as np
 
 from tunenet_logs.formats.base import (
     DAMAGED,
+    MAX_NODES,
     STAMP_FIELDS,
+    AnyType,
     Decode,
+    Listed,
+    Maybe,
     MessageError,
+    Node,
+    Plain,
     RawChannel,
+    Structure,
     UnusableError,
     described,
+    type_key,
 )
 from tunenet_logs.formats.compressed import MAX_PART_BYTES
-from tunenet_logs.formats.message_types import Fields, Leaf, Many, Maybe, Shape, shape_of
+from tunenet_logs.formats.message_types import TYPES, MessageType
+from tunenet_logs.formats.ros import ros_type
 
 if TYPE_CHECKING:
     from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
+# Time to read a byte of a definition in IDL and in protobuf, relative to one in another language.
+_WEIGHTS = {"ros2idl": 8.0, "omgidl": 8.0, "protobuf": 1 / 16}
+
+
+@dataclass
+class SchemaBudget:
+    """Bytes of untrusted definitions that may be read in one log."""
+
+    left_bytes: int = 2 * 1024 * 1024  # of definitions
+    # bytes of messages that may be decoded to infer their structure
+    left_guesses: int = 4 * 1024 * 1024
+
+    def spend(self, channel: RawChannel) -> None:
+        """Charge the definition of a channel's type; raise UnusableError beyond the budget."""
+        count = int(_WEIGHTS.get(channel.schema_encoding, 1.0) * len(channel.schema))
+        if count > self.left_bytes:
+            raise UnusableError("the log has more definitions than are read")
+        self.left_bytes -= count
+
+
+def any_type(channel: RawChannel, budget: SchemaBudget) -> AnyType:
+    """Return structure and decoder of a channel's messages, else raise UnusableError."""
+    budget.spend(channel)
+    return _type_of(channel, None)
+
+
+def listed_type(channel: RawChannel) -> AnyType:
+    """Return structure and decoder of a channel of one of `TYPES`, else raise UnusableError."""
+    listed = TYPES.get(type_key(channel.type_name))
+    if channel.encoding in ENCODINGS and listed is None:
+        raise UnusableError(f"its type is not read in {channel.encoding}")
+    kind = _type_of(channel, listed)
+    if listed is not None and kind.structure is not None:
+        _check(kind.structure, listed.fields, channel.type_name)
+    return kind
+
+
+def decoder_for(channel: RawChannel) -> Decode:
+    """Return the decoder of a channel's messages of one of `TYPES`; raises as `listed_type`."""
+    return listed_type(channel).decode
+
+
+def _type_of(channel: RawChannel, listed: MessageType | None) -> AnyType:
+    if channel.encoding not in ENCODINGS:
+        known = ", ".join(ENCODINGS)
+        raise UnusableError(
+            f"message encoding {channel.encoding[:20]!r} is not read (only {known})"
+        )
+    return ENCODINGS[channel.encoding](channel, listed)
+
+
+def _check(structure: Structure, wanted: Structure, path: str) -> None:
+    """Check that a type has the fields that are read, else raise UnusableError."""
+    for name, inner in wanted.fields.items():
+        if isinstance(inner, Maybe):
+            continue
+        node = structure.fields.get(name)
+        can_lack = structure.can_lack is None or name in structure.can_lack
+        if node is None or not _fits(node, inner) or (inner is Plain.OPTIONAL and not can_lack):
+            raise UnusableError(f"its schema is not the usual one: {path} has no usable {name!r}")
+        part, of = (one.of if isinstance(one, Listed) else one for one in (node, inner))
+        if isinstance(part, Structure) and isinstance(of, Structure):
+            _check(part, of, f"{path}.{name}")
+
+
+def _fits(node: Node, wanted: Node) -> bool:
+    if wanted is Plain.DATA and isinstance(node, Listed):
+        return node.of is Plain.WHOLE  # bytes, in ROS
+    if isinstance(wanted, Listed):
+        return isinstance(node, Listed) and _fits(node.of, wanted.of)
+    if isinstance(wanted, Structure):
+        return isinstance(node, Structure)
+    if wanted is Plain.TIME:
+        return (
+            isinstance(node, Structure)
+            and node.is_time
+            and all(inner is Plain.WHOLE for inner in node.fields.values())
+        )
+    if wanted in (Plain.NUMBER, Plain.OPTIONAL):
+        return node in (Plain.NUMBER, Plain.WHOLE)
+    return node is wanted or (wanted is Plain.FLAG and node is Plain.WHOLE)
+
+
+# ---- JSON: what a message holds shows in the message itself.
 
 _SCHEMAS = ("jsonschema", "")  # schema encodings of JSON; a log may give none
 _MAX_BYTES = 256 * 1024  # of a message without image: far more than many joints or transforms take
 _MAX_PICTURE_BYTES = 32 * 1024 * 1024  # of one with an image, as base64 or a list of numbers
 # Objects and lists of one with an image: three bytes may become an object of ninety.
 _MAX_PICTURE_PARTS = 100
-
 # Brackets within brackets; the types that are read have a handful, and the parser recurses.
 _MAX_DEPTH = 64
-
-# Change of depth at each byte of a message.
-_STEPS = np.zeros(256, np.int8)
-_STEPS[list(b"[{")] = 1
-_STEPS[list(b"]}")] = -1
+_STEPS = np.zeros(256, np.int8)  # change of depth at each byte of a message
+_STEPS[list(b"[{")], _STEPS[list(b"]}")] = 1, -1
 
 
-def json_decoder(channel: RawChannel) -> Decode:
-    """Return a JSON decoder. The schema is not needed: each message is checked by itself."""
-    if channel.schema_encoding not in _SCHEMAS:
+def json_type(channel: RawChannel, listed: MessageType | None) -> AnyType:
+    """Return a decoder of JSON: objects have their fields as attributes, of a listed type checked.
+
+    Its schema is not needed.
+    """
+    wanted = listed.fields if listed else None
+    if wanted and channel.schema_encoding not in _SCHEMAS:
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only jsonschema)"
         )
-    shape = shape_of(channel)
-    return partial(_decode, shape, Leaf.DATA in shape.fields.values())
-
-
-def _decode(shape: Fields, is_picture: bool, data: bytes | memoryview) -> Any:
+    is_picture = wanted is not None and Plain.DATA in wanted.fields.values()
     most = _MAX_PICTURE_BYTES if is_picture else _MAX_BYTES
-    try:
-        return _built(_loaded(data, most, is_picture=is_picture), shape)
-    except DAMAGED as error:
-        raise MessageError(f"a message is damaged: {described(error)}") from error
+    hook = None if wanted else lambda fields: SimpleNamespace(**fields)
 
+    def decode(data: bytes | memoryview) -> Any:
+        if len(data) > most:
+            raise MessageError(f"a message of {len(data)} bytes is over the limit of {most}")
+        raw = bytes(data)
+        parts = raw.count(b"[") + raw.count(b"{")
+        if is_picture and parts > _MAX_PICTURE_PARTS:
+            raise MessageError(f"a picture has over {_MAX_PICTURE_PARTS} objects and lists")
+        if parts > _MAX_DEPTH:  # outside of texts, it may nest too deep for the parser
+            bare = b"".join(raw.replace(b"\\\\", b"").replace(b'\\"', b"").split(b'"')[::2])
+            depths = np.cumsum(_STEPS[np.frombuffer(bare, np.uint8)], dtype=np.int32)
+            if depths.max(initial=0) > _MAX_DEPTH:
+                raise MessageError(f"a message is nested more than {_MAX_DEPTH} deep")
+        try:
+            value = json.loads(raw.decode(), parse_constant=_refuse, object_hook=hook)
+            return _built(value, wanted) if wanted else value
+        except DAMAGED as error:
+            raise MessageError(f"a message is damaged: {described(error)}") from error
 
-def any_json(data: bytes | memoryview) -> Any:
-    """Decode a message of any type: its objects have their fields as attributes.
-
-    Raises:
-        MessageError: it is damaged, or over the limits of size or nesting.
-    """
-    try:
-        return _loaded(data, _MAX_BYTES, hook=lambda fields: SimpleNamespace(**fields))
-    except DAMAGED as error:
-        raise MessageError(f"a message is damaged: {described(error)}") from error
-
-
-def _loaded(
-    data: bytes | memoryview,
-    most: int,
-    *,
-    is_picture: bool = False,
-    hook: Callable[[dict[str, Any]], Any] | None = None,
-) -> Any:
-    """Parse JSON within bounds of size and nesting; raise MessageError or one of DAMAGED."""
-    if len(data) > most:
-        raise MessageError(f"a message of {len(data)} bytes is over the limit of {most}")
-    raw = bytes(data)
-    if is_picture and _parts(raw) > _MAX_PICTURE_PARTS:
-        raise MessageError(f"a picture has over {_MAX_PICTURE_PARTS} objects and lists")
-    if _is_deep(raw):
-        raise MessageError(f"a message is nested more than {_MAX_DEPTH} deep")
-    return json.loads(raw.decode(), parse_constant=_refuse, object_hook=hook)
+    return AnyType(None, decode)
 
 
 def _refuse(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON")
 
 
-def _parts(raw: bytes) -> int:
-    """Bound the number of objects and lists in a message."""
-    return raw.count(b"[") + raw.count(b"{")
-
-
-def _is_deep(raw: bytes) -> bool:
-    """Return whether brackets outside strings nest too deep for the recursive parser."""
-    if _parts(raw) <= _MAX_DEPTH:
-        return False
-    bare = b"".join(raw.replace(b"\\\\", b"").replace(b'\\"', b"").split(b'"')[::2])
-    depths = np.cumsum(_STEPS[np.frombuffer(bare, np.uint8)], dtype=np.int32)
-    return bool(depths.size and depths.max() > _MAX_DEPTH)
-
-
-def _built(value: Any, shape: Shape) -> Any:
-    """Build an object with the fields of a shape; raise ValueError for a missing or wrong one."""
-    if isinstance(shape, Fields):
-        if not isinstance(value, dict):
-            raise ValueError("no object where one must be")
+def _built(value: Any, wanted: Node) -> Any:
+    """Build an object with the fields of a type; raise ValueError for a missing or wrong one."""
+    if isinstance(wanted, Structure):
         return SimpleNamespace(
-            **{name: _field(value, name, inner) for name, inner in shape.fields.items()}
+            **{name: _field(value, name, inner) for name, inner in wanted.fields.items()}
         )
-    if isinstance(shape, Maybe):
+    if isinstance(wanted, Maybe):
         try:
-            return _built(value, shape.of)
+            return _built(value, wanted.of)
         except ValueError:
             return None
-    if isinstance(shape, Many):
+    if isinstance(wanted, Listed):
         if not isinstance(value, list):
             raise ValueError("no list where one must be")
-        return [_built(item, shape.of) for item in value]
-    built = _LEAVES[shape](value)
-    if built is None and shape is not Leaf.OPTIONAL:
-        raise ValueError(f"something else where {shape.value} must be")
+        return [_built(item, wanted.of) for item in value]
+    if value is None and wanted is Plain.OPTIONAL:
+        return None
+    built = _LEAVES[wanted](value)
+    if built is None:
+        raise ValueError(f"something else where {wanted.value} must be")
     return built
 
 
-def _field(value: dict[str, Any], name: str, shape: Shape) -> Any:
+def _field(value: Any, name: str, wanted: Node) -> Any:
+    if not isinstance(value, dict):
+        raise ValueError("no object where one must be")
     if name in value:
-        return _built(value[name], shape)
-    if shape is Leaf.OPTIONAL or isinstance(shape, Maybe):
+        return _built(value[name], wanted)
+    if wanted is Plain.OPTIONAL or isinstance(wanted, Maybe):
         return None
     raise ValueError(f"it has no {name!r}")
 
@@ -153,26 +219,9 @@ def _number(value: Any) -> float | None:
     return number if math.isfinite(number) else None  # 1e999 reads as infinity
 
 
-def _optional(value: Any) -> float | None:
-    if value is None:
-        return None
-    number = _number(value)
-    if number is None:
-        raise ValueError("something else where a number must be")
-    return number
-
-
 def _whole(value: Any) -> int | None:
     number = _number(value)
     return int(value) if number is not None and number.is_integer() else None
-
-
-def _flag(value: Any) -> bool | None:
-    return bool(value) if value in (0, 1) else None
-
-
-def _text(value: Any) -> str | None:
-    return value if isinstance(value, str) else None
 
 
 def _data(value: Any) -> bytes | None:
@@ -183,10 +232,8 @@ def _data(value: Any) -> bytes | None:
 
 
 def _time(value: Any) -> SimpleNamespace | None:
-    if not isinstance(value, dict):
-        return None
     for names in STAMP_FIELDS:
-        if all(name in value for name in names):
+        if isinstance(value, dict) and all(name in value for name in names):
             seconds, nanoseconds = (_whole(value[name]) for name in names)
             if seconds is None or nanoseconds is None or not 0 <= nanoseconds < 10**9:
                 return None
@@ -195,57 +242,44 @@ def _time(value: Any) -> SimpleNamespace | None:
 
 
 # What reads each kind of field; None where the value is of another kind.
-_LEAVES = {
-    Leaf.NUMBER: _number,
-    Leaf.OPTIONAL: _optional,
-    Leaf.WHOLE: _whole,
-    Leaf.FLAG: _flag,
-    Leaf.TEXT: _text,
-    Leaf.DATA: _data,
-    Leaf.TIME: _time,
+_LEAVES: dict[Plain, Callable[[Any], Any]] = {
+    Plain.NUMBER: _number,
+    Plain.OPTIONAL: _number,
+    Plain.WHOLE: _whole,
+    Plain.FLAG: lambda value: bool(value) if value in (0, 1) else None,
+    Plain.TEXT: lambda value: value if isinstance(value, str) else None,
+    Plain.DATA: _data,
+    Plain.TIME: _time,
 }
 
 
 # ---- Protobuf, by the descriptors in the log, each in a descriptor pool of its own.
 
-MAX_SCHEMA_BYTES = 4 * 1024 * 1024  # a type with all that it is made of has some kilobytes
+_MAX_SCHEMA_BYTES = 4 * 1024 * 1024  # a type with all that it is made of has some kilobytes
 # Of a message whose type has lists: two bytes of it may become an object of ninety.
-MAX_REPEATED_BYTES = 4 * 1024 * 1024
+_MAX_REPEATED_BYTES = 4 * 1024 * 1024
+MAX_TYPE_DEPTH = 8  # of parts within parts that are looked at: a type may hold itself
 
 # Files of Google's that writers leave out of their descriptors.
-_WELL_KNOWN = (
-    "any",
-    "descriptor",
-    "duration",
-    "empty",
-    "field_mask",
-    "struct",
-    "timestamp",
-    "wrappers",
-)
+_WELL_KNOWN = "any descriptor duration empty field_mask struct timestamp wrappers"
 
 
-def protobuf_decoder(channel: RawChannel) -> Decode:
-    """Return a protobuf decoder for the channel's own schema.
-
-    Raises:
-        UnusableError: the schema is damaged, too large, or not the usual one of its type.
-    """
+def protobuf_type(channel: RawChannel, listed: MessageType | None) -> AnyType:
+    """Return structure and decoder of a protobuf type, by the channel's own schema."""
     if channel.schema_encoding != "protobuf":
         raise UnusableError(
             f"schema encoding {channel.schema_encoding[:20]!r} is not read (only protobuf)"
         )
-    if len(channel.schema) > MAX_SCHEMA_BYTES:
-        raise UnusableError(f"its schema is larger than {MAX_SCHEMA_BYTES} bytes")
-    shape = shape_of(channel)
+    if len(channel.schema) > _MAX_SCHEMA_BYTES:
+        raise UnusableError(f"its schema is larger than {_MAX_SCHEMA_BYTES} bytes")
     from google.protobuf.message import Error
     from google.protobuf.message_factory import GetMessageClass
 
     try:
-        descriptor = descriptor_of(channel.schema, channel.type_name)
-        _check(descriptor, shape, channel.type_name)
+        descriptor = _descriptor_of(channel.schema, channel.type_name)
+        structure = _ProtobufType().structure(descriptor, 0)
         parse = GetMessageClass(descriptor).FromString
-        most = MAX_REPEATED_BYTES if has_lists(descriptor) else MAX_PART_BYTES
+        most = _MAX_REPEATED_BYTES if _has_lists(descriptor) else MAX_PART_BYTES
     except (Error, *DAMAGED) as error:
         raise UnusableError(f"its schema is damaged: {described(error)}") from error
 
@@ -254,21 +288,17 @@ def protobuf_decoder(channel: RawChannel) -> Decode:
             raise MessageError(f"a message of {len(data)} bytes is over the limit of {most}")
         try:
             message = parse(bytes(data))
-            _check_present(message, shape)
+            if listed:
+                _check_present(message, listed.fields)
         except (Error, *DAMAGED) as error:
             raise MessageError(f"a message is damaged: {described(error)}") from error
         return message
 
-    return decode
+    return AnyType(structure, decode, checks_presence=True)
 
 
-def descriptor_of(schema: bytes, type_name: str) -> Descriptor:
-    """Build the message type's descriptor from a set of files in any order.
-
-    Raises:
-        UnusableError: a file that it needs is missing.
-        google.protobuf.message.Error, LookupError, TypeError, ValueError: the set is damaged.
-    """
+def _descriptor_of(schema: bytes, type_name: str) -> Descriptor:
+    """Build the message type's descriptor from a set of files in any order."""
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
     from google.protobuf.descriptor_pool import DescriptorPool
 
@@ -276,79 +306,51 @@ def descriptor_of(schema: bytes, type_name: str) -> Descriptor:
     needs = {name: set(file.dependency) for name, file in files.items()}
     pool = DescriptorPool()
     for name in TopologicalSorter(needs).static_order():
-        serialized = files[name].SerializeToString() if name in files else _well_known(name)
-        pool.AddSerializedFile(serialized)
+        if name not in files and name not in _own_files():
+            raise UnusableError(f"its schema lacks the file {name[:60]!r}")
+        own = files[name].SerializeToString() if name in files else _own_files()[name]
+        pool.AddSerializedFile(own)
     return pool.FindMessageTypeByName(type_name)
 
 
 @cache
 def _own_files() -> dict[str, bytes]:
-    modules = (import_module(f"google.protobuf.{name}_pb2") for name in _WELL_KNOWN)
+    modules = (import_module(f"google.protobuf.{name}_pb2") for name in _WELL_KNOWN.split())
     return {module.DESCRIPTOR.name: module.DESCRIPTOR.serialized_pb for module in modules}
 
 
-def _well_known(name: str) -> bytes:
-    if name not in _own_files():
-        raise UnusableError(f"its schema lacks the file {name[:60]!r}")
-    return _own_files()[name]
+class _ProtobufType:
+    """Structure of a protobuf type, bounded in depth and in number of fields."""
+
+    def __init__(self) -> None:
+        self._nodes = 0
+
+    def structure(self, descriptor: Descriptor, depth: int) -> Structure:
+        fields: dict[str, Node] = {}
+        for field in descriptor.fields:
+            self._nodes += 1
+            one = self._one(field, depth)
+            fields[field.name] = Listed(one) if field.is_repeated else one
+        can_lack = frozenset(field.name for field in descriptor.fields if field.has_presence)
+        return Structure(descriptor.full_name, fields, can_lack)
+
+    def _one(self, field: FieldDescriptor, depth: int) -> Node:
+        if field.message_type is not None:
+            is_map = field.message_type.GetOptions().map_entry
+            if is_map or depth > MAX_TYPE_DEPTH or self._nodes > MAX_NODES:
+                return Plain.OTHER
+            return self.structure(field.message_type, depth + 1)
+        plain = {
+            field.TYPE_DOUBLE: Plain.NUMBER,
+            field.TYPE_FLOAT: Plain.NUMBER,
+            field.TYPE_STRING: Plain.TEXT,
+            field.TYPE_BOOL: Plain.FLAG,
+            field.TYPE_BYTES: Plain.DATA,
+        }
+        return plain.get(field.type, Plain.WHOLE)
 
 
-def _check(descriptor: Descriptor, shape: Fields, path: str) -> None:
-    """Check that a message type has the fields that are read, else raise UnusableError."""
-    for name, inner in shape.fields.items():
-        if isinstance(inner, Maybe):
-            continue
-        field = descriptor.fields_by_name.get(name)
-        if field is None or not _fits(field, inner):
-            raise UnusableError(f"its schema is not the usual one: {path} has no usable {name!r}")
-        nested = inner.of if isinstance(inner, Many) else inner
-        if isinstance(nested, Fields):
-            assert field.message_type is not None
-            _check(field.message_type, nested, f"{path}.{name}")
-
-
-def _fits(field: FieldDescriptor, shape: Shape) -> bool:
-    if isinstance(shape, Many):
-        return field.is_repeated and _fits_one(field, shape.of)
-    return not field.is_repeated and _fits_one(field, shape)
-
-
-def _fits_one(field: FieldDescriptor, shape: Shape) -> bool:
-    if isinstance(shape, Leaf):
-        if shape is Leaf.TIME:
-            return field.message_type is not None and _is_time(field.message_type)
-        presence = field.has_presence or shape is not Leaf.OPTIONAL
-        return presence and field.type in _types(shape)
-    return field.message_type is not None
-
-
-def _is_time(descriptor: Descriptor) -> bool:
-    fields = descriptor.fields_by_name
-    return any(
-        all(name in fields and _fits(fields[name], Leaf.WHOLE) for name in pair)
-        for pair in STAMP_FIELDS
-    )
-
-
-@cache
-def _types(leaf: Leaf) -> frozenset[int]:
-    from google.protobuf.descriptor import FieldDescriptor as Field
-
-    whole = {Field.TYPE_INT32, Field.TYPE_INT64, Field.TYPE_UINT32, Field.TYPE_UINT64}
-    whole |= {Field.TYPE_FIXED32, Field.TYPE_FIXED64, Field.TYPE_SFIXED32, Field.TYPE_SFIXED64}
-    whole |= {Field.TYPE_SINT32, Field.TYPE_SINT64}
-    types: dict[Leaf, set[int]] = {
-        Leaf.WHOLE: whole,
-        Leaf.NUMBER: {Field.TYPE_DOUBLE, Field.TYPE_FLOAT, *whole},
-        Leaf.OPTIONAL: {Field.TYPE_DOUBLE, Field.TYPE_FLOAT, *whole},
-        Leaf.FLAG: {Field.TYPE_BOOL, *whole},
-        Leaf.TEXT: {Field.TYPE_STRING},
-        Leaf.DATA: {Field.TYPE_BYTES},
-    }
-    return frozenset(types[leaf])
-
-
-def has_lists(top: Descriptor) -> bool:
+def _has_lists(top: Descriptor) -> bool:
     """Return whether messages of a type can hold a list or a map, at any depth."""
     seen: set[str] = set()
     waiting = [top]
@@ -359,19 +361,27 @@ def has_lists(top: Descriptor) -> bool:
         seen.add(descriptor.full_name)
         if any(field.is_repeated for field in descriptor.fields):
             return True
-        waiting += [
-            field.message_type for field in descriptor.fields if field.message_type is not None
-        ]
+        parts = (field.message_type for field in descriptor.fields)
+        waiting += [part for part in parts if part is not None]
     return False
 
 
-def _check_present(message: Any, shape: Fields) -> None:
+def _check_present(message: Any, wanted: Structure) -> None:
     """Raise ValueError where a submessage is absent: it would read as unmeasured zeros."""
-    for name, inner in shape.fields.items():
-        if isinstance(inner, Fields):
+    for name, inner in wanted.fields.items():
+        if isinstance(inner, Structure):
             if not message.HasField(name):
                 raise ValueError(f"it has no {name}")
             _check_present(getattr(message, name), inner)
-        elif isinstance(inner, Many) and isinstance(inner.of, Fields):
+        elif isinstance(inner, Listed) and isinstance(inner.of, Structure):
             for part in getattr(message, name):
                 _check_present(part, inner.of)
+
+
+# Encodings of messages; a new one is a function from a channel, and its row of `TYPES` or None.
+ENCODINGS: dict[str, Callable[[RawChannel, MessageType | None], AnyType]] = {
+    "cdr": ros_type,
+    "ros1": ros_type,
+    "protobuf": protobuf_type,
+    "json": json_type,
+}

@@ -15,15 +15,10 @@ _BYTES = 65536  # read of a file
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """The first bytes of a file.
-
-    Attributes:
-        path: of the file.
-        data: up to 64 KiB.
-    """
+    """The first bytes of a file."""
 
     path: Path
-    data: bytes
+    data: bytes  # up to 64 KiB
 
     @property
     def suffix(self) -> str:
@@ -45,11 +40,7 @@ class Start:
 
 
 def start_of(path: Path) -> Start:
-    """Read the first bytes of a file.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Read the first bytes of a file."""
     with open_regular(path) as file:
         return Start(path, file.read(_BYTES))
 
@@ -62,11 +53,6 @@ _COPY = "copy it again, or record it again"
 
 _AS_NUMBERS = (
     "with the program that wrote it, save its numbers: numpy.savez('log.npz', t=times, z=heights)"
-)
-_FROM_HDF5 = (
-    "pip install h5py, then: python -c \"import h5py, numpy; d = {}; h5py.File('{file}')."
-    "visititems(lambda name, one: d.update({name: one[()]}) if hasattr(one, 'dtype') and "
-    "one.dtype.kind in 'iufV' else None); numpy.savez('{file}.npz', **d)\", and name {file}.npz"
 )
 _FROM_PANDAS = (
     "pip install pandas tables, then: python -c \"import pandas; pandas.read_hdf('{file}')"
@@ -84,82 +70,68 @@ _FROM_FEATHER = (
     "python -c \"import pandas; pandas.read_feather('{file}').to_parquet('{file}.parquet')\", "
     "and name {file}.parquet"
 )
-_FROM_ARROW_STREAM = (
-    "python -c \"import pyarrow; pyarrow.ipc.open_stream('{file}').read_pandas()"
-    ".to_parquet('{file}.parquet')\", and name {file}.parquet"
-)
 _FROM_TDMS = (
     'pip install npTDMS pandas, then: python -c "from nptdms import TdmsFile; '
     "[group.as_dataframe().to_csv('{file}.' + group.name + '.csv', index=False) "
     "for group in TdmsFile('{file}').groups()]\", and name the table that it writes"
 )
-_FROM_ULOG = "pip install pyulog, then: ulog2csv {file}, and name the table of positions it writes"
 _FROM_DATAFLASH = (
     "pip install pymavlink, then: mavlogdump.py --format csv --types POS {file} > {file}.csv, and "
     "name {file}.csv"
 )
-_PAGE = ("a web page, perhaps of a download that asked for a login", "download it again")
-_NAME_LOG = "name the log that it was made of"
 _PICKLE = "a Python pickle, which can run programs"
 
+_PICTURE, _NAME_VIDEO = "a single picture", "name a video of the drop"
+_PROGRAM, _NAME_WRITTEN = "a program", "name the log that it writes"
+_TABLE = "save it as Parquet or CSV"
+_BAG = ("a bag of ROS of another version", "`rosbag fix` makes a new one of it")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 # First bytes, what the file is, and what to do about it.
-_KINDS: tuple[tuple[bytes, str, str], ...] = (
+_KINDS: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"PAR1", "a Parquet file", _COPY),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a file of Microsoft Office (OLE2)", "save it as .xlsx"),
-    (_HDF5, "an HDF5 file", _FROM_HDF5),
-    (b"CDF\x01", "a NetCDF file", _FROM_NETCDF),
-    (b"CDF\x02", "a NetCDF file", _FROM_NETCDF),
-    (b"CDF\x05", "a NetCDF file", _FROM_NETCDF),
+    ((b"CDF\x01", b"CDF\x02", b"CDF\x05"), "a NetCDF file", _FROM_NETCDF),
     (b"MDF     ", "a measurement of ASAM (MDF)", _FROM_MDF),
     (b"UnFinMF ", "a measurement of ASAM (MDF) that was not finished", _FROM_MDF),
     (b"%PDF", "a PDF document", "export the measurements themselves as CSV"),
-    (b"\x7fELF", "a program", "name the log that it writes"),
-    (b"MZ", "a program of Windows", "name the log that it writes"),
+    (b"\x7fELF", _PROGRAM, _NAME_WRITTEN),
+    (b"MZ", f"{_PROGRAM} of Windows", _NAME_WRITTEN),
     (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", UNPACK),
     (b"Rar!\x1a\x07", "a RAR archive", UNPACK),
     (b"\xfd7zXZ\x00", "an xz file", "unpack it first with `xz -d`"),
-    (b"ARROW1", "an Arrow (Feather) file", _FROM_FEATHER),
-    (b"FEA1", "a Feather file", _FROM_FEATHER),
-    (b"\xff\xff\xff\xff", "a stream of Arrow records", _FROM_ARROW_STREAM),
-    (b"Obj\x01", "an Avro file", "save it as Parquet or CSV"),
-    (b"ORC", "an ORC file", "save it as Parquet or CSV"),
+    (b"FEA1", "a Feather file of version 1", _FROM_FEATHER),
+    (b"Obj\x01", "an Avro file", _TABLE),
+    (b"ORC", "an ORC file", _TABLE),
     (b"LOGG", "a log of a CAN bus (BLF)", "decode it with its database (DBC) to CSV"),
     (b"\xa3\x95\x80\x80", "a log of an ArduPilot (DataFlash)", _FROM_DATAFLASH),
-    (b"#ROSRECORD", "a bag of ROS before 2.0", "`rosbag fix` makes a new one of it"),
-    (b"#ROSBAG", "a bag of ROS of another version", "`rosbag fix` makes a new one of it"),
-    *(
-        (b"RRF" + mark, "a recording for the Rerun viewer", _NAME_LOG)
-        for mark in (b"0", b"1", b"2", b"3")
-    ),
-    (b"RRIO", "a recording for the Rerun viewer", _NAME_LOG),
+    (b"#ROSRECORD", "a bag of ROS before 2.0", _BAG[1]),
+    (b"#ROSBAG", *_BAG),
     (b"\x93NUMPY", "a NumPy array", _COPY),
     (b"MATLAB 5.0", "a MATLAB file", _COPY),
-    *((bytes((128, version)), _PICKLE, _AS_NUMBERS) for version in range(2, 6)),
-    (b"\x89PNG\r\n\x1a\n", "a single picture (PNG)", "name a video of the drop"),
-    (b"\xff\xd8\xff", "a single picture (JPEG)", "name a video of the drop"),
-    (b"ULog\x01", "a log of a PX4 autopilot (ULog)", _FROM_ULOG),
+    ((b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"), _PICKLE, _AS_NUMBERS),
+    (b"\x89PNG\r\n\x1a\n", f"{_PICTURE} (PNG)", _NAME_VIDEO),
+    (b"\xff\xd8\xff", f"{_PICTURE} (JPEG)", _NAME_VIDEO),
     (b"TDSm", "a TDMS file of LabVIEW", _FROM_TDMS),
     (b"{\\rtf", "a text document (RTF)", "save it as plain text (.csv)"),
     (b"version https://git-lfs", "a pointer of Git LFS, not the file", "run `git lfs pull`"),
 )
-
+_ZIP_STARTS = (b"PK\x03\x04", b"PK\x05\x06")  # how a ZIP archive begins, and an empty one
 # Kinds of ZIP archives, by the names in them.
 _ZIPS: tuple[tuple[bytes, str, str], ...] = (
-    (b"data.pkl", "saved by PyTorch, with a Python pickle, which can run programs", _AS_NUMBERS),
     (b"xl/", "a spreadsheet (.xlsx)", _COPY),
     (b"word/", "a Word document", "save the measurements as CSV"),
     (b"mimetypeapplication/vnd.oasis", "an OpenDocument file", "save its sheet as CSV"),
     (b".npy", "an archive of NumPy arrays (.npz)", _COPY),
+    (b"", "a ZIP archive", UNPACK),
 )
-
-_ZIP_STARTS = (b"PK\x03\x04", b"PK\x05\x06")  # how a ZIP archive begins, and an empty one
-_TAR_AT = 257  # where a tar archive says what it is
-
 # How texts begin that are no tables.
 _TEXTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
-    (re.compile(rb"\s*<(?:!doctype|html)", re.I), *_PAGE),
+    (
+        re.compile(rb"\s*<(?:!doctype|html)", re.I),
+        "a web page, perhaps of a download that asked for a login",
+        "download it again",
+    ),
     (re.compile(rb"\s*<(?:mujoco|robot|sdf)\b"), "a model of a simulator", "give it as --model"),
     (re.compile(rb"\s*<[?A-Za-z]"), "an XML file", "export what it holds as CSV"),
     (
@@ -170,40 +142,35 @@ _TEXTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
     ),
     (re.compile(rb"\(dp?\d?\n|\(lp?\d?\n|c[\w.]+\n\w+\n"), _PICKLE, _AS_NUMBERS),
 )
-
 # Where HDF5 may begin behind a block of a user: MATLAB's of version 7.3 does.
-_HDF5_AT = (512, 1024, 2048)
+_HDF5_AT = (0, 512, 1024, 2048)
 
 _PLAIN_NAME = re.compile(r"[\w./+@ -]+")  # a path that can stand in a remedy as it is
 
 
-def foreign_kind(start: bytes, path: Path) -> tuple[str, str] | None:
-    """Identify an unsupported file by its first bytes; return its kind and a remedy, else None.
+def is_hdf5(start: bytes) -> bool:
+    """Return whether a file that begins so is HDF5."""
+    return any(start[at:].startswith(_HDF5) for at in _HDF5_AT)
 
-    Args:
-        start: some KiB.
-        path: of the file; its name identifies a YAML file or plain text.
-    """
-    marks = _ZIPS if start.startswith(_ZIP_STARTS) else ()
+
+def foreign_kind(start: bytes, path: Path) -> tuple[str, str] | None:
+    """Identify what is not read by first bytes and name: its kind and a remedy, or None."""
     found = [kind[1:] for kind in _KINDS if start.startswith(kind[0])]
-    found += [kind[1:] for kind in marks if kind[0] in start]
-    if marks:
-        found.append(("a ZIP archive", UNPACK))
-    if start[_TAR_AT : _TAR_AT + 5] == b"ustar":
+    if start.startswith(_ZIP_STARTS):
+        found += [kind[1:] for kind in _ZIPS if kind[0] in start]
+    if start[257:262] == b"ustar":
         found.append(("a tar archive", "unpack it with `tar xf` and name the log inside"))
     if path.name == "metadata.yaml":
         found.append(("the index of a ROS 2 bag", f"name its folder: {path.parent}"))
     if not any(start):
         found.append(("nothing but zeros, as a disk leaves of what was never written", _COPY))
     found += [(what, remedy) for begins, what, remedy in _TEXTS if begins.match(start)]
-    if not found and any(start[at:].startswith(_HDF5) for at in _HDF5_AT):
-        found.append(("an HDF5 file", _FROM_HDF5))
+    if is_hdf5(start):
+        if path.suffix.lower() == ".slp":
+            return "a project of SLEAP (HDF5)", "in SLEAP, File, Export Analysis CSV, and name that"
+        found.append(("an HDF5 file", _FROM_PANDAS))
     if not found:
         return None
     what, remedy = found[0]
-    if path.suffix.lower() == ".slp" and remedy == _FROM_HDF5:
-        return "a project of SLEAP (HDF5)", "in SLEAP, File, Export Analysis CSV, and name that"
-    if remedy == _FROM_HDF5 and b"pandas_type" in start:
-        remedy = _FROM_PANDAS
     name = str(path) if _PLAIN_NAME.fullmatch(str(path)) else "FILE"
     return what, remedy.replace("{file}", name)

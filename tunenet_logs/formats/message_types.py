@@ -1,22 +1,45 @@
 """Map the message types of others to what they hold: positions, joints, images, commands.
 
-ROS and Foxglove types have the same fields in every encoding, so one line serves them all.
-Quaternions are x, y, z, w; a stamp of 0 is not set.
+ROS and Foxglove types have the same fields in every encoding, so one row of `TYPES` serves them
+all. Quaternions are x, y, z, w; a stamp of 0 is not set.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tunenet_logs.formats.base import RawChannel, UnusableError, ros_stamp_ns, time_ns
-from tunenet_logs.formats.ros import ros_name
+from tunenet_logs import messages
+from tunenet_logs.formats.base import (
+    Listed,
+    Maybe,
+    Node,
+    Plain,
+    RawChannel,
+    Structure,
+    ros_stamp_ns,
+    time_ns,
+    type_key,
+)
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """A type of messages."""
+
+    read: Callable[[Any], Any]  # what a decoded message holds
+    # that are read; a type or message without them is not used. Neither a protobuf schema nor JSON
+    # proves what it is called
+    fields: Structure
+    definition: str = ""  # in ROS, of a type that no distribution defines
+
+
+# ---- Positions
 
 # Stamp [ns] (0: not set), of what ("": the topic's own), in which frame ("": any); x, y, z [m]; of
 # a type with orientations also a unit quaternion x, y, z, w, NaN where the message gives none.
@@ -26,20 +49,15 @@ PositionSample = (
 )
 
 _NO_ORIENTATION = (math.nan, math.nan, math.nan, math.nan)
-
 _NORM_ERROR = 0.1  # of a quaternion; beyond it, it is none, such as one of zeros
 _MAX_FRAME = 200  # characters of a frame's name
 
 
 @dataclass(frozen=True)
-class PositionType:
-    """A type with positions.
+class PositionType(MessageType):
+    """A type with positions: `read` returns several `PositionSample`."""
 
-    Attributes:
-        names_one: whether a message is of one body, whose name counts only among several.
-    """
-
-    read: Callable[[Any], Iterable[PositionSample]]
+    # whether a message is of one body, whose name counts only among several
     names_one: bool = False
 
 
@@ -49,90 +67,60 @@ def frame_of(message: Any, name: str = "frame_id") -> str:
     return frame[:_MAX_FRAME] if isinstance(frame, str) else ""
 
 
-def ros_point(path: str) -> PositionType:
-    """Return the reader of a type with a header, and a point at `path`."""
+def _of_ros(message: Any) -> tuple[int, str]:
+    """Return stamp and frame of a ROS message."""
+    return ros_stamp_ns(message), frame_of(message.header)
+
+
+def _of_foxglove(message: Any) -> tuple[int, str]:
+    """Return stamp and frame of a Foxglove message."""
+    return time_ns(message.timestamp), frame_of(message)
+
+
+def _point(path: str, origin: Callable[[Any], tuple[int, str]]) -> Callable[[Any], Any]:
+    """Return the reader of a point at `path`."""
     point_of = attrgetter(path)
 
     def read(message: Any) -> Iterable[PositionSample]:
-        point, header = point_of(message), message.header
-        yield (
-            ros_stamp_ns(message),
-            "",
-            frame_of(header),
-            float(point.x),
-            float(point.y),
-            float(point.z),
-        )
+        point, (stamp_ns, frame) = point_of(message), origin(message)
+        return ((stamp_ns, "", frame, float(point.x), float(point.y), float(point.z)),)
 
-    return PositionType(read)
+    return read
 
 
-def ros_pose(path: str) -> PositionType:
-    """Return the reader of a type with a header, and a pose at `path`."""
+def _pose(path: str, origin: Callable[[Any], tuple[int, str]]) -> Callable[[Any], Any]:
+    """Return the reader of a pose at `path`; odometry names its body, too."""
     pose_of = attrgetter(path)
 
     def read(message: Any) -> Iterable[PositionSample]:
         pose = pose_of(message)
-        turn = _quaternion(getattr(pose, "orientation", None))
-        name = frame_of(message, "child_frame_id")  # of odometry; a pose has none
-        yield _placed(ros_stamp_ns(message), name, frame_of(message.header), pose.position, turn)
+        turn = getattr(pose, "orientation", None)
+        name = frame_of(message, "child_frame_id")
+        return (_placed(*origin(message), name, pose.position, turn),)
 
-    return PositionType(read, names_one=True)
-
-
-def ros_transform(message: Any) -> Iterable[PositionSample]:
-    """Yield the pose of a ROS transform."""
-    yield _ros_transform(message, frame_of(message, "child_frame_id"))
+    return read
 
 
-def ros_transforms(message: Any) -> Iterable[PositionSample]:
-    """Return the poses of several ROS transforms, by child frame."""
-    return [_ros_transform(one, one.child_frame_id) for one in message.transforms]
+def _ros_transform(message: Any) -> PositionSample:
+    part, name = message.transform, frame_of(message, "child_frame_id")
+    return _placed(*_of_ros(message), name, part.translation, getattr(part, "rotation", None))
 
 
-def foxglove_point(message: Any) -> Iterable[PositionSample]:
-    """Yield the position of a Foxglove point."""
-    point = message.point
-    where = (float(point.x), float(point.y), float(point.z))
-    yield time_ns(message.timestamp), "", frame_of(message), *where
+def _foxglove_transform(message: Any) -> PositionSample:
+    parent, name = frame_of(message, "parent_frame_id"), frame_of(message, "child_frame_id")
+    turn = getattr(message, "rotation", None)
+    return _placed(time_ns(message.timestamp), parent, name, message.translation, turn)
 
 
-def foxglove_pose(message: Any) -> Iterable[PositionSample]:
-    """Yield the pose of a Foxglove message."""
-    pose = message.pose
-    turn = _quaternion(getattr(pose, "orientation", None))
-    yield _placed(time_ns(message.timestamp), "", frame_of(message), pose.position, turn)
-
-
-def foxglove_transform(transform: Any) -> PositionSample:
-    """Return the pose of a Foxglove transform, by child frame."""
-    parent = frame_of(transform, "parent_frame_id")
-    turn = _quaternion(getattr(transform, "rotation", None))
-    stamp_ns = time_ns(transform.timestamp)
-    return _placed(stamp_ns, transform.child_frame_id, parent, transform.translation, turn)
-
-
-def _ros_transform(message: Any, name: str) -> PositionSample:
-    transform = message.transform
-    turn = _quaternion(getattr(transform, "rotation", None))
-    parent = frame_of(message.header)
-    return _placed(ros_stamp_ns(message), name, parent, transform.translation, turn)
-
-
-def _placed(
-    stamp_ns: int, name: str, frame: str, point: Any, turn: tuple[float, float, float, float]
-) -> PositionSample:
-    return stamp_ns, name, frame, float(point.x), float(point.y), float(point.z), *turn
-
-
-def _quaternion(part: Any) -> tuple[float, float, float, float]:
-    """Return x, y, z, w; NaN where a message has no unit quaternion."""
+def _placed(stamp_ns: int, frame: str, name: str, point: Any, turn: Any) -> PositionSample:
+    """Return a sample, without orientation where `turn` is no unit quaternion."""
     try:
-        x, y, z, w = float(part.x), float(part.y), float(part.z), float(part.w)
+        parts = float(turn.x), float(turn.y), float(turn.z), float(turn.w)
     except (AttributeError, TypeError, ValueError):
-        return _NO_ORIENTATION
-    is_unit = abs(math.hypot(x, y, z, w) - 1.0) < _NORM_ERROR
-    return (x, y, z, w) if is_unit else _NO_ORIENTATION
+        parts = _NO_ORIENTATION
+    if not abs(math.hypot(*parts) - 1.0) < _NORM_ERROR:  # NaN, too
+        parts = _NO_ORIENTATION
+    return stamp_ns, name, frame, float(point.x), float(point.y), float(point.z), *parts
 
 
 # ---- Joints, images, sound, and what drives a robot.
@@ -148,51 +136,31 @@ class JointSample(NamedTuple):
     effort: Sequence[float] | np.ndarray = ()
 
 
-@dataclass(frozen=True)
-class JointType:
-    """A type with joint states."""
-
-    read: Callable[[Any], JointSample]
+class JointType(MessageType):
+    """A type with joint states: `read` returns a `JointSample`."""
 
 
 @dataclass(frozen=True, eq=False)
 class PictureSample:
-    """One message's image; `size` and `step` are those of uncompressed pixels.
-
-    Attributes:
-        step: bytes from one row to the next; 0 where rows are contiguous.
-    """
+    """One message's image; `size` and `step` are those of uncompressed pixels."""
 
     stamp_ns: int
     encoding: str
     data: Any
     size: tuple[int, int] | None = None
-    step: int = 0
+    step: int = 0  # bytes from one row to the next; 0 where rows are contiguous
     is_bigendian: bool = False
 
 
 @dataclass(frozen=True)
-class PictureType:
-    """A type with an image.
+class PictureType(MessageType):
+    """A type with an image: `read` returns a `PictureSample`."""
 
-    Attributes:
-        is_video: whether decoding an image needs those before it.
-    """
-
-    read: Callable[[Any], PictureSample]
-    is_video: bool = False
+    is_video: bool = False  # whether decoding an image needs those before it
 
 
 class SoundSample(NamedTuple):
-    """One message's sound.
-
-    Attributes:
-        stamp_ns: of the first sample.
-        format: of `data`, as Foxglove names it.
-        data: the bytes.
-        rate_hz: samples per second.
-        channels: number of interleaved channels.
-    """
+    """One message's sound; the stamp is that of its first sample, the format Foxglove's name."""
 
     stamp_ns: int
     format: str
@@ -201,11 +169,8 @@ class SoundSample(NamedTuple):
     channels: int
 
 
-@dataclass(frozen=True)
-class SoundType:
-    """A type with sound."""
-
-    read: Callable[[Any], SoundSample]
+class SoundType(MessageType):
+    """A type with sound: `read` returns a `SoundSample`."""
 
 
 # Time after the start [ns]; positions, velocities, efforts, each empty where it does not say.
@@ -225,59 +190,35 @@ class PlanSample(NamedTuple):
     points: Sequence[PlanPoint]
 
 
-@dataclass(frozen=True)
-class PlanType:
-    """A type with a planned joint trajectory, which nobody measured."""
-
-    read: Callable[[Any], PlanSample]
+class PlanType(MessageType):
+    """A type with a planned joint trajectory, which nobody measured: a `PlanSample`."""
 
 
 NumbersSample = Sequence[float] | np.ndarray  # numbers of which nobody says what they are
 
 
-@dataclass(frozen=True)
-class NumbersType:
-    """A type with plain numbers, without a stamp."""
-
-    read: Callable[[Any], NumbersSample]
+class NumbersType(MessageType):
+    """A type with plain numbers, without a stamp: a `NumbersSample`."""
 
 
 # Stamp [ns] (0: not set); in which frame ("": any); force x, y, z [N]; torque x, y, z [N·m].
 WrenchSample = tuple[int, str, float, float, float, float, float, float]
 
 
-@dataclass(frozen=True)
-class WrenchType:
-    """A type with a force and a torque."""
+class WrenchType(MessageType):
+    """A type with a force and a torque: a `WrenchSample`."""
 
-    read: Callable[[Any], WrenchSample]
+
+class OutcomeType(MessageType):
+    """Our type of what the hardware did in one attempt; `read` returns the message."""
 
 
 DriveType = PlanType | NumbersType | WrenchType  # a type of what drives a robot
-# What a type of messages holds.
-MessageType = PositionType | JointType | PictureType | SoundType | DriveType
-
-
-def message_type_of(channel: RawChannel) -> MessageType | None:
-    """Return what a channel's type holds; None if nothing that is used."""
-    name = type_key(channel.type_name)
-    if name in _KINOVA:
-        return _kinova(channel.topic if name.endswith("Angles") else name)
-    return _MESSAGE_TYPES.get(name)
-
-
-def type_key(type_name: str) -> str:
-    """Return the canonical name of a type, be it written by ROS 1, ROS 2 or Foxglove."""
-    name = ros_name(type_name)
-    package, _, plain = name.rpartition("/msg/")
-    return f"foxglove.{plain}" if package in ("foxglove_msgs", "foxglove") else name
 
 
 def _joint_state(message: Any) -> JointSample:
-    names = tuple(message.name)
-    return JointSample(
-        ros_stamp_ns(message), names, message.position, message.velocity, message.effort
-    )
+    given = message.position, message.velocity, message.effort
+    return JointSample(ros_stamp_ns(message), tuple(message.name), *given)
 
 
 def _dynamic_joints(message: Any) -> JointSample:
@@ -291,43 +232,30 @@ def _dynamic_joints(message: Any) -> JointSample:
 
 def _foxglove_joints(message: Any) -> JointSample:
     def values(field: str) -> list[float]:
-        found = [_optional(joint, field) for joint in message.joints]
-        return found if any(value == value for value in found) else []  # noqa: PLR0124 (NaN)
+        found = []
+        for joint in message.joints:
+            is_absent = hasattr(joint, "HasField") and not joint.HasField(field)
+            value = None if is_absent else getattr(joint, field, None)
+            found.append(math.nan if value is None else float(value))
+        return [] if all(map(math.isnan, found)) else found
 
     names = tuple(joint.name for joint in message.joints)
     stamp_ns = time_ns(message.timestamp)
     return JointSample(stamp_ns, names, values("position"), values("velocity"), values("effort"))
 
 
-def _optional(joint: Any, field: str) -> float:
-    if hasattr(joint, "HasField") and not joint.HasField(field):
-        return float("nan")
-    value = getattr(joint, field, None)
-    return float("nan") if value is None else float(value)
-
-
-# Seven numbers in the same fields, in degrees where they are angles; without a header.
-_KINOVA = frozenset(
-    ("kinova_msgs/msg/JointAngles", "kinova_msgs/msg/JointTorque", "kinova_msgs/msg/JointVelocity")
-)
-
-# The fields of these, and what the joints are called.
+# Seven numbers, in degrees where they are angles, without a header: what Kinova's fields are called
+# and so its joints.
 _KINOVA_NAMES = tuple(f"joint{number}" for number in range(1, 8))
 
 
-def _kinova(name: str) -> JointType:
-    """Return the reader of Kinova's headerless messages in degrees; the topic marks torques."""
-    last = name.rpartition("/")[2].lower()
-
+def _kinova(quantity: str) -> Callable[[Any], JointSample]:
     def read(message: Any) -> JointSample:
         values = np.array([getattr(message, name) for name in _KINOVA_NAMES], np.float64)
-        if "torque" in last:
-            return JointSample(0, _KINOVA_NAMES, effort=values)
-        if "velocity" in last:
-            return JointSample(0, _KINOVA_NAMES, velocity=np.radians(values))
-        return JointSample(0, _KINOVA_NAMES, position=np.radians(values))
+        values = values if quantity == "effort" else np.radians(values)
+        return JointSample(0, _KINOVA_NAMES, **{quantity: values})
 
-    return JointType(read)
+    return read
 
 
 def _trajectory(message: Any) -> PlanSample:
@@ -340,30 +268,21 @@ def _trajectory(message: Any) -> PlanSample:
 
 def _wrench(message: Any) -> WrenchSample:
     force, torque = message.wrench.force, message.wrench.torque
-    parts = (force.x, force.y, force.z, torque.x, torque.y, torque.z)
-    x, y, z, around_x, around_y, around_z = map(float, parts)
-    return ros_stamp_ns(message), frame_of(message.header), x, y, z, around_x, around_y, around_z
+    x, y, z = float(force.x), float(force.y), float(force.z)
+    return *_of_ros(message), x, y, z, float(torque.x), float(torque.y), float(torque.z)
 
 
-_NUMBERS = NumbersType(attrgetter("data"))
-_NUMBER = NumbersType(lambda message: (float(message.data),))
+def _ros_pixels(message: Any) -> PictureSample:
+    return _pixels(ros_stamp_ns(message), message, bool(message.is_bigendian))
 
 
-def _compressed_image(message: Any) -> PictureSample:
-    return PictureSample(ros_stamp_ns(message), message.format, message.data)
-
-
-def _image(message: Any) -> PictureSample:
-    return _raw(ros_stamp_ns(message), message, bool(message.is_bigendian))
-
-
-def _raw(stamp_ns: int, message: Any, is_bigendian: bool = False) -> PictureSample:
+def _pixels(stamp_ns: int, message: Any, is_bigendian: bool = False) -> PictureSample:
     size = (int(message.width), int(message.height))
     encoding, step = str(message.encoding), int(message.step)
     return PictureSample(stamp_ns, encoding, message.data, size, step, is_bigendian)
 
 
-def _foxglove_image(message: Any) -> PictureSample:
+def _foxglove_picture(message: Any) -> PictureSample:
     return PictureSample(time_ns(message.timestamp), message.format, message.data)
 
 
@@ -373,196 +292,160 @@ def _raw_audio(message: Any) -> SoundSample:
     return SoundSample(stamp_ns, message.format, message.data, rate_hz, channels)
 
 
-# ---- All types, by the name that `type_key` gives; a new one is a line here, and one in `_SHAPES`.
-
-_MESSAGE_TYPES: dict[str, MessageType] = {
-    "geometry_msgs/msg/PoseStamped": ros_pose("pose"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": ros_pose("pose.pose"),
-    "geometry_msgs/msg/PointStamped": ros_point("point"),
-    "geometry_msgs/msg/TransformStamped": PositionType(ros_transform, names_one=True),
-    "nav_msgs/msg/Odometry": ros_pose("pose.pose"),
-    "tf2_msgs/msg/TFMessage": PositionType(ros_transforms),
-    "foxglove.PoseInFrame": PositionType(foxglove_pose),
-    "foxglove.Point3InFrame": PositionType(foxglove_point),
-    "foxglove.Odometry": PositionType(foxglove_pose),
-    "foxglove.FrameTransform": PositionType(lambda message: (foxglove_transform(message),)),
-    "foxglove.FrameTransforms": PositionType(
-        lambda message: [foxglove_transform(transform) for transform in message.transforms]
-    ),
-    "sensor_msgs/msg/JointState": JointType(_joint_state),
-    "control_msgs/msg/DynamicJointState": JointType(_dynamic_joints),
-    "foxglove.JointStates": JointType(_foxglove_joints),
-    "trajectory_msgs/msg/JointTrajectory": PlanType(_trajectory),
-    "std_msgs/msg/Float64MultiArray": _NUMBERS,
-    "std_msgs/msg/Float32MultiArray": _NUMBERS,
-    "std_msgs/msg/Float64": _NUMBER,
-    "std_msgs/msg/Float32": _NUMBER,
-    "geometry_msgs/msg/WrenchStamped": WrenchType(_wrench),
-    "sensor_msgs/msg/CompressedImage": PictureType(_compressed_image),
-    "sensor_msgs/msg/Image": PictureType(_image),
-    "foxglove.CompressedImage": PictureType(_foxglove_image),
-    "foxglove.RawImage": PictureType(lambda message: _raw(time_ns(message.timestamp), message)),
-    "foxglove.CompressedVideo": PictureType(_foxglove_image, is_video=True),
-    "foxglove.RawAudio": SoundType(_raw_audio),
-}
+# ---- All types, by the name that `type_key` gives; a new one is a row here.
 
 
-# ---- Required fields of each type, for encodings that do not prove a message's type.
-# A ROS message decodes only by the definition that we know. A protobuf schema can call anything a
-# `foxglove.PoseInFrame`, and JSON can hold anything: there the fields are checked against these.
-
-
-class Leaf(Enum):
-    """A field without subfields; the value describes it in messages."""
-
-    NUMBER = "a number"
-    OPTIONAL = "a number that may be absent"
-    WHOLE = "a whole number"
-    FLAG = "true, false, 1 or 0"
-    TEXT = "a text"
-    DATA = "bytes"
-    TIME = "a time in seconds and nanoseconds"
-
-
-@dataclass(frozen=True)
-class Fields:
-    """A message with fields."""
-
-    fields: Mapping[str, Shape]
-
-
-@dataclass(frozen=True)
-class Many:
-    """A list of one shape."""
-
-    of: Shape
-
-
-@dataclass(frozen=True)
-class Maybe:
-    """A part that a message may lack, or have in another shape."""
-
-    of: Shape
-
-
-Shape = Leaf | Fields | Many | Maybe  # what a field of a message must be
-
-
-def shape_of(channel: RawChannel) -> Fields:
-    """Return the required shape of the channel's messages.
-
-    Raises:
-        UnusableError: its type is not supported in this encoding.
-    """
-    shape = _SHAPES.get(type_key(channel.type_name))
-    if shape is None:
-        raise UnusableError(f"its type is not read in {channel.encoding}")
-    return shape
-
-
-def _fields(**fields: Shape) -> Fields:
-    return Fields(fields)
+def _fields(parts: Mapping[str, Node] | None = None, /, **more: Node) -> Structure:
+    return Structure("", {**(parts or {}), **more})
 
 
 # Parts that several types have.
-_POINT = _fields(x=Leaf.NUMBER, y=Leaf.NUMBER, z=Leaf.NUMBER)
-_TURN = Maybe(_fields(x=Leaf.NUMBER, y=Leaf.NUMBER, z=Leaf.NUMBER, w=Leaf.NUMBER))
-_FRAME = Maybe(Leaf.TEXT)
-_POSE = _fields(position=_POINT, orientation=_TURN)
-_HEADER = _fields(stamp=Leaf.TIME, frame_id=_FRAME)
-_ROS_TRANSFORM = _fields(
-    header=_HEADER,
-    child_frame_id=Leaf.TEXT,
-    transform=_fields(translation=_POINT, rotation=_TURN),
+_NUMBERS = Listed(Plain.NUMBER)
+_TEXTS = Listed(Plain.TEXT)
+_XYZ = _fields(x=Plain.NUMBER, y=Plain.NUMBER, z=Plain.NUMBER)
+_TURN = Maybe(_fields(_XYZ.fields, w=Plain.NUMBER))
+_POSE = _fields(position=_XYZ, orientation=_TURN)
+_FRAME = Maybe(Plain.TEXT)
+_HEADER = {"header": _fields(stamp=Plain.TIME, frame_id=_FRAME)}
+_STAMP = {"timestamp": Plain.TIME}
+_ORIGIN = {**_STAMP, "frame_id": _FRAME}
+_MOVED = {"translation": _XYZ, "rotation": _TURN}
+_ROS_TRANSFORM = _fields(_HEADER, child_frame_id=Plain.TEXT, transform=_fields(_MOVED))
+_TRANSFORM = _fields(_STAMP, parent_frame_id=_FRAME, child_frame_id=Plain.TEXT, **_MOVED)
+_JOINT = _fields(dict.fromkeys(("position", "velocity", "effort"), Plain.OPTIONAL), name=Plain.TEXT)
+_INTERFACE = _fields(interface_names=_TEXTS, values=_NUMBERS)
+_SEVEN = _fields(dict.fromkeys(_KINOVA_NAMES, Plain.NUMBER))
+_PICTURE = {"format": Plain.TEXT, "data": Plain.DATA}
+_PIXELS: dict[str, Node] = dict.fromkeys(("width", "height", "step"), Plain.WHOLE)
+_PIXELS |= {"encoding": Plain.TEXT, "data": Plain.DATA}
+_POINT_FIELDS = ("positions", "velocities", "effort")
+_PLAN_POINT = _fields(dict.fromkeys(_POINT_FIELDS, _NUMBERS), time_from_start=Plain.TIME)
+_OUTCOME: dict[str, Node] = dict.fromkeys(
+    ("task", "ball", "drop_log", "tuning", "reason", "note"), Plain.TEXT
 )
-_TRANSFORM = _fields(
-    timestamp=Leaf.TIME,
-    parent_frame_id=_FRAME,
-    child_frame_id=Leaf.TEXT,
-    translation=_POINT,
-    rotation=_TURN,
-)
-_JOINT = _fields(
-    name=Leaf.TEXT, position=Leaf.OPTIONAL, velocity=Leaf.OPTIONAL, effort=Leaf.OPTIONAL
-)
-_PIXELS: dict[str, Shape] = {
-    "width": Leaf.WHOLE,
-    "height": Leaf.WHOLE,
-    "encoding": Leaf.TEXT,
-    "step": Leaf.WHOLE,
-    "data": Leaf.DATA,
-}
-_PICTURE = _fields(timestamp=Leaf.TIME, format=Leaf.TEXT, data=Leaf.DATA)
-_TRAJECTORY_POINT = _fields(
-    positions=Many(Leaf.NUMBER),
-    velocities=Many(Leaf.NUMBER),
-    effort=Many(Leaf.NUMBER),
-    time_from_start=Leaf.TIME,
-)
-_ONE_NUMBER = _fields(data=Leaf.NUMBER)
-_SEVERAL_NUMBERS = _fields(data=Many(Leaf.NUMBER))
-_SEVEN_JOINTS = Fields({f"joint{number}": Leaf.NUMBER for number in range(1, 8)})
+_OUTCOME |= dict.fromkeys(("shot_height", "miss_distance", "tuned_parameter"), Plain.OPTIONAL)
+_OUTCOME |= {"attempt": Plain.WHOLE, "success": Plain.FLAG}
 
-# The fields that are read of each type, by the name that `type_key` gives.
-_SHAPES: dict[str, Fields] = {
-    "geometry_msgs/msg/PoseStamped": _fields(header=_HEADER, pose=_POSE),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _fields(
-        header=_HEADER, pose=_fields(pose=_POSE)
+# Foxglove's types as ROS messages; they begin alike.
+_FOXGLOVE = "builtin_interfaces/Time timestamp\nstring frame_id\n"
+_FOXGLOVE_TRANSFORM = """\
+builtin_interfaces/Time timestamp
+string parent_frame_id
+string child_frame_id
+geometry_msgs/Vector3 translation
+geometry_msgs/Quaternion rotation
+"""
+_FOXGLOVE_PIXELS = "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data"
+_DYNAMIC_JOINTS = f"""\
+std_msgs/Header header
+string[] joint_names
+control_msgs/InterfaceValue[] interface_values
+{"=" * 80}
+MSG: control_msgs/InterfaceValue
+string[] interface_names
+float64[] values
+"""
+
+_KINOVA_ANGLES = "kinova_msgs/msg/JointAngles"
+
+_ROS_POSE, _FOXGLOVE_POSE = _pose("pose", _of_ros), _pose("pose", _of_foxglove)
+_ODOMETRY = _pose("pose.pose", _of_ros), _fields(_HEADER, pose=_fields(pose=_POSE))
+_NUMBER = (lambda message: (float(message.data),)), _fields(data=Plain.NUMBER)
+_ARRAY = attrgetter("data"), _fields(data=_NUMBERS)
+
+TYPES: dict[str, MessageType] = {
+    "geometry_msgs/msg/PoseStamped": PositionType(
+        _ROS_POSE, _fields(_HEADER, pose=_POSE), names_one=True
     ),
-    "geometry_msgs/msg/PointStamped": _fields(header=_HEADER, point=_POINT),
-    "geometry_msgs/msg/TransformStamped": _ROS_TRANSFORM,
-    "nav_msgs/msg/Odometry": _fields(header=_HEADER, pose=_fields(pose=_POSE)),
-    "tf2_msgs/msg/TFMessage": _fields(transforms=Many(_ROS_TRANSFORM)),
-    "foxglove.PoseInFrame": _fields(timestamp=Leaf.TIME, frame_id=_FRAME, pose=_POSE),
-    "foxglove.Point3InFrame": _fields(timestamp=Leaf.TIME, frame_id=_FRAME, point=_POINT),
-    "foxglove.Odometry": _fields(timestamp=Leaf.TIME, frame_id=_FRAME, pose=_POSE),
-    "foxglove.FrameTransform": _TRANSFORM,
-    "foxglove.FrameTransforms": _fields(transforms=Many(_TRANSFORM)),
-    "sensor_msgs/msg/JointState": _fields(
-        header=_HEADER,
-        name=Many(Leaf.TEXT),
-        position=Many(Leaf.NUMBER),
-        velocity=Many(Leaf.NUMBER),
-        effort=Many(Leaf.NUMBER),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": PositionType(*_ODOMETRY, names_one=True),
+    "nav_msgs/msg/Odometry": PositionType(*_ODOMETRY, names_one=True),
+    "geometry_msgs/msg/PointStamped": PositionType(
+        _point("point", _of_ros), _fields(_HEADER, point=_XYZ)
     ),
-    "foxglove.JointStates": _fields(timestamp=Leaf.TIME, joints=Many(_JOINT)),
-    "kinova_msgs/msg/JointAngles": _SEVEN_JOINTS,
-    "kinova_msgs/msg/JointTorque": _SEVEN_JOINTS,
-    "kinova_msgs/msg/JointVelocity": _SEVEN_JOINTS,
-    "trajectory_msgs/msg/JointTrajectory": _fields(
-        header=_HEADER, joint_names=Many(Leaf.TEXT), points=Many(_TRAJECTORY_POINT)
+    "geometry_msgs/msg/TransformStamped": PositionType(
+        lambda message: (_ros_transform(message),), _ROS_TRANSFORM, names_one=True
     ),
-    "std_msgs/msg/Float64MultiArray": _SEVERAL_NUMBERS,
-    "std_msgs/msg/Float32MultiArray": _SEVERAL_NUMBERS,
-    "std_msgs/msg/Float64": _ONE_NUMBER,
-    "std_msgs/msg/Float32": _ONE_NUMBER,
-    "geometry_msgs/msg/WrenchStamped": _fields(
-        header=_HEADER, wrench=_fields(force=_POINT, torque=_POINT)
+    "tf2_msgs/msg/TFMessage": PositionType(
+        lambda message: [*map(_ros_transform, message.transforms)],
+        _fields(transforms=Listed(_ROS_TRANSFORM)),
+        "geometry_msgs/TransformStamped[] transforms",  # of ROS 1, where it is another package's
     ),
-    "sensor_msgs/msg/CompressedImage": _fields(header=_HEADER, format=Leaf.TEXT, data=Leaf.DATA),
-    "sensor_msgs/msg/Image": Fields({"header": _HEADER, "is_bigendian": Leaf.FLAG, **_PIXELS}),
-    "tunenet_msgs/msg/TaskOutcome": _fields(
-        header=_HEADER,
-        task=Leaf.TEXT,
-        ball=Leaf.TEXT,
-        attempt=Leaf.WHOLE,
-        success=Leaf.FLAG,
-        shot_height=Leaf.OPTIONAL,
-        miss_distance=Leaf.OPTIONAL,
-        tuned_parameter=Leaf.OPTIONAL,
-        drop_log=Leaf.TEXT,
-        tuning=Leaf.TEXT,
-        reason=Leaf.TEXT,
-        note=Leaf.TEXT,
+    "foxglove.PoseInFrame": PositionType(
+        _FOXGLOVE_POSE, _fields(_ORIGIN, pose=_POSE), f"{_FOXGLOVE}geometry_msgs/Pose pose"
     ),
-    "foxglove.CompressedImage": _PICTURE,
-    "foxglove.CompressedVideo": _PICTURE,
-    "foxglove.RawAudio": _fields(
-        timestamp=Leaf.TIME,
-        data=Leaf.DATA,
-        format=Leaf.TEXT,
-        sample_rate=Leaf.WHOLE,
-        number_of_channels=Leaf.WHOLE,
+    "foxglove.Odometry": PositionType(_FOXGLOVE_POSE, _fields(_ORIGIN, pose=_POSE)),
+    "foxglove.Point3InFrame": PositionType(
+        _point("point", _of_foxglove),
+        _fields(_ORIGIN, point=_XYZ),
+        f"{_FOXGLOVE}geometry_msgs/Point point",
     ),
-    "foxglove.RawImage": Fields({"timestamp": Leaf.TIME, **_PIXELS}),
+    "foxglove.FrameTransform": PositionType(
+        lambda message: (_foxglove_transform(message),), _TRANSFORM, _FOXGLOVE_TRANSFORM
+    ),
+    "foxglove.FrameTransforms": PositionType(
+        lambda message: [*map(_foxglove_transform, message.transforms)],
+        _fields(transforms=Listed(_TRANSFORM)),
+        "foxglove_msgs/FrameTransform[] transforms",
+    ),
+    "sensor_msgs/msg/JointState": JointType(
+        _joint_state,
+        _fields(_HEADER, name=_TEXTS, position=_NUMBERS, velocity=_NUMBERS, effort=_NUMBERS),
+    ),
+    "control_msgs/msg/DynamicJointState": JointType(
+        _dynamic_joints,
+        _fields(_HEADER, joint_names=_TEXTS, interface_values=Listed(_INTERFACE)),
+        _DYNAMIC_JOINTS,
+    ),
+    "foxglove.JointStates": JointType(_foxglove_joints, _fields(_STAMP, joints=Listed(_JOINT))),
+    _KINOVA_ANGLES: JointType(_kinova("position"), _SEVEN, messages.SEVEN_JOINTS),
+    "kinova_msgs/msg/JointTorque": JointType(_kinova("effort"), _SEVEN, messages.SEVEN_JOINTS),
+    "kinova_msgs/msg/JointVelocity": JointType(_kinova("velocity"), _SEVEN, messages.SEVEN_JOINTS),
+    "trajectory_msgs/msg/JointTrajectory": PlanType(
+        _trajectory, _fields(_HEADER, joint_names=_TEXTS, points=Listed(_PLAN_POINT))
+    ),
+    "std_msgs/msg/Float64MultiArray": NumbersType(*_ARRAY),
+    "std_msgs/msg/Float32MultiArray": NumbersType(*_ARRAY),
+    "std_msgs/msg/Float64": NumbersType(*_NUMBER),
+    "std_msgs/msg/Float32": NumbersType(*_NUMBER),
+    "geometry_msgs/msg/WrenchStamped": WrenchType(
+        _wrench, _fields(_HEADER, wrench=_fields(force=_XYZ, torque=_XYZ))
+    ),
+    "sensor_msgs/msg/CompressedImage": PictureType(
+        lambda message: PictureSample(ros_stamp_ns(message), message.format, message.data),
+        _fields(_HEADER, **_PICTURE),
+    ),
+    "sensor_msgs/msg/Image": PictureType(
+        _ros_pixels, _fields(_HEADER, **_PIXELS, is_bigendian=Plain.FLAG)
+    ),
+    "foxglove.CompressedImage": PictureType(
+        _foxglove_picture, _fields(_STAMP, **_PICTURE), messages.VIDEO_FIELDS
+    ),
+    "foxglove.CompressedVideo": PictureType(
+        _foxglove_picture, _fields(_STAMP, **_PICTURE), messages.VIDEO_FIELDS, is_video=True
+    ),
+    "foxglove.RawImage": PictureType(
+        lambda message: _pixels(time_ns(message.timestamp), message),
+        _fields(_STAMP, **_PIXELS),
+        f"{_FOXGLOVE}{_FOXGLOVE_PIXELS}",
+    ),
+    "foxglove.RawAudio": SoundType(
+        _raw_audio,
+        _fields(_STAMP, **_PICTURE, sample_rate=Plain.WHOLE, number_of_channels=Plain.WHOLE),
+        messages.AUDIO_FIELDS,
+    ),
+    messages.TASK_OUTCOME: OutcomeType(
+        lambda message: message, _fields(_HEADER, **_OUTCOME), messages.OUTCOME_FIELDS
+    ),
 }
+
+
+def message_type_of(channel: RawChannel) -> MessageType | None:
+    """Return what a channel's type holds; None if nothing that is used."""
+    name = type_key(channel.type_name)
+    kind = TYPES.get(name)
+    if kind and name == _KINOVA_ANGLES:  # as which Kinova's driver sends torques, too
+        topic = channel.topic.rpartition("/")[2].lower()
+        for word, quantity in (("torque", "effort"), ("velocity", "velocity")):
+            if word in topic:
+                return replace(kind, read=_kinova(quantity))
+    return kind

@@ -10,8 +10,7 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -19,7 +18,6 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.files import open_regular
 from tunenet_logs.formats.base import (
     CHUNK_RECORDS,
-    DAMAGE_RECORDS,
     DAMAGED,
     PART_RECORDS,
     Budget,
@@ -28,6 +26,7 @@ from tunenet_logs.formats.base import (
     RawChannel,
     RawMessage,
     Record,
+    block_sizes,
     described,
 )
 from tunenet_logs.formats.compressed import MAX_PART_BYTES, unpack, unpack_start
@@ -36,14 +35,13 @@ from tunenet_logs.terminal import silent, teller
 # The kinds of records, by the byte that a head's field `op` holds.
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 
-IN_CHUNKS = frozenset((MESSAGE, CONNECTION))  # the kinds of records that a chunk may hold
+_IN_CHUNKS = frozenset((MESSAGE, CONNECTION))  # the kinds of records that a chunk may hold
 # A head names a topic at most; what a message is like lies in a record's data.
-MAX_HEAD_BYTES = 64 * 1024
+_MAX_HEAD_BYTES = 64 * 1024
 
 # A length [bytes], little-endian, as it stands before every head, field and data.
-U32 = struct.Struct("<I")
+_U32 = struct.Struct("<I")
 
-_FORMATS = {1: "<B", 4: "<I", 8: "<Q"}  # of an unsigned field, by its size [bytes]
 # The fields that a head of each kind must have, to be taken for one behind damage.
 _NEEDED = {
     MESSAGE: (b"conn", b"time"),
@@ -54,79 +52,51 @@ _NEEDED = {
 }
 
 _TYPICAL_HEAD_BYTES = 256  # read at first; only a head with a long topic needs a second reading
-_FIRST_BLOCK_BYTES = 16 * 1024  # searched at first behind damage; a head is near, mostly
-_BLOCK_BYTES = 1024 * 1024  # searched at a time later, after blocks that double
 # A head's field `op` as it is stored: its length (three letters and the value), and its name.
 _MARK = b"\x04\x00\x00\x00op="
 
-# How far before its field `op` a head may begin; others write little before it.
-_LEADS = range(4, 64)
+_LEADS = range(4, 64)  # how far before its field `op` a head may begin; others write little before
+_OVERLAP_BYTES = 4 * 1024  # how long a head may be to be found; common to two blocks searched
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """A record's head.
-
-    Attributes:
-        data_at: first byte of its data, in the buffer that it was read from.
-        data_bytes: claimed length of its data, unchecked.
-    """
+    """A record's head."""
 
     op: int
     fields: Mapping[bytes, bytes]
-    data_at: int
-    data_bytes: int
+    data_at: int  # first byte of its data, in the buffer that it was read from
+    data_bytes: int  # claimed length of its data, unchecked
 
     @property
     def end(self) -> int:
         """First byte of the next record."""
         return self.data_at + self.data_bytes
 
-    def number(self, name: bytes, size: int = 4) -> int:
-        """Return an unsigned field of `size` bytes.
-
-        Raises:
-            ValueError, KeyError, struct.error: it is missing, or of another size.
-        """
-        return struct.unpack(_FORMATS[size], self.fields[name])[0]
-
-    def time_ns(self) -> int:
-        """Return a message's time of receipt [ns].
-
-        Raises:
-            KeyError, struct.error: the field is missing or of another size.
-        """
-        seconds, nanoseconds = struct.unpack("<II", self.fields[b"time"])
-        return seconds * 1_000_000_000 + nanoseconds
+    def number(self, name: bytes, form: str = "<I") -> int:
+        """Return a field as a number; raise KeyError, struct.error where it is none."""
+        return struct.unpack(form, self.fields[name])[0]
 
 
 def head_at(buffer: bytes | memoryview, at: int = 0) -> Head:
-    """Parse the head of the record at a place in a buffer.
-
-    Raises:
-        ValueError, LookupError, struct.error: there is no valid head.
-    """
-    (length,) = U32.unpack_from(buffer, at)
-    if length > MAX_HEAD_BYTES:
+    """Parse the head of a record; raise ValueError, LookupError, struct.error for none."""
+    (length,) = _U32.unpack_from(buffer, at)
+    if length > _MAX_HEAD_BYTES:
         raise ValueError(f"a head claims {length} bytes")
-    start = at + U32.size
-    (data_bytes,) = U32.unpack_from(buffer, start + length)
+    start = at + _U32.size
+    (data_bytes,) = _U32.unpack_from(buffer, start + length)
     fields = fields_of(bytes(buffer[start : start + length]))
     (op,) = fields[b"op"]
-    return Head(op, fields, start + length + U32.size, data_bytes)
+    return Head(op, fields, start + length + _U32.size, data_bytes)
 
 
 def fields_of(data: bytes) -> dict[bytes, bytes]:
-    """Parse the name=value fields of a head, or of a connection's data.
-
-    Raises:
-        ValueError, struct.error: a field is malformed.
-    """
+    """Parse the name=value fields of a head, or of a connection's data; raises as `head_at`."""
     fields: dict[bytes, bytes] = {}
     at = 0
     while at < len(data):
-        (length,) = U32.unpack_from(data, at)
-        at += U32.size
+        (length,) = _U32.unpack_from(data, at)
+        at += _U32.size
         name, sign, value = data[at : at + length].partition(b"=")
         if not sign or length > len(data) - at:
             raise ValueError(f"a field claims {length} bytes")
@@ -136,11 +106,16 @@ def fields_of(data: bytes) -> dict[bytes, bytes]:
 
 
 class RecordFile:
-    """A file of records, any part of which may be damaged."""
+    """A file of records, any part of which may be damaged.
 
-    def __init__(self, file: BinaryIO) -> None:
+    Args:
+        file: open for reading.
+        tries: places to examine in all; a file of nothing but marks must not take hours.
+    """
+
+    def __init__(self, file: BinaryIO, tries: int = 20_000) -> None:
         self._file = file
-        self._search = RecordSearch()
+        self._tries = tries
         self.size = os.fstat(file.fileno()).st_size
 
     def block(self, at: int, length: int) -> bytes:
@@ -149,24 +124,16 @@ class RecordFile:
         return self._file.read(length)
 
     def head(self, at: int) -> Head:
-        """Parse the head of the record at a place in the file.
-
-        Raises:
-            ValueError, LookupError, struct.error: there is no valid head.
-        """
+        """Parse the head of the record at a place in the file; raises as `head_at`."""
         block = self.block(at, _TYPICAL_HEAD_BYTES)
-        (length,) = U32.unpack_from(block)
-        if length + 2 * U32.size > len(block):
-            block = self.block(at, min(length, MAX_HEAD_BYTES) + 2 * U32.size)
+        (length,) = _U32.unpack_from(block)
+        if length + 2 * _U32.size > len(block):
+            block = self.block(at, min(length, _MAX_HEAD_BYTES) + 2 * _U32.size)
         head = head_at(block)
         return Head(head.op, head.fields, at + head.data_at, head.data_bytes)
 
     def data(self, head: Head) -> bytes:
-        """Read a record's data.
-
-        Raises:
-            ValueError: it is too large, or behind the file's end.
-        """
+        """Read a record's data; raise ValueError if it is too large, or behind the file's end."""
         if head.data_bytes > MAX_PART_BYTES or head.end > self.size:
             raise ValueError(f"a record claims {head.data_bytes} bytes")
         return self.block(head.data_at, head.data_bytes)
@@ -181,44 +148,22 @@ class RecordFile:
 
     def find(self, start: int) -> int:
         """Find the next record from `start` on; the file's end if there is none."""
-        length = _FIRST_BLOCK_BYTES
-        while start < self.size:
-            block = self.block(start, length + RecordSearch.overlap)
-            found = self._search.find(block, 0)
-            while found is not None:
-                if self._is_whole(start + found):
+        for length in block_sizes():
+            if start >= self.size:
+                break
+            block = self.block(start, length + _OVERLAP_BYTES)
+            found = self.find_in(block, 0)
+            while found < len(block):
+                head = self.head(start + found)
+                # One that a chunk may hold, too, may be a fragment of an LZ4 chunk.
+                if head.op not in _IN_CHUNKS or self.is_border(head.end):
                     return start + found
-                found = self._search.find(block, found + 1)
+                found = self.find_in(block, found + 1)
             start += length
-            length = min(2 * length, _BLOCK_BYTES)
         return self.size
 
-    def _is_whole(self, at: int) -> bool:
-        """Return whether a head is a record's, not a fragment of one in an LZ4 chunk."""
-        head = self.head(at)
-        return head.op not in IN_CHUNKS or self.is_border(head.end)
-
-    def find_in(self, plain: bytes, start: int) -> int:
-        """Find the next record in a decompressed part of the file."""
-        found = self._search.find(plain, start)
-        return len(plain) if found is None else found
-
-
-class RecordSearch:
-    """Search for the next record behind a damaged one.
-
-    Args:
-        tries: places to examine in all; a file of nothing but marks must not take hours.
-    """
-
-    overlap = 4 * 1024
-    """How long a head may be to be found; what two blocks that are searched have in common."""
-
-    def __init__(self, tries: int = 20_000) -> None:
-        self._tries = tries
-
-    def find(self, buffer: bytes, start: int) -> int | None:
-        """Find the first record from `start` on, as far as its head is intact."""
+    def find_in(self, buffer: bytes, start: int) -> int:
+        """Find the first record from `start` on, as far as its head is intact; else the end."""
         mark = buffer.find(_MARK, start)
         while mark >= 0 and self._tries > 0:
             self._tries -= 1
@@ -226,12 +171,12 @@ class RecordSearch:
                 if mark - lead >= start and _is_head(buffer, mark - lead, mark):
                     return mark - lead
             mark = buffer.find(_MARK, mark + 1)
-        return None
+        return len(buffer)
 
 
 def _is_head(buffer: bytes, at: int, mark: int) -> bool:
-    (length,) = U32.unpack_from(buffer, at)
-    if not mark + len(_MARK) < at + U32.size + length <= at + RecordSearch.overlap:
+    (length,) = _U32.unpack_from(buffer, at)
+    if not mark + len(_MARK) < at + _U32.size + length <= at + _OVERLAP_BYTES:
         return False
     try:
         head = head_at(buffer, at)
@@ -256,7 +201,7 @@ def read_bag(
     topics: Sequence[str] | None = None,
     budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """Yield the records of a ROS 1 bag, closed or not; see `MessageFile`."""
+    """Yield the records of a ROS 1 bag, closed or not; see `Container`."""
     with open_regular(path) as file:
         version = file.read(len(MAGIC) + len(_VERSION))[len(MAGIC) :]
         if version != _VERSION:
@@ -265,35 +210,31 @@ def read_bag(
                 f"{path}: is a ROS bag of version {shown!r}, only 2.0 is read; "
                 "rewrite it with `rosbag filter OLD.bag NEW.bag True`"
             )
-        yield from _BagReading(path, file, losses, topics, budget).records()
+        records = RecordFile(file)
+        budget = budget or Budget(records.size)
+        yield from _BagReading(path, records, losses, topics, budget).records()
 
 
+@dataclass(eq=False)
 class _BagReading:
     """One pass over a file."""
 
-    def __init__(
-        self,
-        path: Path,
-        file: BinaryIO,
-        losses: list[Loss],
-        topics: Sequence[str] | None,
-        budget: Budget | None,
-    ) -> None:
-        self.path = path
-        self.file = RecordFile(file)
-        self.losses = losses
-        self.topics = topics
-        self.budget = budget or Budget(self.file.size)
-        self.channels: dict[int, RawChannel] = {}
-        self.index: dict[int, RawChannel] | None = None
-        self.index_at = 0
-        self.at = 0  # where the record begins that is read
-        self.has_index = False
-        self.chunks_stated = 0
-        self.infos = 0
-        self.stated = {INDEX: 0, CHUNK_INFO: 0}  # messages, as either counts them
-        self.messages = 0  # of all topics, as far as they were read
-        self.unknown = 0  # of them, those whose connection nothing describes
+    path: Path
+    file: RecordFile
+    losses: list[Loss]
+    topics: Sequence[str] | None
+    budget: Budget
+    channels: dict[int, RawChannel] = field(default_factory=dict)
+    index: dict[int, RawChannel] | None = None
+    index_at: int = 0
+    at: int = 0  # where the record begins that is read
+    has_index: bool = False
+    chunks_stated: int = 0
+    infos: int = 0
+    # Messages, as either kind of records counts them.
+    stated: dict[int, int] = field(default_factory=lambda: {INDEX: 0, CHUNK_INFO: 0})
+    messages: int = 0  # of all topics, as far as they were read
+    unknown: int = 0  # of them, those whose connection nothing describes
 
     def records(self) -> Iterator[Record]:
         try:
@@ -331,7 +272,12 @@ class _BagReading:
                 if head.end > self.file.size:
                     raise ValueError(f"a record claims {head.data_bytes} bytes")
             except DAMAGED as error:
-                at = self._past(at, described(error))
+                behind = self.file.find(at + 1)
+                what = f"{described(error)}; what follows was found again"
+                if behind == self.file.size:
+                    what = "its last record is cut (a recording that did not end?)"
+                self._lose(what, at, behind - at)
+                at = behind
                 continue
             yield from self._record(head, at)
             at = head.end
@@ -339,7 +285,7 @@ class _BagReading:
 
     def _record(self, head: Head, at: int) -> Sequence[Record]:
         try:
-            if head.op in IN_CHUNKS:
+            if head.op in _IN_CHUNKS:
                 return self._parse(head, self.file.data(head))
             self._note(head)
         except DAMAGED as error:
@@ -348,11 +294,7 @@ class _BagReading:
         return ()
 
     def _chunk(self, head: Head, at: int) -> Generator[Record, None, int]:
-        """Yield a chunk's records and return where to go on.
-
-        Raises:
-            DAMAGED: its head is malformed, or it is one chunk too many.
-        """
+        """Yield a chunk's records and return where to go on; raise DAMAGED for a malformed head."""
         self.budget.spend_records(CHUNK_RECORDS)
         stated = head.number(b"size")
         compression = head.fields[b"compression"].decode("ascii", "replace")
@@ -360,7 +302,7 @@ class _BagReading:
             # Its records follow as any others do, so that a wrong size of it loses none of them.
             if stated != head.data_bytes:
                 what = f"a chunk claims {stated} bytes and {head.data_bytes}"
-                self.budget.spend_records(DAMAGE_RECORDS)
+                self.budget.spend_damage()
                 self.losses.append(Loss(what, at_byte=at, harmless=True))
             return head.data_at
         if head.end > self.file.size or not head.data_bytes:  # cut, or never closed
@@ -391,7 +333,7 @@ class _BagReading:
             self.budget.spend_records(_RECORD)
             try:
                 head = head_at(plain, at)
-                if head.end > len(plain) or head.op not in IN_CHUNKS:
+                if head.end > len(plain) or head.op not in _IN_CHUNKS:
                     raise ValueError("no such record can be in a chunk")
                 found = self._parse(head, memoryview(plain)[head.data_at : head.end])
             except DAMAGED:
@@ -407,7 +349,8 @@ class _BagReading:
         number = head.number(b"conn")
         if head.op == CONNECTION:
             return self._connection(number, _described(head, bytes(data)))
-        log_ns = head.time_ns()
+        seconds, nanoseconds = struct.unpack("<II", head.fields[b"time"])
+        log_ns = seconds * 1_000_000_000 + nanoseconds
         found: list[Record] = []
         channel = self.channels.get(number)
         if channel is None:
@@ -425,15 +368,11 @@ class _BagReading:
     def _connection(self, number: int, channel: RawChannel) -> Sequence[Record]:
         known = self.channels.setdefault(number, channel)
         if known is channel:
-            self.budget.spend_channel()
-            self.budget.spend_definition(len(channel.schema))
+            self.budget.spend_channel(channel.schema)
             return (channel,)
         self.budget.spend_records(PART_RECORDS)
-        if (known.topic, known.type_name, known.schema) != (
-            channel.topic,
-            channel.type_name,
-            channel.schema,
-        ):
+        said = {(one.topic, one.type_name, one.schema) for one in (known, channel)}
+        if len(said) > 1:
             self._lose(f"connection {number} ({known.topic}) is described in two ways")
         return ()
 
@@ -453,12 +392,7 @@ class _BagReading:
         return self.index
 
     def _note(self, head: Head) -> None:
-        """Register a bag header or index record.
-
-        Raises:
-            LogError: the bag is encrypted.
-            DAMAGED: the record is malformed.
-        """
+        """Register a bag header or index record; raise LogError if the bag is encrypted."""
         if head.op in _COUNTED:
             count = head.number(b"count")
             if count * _COUNTED[head.op] != head.data_bytes:
@@ -471,24 +405,13 @@ class _BagReading:
         elif head.op == BAG:
             if head.fields.get(b"encryptor"):
                 raise LogError(f"{self.path}: is encrypted; decrypt it first with `rosbag decrypt`")
-            self.index_at = head.number(b"index_pos", 8)
+            self.index_at = head.number(b"index_pos", "<Q")
             self.chunks_stated = head.number(b"chunk_count")
         else:
             raise ValueError(f"there is no record of kind {head.op}")
 
-    def _past(self, at: int, why: str) -> int:
-        """Return where the next record begins behind damage, else the file's end."""
-        behind = self.file.find(at + 1)
-        if behind < self.file.size:
-            what = f"{why}; what follows was found again"
-        else:
-            what = "its last record is cut (a recording that did not end?)"
-        self._lose(what, at, behind - at)
-        return behind
-
     def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
-        with suppress(OverBudgetError):  # what is lost is said in any case
-            self.budget.spend_records(DAMAGE_RECORDS)
+        self.budget.spend_damage()
         self.losses.append(Loss(what, at_byte=at, size=size))
 
 

@@ -10,8 +10,8 @@ import shutil
 import sqlite3
 import struct
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,68 +34,53 @@ from tunenet_logs.terminal import silent, teller
 
 MAGIC = b"SQLite format 3\0"  # how an SQLite file begins
 _HEADER = struct.Struct(">16xH10xI")  # size of a page (1: 65536), ..., number of pages
-# Numbers of rows: no recorder writes negative ones, and SQLite has none larger.
-_FIRST, _LAST = 0, 2**63 - 1
-
+_LAST = 2**63 - 1  # number of a row: no recorder writes negative ones, and SQLite has none larger
 # Damaged places that are passed in a table; each costs some queries, and there may be millions.
 _MAX_DAMAGED_PLACES = 1000
-
-_SCHEMA = "sqlite_master"  # the table of the tables
 _NUMBER = "_rowid_"  # what SQLite calls a row's own number
 Row = tuple[int, tuple[Any, ...]]  # a row's own number, and its values, of any type
-
 # What comes of a damaged file; the second where the error itself quotes what is damaged.
-DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+_DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 
-class NoTableError(Exception):
+class _NoTableError(Exception):
     """A file lacks a table, or the table is not a plain one."""
 
 
 @contextmanager
-def opened(path: Path, losses: list[Loss]) -> Iterator[sqlite3.Connection]:
+def _opened(path: Path, losses: list[Loss]) -> Iterator[sqlite3.Connection]:
     """Open a database read-only, applying a killed recorder's write-ahead log where that is safe.
 
-    Args:
-        path: the file; neither it nor its folder is changed.
-        losses: what is noted about the whole file.
-
-    Raises:
-        DATABASE_ERRORS: it cannot be opened.
-        OSError: the disk fails.
+    Neither the file nor its folder is changed; `losses` gets what is noted about the whole file.
     """
-    if _size(_beside(path, "-journal")):
+    journal, ahead = (path.with_name(path.name + suffix) for suffix in ("-journal", "-wal"))
+    if journal.is_file() and journal.stat().st_size:
         # A journal can name a file that SQLite then deletes, so a stranger's is never rolled back.
         losses.append(Loss("a transaction was not ended; what it changed may be damaged"))
-    if not _size(_beside(path, "-wal")):
+    if not (ahead.is_file() and ahead.stat().st_size):
         is_cut = _is_cut(path, losses)
-        with closing(_connected(f"{path.resolve().as_uri()}?mode=ro&immutable=1")) as database:
-            _protect(database, is_cut=is_cut)
-            yield database
+        with closing(
+            _connected(f"{path.resolve().as_uri()}?mode=ro&immutable=1", is_cut)
+        ) as opened:
+            yield opened
         return
     what = "read with what a recording that did not end left beside it (-wal)"
     losses.append(Loss(what, harmless=True))
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "log.db3"
         shutil.copyfile(path, copy)
-        shutil.copyfile(_beside(path, "-wal"), _beside(copy, "-wal"))
-        with closing(_connected(f"{copy.as_uri()}?mode=rw")) as database:
-            _protect(database)
-            yield database
+        shutil.copyfile(ahead, copy.with_name("log.db3-wal"))
+        with closing(_connected(f"{copy.as_uri()}?mode=rw")) as opened:
+            yield opened
 
 
-def _connected(uri: str) -> sqlite3.Connection:
-    # Episodes hand their frames to any thread, one at a time.
-    return sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
+def _connected(uri: str, is_cut: bool = False) -> sqlite3.Connection:
+    """Connect, hardened against a hostile schema and oversized values.
 
-
-def _protect(database: sqlite3.Connection, *, is_cut: bool = False) -> None:
-    """Harden a connection against a hostile schema and oversized values.
-
-    Args:
-        database: before its first query.
-        is_cut: whether pages are missing at the end, which SQLite refuses to read past otherwise.
+    SQLite reads past the end of a file that `is_cut` only when it is told to.
     """
+    # Episodes hand their frames to any thread, one at a time.
+    database = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
     database.text_factory = lambda raw: raw.decode("utf-8", "replace")
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_PART_BYTES)
     database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
@@ -104,6 +89,7 @@ def _protect(database: sqlite3.Connection, *, is_cut: bool = False) -> None:
     if is_cut:
         database.execute("PRAGMA writable_schema = ON")
     database.set_authorizer(_allowed)
+    return database
 
 
 def _allowed(action: int, first: str | None, *_rest: str | None) -> int:
@@ -114,14 +100,6 @@ def _allowed(action: int, first: str | None, *_rest: str | None) -> int:
     return sqlite3.SQLITE_DENY
 
 
-def _beside(path: Path, suffix: str) -> Path:
-    return path.with_name(path.name + suffix)
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.is_file() else 0
-
-
 def _is_cut(path: Path, losses: list[Loss]) -> bool:
     """Return whether the file is shorter than its page count states."""
     with open_regular(path) as file:
@@ -129,130 +107,121 @@ def _is_cut(path: Path, losses: list[Loss]) -> bool:
     if len(head) < _HEADER.size:
         return False
     page, pages = _HEADER.unpack(head)
-    size, stated = _size(path), pages * (65536 if page == 1 else page)
+    size, stated = path.stat().st_size, pages * (65536 if page == 1 else page)
     if size < stated:
         losses.append(Loss("the file is cut", at_byte=size, size=stated - size))
     return size < stated
 
 
-def table_of(
-    database: sqlite3.Connection, name: str, needed: Sequence[str], more: Sequence[str] = ()
-) -> DatabaseTable:
-    """Find a plain table with the needed columns.
-
-    Args:
-        database: an open connection.
-        name: the table's.
-        needed: required columns.
-        more: optional columns.
-
-    Raises:
-        NoTableError: it is missing, no plain table, or lacks a column.
-        DATABASE_ERRORS: the file is damaged.
-    """
-    every = DatabaseTable(_SCHEMA, ("type", "name", "rootpage")).rows(database, [])
-    kinds = [
-        (kind, root)
-        for _, (kind, title, root) in every
-        if kind in ("table", "view") and str(title).lower() == name
-    ]
-    if not kinds:
-        raise NoTableError(f"it has no table {name!r}")
-    (kind, root), *others = kinds
-    if kind != "table" or type(root) is not int or root <= 0 or others:  # a virtual one has no root
-        raise NoTableError(f"its {name!r} is no plain table")
-    columns = {row[1]: row[6] for row in database.execute(f"PRAGMA table_xinfo({name})")}
-    if any(column.lower() == _NUMBER for column in columns):
-        raise NoTableError(f"its table {name!r} hides its rows' numbers")
-    found = (*needed, *(column for column in more if columns.get(column) == 0))
-    for column in needed:
-        if columns.get(column) != 0:  # a computed one is hidden
-            raise NoTableError(f"its table {name!r} has no plain column {column!r}")
-    return DatabaseTable(name, found)
-
-
 @dataclass(frozen=True)
-class DatabaseTable:
+class _PlainTable:
     """A plain table. Only names written in this code enter its queries."""
 
+    database: sqlite3.Connection
     name: str
     columns: tuple[str, ...]
 
-    def rows(self, database: sqlite3.Connection, losses: list[Loss]) -> Iterator[Row]:
+    @classmethod
+    def of(
+        cls,
+        database: sqlite3.Connection,
+        name: str,
+        needed: Sequence[str],
+        more: Sequence[str] = (),
+    ) -> _PlainTable:
+        """Find a table with the columns that are needed, and of more those that it has.
+
+        Raise _NoTableError where it is missing, no plain table, or lacks a column.
+        """
+        every = cls(database, "sqlite_master", ("type", "name", "rootpage")).rows([])
+        kinds = [
+            (kind, root)
+            for _, (kind, title, root) in every
+            if kind in ("table", "view") and str(title).lower() == name
+        ]
+        if not kinds:
+            raise _NoTableError(f"it has no table {name!r}")
+        (kind, root), *others = kinds
+        if kind != "table" or type(root) is not int or root <= 0 or others:  # virtual: no root
+            raise _NoTableError(f"its {name!r} is no plain table")
+        columns = {row[1]: row[6] for row in database.execute(f"PRAGMA table_xinfo({name})")}
+        if any(column.lower() == _NUMBER for column in columns):
+            raise _NoTableError(f"its table {name!r} hides its rows' numbers")
+        for column in needed:
+            if columns.get(column) != 0:  # a computed one is hidden
+                raise _NoTableError(f"its table {name!r} has no plain column {column!r}")
+        return cls(database, name, (*needed, *(one for one in more if columns.get(one) == 0)))
+
+    def rows(self, losses: list[Loss]) -> Iterator[Row]:
         """Yield all rows by row number, so in recording order; unreadable ones are losses."""
         columns = ", ".join(self.columns)
-        start, damaged_places = _FIRST, 0
-        while start <= _LAST and damaged_places < _MAX_DAMAGED_PLACES:
-            try:
-                for row in self._asked(database, columns, start):
-                    start = row[0] + 1
-                    yield row
-                return
-            except DATABASE_ERRORS as error:
-                why = described(error)
-            row = self._one(database, columns, start)
-            if row is not None:  # the library drops the last row before the damage
-                start = row[0] + 1
+        start = 0
+        for _ in range(_MAX_DAMAGED_PLACES):
+            why = ""
+            while True:
+                try:
+                    for row in self._asked(columns, start):
+                        start = row[0] + 1
+                        yield row
+                    return
+                except _DATABASE_ERRORS as error:
+                    why = described(error)
+                row = self._one(columns, start)
+                if row is None:
+                    break
+                start = row[0] + 1  # the library drops the last row before the damage
                 yield row
-                continue
-            damaged_places += 1
-            found = self._behind(database, start)
+            found = self._behind(start)
             rows = f"{start} to {found - 1}" if found is not None else f"{start} to the last"
             lost = found - start if found is not None and self.name == "messages" else None
             what = f"table {self.name}: rows {rows} cannot be read: {why}"
             losses.append(Loss(what, messages=lost))
-            if found is None:
+            if found is None or found > _LAST:
                 return
             start = found
-        if damaged_places == _MAX_DAMAGED_PLACES:
-            losses.append(Loss(f"table {self.name}: what follows row {start} was not tried"))
+        losses.append(Loss(f"table {self.name}: what follows row {start} was not tried"))
 
-    def _asked(
-        self, database: sqlite3.Connection, columns: str, start: int, limit: str = ""
-    ) -> Iterator[Row]:
-        """Query rows from a number on; raise DATABASE_ERRORS at the first damaged one."""
+    def _asked(self, columns: str, start: int, limit: str = "") -> Iterator[Row]:
+        """Query rows from a number on; raise _DATABASE_ERRORS at the first damaged one."""
         # An index is not used: it may be damaged, or say something else than the table.
         question = (
             f"SELECT {_NUMBER}, {columns} FROM {self.name} NOT INDEXED "  # noqa: S608 (see the class)
             f"WHERE {_NUMBER} >= ? ORDER BY {_NUMBER} {limit}"
         )
-        for number, *values in database.execute(question, (start,)):
+        for number, *values in self.database.execute(question, (start,)):
             if type(number) is not int or number < start:
                 raise sqlite3.DatabaseError("its rows are in disorder")
             start = number + 1
             yield number, tuple(values)
 
-    def _one(self, database: sqlite3.Connection, columns: str, start: int) -> Row | None:
+    def _one(self, columns: str, start: int) -> Row | None:
         """Return the first row from a number on; None where it is unreadable or absent."""
+        if start > _LAST:
+            return None
         try:
-            return next(self._asked(database, columns, start, "LIMIT 1"), None)
-        except DATABASE_ERRORS:
+            return next(self._asked(columns, start, "LIMIT 1"), None)
+        except _DATABASE_ERRORS:
             return None
 
-    def _behind(self, database: sqlite3.Connection, start: int) -> int | None:
+    def _behind(self, start: int) -> int | None:
         """Return the first row number that can be read again behind damage; None if there is none.
 
         Exponential search, then bisection, so a damaged page costs few queries.
         """
-        found = self._next(database, start)
-        if found is not None:  # what is damaged are that row's values
-            return max(found, start) + 1
+        if (found := self._one("1", start)) is not None:  # what is damaged are that row's values
+            return max(found[0], start) + 1
         low, high = start, start + 1
-        while (found := self._next(database, high)) is None:
+        while (found := self._one("1", high)) is None:
             low, high = high, 2 * high - start
             if high > _LAST:
                 return None
         while high - low > 1:
             middle = (low + high) // 2
-            if (between := self._next(database, middle)) is None:
+            if (between := self._one("1", middle)) is None:
                 low = middle
             else:
                 high, found = middle, between
-        return max(found, start + 1)
-
-    def _next(self, database: sqlite3.Connection, start: int) -> int | None:
-        row = self._one(database, "1", start) if start <= _LAST else None
-        return None if row is None else row[0]
+        return max(found[0], start + 1)
 
 
 # ---- The tables of a bag: topics, definitions of their types, messages.
@@ -275,19 +244,18 @@ def read_db3(
     topics: Sequence[str] | None = None,
     budget: Budget | None = None,
 ) -> Iterator[Record]:
-    """Yield the records of a ROS 2 sqlite3 bag; see `MessageFile`. The folder stays unchanged."""
+    """Yield the records of a ROS 2 sqlite3 bag; see `Container`. The folder stays unchanged."""
     try:
-        with opened(path, losses) as database:
+        with _opened(path, losses) as database:
             budget = budget or Budget(path.stat().st_size)
             channels = _channels(database, losses, budget)
-            table = table_of(database, "messages", _MESSAGES)
+            table = _PlainTable.of(database, "messages", _MESSAGES)
             yield from channels.values()
-            reading = _Db3Reading(channels, losses, budget)
-            yield from reading.messages(database, table, topics)
+            yield from _messages(table, channels, losses, topics, budget)
     except OverBudgetError as error:
         losses.append(Loss(f"reading stopped, as {error}; what follows was left out"))
         return
-    except (*DATABASE_ERRORS, NoTableError) as error:
+    except (*_DATABASE_ERRORS, _NoTableError) as error:
         raise LogError(
             f"{path}: is no ROS 2 bag that can be read: {described(error)}", COPY_AGAIN
         ) from error
@@ -295,79 +263,72 @@ def read_db3(
     losses.append(Loss(what, harmless=True))
 
 
-class _Db3Reading:
-    """One pass over the messages."""
-
-    def __init__(
-        self, channels: Mapping[int, RawChannel], losses: list[Loss], budget: Budget
-    ) -> None:
-        self._channels = channels
-        self._losses = losses
-        self._budget = budget
-
-    def messages(
-        self, database: sqlite3.Connection, table: DatabaseTable, topics: Sequence[str] | None
-    ) -> Iterator[RawMessage]:
-        damaged = unknown = seen = last = 0
-        first = ""
-        before = len(self._losses)
-        tell = teller("reading") if topics is None else silent
-        try:
-            for last, values in self._only(table, topics).rows(database, self._losses):
-                seen += 1
-                self._budget.spend_records()
-                tell(self._budget.spent_bytes / max(self._budget.file_bytes, 1))
-                channel = self._channels.get(values[0]) if type(values[0]) is int else None
-                if channel is None:
-                    unknown += 1
-                elif topics is None or channel.topic in topics:
-                    try:
-                        yield self._message(channel, *values[1:])
-                    except DAMAGED as error:
-                        first = first or f"message {last}, {described(error)}"
-                        damaged += 1
-        except OverBudgetError as error:
-            self._lose(f"reading stopped at message {last}, as {error}; the rest was left out")
-        if last > seen and len(self._losses) == before:
-            what = f"{last - seen} of its messages are missing among those numbered to {last}"
-            self._lose(what, last - seen)
-        if damaged:
-            self._lose(f"{damaged} messages are damaged (the first: {first})", damaged)
-        if unknown:
-            self._lose(f"{unknown} messages belong to topics that nothing describes")
-
-    def _only(self, table: DatabaseTable, topics: Sequence[str] | None) -> DatabaseTable:
-        """Return the table restricted to data of some topics: that of others is not even loaded."""
-        if topics is None:
-            return table
-        wanted = [str(key) for key, channel in self._channels.items() if channel.topic in topics]
+def _messages(
+    table: _PlainTable,
+    channels: dict[int, RawChannel],
+    losses: list[Loss],
+    topics: Sequence[str] | None,
+    budget: Budget,
+) -> Iterator[RawMessage]:
+    damaged = unknown = seen = last = 0
+    first = ""
+    before = len(losses)
+    tell = teller("reading") if topics is None else silent
+    if topics is not None:  # data of other topics are not even loaded
+        wanted = [str(key) for key, channel in channels.items() if channel.topic in topics]
         data = f"CASE WHEN topic_id IN ({', '.join(wanted)}) THEN data END"
-        return replace(table, columns=(*table.columns[:-1], data))
+        table = replace(table, columns=(*table.columns[:-1], data))
+    try:
+        for last, values in table.rows(losses):
+            number, log_ns, data = values
+            seen += 1
+            budget.spend_records()
+            tell(budget.spent_bytes / max(budget.file_bytes, 1))
+            channel = channels.get(number) if type(number) is int else None
+            if channel is None:
+                unknown += 1
+            elif topics is None or channel.topic in topics:
+                try:
+                    yield _message(channel, log_ns, data, budget)
+                except DAMAGED as error:
+                    first = first or f"message {last}, {described(error)}"
+                    damaged += 1
+    except OverBudgetError as error:
+        what = f"reading stopped at message {last}, as {error}; the rest was left out"
+        losses.append(Loss(what))
+    if last > seen and len(losses) == before:
+        what = f"{last - seen} of its messages are missing among those numbered to {last}"
+        losses.append(Loss(what, messages=last - seen))
+    if damaged:
+        what = f"{damaged} messages are damaged (the first: {first})"
+        losses.append(Loss(what, messages=damaged))
+    if unknown:
+        losses.append(Loss(f"{unknown} messages belong to topics that nothing describes"))
 
-    def _message(self, channel: RawChannel, log_ns: Any, data: Any) -> RawMessage:
-        if type(log_ns) is not int or type(data) is not bytes:
-            raise TypeError("its time is no whole number, or its data no bytes")
-        self._budget.spend(len(data))
-        plain = unpack_message(data, self._budget) if data[:4] == ZSTD_MAGIC else data
-        return RawMessage(channel, log_ns, plain, log_ns)
 
-    def _lose(self, what: str, messages: int | None = None) -> None:
-        self._losses.append(Loss(what, messages=messages))
+def _message(channel: RawChannel, log_ns: Any, data: Any, budget: Budget) -> RawMessage:
+    if type(log_ns) is not int or type(data) is not bytes:
+        raise TypeError("its time is no whole number, or its data no bytes")
+    budget.spend(len(data))
+    plain = unpack_message(data, budget) if data[:4] == ZSTD_MAGIC else data
+    return RawMessage(channel, log_ns, plain, log_ns)
 
 
 def _channels(
     database: sqlite3.Connection, losses: list[Loss], budget: Budget
 ) -> dict[int, RawChannel]:
-    """Return the topics by number.
-
-    Raises:
-        NoTableError, DATABASE_ERRORS: there is no readable table of topics.
-        OverBudgetError: there are too many.
-    """
-    definitions = _definitions(database, losses, budget)
-    table = table_of(database, "topics", _TOPICS, tuple(_MORE))
+    """Return the topics by number; raise _NoTableError, _DATABASE_ERRORS where none is read."""
+    definitions: dict[str, tuple[str, bytes]] = {}  # none in bags of older ROS 2
+    with suppress(_NoTableError):
+        table = _PlainTable.of(database, "message_definitions", _DEFINITIONS)
+        for _, (kind, encoding, text) in table.rows(losses):
+            budget.spend_records(PART_RECORDS)
+            budget.spend_definition(text if type(text) is str else "")
+            if encoding in _SCHEMAS and type(kind) is str and type(text) is str and text:
+                definitions.setdefault(kind, (encoding, text.encode("utf-8", "replace")))
+    table = _PlainTable.of(database, "topics", _TOPICS, tuple(_MORE))
     channels: dict[int, RawChannel] = {}
-    for row, (number, *texts) in table.rows(database, losses):
+    for row, (number, *texts) in table.rows(losses):
         budget.spend_channel()
         if type(number) is not int or any(type(text) is not str for text in texts[:3]):
             losses.append(Loss(f"topic {row} is damaged"))
@@ -378,20 +339,3 @@ def _channels(
         schema = definitions.get(kind, ("", b""))
         channels.setdefault(number, RawChannel(name, kind, encoding, *schema, metadata))
     return channels
-
-
-def _definitions(
-    database: sqlite3.Connection, losses: list[Loss], budget: Budget
-) -> dict[str, tuple[str, bytes]]:
-    """Return encoding and text of each type's schema, by name; none in bags of older ROS 2."""
-    try:
-        table = table_of(database, "message_definitions", _DEFINITIONS)
-    except NoTableError:
-        return {}
-    found: dict[str, tuple[str, bytes]] = {}
-    for _, (kind, encoding, text) in table.rows(database, losses):
-        budget.spend_records(PART_RECORDS)
-        budget.spend_definition(len(text) if type(text) is str else 0)
-        if encoding in _SCHEMAS and type(kind) is str and type(text) is str and text:
-            found.setdefault(kind, (encoding, text.encode("utf-8", "replace")))
-    return found

@@ -21,27 +21,13 @@ from numpy.typing import NDArray
 # A longer step is a pause: half-way between the usual step and that over one missing sample.
 _PAUSE_PERIODS = 1.5
 
-# A shorter step belongs to a burst that catches up; an even clock's own jitter is smaller.
-_CLOSE_PERIODS = 0.9
-
-_PUNCTUAL_PERIODS = 0.3  # a sample is no later than that where the burst has made up for the pause
-_PATIENCE_SAMPLES = 3  # in a row that are not close, after which what follows a pause is no burst
-_SINGLE_FRACTION = 0.1  # of the steps on a grid with holes, at least, go to the very next point
-_MAX_MEDIAN_FRAMES = 3  # in the median step on a grid; more frames are how stamps are rounded
-_NEAR_PERIODS = 8  # longer steps tell nothing of a grid: the error of its period adds up
-# Error of a step on a grid: of one between stamps of whole microseconds, or as part of a frame.
-_ROUNDING_NS, _ROUNDING_FRACTION = 1_100, 1e-3
-
 
 def smooth_bursts(
     stamps_ns: NDArray[np.int64], steps: NDArray[np.float64], period: float
 ) -> NDArray[np.int64]:
-    """Respace the stamps of a burst after a pause at the usual period.
+    """Respace the stamps of a burst after a pause at the usual `period`, all in ns.
 
-    Args:
-        stamps_ns: not decreasing, shape (T,) [ns].
-        steps: between them, shape (T - 1,) [ns].
-        period: the usual step [ns].
+    The stamps, shape (T,), do not decrease; `steps` lie between them, shape (T - 1,).
     """
     corrected, after = stamps_ns.copy(), 0
     for pause in np.flatnonzero(steps > _PAUSE_PERIODS * period):
@@ -57,66 +43,56 @@ def smooth_bursts(
 
 def is_grid(steps: NDArray[np.float64], period: float) -> bool:
     """Check whether stamps with these steps [ns] lie on one regular grid, up to rounding."""
-    frame = float(np.quantile(steps, _SINGLE_FRACTION, method="lower"))
-    if frame <= 0 or period > (_MAX_MEDIAN_FRAMES + 0.5) * frame:
+    # Of the steps on a grid with holes a tenth, at least, go to the very next point.
+    frame = float(np.quantile(steps, 0.1, method="lower"))
+    if frame <= 0 or period > 3.5 * frame:  # more frames are how stamps are rounded
         return False
-    near = steps[steps < _NEAR_PERIODS * period]
+    near = steps[steps < 8 * period]  # longer ones tell nothing: the error of the period adds up
     counts = np.round(near / frame)
     if counts.min() < 1:
         return False
     frame = float(near.sum() / counts.sum())
     error = float(np.abs(near - counts * frame).max())
-    return error <= max(_ROUNDING_NS, _ROUNDING_FRACTION * frame)
+    return error <= max(1_100, 1e-3 * frame)  # between stamps of whole microseconds; of a frame
 
 
 def _caught_up(steps: NDArray[np.float64], pause: int, period: float) -> int | None:
     """Return the index after the first step at which a burst is back on the clock, or None."""
     lateness, slow = steps[pause] - period, 0
     for at in range(pause + 1, len(steps)):
-        slow = 0 if steps[at] < _CLOSE_PERIODS * period else slow + 1
+        # A shorter step belongs to a burst that catches up: an even clock jitters less.
+        slow = 0 if steps[at] < 0.9 * period else slow + 1
         lateness += steps[at] - period
-        if lateness <= _PUNCTUAL_PERIODS * period:
+        if lateness <= 0.3 * period:  # it has made up for the pause
             return at + 1
-        if slow == _PATIENCE_SAMPLES:
+        if slow == 3:  # in a row: what follows the pause is no burst
             return None
     return None
 
 
 # ---- Change of the sampling rate, such as a camera's in the dark
 
-# A change is sought among so many parts of equal length, with so many samples each at least.
-_PARTS, _MIN_OF_PART = 8, 10
-
 _OTHER_RATE = 0.1  # of a rate: parts differ by more where it changes
-# A step below this fraction of the usual one shows that its sample had waited; a part of which this
-# fraction had is left out.
-_AT_ONCE, _OFTEN_AT_ONCE = 0.1, 0.2
-
-_SURELY = 8.0  # usual deviations of a part's rate that are no change
 
 
 def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
     """Describe a change of sampling rate, as "goes from 60.0 to 30.0 Hz"; "" if there is none.
 
-    Compares the median step of up to eight parts: neither pauses nor missing samples are a change,
-    nor is what the scatter of the steps makes likely.
-
-    Args:
-        stamps_ns: not decreasing, shape (T,) [ns].
-        lag: samples that a step goes over; many where each is late by its own time.
+    Compares the median step, over `lag` samples, of up to eight parts: neither pauses nor missing
+    samples are a change, nor is what the scatter of the steps makes likely.
     """
     steps = 1e-6 * (stamps_ns[lag:] - stamps_ns[:-lag]) / lag
-    parts = min(_PARTS, len(steps) // max(_MIN_OF_PART, 2 * lag))
+    parts = min(8, len(steps) // max(10, 2 * lag))  # of equal length, ten samples each at least
     if parts < 2:
         return ""
-    # What waited on its way comes at once: no rate of a sensor.
-    at_once = 1e-6 * np.diff(stamps_ns)[: len(steps)] < _AT_ONCE * float(np.median(steps))
+    # What waited on its way comes at once, and a part of which a fifth did tells no sensor's rate.
+    at_once = 1e-6 * np.diff(stamps_ns)[: len(steps)] < 0.1 * float(np.median(steps))
     pieces = [
         piece
         for piece, waited in zip(
             np.array_split(steps, parts), np.array_split(at_once, parts), strict=True
         )
-        if np.mean(waited) < _OFTEN_AT_ONCE
+        if np.mean(waited) < 0.2
     ]
     if len(pieces) < 2:
         return ""
@@ -124,7 +100,7 @@ def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
     # Between one step and the next, neither a slow change nor a sudden one counts.
     changes = np.diff(steps[::lag])
     scatter = float(np.median(np.abs(changes - np.median(changes)))) / np.sqrt(2)
-    doubt = _SURELY * scatter / np.sqrt(len(pieces[0]) / lag)
+    doubt = 8.0 * scatter / np.sqrt(len(pieces[0]) / lag)  # usual deviations of a part's rate
     low, high = float(medians.min()), float(medians.max())
     if low <= 0 or high - low <= _OTHER_RATE * high + doubt:
         return ""
@@ -164,19 +140,12 @@ NEVER = 1e4  # cost of what is out of the question
 
 
 class Clocks(NamedTuple):
-    """Candidate uniform clocks.
+    """Candidate uniform clocks."""
 
-    Attributes:
-        periods: shape (C,).
-        starts: time of the tick of the first sample if none was skipped, shape (C,).
-        scales: of the delays' law, shape (C,).
-        laws: which it is, shape (C,).
-    """
-
-    periods: Array
-    starts: Array
-    scales: Array
-    laws: NDArray[np.int64]
+    periods: Array  # shape (C,)
+    starts: Array  # time of the tick of the first sample if none was skipped, shape (C,)
+    scales: Array  # of the delays' law, shape (C,)
+    laws: NDArray[np.int64]  # which it is, shape (C,)
 
     def only(self, one: int) -> Clocks:
         """Return one candidate alone."""
@@ -185,19 +154,12 @@ class Clocks(NamedTuple):
 
 
 class TickAssignment(NamedTuple):
-    """Samples assigned to ticks.
+    """Samples assigned to ticks."""
 
-    Attributes:
-        costs: negative log likelihood of each candidate, shape (C,).
-        skipped: ticks left out up to each sample, shape (C, T).
-        excess: what it costs more to have so many left out, shape (C, T, S).
-        before: S begins with `-before`.
-    """
-
-    costs: Array
-    skipped: NDArray[np.int64]
-    excess: Array
-    before: int
+    costs: Array  # negative log likelihood of each candidate, shape (C,)
+    skipped: NDArray[np.int64]  # ticks left out up to each sample, shape (C, T)
+    excess: Array  # what it costs more to have so many left out, shape (C, T, S)
+    before: int  # S begins with `-before`
 
 
 def candidates(periods: Array, scale: float) -> Clocks:
@@ -239,13 +201,10 @@ def delays(arrivals: Array, clocks: Clocks, skipped: NDArray[np.int64]) -> Array
 def assign_ticks(
     arrivals: Array, clocks: Clocks, before: int, held: tuple[int, int] | None = None
 ) -> TickAssignment:
-    """Assign all samples to their likeliest ticks, and return what others cost.
+    """Assign all arrivals, shape (T,), to their likeliest ticks, and return what others cost.
 
-    Args:
-        arrivals: shape (T,).
-        clocks: whole candidates.
-        before: how many ticks earlier than `starts` the first sample may be.
-        held: a sample, and how many ticks are skipped up to it for sure.
+    The first may be `before` ticks earlier than `starts`; of a sample `held` it is known how many
+    ticks are skipped up to it.
     """
     above = delays(arrivals, clocks, np.zeros(len(arrivals), np.int64))
     most = int(np.ceil((above.max(axis=1) / clocks.periods).min()))
@@ -273,24 +232,20 @@ def _sums(paid: Array, skipped: Array, *, onward: bool) -> Array:
     sums = np.empty_like(paid)
     order = range(paid.shape[1]) if onward else range(paid.shape[1] - 1, -1, -1)
     way = skipped if onward else -skipped
+    side = slice(None) if onward else slice(None, None, -1)
     best: Array | None = None
     for at in order:
         if best is not None:
-            best = _with_losses(best, way, onward=onward)
+            # By one sample on: none is lost in between, or some are.
+            ahead, far = best[:, side], way[side]
+            after = ahead.copy()
+            least = np.minimum.accumulate(ahead - _NEXT_LOST * far, axis=1)[:, :-1]
+            lost = least + _NEXT_LOST * far[1:] + (_FIRST_LOST - _NEXT_LOST)
+            np.minimum(after[:, 1:], lost, out=after[:, 1:])
+            best = after[:, side]
         best = paid[:, at] if best is None else best + paid[:, at]
         sums[:, at] = best
     return sums
-
-
-def _with_losses(sums: Array, way: Array, *, onward: bool) -> Array:
-    """Propagate those sums by one sample: none is lost in between, or some are."""
-    side = slice(None) if onward else slice(None, None, -1)
-    ahead, far = sums[:, side], way[side]
-    after = ahead.copy()
-    cheapest = np.minimum.accumulate(ahead - _NEXT_LOST * far, axis=1)[:, :-1]
-    lost = cheapest + _NEXT_LOST * far[1:] + (_FIRST_LOST - _NEXT_LOST)
-    np.minimum(after[:, 1:], lost, out=after[:, 1:])
-    return after[:, side]
 
 
 def _costs(late: Array, scales: Array, laws: NDArray[np.int64]) -> Array:
@@ -361,7 +316,11 @@ def period_of(ticks: Ticks, arrivals: Array, clock: Clocks) -> tuple[float, floa
 
     def costs_of(periods: Array) -> Array:
         late = arrivals - periods[:, None] * middle
-        return _mean_delay(late) if clock.laws[0] == RARER else _scatter(late, kernel)
+        if clock.laws[0] != RARER:
+            return _scatter(late, kernel)
+        # Of exponential delays, decided by those hardly late.
+        mean = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
+        return late.shape[1] * np.log(np.maximum(mean, _NARROWEST_MS))
 
     period, error, least = float(clock.periods[0]), 0.0, np.inf
     for width in (1.0, 0.25):
@@ -385,8 +344,11 @@ def period_below(ticks: Ticks, arrivals: Array) -> float:
     """Fit the line below all arrivals with the least sum of distances, by the lower convex hull."""
     hull: list[tuple[int, float]] = []
     for tick, arrival in zip(ticks.tolist(), arrivals.tolist(), strict=True):
-        while len(hull) > 1 and _is_above(hull[-2], hull[-1], (tick, arrival)):
-            hull.pop()
+        while len(hull) > 1:
+            (before, low), (at, high) = hull[-2:]
+            if (high - low) * (tick - at) < (arrival - high) * (at - before):
+                break
+            hull.pop()  # it lies on or above the line through those on its sides
         hull.append((tick, arrival))
     middle = float(ticks.mean())
     for (first, low), (last, high) in pairwise(hull):
@@ -395,24 +357,10 @@ def period_below(ticks: Ticks, arrivals: Array) -> float:
     return 0.0
 
 
-def _is_above(one: tuple[int, float], point: tuple[int, float], other: tuple[int, float]) -> bool:
-    """Check whether a point lies on or above the line through those on its sides."""
-    rise = (point[1] - one[1]) * (other[0] - point[0])
-    return rise >= (other[1] - point[1]) * (point[0] - one[0])
-
-
-def _mean_delay(late: Array) -> Array:
-    """Return the cost of `_scatter` for exponential delays, decided by those hardly late."""
-    mean = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
-    return late.shape[1] * np.log(np.maximum(mean, _NARROWEST_MS))
-
-
 def _scatter(late: Array, kernel: float) -> Array:
-    """Return the negative log likelihood of delays under their leave-one-out density, shape (C,).
+    """Return the negative log likelihood of delays (C, T) under their leave-one-out density.
 
-    Args:
-        late: shape (C, T).
-        kernel: standard deviation of the Gaussian kernel of the density.
+    Shape (C,); `kernel` is the standard deviation of the Gaussians that the density is made of.
     """
     fine = 3.0 / kernel
     bins = ((late - late.min(axis=1, keepdims=True)) * fine).astype(np.int64)
@@ -447,27 +395,16 @@ _POSSIBLE = 6.0  # log likelihood that another tick than the likeliest may cost
 
 @dataclass(frozen=True, eq=False)
 class UniformClock:
-    """Uniform clock, and which of its ticks each of T samples was taken at.
+    """Uniform clock, and which of its ticks each of T samples was taken at."""
 
-    Attributes:
-        arrivals_ns: of the samples, shape (T,) [ns].
-        ticks: likeliest, increasing strictly, shape (T,).
-        earliest: first tick that the arrivals leave possible for each, shape (T,).
-        latest: last one, shape (T,).
-        stamps: of `ticks`, since the first arrival, shape (T,) [ms].
-        periods: between ticks, around each sample, shape (T,) [ms].
-        rms_ms: standard deviation of the stamps, beside what they are all off by.
-        cost: negative log likelihood of the arrivals.
-    """
-
-    arrivals_ns: NDArray[np.int64]
-    ticks: Ticks
-    earliest: Ticks
-    latest: Ticks
-    stamps: Array
-    periods: Array
-    rms_ms: float
-    cost: float
+    arrivals_ns: NDArray[np.int64]  # of the samples, shape (T,) [ns]
+    ticks: Ticks  # likeliest, increasing strictly, shape (T,)
+    earliest: Ticks  # first tick that the arrivals leave possible for each, shape (T,)
+    latest: Ticks  # last one, shape (T,)
+    stamps: Array  # of `ticks`, since the first arrival, shape (T,) [ms]
+    periods: Array  # between ticks, around each sample, shape (T,) [ms]
+    rms_ms: float  # standard deviation of the stamps, beside what they are all off by
+    cost: float  # negative log likelihood of the arrivals
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -504,9 +441,8 @@ class UniformClock:
     def placed_by(self, cost: Callable[[NDArray[np.intp], Array], Array]) -> UniformClock:
         """Reassign samples of ambiguous tick by a cost other than that of their arrival.
 
-        Args:
-            cost: negative log likelihood of samples (numbers, shape (N,)) that are taken at times
-                as `stamps` has them, shape (N, S) [ms]; shape (N, S).
+        `cost` gives the negative log likelihood, shape (N, S), of samples (numbers, shape (N,))
+        that are taken at times as `stamps` has them, shape (N, S) [ms].
         """
         ticks, earliest, latest = self.ticks.copy(), self.earliest.copy(), self.latest.copy()
         for run in self.runs():
@@ -529,10 +465,8 @@ class UniformClock:
 def recover_uniform_clock(arrivals_ns: NDArray[np.int64]) -> UniformClock | None:
     """Fit the likeliest uniform clock to arrivals; None if they are too few or simultaneous.
 
-    Whether they come from a uniform clock at all is another question.
-
-    Args:
-        arrivals_ns: not decreasing, shape (T,) [ns].
+    Whether they come from a uniform clock at all is another question. They do not decrease, shape
+    (T,) [ns].
     """
     if len(arrivals_ns) < MIN_COUNT:
         return None
@@ -555,12 +489,7 @@ def _lag(arrivals: Array) -> int:
 
 
 def _straight(arrivals: Array, known: float | None) -> UniformClock:
-    """Fit a clock whose rate does not drift.
-
-    Args:
-        arrivals: shape (T,) [ms].
-        known: period of what came before [ms]; None where nothing did.
-    """
+    """Fit a clock whose rate does not drift; `known` is the period of what came before [ms]."""
     since = arrivals - arrivals[0]
     clock, skipped = _likeliest(since, known)
     numbers = np.arange(len(since))
@@ -677,15 +606,6 @@ _LATE, _LATE_MS = 0.02, 0.3
 # sensor whose steps differ by themselves drifts far from any even clock.
 _ADDS_UP = 1.1
 
-# Steps below this part of a period, in more than this part of all: no sensor is so fast so often,
-# but what waited on its way is.
-_HURRIED, _OFTEN = 0.25, 0.05
-
-_FEW_LOST = 0.2  # of all ticks: with more missing, an even clock explains whatever comes
-_ROUNDED = 1.5  # of what stamps are rounded to: delays that are no more than that are rounding
-# First samples whose steps are shuffled, and log likelihood for each that this must cost.
-_COMPARED, _TELLING = 512, 0.4
-
 MAX_SAMPLES = 50_000  # of which a clock is sought: a quarter of an hour of a camera
 # Quantile to which single long delays and steps are cut where two spreads are compared.
 _UNUSUAL = 0.9
@@ -693,19 +613,13 @@ _UNUSUAL = 0.9
 
 @dataclass(frozen=True, eq=False)
 class CorrectedStamps:
-    """Recorded stamps, and the same with those of late samples corrected.
+    """Recorded stamps, and the same with those of late samples corrected."""
 
-    Attributes:
-        recorded_ns: shape (T,) [ns].
-        stamps_ns: when the samples were taken, increasing, shape (T,) [ns].
-        clock: the uniform clock that they are taken from; None where they are not.
-        rates: how the rate of the samples changes, in words; "" where it does not.
-    """
-
-    recorded_ns: NDArray[np.int64]
-    stamps_ns: NDArray[np.int64]
+    recorded_ns: NDArray[np.int64]  # shape (T,) [ns]
+    stamps_ns: NDArray[np.int64]  # when the samples were taken, increasing, shape (T,) [ns]
+    # the uniform clock that they are taken from; None where they are not
     clock: UniformClock | None = None
-    rates: str = ""
+    rates: str = ""  # how the rate of the samples changes, in words; "" where it does not
 
     @property
     def taken_ns(self) -> dict[int, int]:
@@ -748,11 +662,8 @@ def correct_late_stamps(
     """Put late samples back on the uniform clock behind them, where the stamps show one.
 
     A burst that does not make up for its pause is left as it is, and so are stamps on an exact grid
-    of which points are left out: no burst hits it.
-
-    Args:
-        stamps_ns: not decreasing, shape (T,) [ns].
-        are_arrivals: whether it is known that they are, else the stamps themselves have to show it.
+    of which points are left out: no burst hits it. Where it is not known that the stamps, shape
+    (T,) [ns], not decreasing, `are_arrivals`, they have to show it themselves.
     """
     if len(stamps_ns) < _MIN_SAMPLES:
         return CorrectedStamps(stamps_ns, stamps_ns)
@@ -780,13 +691,7 @@ def clock_behind(
 ) -> tuple[UniformClock | None, str]:
     """Fit the uniform clock behind samples each of which has its own delay.
 
-    Args:
-        arrivals_ns: not decreasing, shape (T,) [ns].
-        are_arrivals: whether it is known that they are.
-
-    Returns:
-        The clock, or None where none can be determined, and then how the rate changes, in words; ""
-        where it does not.
+    Returns it or None, and, where none can be determined, how the rate changes, in words.
     """
     if rates := changing_rate(arrivals_ns, LAG):
         return None, rates
@@ -799,7 +704,7 @@ def clock_behind(
 def _is_worth(clock: UniformClock) -> bool:
     """Check whether delays exceed rounding, and what is as well left alone."""
     late = clock.lateness
-    if np.ptp(late) < _ROUNDED * np.gcd.reduce(np.diff(clock.arrivals_ns)) * 1e-6:
+    if np.ptp(late) < 1.5 * np.gcd.reduce(np.diff(clock.arrivals_ns)) * 1e-6:
         return False
     return _spread(late - np.median(late)) > max(_LATE * float(np.median(clock.periods)), _LATE_MS)
 
@@ -807,11 +712,13 @@ def _is_worth(clock: UniformClock) -> bool:
 def _explains(clock: UniformClock) -> bool:
     """Check whether a clock's residuals are delays: they add up to nothing, few ticks are lost."""
     stamps_ns, late = clock.arrivals_ns, clock.lateness
-    if clock.lost > _FEW_LOST * (clock.lost + len(late)):
+    # With more than a fifth of all ticks missing, an even clock explains whatever comes.
+    if clock.lost > 0.2 * (clock.lost + len(late)):
         return False
     period, steps = float(np.median(clock.periods)), 1e-6 * np.diff(stamps_ns)
     spread = _spread(late - np.median(late))
-    is_hurried = np.mean(steps < _HURRIED * period) > _OFTEN
+    # No sensor is so fast so often, but what waited on its way is.
+    is_hurried = np.mean(steps < 0.25 * period) > 0.05
     own = _spread(steps - period * np.diff(clock.ticks))
     return bool(is_hurried or spread <= max(_ADDS_UP * own, _LATE * period))
 
@@ -821,13 +728,13 @@ def _is_telling(clock: UniformClock) -> bool:
 
     They are not where the steps are a sensor's own, that is not even.
     """
-    first = clock.arrivals_ns[:_COMPARED]
+    first = clock.arrivals_ns[:512]
     shuffled = np.random.default_rng(0).permutation(np.diff(first))
     whole = clock if len(first) == len(clock.arrivals_ns) else recover_uniform_clock(first)
     other = recover_uniform_clock(first[0] + np.cumsum(np.append(0, shuffled)))
     assert whole is not None
     assert other is not None
-    return other.cost - whole.cost > _TELLING * len(first)
+    return other.cost - whole.cost > 0.4 * len(first)  # log likelihood
 
 
 def _spread(values: NDArray[np.float64]) -> float:

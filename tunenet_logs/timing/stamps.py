@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import BY_CLOCK, SAME_STAMP, Episode, Signal, added
+from tunenet_logs.episode import BY_CLOCK, SAME_STAMP, Episode, added
 from tunenet_logs.terminal import listed
 
 
@@ -73,14 +73,10 @@ _S = 1e-9  # a nanosecond [s]
 
 
 class ContiguousSegment(NamedTuple):
-    """Contiguous samples of one clock.
+    """Contiguous samples of one clock."""
 
-    Attributes:
-        keep: their indices, increasing, shape (K,).
-        words: what is wrong with the others, one reason each; empty where all are kept.
-    """
-
-    keep: NDArray[np.intp]
+    keep: NDArray[np.intp]  # their indices, increasing, shape (K,)
+    # what is wrong with the others, one reason each; empty where all are kept
     words: tuple[str, ...] = ()
 
 
@@ -109,9 +105,6 @@ def written_part(stamps_ns: NDArray[np.int64]) -> ContiguousSegment:
 
     All are kept where what was written later fills holes, or goes before what was written first
     without a pause: then sorting mends it.
-
-    Args:
-        stamps_ns: shape (T,) [ns], in the order in which they were written.
     """
     backs = _set_back(stamps_ns)
     if len(backs):
@@ -124,9 +117,7 @@ def written_part(stamps_ns: NDArray[np.int64]) -> ContiguousSegment:
 def is_disorder(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> bool:
     """Check whether stamps that run back and forth are those of a uniform clock, reordered.
 
-    Args:
-        stamps_ns: shape (T,) [ns], in the order in which they were written.
-        others_ns: of another clock, of the same samples [ns], shape (T,).
+    `others_ns` are the same samples' stamps by another clock; both are in file order, shape (T,).
     """
     ordered = np.sort(stamps_ns)
     if _usual_ns(stamps_ns[None]) <= 0:
@@ -204,13 +195,6 @@ def _longest(stretch: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.flatnonzero(stretch == np.bincount(stretch).argmax())
 
 
-def _ends_before(firsts: NDArray[np.intp], count: int) -> NDArray[np.bool_]:
-    """Mark the samples that end a stretch, shape (count - 1,), given the firsts of the others."""
-    is_end = np.zeros(count - 1, np.bool_)
-    is_end[firsts - 1] = True
-    return is_end
-
-
 def _set_back(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
     """Return the first samples after stamps step back, stragglers aside, shape (J,)."""
     reversals = np.flatnonzero(stamps_ns[1:] < stamps_ns[:-1]) + 1
@@ -225,13 +209,18 @@ def _set_back(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
 
 def _repeats_time(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Check after each step back whether the same or an earlier time follows, shape (J,)."""
-    ordered, near = np.sort(stamps_ns), _sorted_nearby(stamps_ns)
+    ordered = np.sort(stamps_ns)
+    # And sorted in blocks of those written together, shape (blocks, `_NEARBY` or fewer).
+    size = max(2 * _AROUND, min(_NEARBY, len(stamps_ns) // 4))
+    near = np.sort(stamps_ns[: len(stamps_ns) // size * size].reshape(-1, size), axis=1)
     usual_ns, nearby_ns = _usual_ns(ordered[None]), _usual_ns(near)
     period_ns = nearby_ns if usual_ns < _HALVED * nearby_ns else usual_ns
     if period_ns <= 0:
         return np.zeros(len(backs), np.bool_)
-    # From where on, and up to where, samples from both sides of each step back lie.
-    low, high = _without_strays(stamps_ns)
+    # From where on, and up to where, samples from both sides of each step back lie: strays aside,
+    # by the minimum and maximum of each `_BURST` stamps in a row, shape (T - 2,) each.
+    one, two, three = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
+    low, high = np.minimum(np.minimum(one, two), three), np.maximum(np.maximum(one, two), three)
     at_end, at_start = np.minimum(backs, len(low) - 1), np.maximum(backs - _BURST, 0)
     begins = np.minimum.accumulate(high)[at_start]
     reached = np.maximum.accumulate(low)[at_start]
@@ -282,19 +271,6 @@ def _strongest(backs: NDArray[np.intp], too_many: NDArray[np.float64]) -> NDArra
     return is_set
 
 
-def _without_strays(stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the minimum and maximum of each `_BURST` stamps in a row, shape (T - 2,) each."""
-    one, two, three = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
-    return np.minimum(np.minimum(one, two), three), np.maximum(np.maximum(one, two), three)
-
-
-def _sorted_nearby(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sort stamps in blocks of those written together, shape (blocks, `_NEARBY` or fewer)."""
-    size = max(2 * _AROUND, min(_NEARBY, len(stamps_ns) // 4))
-    blocks = stamps_ns[: len(stamps_ns) // size * size].reshape(-1, size)
-    return np.sort(blocks, axis=1)
-
-
 def _short(stamps_ns: NDArray[np.int64], period_ns: float) -> NDArray[np.float64]:
     """Return by how much of a period each step is too short, 1 at most, shape (..., T - 1)."""
     steps_ns = np.diff(stamps_ns.astype(np.float64))
@@ -313,7 +289,9 @@ def _longest_between(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> C
     count, at = len(stamps_ns), int(backs[0])
     before, after = stamps_ns[max(at - _AROUND, 0) : at], stamps_ns[at : at + _AROUND]
     by_s = (float(before.max()) - float(after.min())) * _S
-    rows = _longest(_stretches(_ends_before(backs, count)))
+    is_end = np.zeros(count - 1, np.bool_)
+    is_end[backs - 1] = True
+    rows = _longest(_stretches(is_end))
     return ContiguousSegment(
         rows, (_jump_words(f"is set back by {by_s:.3f} s", backs, count, rows),)
     )
@@ -348,20 +326,15 @@ def _alone_words(
 _GAPS_NOTE = "gaps"
 _GAP = re.compile(r"(\d{1,19})-(\d{1,19})", re.ASCII)
 
-_LAST_NS = 2**63 - 1  # the last stamp that fits int64
+LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
 _STILL_OPEN = 0.5  # of a gap's length: where no step is so long any more, late samples filled it
 
 
 class Gap(NamedTuple):
-    """Interval in which the source delivered nothing.
+    """Interval in which the source delivered nothing."""
 
-    Attributes:
-        last_ns: stamp of the last picture before it.
-        next_ns: stamp of the first picture after it.
-    """
-
-    last_ns: int
-    next_ns: int
+    last_ns: int  # stamp of the last picture before it
+    next_ns: int  # stamp of the first picture after it
 
     @property
     def seconds(self) -> float:
@@ -372,7 +345,7 @@ class Gap(NamedTuple):
 def noted_gaps(notes: Mapping[str, str]) -> tuple[Gap, ...]:
     """Parse the gaps listed in an info record's notes; what is no gap is left out."""
     found = (Gap(int(last), int(after)) for last, after in _GAP.findall(notes.get(_GAPS_NOTE, "")))
-    return tuple(gap for gap in found if gap.last_ns < gap.next_ns <= _LAST_NS)
+    return tuple(gap for gap in found if gap.last_ns < gap.next_ns <= LAST_NS)
 
 
 def gap_note(gaps: Iterable[Gap]) -> tuple[str, str]:
@@ -410,50 +383,32 @@ def parts_between(stamps_ns: NDArray[np.int64], gaps: Iterable[Gap]) -> NDArray[
 MAX_SPEED_HZ = 100_000.0
 
 MAX_SPEED_CAMERA_HZ = 2000.0  # no camera that is plugged in or in a network is faster
-_RATE_LAG = 30  # messages over which the usual rate is taken: few bursts are longer
 # A longer step, in usual ones and in seconds, is a pause; a burst's own steps are shorter.
 _PAUSE_PERIODS, _PAUSE_S = 10.0, 0.5
-
-_WAITED_PERIODS = 0.1  # messages at the beginning that are closer had waited to be asked for
-_MAX_PAUSED = 0.9  # of the time; where several pauses take more, they are how the messages come
 
 
 def measured_hz(
     stamps_ns: Sequence[int] | NDArray[np.int64], fastest_hz: float = MAX_SPEED_HZ
 ) -> float:
-    """Return the mean message rate [Hz]; 0 where the stamps determine none.
+    """Return the mean message rate [Hz], at most `fastest_hz`; 0 where the stamps determine none.
 
     A pause is left out, but for what of it the messages behind it make up for: what a stopped
     recorder or a stalled network only delayed is not lost, and its time counts.
-
-    Args:
-        stamps_ns: in any order, shape (T,) [ns].
-        fastest_hz: what no such messages exceed.
     """
     stamps = np.sort(np.array(stamps_ns, np.int64))
     seconds = (stamps - stamps[:1]).astype(np.float64) * 1e-9
-    period_s = _usual_s(seconds)
-    if period_s > 0:
-        seconds = _without_those_that_waited(seconds, period_s)
+    # The median period over many messages [s], so that bursts level out: few are longer than 30.
+    lag = max(1, min(30, (len(seconds) - 1) // 4))
+    period_s = float(np.median(seconds[lag:] - seconds[:-lag])) / lag if len(seconds) > lag else 0.0
+    if period_s > 0:  # without closer ones at the beginning, which had waited to be asked for
+        late = np.diff(seconds) >= 0.1 * period_s
+        seconds = seconds[int(late.argmax()) :] if late.any() else seconds
     count = len(seconds) - 1
     if count < 1:
         return 0.0
     whole_s = float(seconds[-1] - seconds[0])
     counted_s = whole_s - _lost_s(seconds, period_s)
     return count / counted_s if counted_s * fastest_hz >= count else 0.0
-
-
-def _usual_s(seconds: NDArray[np.float64]) -> float:
-    """Return the median period over many messages [s], so that bursts level out."""
-    lag = max(1, min(_RATE_LAG, (len(seconds) - 1) // 4))
-    return float(np.median(seconds[lag:] - seconds[:-lag])) / lag if len(seconds) > lag else 0.0
-
-
-def _without_those_that_waited(
-    seconds: NDArray[np.float64], period_s: float
-) -> NDArray[np.float64]:
-    late = np.diff(seconds) >= _WAITED_PERIODS * period_s
-    return seconds[int(late.argmax()) :] if late.any() else seconds
 
 
 def _lost_s(seconds: NDArray[np.float64], period_s: float) -> float:
@@ -469,7 +424,7 @@ def _lost_s(seconds: NDArray[np.float64], period_s: float) -> float:
     came = np.searchsorted(seconds, ends_s + watched_s, "right") - (pauses + 2)
     waited_s = np.clip(came * period_s - watched_s, 0.0, lengths_s)
     lost_s = float((lengths_s - waited_s - period_s).clip(0.0).sum())
-    is_how_they_come = len(pauses) > 2 and lost_s > _MAX_PAUSED * (seconds[-1] - seconds[0])
+    is_how_they_come = len(pauses) > 2 and lost_s > 0.9 * (seconds[-1] - seconds[0])
     return 0.0 if is_how_they_come else lost_s
 
 
@@ -482,26 +437,20 @@ def trim_clock_jumps(episode: Episode) -> Episode:
     Pictures are cut by whoever looks at them: they are not in memory.
     """
     parts = {name: sound_part(signal.stamps_ns) for name, signal in episode.signals.items()}
-    signals = {
-        name: _kept(signal, parts[name]) if parts[name].words else signal
-        for name, signal in episode.signals.items()
-    }
+    signals = dict(episode.signals)
+    for name, part in parts.items():
+        if part.words:
+            one, keep = signals[name], part.keep
+            left_out = added(one.left_out, {BY_CLOCK: len(one.stamps_ns) - len(keep)})
+            signals[name] = replace(
+                one, stamps_ns=one.stamps_ns[keep], values=one.values[keep], left_out=left_out
+            )
     warnings = tuple(dict.fromkeys((*episode.warnings, *_said(parts))))
     return replace(episode, signals=signals, warnings=warnings)
 
 
-def _kept(signal: Signal, part: ContiguousSegment) -> Signal:
-    stamps_ns, values = signal.stamps_ns[part.keep], signal.values[part.keep]
-    cut = {BY_CLOCK: len(signal.stamps_ns) - len(stamps_ns)}
-    return replace(signal, stamps_ns=stamps_ns, values=values, left_out=added(signal.left_out, cut))
-
-
 def with_jumps_of_pictures(episode: Episode) -> Episode:
-    """Mark the pictures of a video beyond a jump of their clock as left out.
-
-    Args:
-        episode: its channels' stamps are those of its pictures, as in a video file.
-    """
+    """Mark the pictures of a video file beyond a jump of their clock as left out."""
     parts = {
         channel.topic: filmed_part(channel.log_ns)
         for channel in episode.channels
@@ -532,28 +481,14 @@ def _said(parts: Mapping[str, ContiguousSegment]) -> list[str]:
 
 # ---- Order of samples: which of a log's clocks to trust, and sort by it
 
-# Of a channel's samples: a few that overtake each other on a network are sorted; from a tenth on
-# the header's clock is set back again and again, unless its stamps are even once they are sorted.
-_MAX_REVERSED_FRACTION = 0.1
-
-_MIN_DISTINCT_FRACTION = 0.1  # of a channel's stamps; with fewer, its sender hardly ever sets them
-_MIN_KEPT_FRACTION = 0.9  # of a channel's stamps; a jump that leaves less counts
-_MAX_AHEAD = 16  # pictures that wait until their turn comes: what memory holds of large ones
-
 
 class SampleOrder(NamedTuple):
-    """Samples of one clock, in order.
+    """Samples of one clock, in order."""
 
-    Attributes:
-        keep: indices of the K samples to keep, shape (K,).
-        stamps_ns: theirs [ns], shape (K,), strictly increasing.
-        notes: what was repaired.
-        left_out: samples that are not kept, by the reason; not those that repeat one that is.
-    """
-
-    keep: NDArray[np.intp]
-    stamps_ns: NDArray[np.int64]
-    notes: list[str]
+    keep: NDArray[np.intp]  # indices of the K samples to keep, shape (K,)
+    stamps_ns: NDArray[np.int64]  # theirs [ns], shape (K,), strictly increasing
+    notes: list[str]  # what was repaired
+    # samples that are not kept, by the reason; not those that repeat one that is
     left_out: dict[str, int]
 
 
@@ -562,25 +497,23 @@ def trusts_header(
 ) -> tuple[bool, list[str]]:
     """Check whether a channel's header stamps can be trusted, and give the reason if not.
 
-    They cannot where the log's own times say more: where they are not set or hardly change, run
+    They cannot where the log's own times say more: where they are not set (0) or hardly change, run
     backwards, or jump while the log's do not. A single stamp that is off is no reason: it is left
-    out.
-
-    Args:
-        header_ns: acquisition stamps of T messages in file order [ns], shape (T,); 0 where not set.
-        log_ns: receipt stamps of the same messages [ns], shape (T,).
+    out. Both are in file order, shape (T,) [ns].
     """
     if not len(header_ns):
         return True, []
     if np.count_nonzero(header_ns == 0) > 1:
         return False, []
-    if len(distinct(header_ns)) <= _MIN_DISTINCT_FRACTION * len(header_ns):
+    if len(distinct(header_ns)) <= 0.1 * len(header_ns):
         return False, ["header stamps hardly change, so the log's own times are used"]
     if jumps := _jumps(header_ns):
         what = f"{jumps.partition(':')[0]} in header stamps, so the log's own times are used"
         return (True, []) if _jumps(log_ns) else (False, [what])
+    # A few that overtake each other on a network are sorted; from a tenth on the clock is set back
+    # again and again, unless its stamps are even once they are sorted.
     reversed_fraction = np.count_nonzero(np.diff(header_ns) < 0) / len(header_ns)
-    if reversed_fraction > _MAX_REVERSED_FRACTION and not is_disorder(header_ns, log_ns):
+    if reversed_fraction > 0.1 and not is_disorder(header_ns, log_ns):
         return False, ["header stamps run backwards, so the log's own times are used"]
     return True, []
 
@@ -594,7 +527,7 @@ def distinct(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 def _jumps(stamps_ns: NDArray[np.int64]) -> str:
     """Describe how a clock jumps, where much is lost by it; "" where it does not."""
     for part in (written_part(stamps_ns), sound_part(np.sort(stamps_ns))):
-        if len(part.keep) < _MIN_KEPT_FRACTION * len(stamps_ns):
+        if len(part.keep) < 0.9 * len(stamps_ns):
             return part.words[-1]
     return ""
 
@@ -606,7 +539,7 @@ def places_ahead(stamps_ns: NDArray[np.int64]) -> int:
         return 0
     order = np.argsort(stamps_ns, kind="stable")
     ahead = int((np.maximum.accumulate(order) - np.arange(len(order))).max())
-    return ahead if ahead <= _MAX_AHEAD else 0
+    return ahead if ahead <= 16 else 0  # pictures that wait: what memory holds of large ones
 
 
 def order_samples(
@@ -614,13 +547,7 @@ def order_samples(
     log_ns: NDArray[np.int64],
     values: Sequence[NDArray[np.float64]] = (),
 ) -> SampleOrder:
-    """Sort samples by header stamps where these can be trusted, else by the log's own.
-
-    Args:
-        header_ns: acquisition stamps of T messages in file order [ns], shape (T,); 0 where not set.
-        log_ns: receipt stamps of the same messages [ns], shape (T,).
-        values: see `sorted_stamps`.
-    """
+    """Sort samples by header stamps where these can be trusted, else by the log's own."""
     is_header, notes = trusts_header(header_ns, log_ns)
     found = sorted_stamps(header_ns if is_header else log_ns, values)
     return found._replace(notes=notes + found.notes)
@@ -631,10 +558,7 @@ def sorted_stamps(
 ) -> SampleOrder:
     """Sort; keep the first sample of each stamp, and the longest part of a clock set back.
 
-    Args:
-        stamps: of T samples in file order [ns], shape (T,).
-        values: what the samples are, each of shape (T, ...): one that repeats all values of another
-            with its stamp is not missed.
+    A sample that repeats all `values`, each of shape (T, ...), of one with its stamp is not missed.
     """
     written, words = written_part(stamps)
     notes = list(words)
@@ -651,17 +575,12 @@ def sorted_stamps(
         notes.append(f"{len(duplicates)} samples with a stamp already seen were left out")
         firsts = np.flatnonzero(fresh)
         known = firsts[np.searchsorted(firsts, duplicates) - 1]
-        if others := _others(written[order[duplicates]], written[order[known]], values):
+        # Missed are those with a value other than that of the sample known at their time.
+        rows, known = written[order[duplicates]], written[order[known]]
+        differs = np.full(len(rows), not values)
+        for one in values:
+            new, old = (one[at].reshape(len(rows), -1) for at in (rows, known))
+            differs |= np.any((new != old) & ~(np.isnan(new) & np.isnan(old)), axis=1)
+        if others := int(np.count_nonzero(differs)):
             left_out[SAME_STAMP] = others
     return SampleOrder(written[order[fresh]], ordered[fresh], notes, left_out)
-
-
-def _others(
-    rows: NDArray[np.intp], known: NDArray[np.intp], values: Sequence[NDArray[np.float64]]
-) -> int:
-    """Count the rows with a value other than that of the row known at their time."""
-    differs = np.full(len(rows), not values)
-    for one in values:
-        new, old = (one[at].reshape(len(rows), -1) for at in (rows, known))
-        differs |= np.any((new != old) & ~(np.isnan(new) & np.isnan(old)), axis=1)
-    return int(np.count_nonzero(differs))

@@ -38,12 +38,7 @@ _NO_SUCH_CALL = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP)
 
 
 def rename_new(old: Path, new: Path) -> None:
-    """Rename a file without ever replacing another (renameat2 with RENAME_NOREPLACE).
-
-    Raises:
-        FileExistsError: the new name is taken; nothing was changed.
-        OSError: it cannot be renamed; nothing was changed.
-    """
+    """Rename a file or change nothing: none is ever replaced (renameat2, RENAME_NOREPLACE)."""
     call = _renameat2()
     if call is not None:
         if call(_HERE, os.fsencode(old), _HERE, os.fsencode(new), _REPLACE_NOTHING) == 0:
@@ -57,11 +52,7 @@ def rename_new(old: Path, new: Path) -> None:
 def take_and_rename(old: Path, new: Path) -> None:
     """Rename without that call: an empty file takes the name first.
 
-    A process that is killed in between leaves that, and the old name.
-
-    Raises:
-        FileExistsError: the new name is taken; nothing was changed.
-        OSError: it cannot be renamed; nothing was changed.
+    A process that is killed in between leaves that, and the old name. An error changes nothing.
     """
     os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666))
     try:
@@ -69,16 +60,6 @@ def take_and_rename(old: Path, new: Path) -> None:
     except BaseException:
         new.unlink(missing_ok=True)
         raise
-
-
-def sync_folder(folder: Path) -> None:
-    """Sync a folder's names to disk (`fsync`), unless its file system cannot."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 @cache
@@ -109,25 +90,15 @@ _ANYBODY_WRITES = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 @dataclass(frozen=True)
 class OutputPlace:
-    """Destination of a file, and what it may replace.
-
-    Attributes:
-        path: the file.
-        what: kind of file, as "page" or "tuning".
-        knows: recognises files of this kind.
-        of: whose the new one is, in words; "" where that needs no word.
-        elsewhere: what a user does where the place is taken.
-        overwrite: whether a file of this kind with other content may be replaced.
-        asked_by: how the user says so.
-    """
+    """Destination of a file, and what it may replace."""
 
     path: Path
-    what: str
-    knows: Knows
-    of: str = ""
-    elsewhere: str = "choose another name with -o"
-    overwrite: bool = False
-    asked_by: str = "--overwrite"
+    what: str  # kind of file, as "page" or "tuning"
+    knows: Knows  # recognises files of this kind
+    of: str = ""  # whose the new one is, in words; "" where that needs no word
+    elsewhere: str = "choose another name with -o"  # what a user does where the place is taken
+    overwrite: bool = False  # whether a file of this kind with other content may be replaced
+    asked_by: str = "--overwrite"  # how the user says so
 
     def why_not(self) -> str | None:
         """Return why nothing may be written there, in one line; None where it may."""
@@ -138,15 +109,15 @@ class OutputPlace:
         except (OSError, ValueError) as error:
             fault = f"cannot be written ({_why(error)}); "
         else:
-            fault = _no_file(mode) or self._not_ours() or _locked(mode)
+            fault = (
+                _no_file(mode)
+                or self._not_ours()
+                or ("" if mode & _ANYBODY_WRITES else "is read-only; make it writable, or ")
+            )
         return f"{self.path}: {fault}{self.elsewhere}" if fault else None
 
     def check(self) -> None:
-        """Check before hours of work that their result can be written.
-
-        Raises:
-            UsageError: it cannot; says why.
-        """
+        """Check before hours of work that their result can be written; else UsageError."""
         folder = self.path.parent
         if not folder.is_dir():
             raise UsageError(f"{folder}: no such folder; create it, or {self.elsewhere}")
@@ -163,9 +134,7 @@ class OutputPlace:
     def replacing(self) -> Iterator[Path]:
         """Yield a file beside it, this process's own, that takes its name once it is whole.
 
-        Raises:
-            LogError: something else is there, or is by then.
-            OSError: it cannot be written; it names `path`.
+        LogError where something else is there, or is by then.
         """
         if why := self.why_not():
             raise LogError(why)
@@ -179,11 +148,7 @@ class OutputPlace:
                 partial.replace(self.path)
 
     def remove(self) -> None:
-        """Delete what is there where it may be replaced; anything else stays.
-
-        Raises:
-            OSError: it cannot be deleted.
-        """
+        """Delete what is there where it may be replaced; anything else stays."""
         if self.why_not() is None:
             self.path.unlink(missing_ok=True)
 
@@ -214,20 +179,8 @@ def _no_file(mode: int) -> str:
     return "" if stat.S_ISREG(mode) else "is no regular file; "
 
 
-def _locked(mode: int) -> str:
-    return "" if mode & _ANYBODY_WRITES else "is read-only; make it writable, or "
-
-
 def check_folders(folder: Path, below: Path) -> None:
-    """Refuse symbolic links among the folders within a folder of results.
-
-    Args:
-        folder: as the user named it, be it a link.
-        below: what is to be written, or its folder, within that.
-
-    Raises:
-        LogError: one is a link, or no folder.
-    """
+    """Refuse symbolic links below a folder of results, which itself may be one."""
     path = folder
     for name in below.parts:
         path /= name
@@ -264,12 +217,20 @@ def own_log(file: BinaryIO) -> Sequence[str] | None:
 
 @contextmanager
 def _scratch(path: Path) -> Iterator[Path]:
-    """Open an empty file beside `path`, new, and gone at the end unless renamed by then.
-
-    Raises:
-        OSError: it cannot be made or written; it names `path`.
-    """
-    partial, file = _made(path)
+    """Open an empty file beside `path`, new, and gone at the end unless renamed by then."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    number = 0
+    while True:
+        which = f"-{number}" if number else ""
+        partial = path.with_name(f"{path.name}.{os.getpid()}{which}{_PARTIAL}")
+        try:
+            file = os.open(partial, flags, 0o666)
+            break
+        except FileExistsError:  # somebody's
+            number += 1
+        except OSError as error:
+            error.filename = str(path)
+            raise
     try:
         yield partial
     except OSError as error:
@@ -281,22 +242,6 @@ def _scratch(path: Path) -> Iterator[Path]:
             if os.path.samestat(partial.lstat(), os.fstat(file)):
                 partial.unlink()
         os.close(file)
-
-
-def _made(path: Path) -> tuple[Path, int]:
-    """Create a file beside `path` under a name that nobody has, open for writing."""
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    number = 0
-    while True:
-        which = f"-{number}" if number else ""
-        partial = path.with_name(f"{path.name}.{os.getpid()}{which}{_PARTIAL}")
-        try:
-            return partial, os.open(partial, flags, 0o666)
-        except FileExistsError:  # somebody's
-            number += 1
-        except OSError as error:
-            error.filename = str(path)
-            raise
 
 
 def _why(error: Exception) -> str:
@@ -320,19 +265,8 @@ class ClaimedName:
 
     The file is made under a name of its own and locked (`flock`) before it gets the one that is
     claimed, so nobody ever finds that unlocked but where a killed process left it. Nothing is
-    emptied, and no link is followed.
-
-    Args:
-        path: the name.
-        takes_over: whether a log of ours that a process left there that is gone may be lost.
-
-    Attributes:
-        is_kept: whether the file stays where its claim is dropped without a word, as by a signal
-            before its first message.
-
-    Raises:
-        LogError: something is there that stays; says what, and the remedy.
-        OSError: the file cannot be made.
+    emptied, and no link is followed. With `takes_over` a log of ours that a process left there that
+    is gone may be lost. LogError says what stays, and the remedy.
     """
 
     def __init__(self, path: Path, *, takes_over: bool) -> None:
@@ -387,19 +321,19 @@ class ClaimedName:
         return None
 
     def rename(self, path: Path, *, replaces: bool) -> bool:
-        """Give the file its last name, in the same folder; return whether it then lies there.
-
-        Raises:
-            FileExistsError: the name is taken, and is not to be replaced.
-            OSError: the file system does not do it.
-        """
+        """Give the file its last name, in the same folder; return whether it then lies there."""
         if self.why_lost():
             return False
         if replaces:
             self.path.replace(path)
         else:
             rename_new(self.path, path)
-        sync_folder(path.parent)
+        with suppress(OSError):  # there are file systems that sync no folder
+            folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
         return self.is_at(path)
 
     def remove(self) -> None:
@@ -428,12 +362,7 @@ _LOOK = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 def _clear(path: Path, *, takes_over: bool) -> None:
-    """Remove the file of a process that is gone.
-
-    Raises:
-        LogError: it is no such thing, or is to stay.
-        OSError: it cannot be looked at, or removed.
-    """
+    """Remove the file of a process that is gone; LogError where it is none, or is to stay."""
     try:
         left = os.open(path, _LOOK)
     except FileNotFoundError:  # it has its last name by now
@@ -496,14 +425,8 @@ class WholeFile:
     """Open file, written without a buffer: what `append` returned from is in the file.
 
     In the file means that it survives this process being killed; `sync` makes it survive the
-    machine. Where a piece does not fit, the file is cut back to the last whole one.
-
-    Args:
-        descriptor: of the file, which is empty and opened for appending; it is not closed here.
-
-    Attributes:
-        size_bytes: of the whole pieces.
-        crc32: of the whole pieces.
+    machine. Where a piece does not fit, the file is cut back to the last whole one. The descriptor
+    is of an empty file, opened for appending, and is not closed here.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -513,53 +436,32 @@ class WholeFile:
         self._descriptor = descriptor
 
     def append(self, piece: bytes) -> None:
-        """Write all of `piece`, or nothing.
-
-        Raises:
-            OSError: it did not fit, or the disk failed.
-        """
+        """Write all of `piece`, or nothing: OSError where it did not fit, or the disk failed."""
         if self._is_torn:
             raise OSError(errno.EIO, "cannot be cut back after a write that failed")
-        rest = memoryview(piece)
         try:
-            while rest:
-                rest = rest[os.write(self._descriptor, rest) :]
+            _write(self._descriptor, piece)
         except OSError:
-            self._cut_back()
+            self._is_torn = True  # what follows half a piece could not be read
+            with suppress(OSError):
+                os.ftruncate(self._descriptor, self.size_bytes)
+                os.lseek(self._descriptor, self.size_bytes, os.SEEK_SET)
+                self._is_torn = False
             raise
         self.size_bytes += len(piece)
         self.crc32 = zlib.crc32(piece, self.crc32)
 
     def sync(self) -> None:
-        """Sync the contents to disk.
-
-        Raises:
-            OSError: it cannot.
-        """
+        """Sync the contents to disk."""
         os.fdatasync(self._descriptor)
 
     def is_changed(self) -> bool:
         """Check whether another process has cut the file, or written to it."""
         return os.fstat(self._descriptor).st_size != self.size_bytes
 
-    def free_bytes(self) -> int:
-        """Return the bytes that an ordinary user may still write to this disk."""
-        return free_bytes(self._descriptor)
-
-    def _cut_back(self) -> None:
-        self._is_torn = True  # what follows half a piece could not be read
-        with suppress(OSError):
-            os.ftruncate(self._descriptor, self.size_bytes)
-            os.lseek(self._descriptor, self.size_bytes, os.SEEK_SET)
-            self._is_torn = False
-
 
 def free_bytes(place: Path | int) -> int:
-    """Return the bytes that an ordinary user may still write to a folder's or open file's disk.
-
-    Raises:
-        OSError: there is no such folder.
-    """
+    """Return the bytes that an ordinary user may still write to a folder's or open file's disk."""
     disk = os.statvfs(place)
     return disk.f_bavail * disk.f_frsize
 
@@ -575,11 +477,7 @@ _PIECE_BYTES = 1024 * 1024  # copied at a time
 
 
 def check_log_name(path: Path, *, overwrite: bool) -> None:
-    """Refuse a name that a finished log cannot take; it may only `overwrite` a log of ours.
-
-    Raises:
-        LogError: it cannot; with the reason.
-    """
+    """Refuse a name that a finished log cannot take; it may only `overwrite` a log of ours."""
     if why := OutputPlace(path, "log", own_log).why_not():
         raise LogError(why)
     if os.path.lexists(path) and not overwrite:
@@ -589,16 +487,7 @@ def check_log_name(path: Path, *, overwrite: bool) -> None:
 class LogPlace:
     """Both names of a log, and the space beside it. The first name is this process's alone.
 
-    Args:
-        path: the finished log.
-        overwrite: whether it may replace one that is there.
-        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
-
-    Attributes:
-        active_path: the log while it is written.
-
-    Raises:
-        LogError: no recording should start here.
+    `min_free_bytes` is to stay free on the disk; LogError where no recording should start here.
     """
 
     def __init__(self, path: Path, *, overwrite: bool, min_free_bytes: int) -> None:
@@ -633,13 +522,10 @@ class LogPlace:
     ) -> Path | None:
         """Give the file its last name and release it; return where it lies, None if it is lost.
 
-        Where the name cannot be given, it stays under its first one. Where it has lost that, as
-        somebody removed or replaced it, what it holds is copied to a name of its own.
-
-        Args:
-            is_whole: whether it has its end, so that every reader opens it.
-            is_cut: whether an error ended it; then it replaces no log that is there.
-            or_nothing: whether nothing is to be left where it cannot have its last name.
+        Where the name cannot be given, it stays under its first one, or, `or_nothing`, goes. Where
+        it has lost that, as somebody removed or replaced it, what it holds is copied to a name of
+        its own. It `is_whole` if it has its end; one that an error `is_cut` replaces no log that is
+        there.
         """
         claim = self.claim
         try:
@@ -678,31 +564,19 @@ class LogPlace:
 
 
 def _copied(descriptor: int, path: Path) -> bool:
-    """Copy an open file to a new name, and return whether all of it lies there.
-
-    Raises:
-        OSError, LogError: it cannot be written; nothing is left.
-    """
+    """Copy an open file to a new name, and return whether all of it lies there, or nothing."""
     copy = ClaimedName(path.with_name(path.name + ACTIVE_SUFFIX), takes_over=False)
     try:
-        for piece in _pieces(descriptor):
-            rest = memoryview(piece)
-            while rest:
-                rest = rest[os.write(copy.descriptor, rest) :]
+        at = 0
+        while piece := os.pread(descriptor, _PIECE_BYTES, at):  # a short read is no end
+            at += len(piece)
+            _write(copy.descriptor, piece)
         os.fsync(copy.descriptor)
         size = os.fstat(copy.descriptor).st_size
         is_there = copy.rename(path, replaces=False)
         return is_there and size == os.fstat(descriptor).st_size
     finally:
         copy.remove()  # nothing is there where it was renamed
-
-
-def _pieces(descriptor: int) -> Iterator[bytes]:
-    """Yield all bytes of an open file; a short read is no end."""
-    at = 0
-    while piece := os.pread(descriptor, _PIECE_BYTES, at):
-        at += len(piece)
-        yield piece
 
 
 def not_writable(path: Path, error: OSError) -> LogError:
@@ -728,11 +602,8 @@ def write_new(path: Path, data: bytes) -> None:
     """Write a new file atomically: whole and on the disk before it has its name.
 
     A process that is killed leaves nothing, where the file system knows files without a name;
-    elsewhere at most `NAME.active`, which no reader takes for the file.
-
-    Raises:
-        FileExistsError: `path` is taken; it stays as it is.
-        OSError: it cannot be written; nothing is left.
+    elsewhere at most `NAME.active`, which no reader takes for the file. A `path` that is taken
+    stays as it is: FileExistsError.
     """
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -752,7 +623,8 @@ def _write_nameless(path: Path, data: bytes, folder: int) -> bool:
             return False
         raise
     try:
-        _write_all(file, data)
+        _write(file, data)
+        os.fsync(file)
         # Only with a folder does os.link follow the link that /proc has for the open file.
         os.link(f"/proc/self/fd/{file}", path.name, dst_dir_fd=folder, follow_symlinks=True)
     except OSError as error:
@@ -765,16 +637,12 @@ def _write_nameless(path: Path, data: bytes, folder: int) -> bool:
 
 
 def write_aside(path: Path, data: bytes) -> None:
-    """Write under a name of its own, which no one else may take meanwhile, and rename.
-
-    Raises:
-        FileExistsError: `path` is taken, or about to be.
-        OSError: it cannot be written; nothing is left.
-    """
+    """Write under a name of its own, which no one else may take meanwhile, and rename."""
     aside = path.with_name(path.name + ACTIVE_SUFFIX)
     file = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
     try:
-        _write_all(file, data)
+        _write(file, data)
+        os.fsync(file)
         rename_new(aside, path)
     except BaseException:
         aside.unlink(missing_ok=True)
@@ -783,8 +651,8 @@ def write_aside(path: Path, data: bytes) -> None:
         os.close(file)
 
 
-def _write_all(file: int, data: bytes) -> None:
+def _write(file: int, data: bytes) -> None:
+    """Write all of `data`; a short write is no end."""
     rest = memoryview(data)
     while rest:
         rest = rest[os.write(file, rest) :]
-    os.fsync(file)

@@ -11,9 +11,9 @@ import os
 import struct
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, NoReturn, Self
@@ -48,17 +48,20 @@ from tunenet_logs.files import open_regular
 from tunenet_logs.messages import INFO_RECORD
 from tunenet_logs.timing.arrivals import STAMPS_NOTE
 from tunenet_logs.timing.stamps import now_ns
-from tunenet_logs.writing.owned_path import NO_SPACE, ClaimedName, LogPlace, WholeFile, not_writable
+from tunenet_logs.writing.owned_path import (
+    NO_SPACE,
+    ClaimedName,
+    LogPlace,
+    WholeFile,
+    free_bytes,
+    not_writable,
+)
 
 MAGIC = b"\x89MCAP0\r\n"  # an MCAP file begins and ends with it
 
 
 class McapSummary:
-    """Counts and indexes of what has reached a file.
-
-    Attributes:
-        message_count: messages in its chunks.
-    """
+    """Counts and indexes of what has reached a file."""
 
     def __init__(self) -> None:
         self.message_count = 0
@@ -73,13 +76,7 @@ class McapSummary:
     def add_chunk(
         self, index: ChunkIndex, counts: Mapping[int, int], announced: Sequence[Schema | Channel]
     ) -> None:
-        """Count a chunk that is in the file.
-
-        Args:
-            index: of the chunk.
-            counts: messages in it, by channel.
-            announced: the schemas and channels that are in it.
-        """
+        """Count a chunk that is in the file: its messages by channel, and what it announced."""
         self._chunk_indexes += bytes_of(index)
         self._chunk_count += 1
         for record in announced:
@@ -101,29 +98,15 @@ class McapSummary:
     def ending(
         self, at: int, data_crc32: int, last: MetadataIndex, *, has_chunk_index: bool = True
     ) -> bytes:
-        """Encode data end, summary and footer.
+        """Encode data end, summary and footer, as they begin at `at` of the file.
 
-        Args:
-            at: where they begin in the file.
-            data_crc32: of all before that.
-            last: a metadata record that comes just before, and is not counted yet.
-            has_chunk_index: whether readers may jump; without, they go through from the beginning.
+        `last` is a metadata record that comes just before, and is not counted yet. Without a chunk
+        index readers cannot jump, and go through from the beginning.
         """
         data_end = bytes_of(DataEnd(data_crc32))
         start = at + len(data_end)
         summary, offsets = bytearray(), bytearray()
-        for opcode, group in self._groups([*self._metadata_indexes, last]):
-            kept = group if has_chunk_index or opcode != Opcode.CHUNK_INDEX else b""
-            offsets += bytes_of(SummaryOffset(opcode, start + len(summary), len(kept)))
-            summary += kept
-        offset_start = start + len(summary)
-        summary += offsets
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        crc32 = zlib.crc32(head, zlib.crc32(summary))
-        return data_end + bytes(summary) + bytes_of(Footer(start, offset_start, crc32)) + MAGIC
-
-    def _groups(self, metadata_indexes: Sequence[MetadataIndex]) -> Iterator[tuple[Opcode, bytes]]:
-        """Yield the records of the summary in its order."""
+        metadata_indexes = [*self._metadata_indexes, last]
         first_ns, last_ns = self._span_ns or (0, 0)
         statistics = Statistics(
             attachment_count=0,
@@ -136,12 +119,22 @@ class McapSummary:
             message_end_time=last_ns,
             schema_count=len(self.schemas),
         )
-        yield Opcode.SCHEMA, b"".join(map(bytes_of, self.schemas))
-        yield Opcode.CHANNEL, b"".join(map(bytes_of, self.channels))
-        yield Opcode.STATISTICS, bytes_of(statistics)
-        yield Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)
-        yield Opcode.ATTACHMENT_INDEX, b""
-        yield Opcode.METADATA_INDEX, b"".join(map(bytes_of, metadata_indexes))
+        for opcode, group in (
+            (Opcode.SCHEMA, b"".join(map(bytes_of, self.schemas))),
+            (Opcode.CHANNEL, b"".join(map(bytes_of, self.channels))),
+            (Opcode.STATISTICS, bytes_of(statistics)),
+            (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
+            (Opcode.ATTACHMENT_INDEX, b""),
+            (Opcode.METADATA_INDEX, b"".join(map(bytes_of, metadata_indexes))),
+        ):
+            kept = group if has_chunk_index or opcode != Opcode.CHUNK_INDEX else b""
+            offsets += bytes_of(SummaryOffset(opcode, start + len(summary), len(kept)))
+            summary += kept
+        offset_start = start + len(summary)
+        summary += offsets
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
+        crc32 = zlib.crc32(head, zlib.crc32(summary))
+        return data_end + bytes(summary) + bytes_of(Footer(start, offset_start, crc32)) + MAGIC
 
 
 def bare_ending(data_crc32: int) -> bytes:
@@ -182,16 +175,7 @@ _INDEX = struct.Struct("<BQHI")
 class McapOutput:
     """MCAP file in the making: zstd chunks, CRCs of chunks and of the whole.
 
-    Args:
-        file: empty.
-        profile: of the log, as in the MCAP registry.
-        library: what writes it.
-
-    Attributes:
-        is_ended: whether the log has its end.
-
-    Raises:
-        OSError: not even the beginning can be written.
+    Where a write does not fit, OSError leaves the file as it was before it.
     """
 
     def __init__(self, file: WholeFile, profile: str, library: str) -> None:
@@ -230,11 +214,7 @@ class McapOutput:
     def add_message(
         self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes
     ) -> None:
-        """Add a message to the open chunk, and write that if it is full.
-
-        Raises:
-            OSError: the chunk does not fit; the file is as it was before it.
-        """
+        """Add a message to the open chunk, and write that if it is full."""
         offset = self._offset
         entries = self._entries.get(channel_id)
         if entries is None:
@@ -247,11 +227,7 @@ class McapOutput:
             self.close_chunk()
 
     def close_chunk(self) -> None:
-        """Write the open chunk, if it holds messages.
-
-        Raises:
-            OSError: it does not fit; the file is as it was before it, the chunk is lost.
-        """
+        """Write the open chunk, if it holds messages; one that does not fit is lost."""
         if not self._entries:
             return
         entries, new, data = self._entries, self._new, b"".join(self._pieces)
@@ -269,7 +245,14 @@ class McapOutput:
         builder = RecordBuilder()
         chunk.write(builder)
         length = builder.count
-        tail, offsets = _message_indexes(entries, start + length)
+        # The index of each channel's messages, behind the chunk.
+        offsets: dict[int, int] = {}
+        tail = b""
+        for channel_id, pairs in entries.items():
+            offsets[channel_id] = start + length + len(tail)
+            size = 8 * len(pairs)
+            tail += _INDEX.pack(7, 6 + size, channel_id, size)
+            tail += struct.pack(f"<{len(pairs)}Q", *pairs)
         builder.write(tail)
         self._file.append(builder.end())
         index = ChunkIndex(
@@ -296,21 +279,13 @@ class McapOutput:
         return self._compressor.compress(data)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record at once.
-
-        Raises:
-            OSError: it does not fit; the file is as it was before it.
-        """
+        """Write a metadata record at once."""
         record, index = self._metadata(name, values)
         self._file.append(record)
         self._summary.add_metadata(index)
 
     def end(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a last metadata record and the end of the log. The open chunk is left out.
-
-        Raises:
-            OSError: it does not fit; the file is as it was before it.
-        """
+        """Write a last metadata record and the end of the log. The open chunk is left out."""
         record, index = self._metadata(name, values)
         at, crc32 = self._after(record)
         self._file.append(record + self._summary.ending(at, crc32, index))
@@ -357,19 +332,6 @@ class McapOutput:
         return self._file.size_bytes + len(piece), zlib.crc32(piece, self._file.crc32)
 
 
-def _message_indexes(entries: Mapping[int, list[int]], at: int) -> tuple[bytes, dict[int, int]]:
-    """Build the index records of a chunk, from offset `at` on, and the offset of each channel's."""
-    pieces: list[bytes] = []
-    offsets: dict[int, int] = {}
-    for channel_id, pairs in entries.items():
-        offsets[channel_id] = at
-        size = 8 * len(pairs)
-        piece = _INDEX.pack(7, 6 + size, channel_id, size) + struct.pack(f"<{len(pairs)}Q", *pairs)
-        pieces.append(piece)
-        at += len(piece)
-    return b"".join(pieces), offsets
-
-
 # ---- Restamping: other header stamps for a finished log of ours, known only at its end
 # The log is copied and then replaced at once, so that it is whole at every moment.
 
@@ -379,16 +341,12 @@ _STAMP, _STAMP_AT = struct.Struct("<iI"), 4
 
 
 def header_stamps_ns(path: Path, topic: str) -> list[int]:
-    """Return the header stamps of a topic's messages, in the order of the file [ns].
-
-    Raises:
-        LogError: the log cannot be read.
-    """
+    """Return the header stamps of a topic's messages, in the order of the file [ns]."""
     stamps: list[int] = []
     numbers: set[int] = set()
     try:
         with open_regular(path) as log:
-            for record in _records(log):
+            for record in StreamReader(log).records:
                 if isinstance(record, Channel) and record.topic == topic:
                     numbers.add(record.id)
                 elif isinstance(record, Message) and record.channel_id in numbers:
@@ -399,16 +357,10 @@ def header_stamps_ns(path: Path, topic: str) -> list[int]:
 
 
 def restamp(path: Path, topic: str, stamps_ns: Mapping[int, int], note: str) -> None:
-    """Replace the header stamps of a topic's messages; their log stamps stay what they were.
+    """Replace the header stamps [ns], new by old, of a topic; their log stamps stay what they were.
 
-    Args:
-        path: a whole log that `EpisodeWriter` wrote.
-        topic: of messages that begin with a header.
-        stamps_ns: the new stamp [ns] by the old one.
-        note: whose clock that is, for the info record.
-
-    Raises:
-        LogError: it cannot be copied; the log is as it was.
+    The log is whole and of `EpisodeWriter`, and stays as it was where it cannot be copied; `note`
+    says in the info record whose clock that is.
     """
     try:
         name = path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")
@@ -440,7 +392,7 @@ def _copy(
     types: dict[int, Schema] = {}
     schemas: dict[int, int] = {}
     last: Mapping[str, str] | None = None
-    for record in _records(log):
+    for record in StreamReader(log).records:
         if isinstance(record, Schema):
             types[record.id] = record
         elif isinstance(record, Channel):
@@ -474,10 +426,6 @@ def _copy(
     file.sync()
 
 
-def _records(log: BinaryIO) -> Iterator[McapRecord]:
-    return iter(StreamReader(log).records)
-
-
 def _stamp_ns(data: bytes) -> int:
     seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_AT)
     return seconds * 10**9 + nanoseconds
@@ -495,25 +443,14 @@ class EpisodeWriter:
     The file is named `NAME.mcap.active` until it is whole. Chunks are small and, for a live
     source, closed every 0.1 s, so a killed recorder loses the last moments at most; once a second
     the disk is asked to keep them. The first write error, or too little space, ends the recording:
-    the log is cut to what is whole, ended so that every reader opens it, and LogError says so.
+    the log is cut to what is whole, ended so that every reader opens it, and LogError says so. An
+    existing log may be overwritten only by one that did not end in an error; what breaks an import
+    off, whose source is still there, leaves nothing.
 
-    Args:
-        path: the finished log.
-        info: written at once, and again with the final counts at the end.
-        overwrite: replace an existing log (only with one that did not end in an error).
-        live: whether the source is gone once it is missed. Then `log_time` is the receipt, and
-            chunks are closed by the clock, for which `tick` is to be called when nothing comes;
-            else by their size alone, so that the same episode gives the same bytes.
-        min_free_bytes: what is to stay free on the disk; 0 for no such bound.
-        is_import: made from a log that is still there: if anything breaks it off, nothing is left.
-
-    Attributes:
-        accepted: messages handed over.
-        tally: asked when the recording ends: what the recorder counted (`captured`, ...), and
-            takes no more. `dropped` follows. Left alone, what was accepted was captured.
-
-    Raises:
-        LogError: `path` exists, the folder cannot be written to, or its disk has too little space.
+    A live source is gone once it is missed: `log_time` is the receipt, and chunks are closed by the
+    clock, for which `tick` is to be called when nothing comes. Else they are closed by their size
+    alone, so that the same episode gives the same bytes. `info` is written at once, and again with
+    the final counts; `min_free_bytes` are to stay free on the disk, 0 for no such bound.
     """
 
     def __init__(
@@ -530,7 +467,9 @@ class EpisodeWriter:
         self.path = path
         self.active_path = self._place.active_path
         self.info = info
-        self.accepted = 0
+        self.accepted = 0  # messages handed over
+        # Asked when the recording ends: what the recorder counted (`captured`, ...), and takes no
+        # more. `dropped` follows. Left alone, what was accepted was captured.
         self.tally: Callable[[], Mapping[str, int]] = dict
         self._live = live
         self._is_import = is_import
@@ -593,18 +532,10 @@ class EpisodeWriter:
     def write_message(
         self, topic: str, type_name: str, stamp_ns: int, data: bytes, received_ns: int | None = None
     ) -> None:
-        """Write a message that is already CDR.
+        """Write a message of a topic's one type, as CDR behind its four bytes of encapsulation.
 
-        Args:
-            topic: with one type only.
-            type_name: such as "sensor_msgs/msg/JointState".
-            stamp_ns: of the acquisition.
-            data: the message with its four bytes of encapsulation.
-            received_ns: when a live one came, on the clock of `now_ns`; now if None.
-
-        Raises:
-            LogError: writing failed, or the disk is nearly full; the recording is over.
-            ValueError: a type that is not known, or another than the topic's.
+        `stamp_ns` is that of the acquisition; `received_ns` tells when a live one came, on the
+        clock of `now_ns`: now if None. After a LogError the recording is over.
         """
         channel = self._channels.get(topic)
         if channel is None or channel.type_name != type_name:
@@ -623,11 +554,7 @@ class EpisodeWriter:
             self.tick()
 
     def tick(self) -> None:
-        """Close chunks and sync the disk when due; to be called often while nothing comes.
-
-        Raises:
-            LogError: writing failed, or the disk is nearly full; the recording is over.
-        """
+        """Close chunks and sync the disk when due; to be called often while nothing comes."""
         now = time.monotonic()
         if now < self._due_at:
             return
@@ -639,7 +566,9 @@ class EpisodeWriter:
                 self._file.sync()
                 self._sync_at = now + _SYNC_SECONDS
                 self._look_after_the_file()
-                self._spare_the_disk()
+                if why := self._place.why_too_full(free_bytes(self._place.claim.descriptor)):
+                    self._output.close_chunk()
+                    self._end_early(f"stopped, {why}", "free some space, or lower --min-free")
         except OSError as error:
             self._break_off(error)
         self._due_at = min(self._chunk_at, self._sync_at) if self._live else self._sync_at
@@ -654,11 +583,7 @@ class EpisodeWriter:
         self.info = replace(self.info, notes={**self.info.notes, name: text})
 
     def note_at_once(self, name: str, text: str) -> None:
-        """Add a note and write the info so far, so that a killed recorder's log has it, too.
-
-        Raises:
-            LogError: writing failed; the recording is over.
-        """
+        """Add a note and write the info so far, so that a killed recorder's log has it, too."""
         self.note(name, text)
         try:
             self._output.add_metadata(INFO_RECORD, self.info.to_strings())
@@ -672,11 +597,7 @@ class EpisodeWriter:
     def close(self, ended: str = "") -> None:
         """Finish the log and give it its name. Safe to call twice.
 
-        Args:
-            ended: why the recording ended before its source did.
-
-        Raises:
-            LogError: writing failed.
+        `ended` says why the recording ended before its source did.
         """
         if self._is_over:
             return
@@ -732,11 +653,6 @@ class EpisodeWriter:
         self.info = info
         return info.to_strings()
 
-    def _spare_the_disk(self) -> None:
-        if why := self._place.why_too_full(self._file.free_bytes()):
-            self._output.close_chunk()
-            self._end_early(f"stopped, {why}", "free some space, or lower --min-free")
-
     def _look_after_the_file(self) -> None:
         """End a log whose file somebody removed, moved or replaced: what follows would be lost."""
         if why := self._place.claim.why_lost():
@@ -782,12 +698,10 @@ class EpisodeWriter:
         return self._place.claim.descriptor < 0
 
 
+@dataclass(slots=True)
 class _Channel:
     """Topic in the log."""
 
-    __slots__ = ("id", "sequence", "type_name")
-
-    def __init__(self, number: int, type_name: str) -> None:
-        self.id = number
-        self.type_name = type_name
-        self.sequence = 0
+    id: int
+    type_name: str
+    sequence: int = 0

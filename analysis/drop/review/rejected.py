@@ -13,10 +13,14 @@ from tunenet_logs.analysis.drop.detection import FilmDetection
 from tunenet_logs.analysis.drop.film import film_impacts
 from tunenet_logs.analysis.drop.review.views import (
     Marks,
+    diamonds,
+    dots,
     log_balls,
     log_beside,
     log_pictures,
+    log_series,
     log_sound,
+    plot,
     sound_of,
 )
 from tunenet_logs.analysis.drop.times.detection import TimesDetection
@@ -29,7 +33,6 @@ from tunenet_logs.analysis.review.drawing import (
     Color,
     entity_of,
     screen_radius,
-    send_scalars,
     ticked,
 )
 from tunenet_logs.analysis.statistics import noise_of
@@ -39,9 +42,6 @@ from tunenet_logs.terminal import short_name
 # ---- Film: the track over the pictures, and its height
 
 _TRACK: Color = (120, 170, 255)
-
-_MIN_COUNT = 12  # places in which impacts are looked for
-_MIN_NOISE_PX = 0.1
 
 
 def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
@@ -68,7 +68,11 @@ def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | N
         draw_order=6.0,
     )
     stream.log("film/track", whole, static=True)
-    high_px = _heights_px(track.gravity_px, places_px)
+    # Heights along the image's vertical, above the lowest place, shape (T,) [px].
+    norm = float(np.linalg.norm(track.gravity_px))
+    down = track.gravity_px / norm if norm > 0 else np.array([0.0, 1.0])
+    along = -(places_px @ down)
+    high_px = along - along.min()
     impacts = _impacts(seconds, high_px)
     marks = rr.Points2D(
         places_px[impacts] + 0.5, colors=[IMPACT], radii=screen_radius(3.5), draw_order=7.0
@@ -83,7 +87,12 @@ def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | N
             x_range=(float(low[0]), float(high[0])), y_range=(float(low[1]), float(high[1]))
         ),
     )
-    heights = _log_heights(stream, seconds, high_px, impacts)
+    # Its height in the picture over the log's time, and what looks like impacts.
+    log_series(stream, "height/observed", dots(OBSERVED, "tracked", 2.0), seconds, high_px)
+    if impacts:
+        style = diamonds(IMPACT, "impact?")
+        log_series(stream, "height/impact", style, seconds[impacts], high_px[impacts])
+    heights = plot("/height", "height in the picture [px], red: what looks like an impact")
     sound = sound_of(tuning.episode)
     ends_s = float(all_s[0]), float(all_s[-1])
     heard = None if sound is None else log_beside(stream, sound, found.start_ns, ends_s, ends_s[1])
@@ -100,39 +109,11 @@ def _without_gaps(places_px: Array) -> list[Array]:
     return [run for run in runs if len(run) > 1 and np.isfinite(run).all()]
 
 
-def _heights_px(gravity_px: Array, places_px: Array) -> Array:
-    """Return heights along the image's vertical, above the lowest place, shape (T,) [px]."""
-    norm = float(np.linalg.norm(gravity_px))
-    down = gravity_px / norm if norm > 0 else np.array([0.0, 1.0])
-    along = -(places_px @ down)
-    return along - along.min()
-
-
 def _impacts(seconds: Array, high_px: Array) -> list[int]:
     """Return the indices at which the ball looks as if it hit something."""
-    if len(seconds) < _MIN_COUNT or np.any(np.diff(seconds) <= 0):
+    if len(seconds) < 12 or np.any(np.diff(seconds) <= 0):
         return []
-    return list(film_impacts(seconds, high_px, max(noise_of(high_px), _MIN_NOISE_PX)))
-
-
-def _log_heights(
-    stream: rr.RecordingStream, seconds: Array, high_px: Array, impacts: list[int]
-) -> rrb.View:
-    """Send the height in the picture over the log's time, and what looks like impacts."""
-    points = rr.SeriesPoints(colors=[OBSERVED], names=["tracked"], marker_sizes=[2.0])
-    stream.log("height/observed", points, static=True)
-    send_scalars(stream, "height/observed", seconds, high_px)
-    if impacts:
-        mark = rr.SeriesPoints(
-            colors=[IMPACT], names=["impact?"], markers=["diamond"], marker_sizes=[6.0]
-        )
-        stream.log("height/impact", mark, static=True)
-        send_scalars(stream, "height/impact", seconds[impacts], high_px[impacts])
-    return rrb.TimeSeriesView(
-        origin="/height",
-        name="height in the picture [px], red: what looks like an impact",
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
+    return list(film_impacts(seconds, high_px, max(noise_of(high_px), 0.1)))
 
 
 # ---- Sound in which no ball is heard, or beside no drop: its envelope and onsets
@@ -156,14 +137,7 @@ def log_refused_sound(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
 def log_sound_of_heights(
     stream: rr.RecordingStream, tuning: Tuning, start_ns: int, span_s: tuple[float, float]
 ) -> rrb.View | None:
-    """Send the sound beside positions without a drop; None where there is none, or it is silent.
-
-    Args:
-        stream: the recording.
-        tuning: that was refused.
-        start_ns: stamp where the heights' time is 0.
-        span_s: first and last moment of the heights.
-    """
+    """Send the sound beside positions without a drop; None where there is none, or it is silent."""
     sound = sound_of(tuning.episode)
     if sound is None:
         return None
@@ -189,7 +163,6 @@ def _log_knocks(
 
 _MAX = 3  # signals with a view of their own: those in which a drop is sought first
 _MAX_LETTERS = 40  # of a signal's name in a title
-_MANY = 200  # samples above which larger dots would hide each other
 
 
 def log_refused_heights(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
@@ -207,31 +180,21 @@ def log_refused_heights(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Conta
 
 def _log_height(stream: rr.RecordingStream, number: int, height: RecordedHeight) -> rrb.View:
     origin = entity_of("sought", str(number))
-    size = 1.0 if len(height.seconds) > _MANY else 2.0
-    line = rr.SeriesPoints(colors=[OBSERVED], names=["height"], marker_sizes=[size])
-    stream.log(f"{origin}/height", line, static=True)
-    send_scalars(stream, f"{origin}/height", height.seconds, height.heights)
+    size = 1.0 if len(height.seconds) > 200 else 2.0  # larger dots would hide each other
+    style = dots(OBSERVED, "height", size)
+    log_series(stream, f"{origin}/height", style, height.seconds, height.heights)
     at = np.array(height.impacts, np.intp)
     if len(at):
-        mark = rr.SeriesPoints(
-            colors=[IMPACT], names=["impact?"], markers=["diamond"], marker_sizes=[6.0]
-        )
-        stream.log(f"{origin}/impact", mark, static=True)
-        send_scalars(stream, f"{origin}/impact", height.seconds[at], height.heights[at])
+        style = diamonds(IMPACT, "impact?")
+        log_series(stream, f"{origin}/impact", style, height.seconds[at], height.heights[at])
     unit = "" if height.signal.unit == UNSTATED else f" [{height.signal.unit}]"
     name = short_name(height.signal.name, _MAX_LETTERS)
     marked = f"red: {len(at)} that may be impacts" if len(at) else "nothing looks like an impact"
     free = "" if height.is_free else ", no free fall"
-    return rrb.TimeSeriesView(
-        origin=f"/{origin}",
-        name=f"height of {name}{unit}: {marked}{free}",
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
+    return plot(f"/{origin}", f"height of {name}{unit}: {marked}{free}")
 
 
 # ---- Impact times that are no bouncing ball's: how long each is after the one before
-
-_MS = 1000.0
 
 
 def log_refused_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
@@ -240,20 +203,12 @@ def log_refused_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
     views: list[rrb.View] = []
     for signal in [one for one in signals if len(one.stamps_ns) > 1][:_MAX]:
         seconds = np.sort(signal.seconds)
-        gaps_ms = _MS * np.diff(seconds)
+        gaps_ms = 1000.0 * np.diff(seconds)
         entity = entity_of("gaps", str(len(views)))
-        marks = rr.SeriesPoints(
-            colors=[OBSERVED], names=["since the one before"], marker_sizes=[5.0]
-        )
-        stream.log(entity, marks, static=True)
-        send_scalars(stream, entity, seconds[1:], gaps_ms)
+        style = dots(OBSERVED, "since the one before", 5.0)
+        log_series(stream, entity, style, seconds[1:], gaps_ms)
         name = short_name(signal.name, _MAX_LETTERS)
-        views.append(
-            rrb.TimeSeriesView(
-                origin=f"/{entity}",
-                name=f"{name}: time since the one before [ms]; a ball's shrinks by a ratio",
-                axis_y=rrb.ScalarAxis(range=ticked(0.0, 1.1 * max(float(gaps_ms.max()), 1.0))),
-                plot_legend=rrb.PlotLegend(visible=False),
-            )
-        )
+        title = f"{name}: time since the one before [ms]; a ball's shrinks by a ratio"
+        longest = ticked(0.0, 1.1 * max(float(gaps_ms.max()), 1.0))
+        views.append(plot(f"/{entity}", title, values=longest))
     return rrb.Vertical(*views) if views else None

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from tunenet_logs.analysis.drop.bounce_model import DRAG, RESTITUTION, SLOPE
-from tunenet_logs.analysis.drop.checks import MAX_EXCESS_PERCENT, off_s
+from tunenet_logs.analysis.drop.checks import DROP, off_s
 from tunenet_logs.analysis.drop.detection import AnyDetection, FilmDetection
 from tunenet_logs.analysis.drop.film import FilmedDrop
 from tunenet_logs.analysis.drop.motion import last_bounce_s, matched, simulated_m
@@ -55,57 +56,94 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.recorders.simulators.ball import Bounce
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
+# ---- Curves and marks of a plot over the log's time, and its view
+
+
+def line(
+    color: Color, name: str, width: float, policy: Literal["Off", "Max"] = "Off"
+) -> rr.SeriesLines:
+    """Style a line of a plot."""
+    return rr.SeriesLines(colors=[color], names=[name], widths=[width], aggregation_policy=policy)
+
+
+def dots(color: Color, name: str, size: float) -> rr.SeriesPoints:
+    """Style dots of a plot."""
+    return rr.SeriesPoints(colors=[color], names=[name], marker_sizes=[size])
+
+
+def diamonds(color: Color, name: str, size: float = 6.0) -> rr.SeriesPoints:
+    """Style diamonds of a plot: they mark impacts, and what may be some."""
+    return rr.SeriesPoints(colors=[color], names=[name], markers=["diamond"], marker_sizes=[size])
+
+
+def log_series(
+    stream: rr.RecordingStream,
+    entity: str,
+    style: rr.SeriesLines | rr.SeriesPoints,
+    seconds: Array,
+    values: Array,
+) -> None:
+    """Send values over the log's time, drawn in one style."""
+    stream.log(entity, style, static=True)
+    send_scalars(stream, entity, seconds, values)
+
+
+def _log_between(
+    stream: rr.RecordingStream, entity: str, name: str, color: Color, ends_s: Array, off: float
+) -> None:
+    """Send two lines, that far above and below 0."""
+    style = rr.SeriesLines(
+        colors=[color] * 2, names=[name] * 2, widths=[1.0] * 2, aggregation_policy="Off"
+    )
+    log_series(stream, entity, style, ends_s, np.array([[off, -off]] * 2))
+
+
+def plot(
+    origin: str,
+    name: str,
+    shown_s: tuple[float, float] | None = None,
+    values: tuple[float, float] | None = None,
+    legend: rrb.PlotLegend | None = None,
+) -> rrb.View:
+    """Build a plot of this much of the log's time and of the values; no legend if none is given."""
+    boundary = rrb.TimeRangeBoundary.absolute
+    axes = {}
+    if shown_s is not None:
+        ends = (boundary(seconds=at_s) for at_s in shown_s)
+        axes["axis_x"] = rrb.TimeAxis(view_range=rr.TimeRange(*ends))
+    if values is not None:
+        axes["axis_y"] = rrb.ScalarAxis(range=values)
+    legend = legend or rrb.PlotLegend(visible=False)
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend, **axes)
+
+
 # ---- Data of a review, taken from its tuning once: curves over the log's time
 
-# Of the first rebound's speed: slower impacts end hops that look like rest (1 % as high).
-_SOFTEST = 0.1
-
 _SAME_S = 1e-6  # stamps that differ by less are of one moment
-_SHOWN_FALLS = 5  # fall times after the first impact: a ball of restitution 0.7 lies still by then
-# Fall times before the release that are shown (a review opens there, and should not begin with a
-# ball that is held), and after the last bounce in view that the chart of heights opens with.
-_BEFORE_FALLS, _AFTER_FALLS = 0.25, 0.5
-
 # Of parameters, as a legend has room for them.
 _SYMBOLS = {"restitution": "e", "restitution_slope": "p", "drag": "k"}
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Height over the log's time.
+    """Height over the log's time."""
 
-    Attributes:
-        name: "observed", "k=3", "refined".
-        label: the same with its values, for a legend.
-        color: of its line, its ball and its label.
-        width: of its line, in points of the screen.
-        values: it was simulated with, by parameter; none for the observed one.
-        seconds: since the log's first sample [s], shape (T,).
-        heights_m: above the table, of a residual above the observed height [m], shape (T,).
-    """
-
-    name: str
-    label: str
-    color: Color
-    width: float
-    values: Mapping[str, float]
-    seconds: Array
-    heights_m: Array
+    name: str  # "observed", "k=3", "refined"
+    label: str  # the same with its values, for a legend
+    color: Color  # of its line, its ball and its label
+    width: float  # of its line, in points of the screen
+    values: Mapping[str, float]  # it was simulated with, by parameter; none for the observed one
+    seconds: Array  # since the log's first sample [s], shape (T,)
+    heights_m: Array  # above the table, of a residual above the observed height [m], shape (T,)
 
 
 @dataclass(frozen=True)
 class TunedBall:
-    """Tuned ball in closed form, between the samples too.
+    """Tuned ball in closed form, between the samples too."""
 
-    Attributes:
-        bounce: the ball, with its own air.
-        impact_s: its first impact, on the log's time.
-        fall_time_s: of a fall from the same height without air.
-    """
-
-    bounce: Bounce
-    impact_s: float
-    fall_time_s: float
+    bounce: Bounce  # the ball, with its own air
+    impact_s: float  # its first impact, on the log's time
+    fall_time_s: float  # of a fall from the same height without air
 
     def heights(self, seconds: Array) -> Array:
         """Return heights above contact at times on the log's clock, shape (T,) [drop heights]."""
@@ -114,7 +152,7 @@ class TunedBall:
     def impacts_s(self, until_s: float) -> Array:
         """Return impacts on the log's clock, of hops that do not look like rest, shape (I,) [s]."""
         starts, speeds = self.bounce.flights((until_s - self.impact_s) / self.fall_time_s)
-        hard = speeds > _SOFTEST * speeds[0]
+        hard = speeds > 0.1 * speeds[0]  # slower ones look like rest (1 % as high)
         hard[0] = True
         found = self.impact_s + self.fall_time_s * starts[hard]
         return found[found <= until_s]
@@ -122,35 +160,25 @@ class TunedBall:
 
 @dataclass(frozen=True, eq=False)
 class ReviewData:
-    """Curves of one tuning.
+    """Curves of one tuning."""
 
-    Attributes:
-        observed: the recorded heights.
-        simulated: one an iteration, at the observation's own stamps; the last is the result.
-        residuals: of each simulated curve, less the observed one at the observed times.
-        drop_height_m: what the views are scaled by.
-        release_s: when the ball was let go, on the log's time.
-        impact_s: the first impact.
-        end_s: when little more is to be seen.
-        seen_s: when the last bounce that counts ends, and a little.
-        impacts_s: of the result's ball, on the log's time, those that are apart; shape (I,) [s].
-        ball: the result's; None where no ball was fitted, as with the paper's simulator.
-        bounces: each impact's own restitution; empty if they cannot be determined.
-        interval95: of the result; None where none is honest.
-    """
-
-    observed: Curve
+    observed: Curve  # the recorded heights
+    # One an iteration, at the observation's own stamps; the last is the result.
     simulated: tuple[Curve, ...]
+    # Of each simulated curve, less the observed one at the observed times.
     residuals: tuple[Curve, ...]
-    drop_height_m: float
-    release_s: float
-    impact_s: float
-    end_s: float
-    seen_s: float
+    drop_height_m: float  # what the views are scaled by
+    release_s: float  # when the ball was let go, on the log's time
+    impact_s: float  # the first impact
+    end_s: float  # when little more is to be seen
+    seen_s: float  # when the last bounce that counts ends, and a little
+    # Of the result's ball, on the log's time, those that are apart; shape (I,) [s].
     impacts_s: Array
+    # The result's; None where no ball was fitted, as with the paper's simulator.
     ball: TunedBall | None = None
+    # Each impact's own restitution; empty if they cannot be determined.
     bounces: tuple[Rebound, ...] = ()
-    interval95: tuple[float, float] | None = None
+    interval95: tuple[float, float] | None = None  # of the result; None where none is honest
 
     @property
     def shown_s(self) -> tuple[float, float]:
@@ -181,7 +209,7 @@ def review_data(tuning: Tuning) -> ReviewData:
         drop_height_m=float(drop.drop_height_m),
         release_s=float(drop.release_s),
         impact_s=float(drop.impact_s),
-        end_s=float(min(last_s, drop.impact_s + _SHOWN_FALLS * drop.fall_time_s)),
+        end_s=float(min(last_s, drop.impact_s + 5 * drop.fall_time_s)),
         seen_s=_seen_s(detection, last_s),
         impacts_s=impacts_s,
         ball=ball,
@@ -209,7 +237,8 @@ def _observed(detection: AnyDetection) -> Curve:
 def begin_s(detection: AnyDetection) -> float:
     """Return when the plots of a drop begin, on the log's clock [s]."""
     drop = detection.drop
-    return float(drop.release_s - _BEFORE_FALLS * drop.fall_time_s)
+    # It should not begin with a ball that is held.
+    return float(drop.release_s - 0.25 * drop.fall_time_s)
 
 
 def _simulated(tuning: Tuning, k: int) -> Curve:
@@ -282,24 +311,25 @@ def _seen_s(detection: AnyDetection, last_s: float) -> float:
         return last_s
     noise = drop.noise_m / drop.drop_height_m
     seen_s = last_bounce_s(posterior.fit.projection(), last_s, noise)
-    return float(min(last_s, seen_s + _AFTER_FALLS * drop.fall_time_s))
+    return float(min(last_s, seen_s + 0.5 * drop.fall_time_s))
 
 
 # ---- Chart of bounces: restitution against impact speed, with intervals
 
-_MIN_SPAN = 0.04  # of restitution: less would make noise look like a slope
-# Chart heights that a figure takes up across; figures that would overlap are left out.
-_FIGURE_WIDTH = 0.55
-
-_FIGURE_RISE = 0.2  # chart heights from a bar up to the place that its figure hangs from
 _CAP = 0.025  # half the width of the caps at a bar's ends, in chart heights
-_LOWEST_ROW = 0.08  # chart heights: a row's label below this would overlap those of the speeds
 
 
 def log_bounces(stream: rr.RecordingStream, data: ReviewData) -> None:
     """Send the entities of `bounce_view`; static, so that they stay in view on any timeline."""
     bounces, color = data.bounces, data.simulated[-1].color
-    low, high = _span(bounces)
+    # The range of restitutions and intervals, with room for their figures.
+    ends = [bounce.restitution for bounce in bounces]
+    for bounce in bounces:
+        ends += bounce.interval95 or ()
+    low, high = min(ends), max(ends)
+    more = max(0.0, 0.04 - (high - low)) / 2  # less would make noise look like a slope
+    low, high = low - more, high + more
+    low, high = low - 0.05 * (high - low), high + 0.2 * (high - low)
     speeds = _speeds(bounces)
     if speeds is None:
         x = (np.arange(len(bounces)) + 0.5) / len(bounces) * WIDTH
@@ -309,7 +339,8 @@ def log_bounces(stream: rr.RecordingStream, data: ReviewData) -> None:
         x = np.array(speeds) / most * WIDTH
         marks = [(speed / most * WIDTH, f"{speed:g}") for speed in ticks(0.0, most)]
     levels = [(-(value - low) / (high - low), f"{value:.6g}") for value in ticks(low, high, 3)]
-    rows = [(y, text) for y, text in levels if y < -_LOWEST_ROW]
+    # Lower ones would overlap the labels of the speeds.
+    rows = [(y, text) for y, text in levels if y < -0.08]
     log_grid(stream, "sheets/bounces", WIDTH, rows, marks)
     y = np.array([-(bounce.restitution - low) / (high - low) for bounce in bounces])
     dots = rr.Points2D(
@@ -324,8 +355,8 @@ def log_bounces(stream: rr.RecordingStream, data: ReviewData) -> None:
         if bounce.interval95 is not None:
             caps = [[[at - _CAP, end], [at + _CAP, end]] for end in (bottom, top)]
             strips += [[[at, bottom], [at, top]], *caps]
-        if all(abs(at - place[0]) > _FIGURE_WIDTH for place, _ in figures):
-            figures.append(([at, top - _FIGURE_RISE], f"{bounce.restitution:.3f}"))
+        if all(abs(at - place[0]) > 0.55 for place, _ in figures):  # or they would overlap
+            figures.append(([at, top - 0.2], f"{bounce.restitution:.3f}"))
     labels = rr.Points2D(
         [place for place, _ in figures],
         labels=[text for _, text in figures],
@@ -351,28 +382,8 @@ def _speeds(bounces: tuple[Rebound, ...]) -> list[float] | None:
     return speeds if len(speeds) == len(bounces) else None
 
 
-def _span(bounces: tuple[Rebound, ...]) -> tuple[float, float]:
-    """Return the range of restitutions and intervals, with room for their figures."""
-    ends = [bounce.restitution for bounce in bounces]
-    for bounce in bounces:
-        ends += bounce.interval95 or ()
-    low, high = min(ends), max(ends)
-    more = max(0.0, _MIN_SPAN - (high - low)) / 2
-    low, high = low - more, high + more
-    return low - 0.05 * (high - low), high + 0.2 * (high - low)  # figures stand above
-
-
 # ---- Video of the tracked ball and its trail, and over them the simulated balls and their path
 
-# Trail behind the ball: a bounce's shape can be seen, older bounces are out of the way.
-_TRAIL_S = 0.35
-
-_CORNERS = 24  # of the polygon that is drawn as a circle
-_MIN_RADIUS_PX = 3.0  # of a circle: a smaller one would hide the ball
-# Recorded pictures [bytes]; more are made smaller, so that the review can be loaded soon.
-_MAX_BYTES = 48 * 1024 * 1024
-
-_NARROW = 0.6  # width over height of a view that has no room for a longer name
 _MIN_COUNT = 4  # samples of a flight, at least, from which its own speed sideways is fitted
 # Points of the path for each picture: it is drawn as a curve where pictures are far apart.
 _FINE = 4
@@ -381,11 +392,7 @@ _FINE = 4
 def log_film(
     stream: rr.RecordingStream, tuning: Tuning, data: ReviewData
 ) -> tuple[rrb.View, float]:
-    """Send the video with circles around observed and simulated balls, on the log's time.
-
-    Returns:
-        Its view, opened at the ball's way, and that view's width over its height.
-    """
+    """Send the video with circles around all balls; return its view and width over height."""
     film: FilmedDrop = tuning.detection.film
     shown = film.drop.seconds >= begin_s(tuning.detection)
     first_ns, last_ns = film.track.stamps_ns[film.used][shown][[0, -1]].tolist()
@@ -402,21 +409,19 @@ def log_film(
         heights = np.interp(seconds, curve.seconds, curve.heights_m) / data.drop_height_m
         positions = film_positions(film, seconds, heights, data.impacts_s)
         log_balls(stream, f"film/k{k}", seconds, positions, usual, curve.color, width)
-    return _view(film, observed, len(data.simulated))
-
-
-def _view(film: FilmedDrop, observed_px: Array, count: int) -> tuple[rrb.View, float]:
-    """Build a view of the ball's way with room around it, as wide as it is high."""
+    # The view has room around the ball's way, and is as wide as it is high.
+    count = len(data.simulated)
     size = np.array(film.track.size_px, np.float64)
-    low, high = np.nanmin(observed_px, axis=0), np.nanmax(observed_px, axis=0)
+    low, high = np.nanmin(observed, axis=0), np.nanmax(observed, axis=0)
     half = np.minimum(0.7 * (high - low).max() + 10, size / 2)
     middle = np.clip((low + high) / 2, half, size - half)
     (left, top), (right, bottom) = (middle - half).tolist(), (middle + half).tolist()
     aspect = (right - left) / (bottom - top)
     name = f"video: observed white, k=0 to {count - 1} cold to warm"
+    # No room for a longer name.
     view = rrb.Spatial2DView(
         origin="/film",
-        name="video" if aspect < _NARROW else name,
+        name="video" if aspect < 0.6 else name,
         visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
     )
     return view, aspect
@@ -424,7 +429,8 @@ def _view(film: FilmedDrop, observed_px: Array, count: int) -> tuple[rrb.View, f
 
 def log_trail(stream: rr.RecordingStream, seconds: Array, places_px: Array) -> None:
     """Send the trail of the ball's last positions."""
-    begin = np.searchsorted(seconds, seconds - _TRAIL_S)
+    # A bounce's shape can be seen, older ones are out of the way.
+    begin = np.searchsorted(seconds, seconds - 0.35)
     trails = [places_px[first : index + 1] + 0.5 for index, first in enumerate(begin)]
     style = rr.LineStrips2D.from_fields(
         colors=[(*OBSERVED, 150)], radii=screen_radius(0.8), draw_order=8.0
@@ -448,9 +454,9 @@ def log_balls(
         colors=[color], radii=screen_radius(width / 2), draw_order=10.0 + width
     )
     stream.log(entity, style, static=True)
-    turns = np.linspace(0, 2 * np.pi, _CORNERS + 1)
+    turns = np.linspace(0, 2 * np.pi, 24 + 1)
     circle = np.column_stack([np.cos(turns), np.sin(turns)])
-    drawn_px = np.maximum(radii_px, _MIN_RADIUS_PX)
+    drawn_px = np.maximum(radii_px, 3.0)  # a smaller circle would hide the ball
     # Rerun's (0, 0) is a corner of the first pixel, ours its middle.
     strips = positions_px[:, None] + drawn_px[:, None, None] * circle + 0.5
     columns = rr.LineStrips2D.columns(
@@ -476,7 +482,8 @@ def log_pictures(
         except LogError:
             continue
         shown.append(picture)
-    if sum(len(frame.data) for frame in shown) > _MAX_BYTES:
+    # So that the review can be loaded soon.
+    if sum(len(frame.data) for frame in shown) > (48 * 1024 * 1024):
         shown = [reduced(frame) for frame in shown]
     if shown:
         send_pictures(stream, shown, found.start_ns)
@@ -529,19 +536,10 @@ def model_path(film: FilmedDrop, data: ReviewData) -> Array:
 def film_positions(
     film: FilmedDrop, seconds: Array, heights: Array, impacts_s: Array | None = None
 ) -> Array:
-    """Project a ball at these heights into the picture.
+    """Project a ball at these heights [drop heights] into the picture, shape (T, 2) [px].
 
     The projection knows the image's vertical alone; sideways the ball goes as the observed one: a
     piecewise linear least-squares fit with one speed, or one for each flight between `impacts_s`.
-
-    Args:
-        film: the drop as it was filmed.
-        seconds: on the log's time, shape (T,) [s].
-        heights: above contact, shape (T,) [drop heights].
-        impacts_s: on the log's time, shape (I,) [s].
-
-    Returns:
-        Positions from the middle of the first pixel, shape (T, 2) [px].
     """
     sideways = np.array([film.down_px[1], -film.down_px[0]])
     observed = film.track.places_px[film.used] @ sideways
@@ -567,34 +565,20 @@ def _knots(seconds: Array, impacts_s: Array) -> Array:
 # ---- Sound over the log's time: its envelope, and its onsets, marked
 
 _ENVELOPE: Color = (120, 170, 255)
-
 _RATE_HZ = 250.0  # points of an envelope in a second: a knock and its echo are apart
 _MAX = 30_000  # points of an envelope: two minutes of sound at that rate
-# Below the loudest sample: what is softer is drawn there, so that the axis has its ticks.
-_DEEP_DB = 45.0
-
-_LOUD_S = 0.01  # after a knock's onset, in which its mark's level is looked for
 _AROUND_S = 0.5  # of sound before and after what is shown: the background that its knocks rise from
-_NEAR_S = 0.002  # an onset so near to an impact that was heard is that impact
 
 
 @dataclass(frozen=True)
 class Marks:
-    """Marked moments of a sound.
+    """Marked moments of a sound."""
 
-    Attributes:
-        entity: last part of their paths.
-        name: in words.
-        color: of them.
-        seconds: on the log's clock, shape (N,).
-        size: of a mark, in points of the screen.
-    """
-
-    entity: str
-    name: str
-    color: Color
-    seconds: Array
-    size: float = 6.0
+    entity: str  # last part of their paths
+    name: str  # in words
+    color: Color  # of them
+    seconds: Array  # on the log's clock, shape (N,)
+    size: float = 6.0  # of a mark, in points of the screen
 
 
 def sound_of(episode: Episode | None, topic: str | None = None) -> Sound | None:
@@ -618,30 +602,28 @@ def log_beside(
     offset_s: float = 0.0,
     reason: str = "",
 ) -> rrb.View | None:
-    """Send a sound recorded beside pictures or positions, with its knocks at `height` too.
+    """Send a sound beside pictures or positions, its knocks at `height` too; None if it is silent.
 
-    Args:
-        stream: the recording.
-        sound: as it was recorded.
-        start_ns: stamp where the log's time is 0.
-        span_s: first and last moment shown, on the log's time.
-        last_s: when what is seen ends, likewise: no other view has anything outside of that.
-        impacts_s: impacts that count as heard, on the pictures' clock, shape (N,); None where the
-            sound is not used.
-        offset_s: by which the sound is late on that clock: it is drawn so much earlier.
-        reason: why the sound is not used, in words.
-
-    Returns:
-        Its view; None where nothing sounds while the drop is shown.
+    Times are on the log's, which `start_ns` begins; other views end at `last_s`. `impacts_s` are
+    those heard in a sound that is `offset_s` late; without any, there may be a `reason`.
     """
     begin_s = (sound.start_ns - start_ns) * 1e-9 - offset_s
     around_s = span_s[0] - _AROUND_S - begin_s, span_s[1] + _AROUND_S - begin_s
-    piece = _piece(sound, around_s)
+    # What sounds then, on the sound's clock.
+    last = len(sound.samples)
+    begin, end = (round(min(max(at * sound.rate_hz, 0.0), float(last))) for at in around_s)
+    samples = sound.samples[begin:end]
+    if not np.any(samples):
+        piece = None
+    else:
+        later_ns = round(1e9 * begin / sound.rate_hz)
+        piece = replace(sound, start_ns=sound.start_ns + later_ns, samples=samples)
     if piece is None:
         return None
     knocks_s = onsets(piece).times_s + (piece.start_ns - start_ns) * 1e-9 - offset_s
     heard_s = np.zeros(0) if impacts_s is None else impacts_s
-    known = np.abs(knocks_s[:, None] - heard_s).min(axis=1, initial=np.inf) < _NEAR_S
+    # An onset within 2 ms of an impact that was heard is that impact.
+    known = np.abs(knocks_s[:, None] - heard_s).min(axis=1, initial=np.inf) < 0.002
     marks = (
         Marks("knock", "not used", MUTED, _inside(knocks_s[~known], span_s), 4.0),
         Marks("touch", "impact heard", OBSERVED, _inside(heard_s, span_s), 4.0),  # over "impact"
@@ -665,19 +647,9 @@ def log_sound(
     said: str,
     sent_s: tuple[float, float] = (-np.inf, np.inf),
 ) -> rrb.View | None:
-    """Send the envelope and the marks on it.
+    """Send the envelope of `span_s`, `begin_s` the first sample on the log's time, and marks on it.
 
-    Args:
-        stream: the recording.
-        sound: all of it.
-        begin_s: its first sample, on the log's time.
-        span_s: first and last moment shown, on the log's time.
-        marks: what is marked.
-        said: of the marks, in the view's title.
-        sent_s: first and last moment that can be scrolled to, on the log's time.
-
-    Returns:
-        The view; None where nothing sounds in what is shown.
+    What is outside of `sent_s` cannot be scrolled to. None where nothing sounds in what is shown.
     """
     seconds, levels_db = envelope(sound, (span_s[0] - begin_s, span_s[1] - begin_s))
     seconds = seconds + begin_s
@@ -687,22 +659,19 @@ def log_sound(
     if not np.isfinite(levels_db[shown]).any():
         return None
     loudest_db = float(levels_db[shown].max())
-    low_db = max(float(levels_db[shown].min()), loudest_db - _DEEP_DB)
+    # What is softer is drawn there, so that the axis has its ticks.
+    low_db = max(float(levels_db[shown].min()), loudest_db - 45.0)
     levels_db = np.maximum(levels_db, low_db)
-    line = rr.SeriesLines(
-        colors=[_ENVELOPE], names=["sound"], widths=[1.0], aggregation_policy="Max"
-    )
-    stream.log("sound/envelope", line, static=True)
-    send_scalars(stream, "sound/envelope", seconds, levels_db)
-    for one in marks:
-        _log_marks(stream, "sound", one, _at(one.seconds, seconds, levels_db))
-    return rrb.TimeSeriesView(
-        origin="/sound",
-        name=f"sound [dBFS], {said}",
-        axis_x=time_axis(*span_s),
-        axis_y=rrb.ScalarAxis(range=ticked(low_db, max(loudest_db, low_db + 1.0) + 3.0)),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
+    style = line(_ENVELOPE, "sound", 1.0, "Max")
+    log_series(stream, "sound/envelope", style, seconds, levels_db)
+    for one in marks:  # at the largest level soon after each
+        first = np.clip(np.searchsorted(seconds, one.seconds) - 1, 0, len(seconds) - 1)
+        last = np.searchsorted(seconds, one.seconds + 0.01)
+        pairs = zip(first.tolist(), last.tolist(), strict=True)
+        highest = [levels_db[begin : max(end, begin + 1)].max() for begin, end in pairs]
+        _log_marks(stream, "sound", one, np.array(highest))
+    levels = ticked(low_db, max(loudest_db, low_db + 1.0) + 3.0)
+    return plot("/sound", f"sound [dBFS], {said}", span_s, levels)
 
 
 def log_on_table(stream: rr.RecordingStream, marks: Sequence[Marks]) -> None:
@@ -711,21 +680,11 @@ def log_on_table(stream: rr.RecordingStream, marks: Sequence[Marks]) -> None:
         _log_marks(stream, "height", one, np.zeros(len(one.seconds)))
 
 
-def time_axis(begin_s: float, end_s: float) -> rrb.TimeAxis:
-    """Build the axis of a plot that shows this much of the log's time."""
-    ends = (rrb.TimeRangeBoundary.absolute(seconds=at_s) for at_s in (begin_s, end_s))
-    return rrb.TimeAxis(view_range=rr.TimeRange(*ends))
-
-
 def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
     """Compute the envelope: the largest sample about each of at most `_MAX` moments.
 
-    Args:
-        sound: all of it. Of a long one, two minutes about the span are given, or the span.
-        span_s: first and last moment asked for, on the sound's clock.
-
-    Returns:
-        Times on the sound's clock [s], and levels [dB of full scale], -inf of silence; shape (E,).
+    Of a long sound, two minutes about the span are given, or the span: times on the sound's clock
+    [s] and levels [dB of full scale], -inf of silence.
     """
     more_s = max(_MAX / _RATE_HZ - (span_s[1] - span_s[0]), 0.0) / 2
     ends = ((span_s[0] - more_s) * sound.rate_hz, (span_s[1] + more_s) * sound.rate_hz)
@@ -741,44 +700,21 @@ def envelope(sound: Sound, span_s: tuple[float, float]) -> tuple[Array, Array]:
     return middles / sound.rate_hz, levels_db
 
 
-def _piece(sound: Sound, span_s: tuple[float, float]) -> Sound | None:
-    """Cut what sounds then, on the sound's clock; None where that is nothing."""
-    last = len(sound.samples)
-    begin, end = (round(min(max(at * sound.rate_hz, 0.0), float(last))) for at in span_s)
-    samples = sound.samples[begin:end]
-    if not np.any(samples):
-        return None
-    later_ns = round(1e9 * begin / sound.rate_hz)
-    return replace(sound, start_ns=sound.start_ns + later_ns, samples=samples)
-
-
 def _inside(seconds: Array, span_s: tuple[float, float]) -> Array:
     return seconds[(seconds >= span_s[0]) & (seconds <= span_s[1])]
-
-
-def _at(moments_s: Array, seconds: Array, levels_db: Array) -> Array:
-    """Return the largest level soon after each of these moments, shape (N,)."""
-    first = np.clip(np.searchsorted(seconds, moments_s) - 1, 0, len(seconds) - 1)
-    last = np.searchsorted(seconds, moments_s + _LOUD_S)
-    pairs = zip(first.tolist(), last.tolist(), strict=True)
-    return np.array([levels_db[begin : max(end, begin + 1)].max() for begin, end in pairs])
 
 
 def _log_marks(stream: rr.RecordingStream, place: str, marks: Marks, values: Array) -> None:
     """Send diamonds; nothing where there are none."""
     if not len(marks.seconds):
         return
-    style = rr.SeriesPoints(
-        colors=[marks.color], names=[marks.name], markers=["diamond"], marker_sizes=[marks.size]
-    )
-    stream.log(f"{place}/{marks.entity}", style, static=True)
-    send_scalars(stream, f"{place}/{marks.entity}", marks.seconds, values)
+    style = diamonds(marks.color, marks.name, marks.size)
+    log_series(stream, f"{place}/{marks.entity}", style, marks.seconds, values)
 
 
 # ---- Drop that was only heard: the simulated height, and the impacts on the table
 
 NOT_OURS: Color = (235, 95, 75)  # of times that are no impacts
-_EDGE = 0.02  # of what is shown, before it: or the first mark would be cut
 _MS = 1000.0
 
 
@@ -789,11 +725,8 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     heard, last = detection.heard, tuning.trace.steps[-1]
     seconds, heights_m = heard_heights_m(detection, last)
     color = ramp(1, 2)
-    line = rr.SeriesLines(
-        colors=[color], names=["simulated"], widths=[2.0], aggregation_policy="Off"
-    )
-    stream.log("height/simulated", line, static=True)
-    send_scalars(stream, "height/simulated", seconds, heights_m)
+    style = line(color, "simulated", 2.0)
+    log_series(stream, "height/simulated", style, seconds, heights_m)
     others_s = np.setdiff1d(detection.times_s, heard.times_s)
     missed = np.setdiff1d(np.arange(int(heard.numbers.max()) + 1), heard.numbers)
     marks = (
@@ -805,34 +738,26 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     off_ms = _MS * off_s(detection, last)
     told_s = heard.predicted_s[heard.told :]
     known = np.isfinite(off_ms)
-    dots = rr.SeriesPoints(colors=[color], names=["simulated - heard"], marker_sizes=[5.0])
-    stream.log("residual/impacts", dots, static=True)
-    send_scalars(stream, "residual/impacts", told_s[known], off_ms[known])
-    reach_ms = 1.3 * max(float(np.abs(off_ms[known]).max(initial=0.0)), 2 * _MS * heard.jitter_s)
+    style = dots(color, "simulated - heard", 5.0)
+    log_series(stream, "residual/impacts", style, told_s[known], off_ms[known])
     jitter_ms = _MS * heard.jitter_s
-    limits = rr.SeriesLines(
-        colors=[MUTED] * 2, names=["jitter"] * 2, widths=[1.0] * 2, aggregation_policy="Off"
-    )
-    stream.log("residual/jitter", limits, static=True)
-    ends_s = seconds[[0, -1]]
-    send_scalars(stream, "residual/jitter", ends_s, np.array([[jitter_ms, -jitter_ms]] * 2))
+    reach_ms = 1.3 * max(float(np.abs(off_ms[known]).max(initial=0.0)), 2 * jitter_ms)
+    _log_between(stream, "residual/jitter", "jitter", MUTED, seconds[[0, -1]], jitter_ms)
     begin_s, end_s = float(min(seconds[0], heard.times_s[0])), float(seconds[-1])
-    begin_s -= _EDGE * (end_s - begin_s)
-    shown = time_axis(begin_s, end_s)
+    begin_s -= 0.02 * (end_s - begin_s)  # or the first mark would be cut
     most_m = float(heights_m.max())
-    height_view = rrb.TimeSeriesView(
-        origin="/height",
-        name="simulated height [m], and impacts heard (at 0)",
-        axis_x=shown,
-        axis_y=rrb.ScalarAxis(range=(-0.05 * most_m, 1.1 * most_m)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+    height_view = plot(
+        "/height",
+        "simulated height [m], and impacts heard (at 0)",
+        (begin_s, end_s),
+        (-0.05 * most_m, 1.1 * most_m),
+        rrb.PlotLegend(rrb.Corner2D.RightTop),
     )
-    residual_view = rrb.TimeSeriesView(
-        origin="/residual",
-        name="impacts: simulated - heard [ms], grey: the times' jitter",
-        axis_x=shown,
-        axis_y=rrb.ScalarAxis(range=ticked(-reach_ms, reach_ms)),
-        plot_legend=rrb.PlotLegend(visible=False),
+    residual_view = plot(
+        "/residual",
+        "impacts: simulated - heard [ms], grey: the times' jitter",
+        (begin_s, end_s),
+        ticked(-reach_ms, reach_ms),
     )
     result = rrb.TextDocumentView(origin="/result", name="result")
     curves = rrb.Vertical(height_view, residual_view, row_shares=[3, 2])
@@ -847,15 +772,9 @@ def log_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
 
 # ---- Drop that was seen: plots, 3D scene, iterations, and the layout of all
 
-_MANY = 200  # samples above which dots would hide the lines
 _MM = 1000.0  # millimetres in a metre: an axis does not show numbers as small as residuals in m
-# Quantile of the result's residuals that their axis must show, and room around it, as a factor.
-_TYPICAL, _HEADROOM = 0.98, 1.3
-
 _LIMIT: Color = (190, 70, 70)
 _TABLE: Color = (70, 70, 78)
-
-_BALL = 0.045  # a drawn ball's radius in drop heights: larger than life, to be seen
 _PITCH = 4.5  # from ball to ball, in radii: room for their labels
 # Of the chart of heights, in its heights: it fills a larger and squarer view than others.
 _HEIGHTS_WIDTH = 1.7
@@ -912,45 +831,30 @@ def _log_plots(stream: rr.RecordingStream, data: ReviewData) -> tuple[rrb.View, 
     The title is the legend: one in the plot would hide curves on a small screen.
     """
     for k, (curve, residual) in enumerate(zip(data.simulated, data.residuals, strict=True)):
-        style = rr.SeriesLines(
-            colors=[curve.color],
-            names=[curve.label],
-            widths=[curve.width],
-            aggregation_policy="Off",
-        )
-        stream.log(f"height/k{k}", style, static=True)
-        send_scalars(stream, f"height/k{k}", curve.seconds, curve.heights_m)
-        stream.log(f"residual/k{k}", style, static=True)
-        send_scalars(stream, f"residual/k{k}", residual.seconds, _MM * residual.heights_m)
-    size = 1.0 if len(data.observed.seconds) > _MANY else 2.0
-    points = rr.SeriesPoints(colors=[OBSERVED], names=["observed"], marker_sizes=[size])
-    stream.log("height/observed", points, static=True)
-    send_scalars(stream, "height/observed", data.observed.seconds, data.observed.heights_m)
-    mark = rr.SeriesPoints(
-        colors=[IMPACT], names=["impacts"], markers=["diamond"], marker_sizes=[6.0]
+        style = line(curve.color, curve.label, curve.width)
+        log_series(stream, f"height/k{k}", style, curve.seconds, curve.heights_m)
+        log_series(stream, f"residual/k{k}", style, residual.seconds, _MM * residual.heights_m)
+    seen, height_m = data.observed, data.drop_height_m
+    size = 1.0 if len(seen.seconds) > 200 else 2.0  # larger dots would hide the lines
+    log_series(
+        stream, "height/observed", dots(OBSERVED, "observed", size), seen.seconds, seen.heights_m
     )
-    stream.log("height/impact", mark, static=True)
-    send_scalars(stream, "height/impact", data.impacts_s, np.zeros(len(data.impacts_s)))
-    height_m = data.drop_height_m
-    shown = time_axis(*data.shown_s)
-    height_view = rrb.TimeSeriesView(
-        origin="/height",
-        name="height [m]: observed white, iterations cold to warm",
-        axis_x=shown,
-        axis_y=rrb.ScalarAxis(range=ticked(0.0, 1.05 * height_m)),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
-    limit_mm = _MM * MAX_EXCESS_PERCENT / 100 * height_m
-    _log_limit(stream, data, limit_mm)
-    reach_mm = _reach_mm(data, limit_mm)
-    residual_view = rrb.TimeSeriesView(
-        origin="/residual",
-        name=f"simulated - observed [mm], red: ±{plainly(limit_mm)} is {MAX_EXCESS_PERCENT:g} %",
-        axis_x=shown,
-        axis_y=rrb.ScalarAxis(range=ticked(-reach_mm, reach_mm)),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
-    return height_view, residual_view
+    at_0 = np.zeros(len(data.impacts_s))
+    log_series(stream, "height/impact", diamonds(IMPACT, "impacts"), data.impacts_s, at_0)
+    title = "height [m]: observed white, iterations cold to warm"
+    height_view = plot("/height", title, data.shown_s, ticked(0.0, 1.05 * height_m))
+    most_percent = DROP["simulation fits"].limit.value
+    # Between the limits a difference cannot be seen with the eye.
+    limit_mm = _MM * most_percent / 100 * height_m
+    _log_between(stream, "residual/limit", "limit", _LIMIT, seen.seconds[[0, -1]], limit_mm)
+    # The axis shows the limit and the result's residuals: earlier iterates run off.
+    last = data.residuals[-1]
+    inside = (last.seconds >= data.release_s) & (last.seconds <= data.seen_s)
+    off_mm = _MM * np.abs(last.heights_m[inside])
+    usual_mm = float(np.quantile(off_mm, 0.98)) if len(off_mm) else 0.0
+    reach_mm = 1.3 * max(usual_mm, limit_mm)
+    title = f"simulated - observed [mm], red: ±{plainly(limit_mm)} is {most_percent:g} %"
+    return height_view, plot("/residual", title, data.shown_s, ticked(-reach_mm, reach_mm))
 
 
 def _log_sound(stream: rr.RecordingStream, tuning: Tuning, data: ReviewData) -> rrb.View | None:
@@ -967,29 +871,11 @@ def _log_sound(stream: rr.RecordingStream, tuning: Tuning, data: ReviewData) -> 
     return log_beside(stream, sound, *place, impacts_s, ear.offset_s)
 
 
-def _log_limit(stream: rr.RecordingStream, data: ReviewData, limit_mm: float) -> None:
-    """Send two lines, between which a difference cannot be seen with the eye."""
-    ends_s = data.observed.seconds[[0, -1]]
-    style = rr.SeriesLines(
-        colors=[_LIMIT] * 2, names=["limit", "limit"], widths=[1.0] * 2, aggregation_policy="Off"
-    )
-    stream.log("residual/limit", style, static=True)
-    send_scalars(stream, "residual/limit", ends_s, np.array([[limit_mm, -limit_mm]] * 2))
-
-
-def _reach_mm(data: ReviewData, limit_mm: float) -> float:
-    """Return how far the limit and the result's residuals go: earlier iterates run off."""
-    last = data.residuals[-1]
-    inside = (last.seconds >= data.release_s) & (last.seconds <= data.seen_s)
-    off_mm = _MM * np.abs(last.heights_m[inside])
-    usual_mm = float(np.quantile(off_mm, _TYPICAL)) if len(off_mm) else 0.0
-    return _HEADROOM * max(usual_mm, limit_mm)
-
-
 def _log_scene(stream: rr.RecordingStream, data: ReviewData) -> rrb.View:
     """Send the observed ball and those of all iterations, falling side by side in 3D."""
     curves = [data.observed, *data.simulated]
-    height_m, radius = data.drop_height_m, _BALL * data.drop_height_m
+    # Larger than life, to be seen.
+    height_m, radius = data.drop_height_m, 0.045 * data.drop_height_m
     across = (np.arange(len(curves)) - (len(curves) - 1) / 2) * _PITCH * radius
     # What was seen and the result stand apart.
     across[[0, -1]] += np.array([-0.4, 0.4]) * _PITCH * radius

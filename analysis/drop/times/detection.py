@@ -17,8 +17,8 @@ from tunenet_logs.analysis.drop.times.model import DropSetup, HeardBall, heard_b
 from tunenet_logs.analysis.drop.times.search import BallAmong, ball_among
 from tunenet_logs.analysis.estimators.base import FitResult, Observation, Problem, Step, Trace
 from tunenet_logs.analysis.onsets import Onsets, onsets
-from tunenet_logs.analysis.record import MAX_SAMPLES, Curves, Motion, Rebound
-from tunenet_logs.analysis.selection import Selection
+from tunenet_logs.analysis.options import TuneOptions
+from tunenet_logs.analysis.record import MAX_SAMPLES, Curves, Motion
 from tunenet_logs.episode import Array, Episode, LeftOut, Sound
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.reader import check_start
@@ -30,29 +30,19 @@ from tunenet_logs.terminal import listed
 
 @dataclass(frozen=True, eq=False)
 class Listened:
-    """Sound, and the onsets in the chosen part of it.
+    """Sound, and the onsets in the chosen part of it."""
 
-    Attributes:
-        sound: all of it.
-        knocks: of the part, their times on the sound's clock.
-        part_s: first and last moment of the part, on the same clock.
-    """
-
-    sound: Sound
-    knocks: Onsets
-    part_s: tuple[float, float]
+    sound: Sound  # all of it
+    knocks: Onsets  # of the part, their times on the sound's clock
+    part_s: tuple[float, float]  # first and last moment of the part, on the same clock
 
     def ball(self, rig: DropSetup) -> BallAmong | None:
         """Find the ball that is heard best; None where nothing sounds like one."""
         return ball_among(self.knocks, self.part_s[1] - self.part_s[0], rig)
 
 
-def listened(episode: Episode, selection: Selection) -> Listened:
-    """Detect the onsets in an episode's sound.
-
-    Raises:
-        NotFoundError: there is no sound of that name, or it is silent.
-    """
+def listened(episode: Episode, selection: TuneOptions) -> Listened:
+    """Detect the onsets in an episode's sound; `NotFoundError` where there is none to hear."""
     topic = selection.topic
     if topic is not None and topic not in episode.sound_topics:
         what = f"no sound in topic {topic} (there is: {listed(episode.sound_topics)})"
@@ -73,40 +63,23 @@ def listened(episode: Episode, selection: Selection) -> Listened:
 # ---- Impact times of one signal, and the simulator that hits the table when the ball did
 
 MIN_IMPACTS = 3  # two flights: their durations' ratio is one restitution
-_EVEN = 0.985  # restitution from which on beats are even: no ball keeps its height
 _NO_ODDS = -5.0  # logarithm of the odds against noises below which the times are none of a ball
-# Samples of a rollout in the shortest flight, and rates within which that is kept.
-_PER_FLIGHT, _RATES_HZ = 16, (250.0, 2000.0)
-
-# Of a rollout; and what comes after the last impact, in last flights.
-_MAX_SAMPLES, _MORE_FLIGHTS = 20_000, 0.5
-
 _SAME_S = 1e-7  # moments that differ by less are one sample of a rollout
 
 
 @dataclass(frozen=True, eq=False)
 class TimesDetection:
-    """Impact times of one signal.
+    """Impact times of one signal."""
 
-    Attributes:
-        topic: the signal.
-        start_ns: where the log's clock is 0: the signal's first time.
-        times_s: of all that was heard in the selection, on the log's clock, shape (N,).
-        rig: what is known beside them.
-        ball: what was dropped, as far as it is known.
-        warnings: for the user.
-        listened: the sound that they were found in; None where a log gives times.
-        left_out: what the signal or the sound lacks.
-    """
-
-    topic: str
-    start_ns: int
-    times_s: Array
-    rig: DropSetup
-    ball: Ball
-    warnings: tuple[str, ...] = ()
+    topic: str  # the signal
+    start_ns: int  # where the log's clock is 0: the signal's first time
+    times_s: Array  # of all that was heard in the selection, on the log's clock, shape (N,)
+    rig: DropSetup  # what is known beside them
+    ball: Ball  # what was dropped, as far as it is known
+    warnings: tuple[str, ...] = ()  # for the user
+    # The sound that they were found in; None where a log gives times.
     listened: Listened | None = None
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()  # what the signal or the sound lacks
 
     @property
     def uses_ball(self) -> bool:
@@ -115,11 +88,7 @@ class TimesDetection:
 
     @cached_property
     def heard(self) -> HeardBall:
-        """Ball that explains the times.
-
-        Raises:
-            NotFoundError: no ball does; the message says what the times are.
-        """
+        """Ball that explains the times; where none does, `NotFoundError` says what they are."""
         if self.listened is not None:
             return self._among_knocks
         found = heard_ball(self.times_s, self.rig)
@@ -131,7 +100,7 @@ class TimesDetection:
         refused = "are no bouncing ball's: from impact to impact its flights get shorter by a ratio"
         if found is None:
             raise NotFoundError(f"{what}, {refused}", RIGHT_TIMES)
-        if found.values[0] >= _EVEN and found.told:
+        if found.values[0] >= 0.985 and found.told:  # no ball keeps its height
             raise NotFoundError(
                 f"{what}, {refused}; these beats are nearly even ({found.values[0]:.3f})",
                 RIGHT_TIMES,
@@ -191,9 +160,10 @@ class TimesDetection:
         impacts_s = heard.contactless_s * heard.seconds_s
         release_s = float(impacts_s[heard.told]) - lasts_s
         apart_s = np.diff(impacts_s)
-        until_s = float(impacts_s[-1] + _MORE_FLIGHTS * apart_s[-1]) - release_s
-        rate_hz = float(np.clip(_PER_FLIGHT / apart_s.min(), *_RATES_HZ))
-        rate_hz = min(rate_hz, _MAX_SAMPLES / until_s)
+        until_s = float(impacts_s[-1] + 0.5 * apart_s[-1]) - release_s
+        # Samples of a rollout in the shortest flight.
+        rate_hz = float(np.clip(16 / apart_s.min(), *(250.0, 2000.0)))
+        rate_hz = min(rate_hz, 20_000 / until_s)
         even_s = np.arange(int(np.ceil(until_s * rate_hz)) + 1) / rate_hz
         heard_s = heard.heard_contactless_s * heard.seconds_s - release_s
         own = heard_s[heard_s > 0]
@@ -208,15 +178,9 @@ class TimesDetection:
 
 
 def times_problem(detection: TimesDetection, initial: Array) -> Problem:
-    """Set up a simulator whose rollouts hit the table when the ball was heard to.
+    """Pose the estimation problem, with a simulator that hits the table when the ball was heard to.
 
-    Args:
-        detection: the times.
-        initial: restitution, slope and drag [1/m], or the first of these, shape (P,).
-
-    Raises:
-        NotFoundError: no ball explains the times, or its flights are too short to be simulated.
-        UsageError: the initial value is out of bounds.
+    `initial` are restitution, slope and drag [1/m], or the first of these.
     """
     heard = detection.heard
     try:
@@ -338,11 +302,6 @@ def heard_motion(detection: TimesDetection, trace: Trace) -> Motion:
     kept = np.union1d(np.arange(0, len(seconds), every), at[there])
     curves = Curves(detection.start_ns, seconds[kept], observed_m[kept], heights_m[kept])
     return Motion(curves=curves, unidentifiable=_unidentifiable(detection))
-
-
-def heard_rebounds(detection: TimesDetection, trace: Trace) -> tuple[Rebound, ...]:
-    """Return each impact between two flights that were heard whole."""
-    return detection.heard.rebounds if trace.fit is not None else detection.heard.rebounds[:1]
 
 
 def _unidentifiable(detection: TimesDetection) -> tuple[str, ...]:

@@ -33,17 +33,10 @@ from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 
 def since_impacts_s(times_s: Array, numbers: NDArray[np.integer]) -> Array:
-    """Return the seconds from each impact to each that was heard, 0 for those before it.
+    """Return the seconds from impacts 0 to K - 1, K the last's number, to each time, (N, K).
 
-    An impact that was not heard lies between its neighbours, or before the first as far from it as
-    the first two are apart.
-
-    Args:
-        times_s: of those heard, rising, shape (N,), N at least 2.
-        numbers: of them, 0 the first impact, shape (N,).
-
-    Returns:
-        Of the impacts 0 to K - 1, K the number of the last that was heard, shape (N, K).
+    It is 0 for times before the impact. An impact that was not heard lies between its neighbours,
+    or before the first as far from it as the first two are apart.
     """
     first = int(numbers[0])
     impacts_s = np.interp(np.arange(numbers[-1]), numbers, times_s)
@@ -56,36 +49,23 @@ def since_impacts_s(times_s: Array, numbers: NDArray[np.integer]) -> Array:
 # Below it the closed form would lose its digits: over 100 m it changes a flight by 1e-7.
 _MIN_DRAG_1_M = 1e-9
 
-_MAX_SPEED_M_S, _MIN_SPEED_LEAVING_M_S = 1e3, 1e-6  # speeds that a fit may try on its way
-
 
 @dataclass(frozen=True, eq=False)
 class FlightTimes:
-    """Flights of M balls, N + 1 impacts each.
+    """Flights of M balls, N + 1 impacts each."""
 
-    Attributes:
-        impacts_s: after the first impact, which is 0, shape (N + 1, M) [s].
-        leaving_m_s: speeds after these impacts, shape (N + 1, M).
-        arriving_m_s: speeds before them, the first of them unknown (NaN), shape (N + 1, M).
-    """
-
-    impacts_s: Array
-    leaving_m_s: Array
-    arriving_m_s: Array
+    impacts_s: Array  # after the first impact, which is 0, shape (N + 1, M) [s]
+    leaving_m_s: Array  # speeds after these impacts, shape (N + 1, M)
+    arriving_m_s: Array  # speeds before them, the first of them unknown (NaN), shape (N + 1, M)
 
 
 def flights(
     count: int, leaving_m_s: Array, restitution: Array, slope: Array, drag_1_m: Array
 ) -> FlightTimes:
-    """Compute the flights of M balls from an impact on.
+    """Compute `count` flights of M balls from an impact on, left at these speeds.
 
-    Args:
-        count: N, of the flights.
-        leaving_m_s: speed after the first impact, shape (M,).
-        restitution: at the second impact, shape (M,); more than 1 is not cut, so that a fit can
-            show it.
-        slope: p of e_n = e_2 (v_n / v_2)^-p, constant below `MIN_SPEED_M_S`, shape (M,).
-        drag_1_m: deceleration by the air over speed squared, shape (M,).
+    The restitution is that at the second impact, e_n = e_2 (v_n / v_2)^-p constant below
+    `MIN_SPEED_M_S`; more than 1 is not cut, so that a fit can show it. Shape (M,) each.
     """
     drag_1_m = np.maximum(drag_1_m, _MIN_DRAG_1_M)
     rate, per_speed = np.sqrt(GRAVITY_M_S2 * drag_1_m), np.sqrt(drag_1_m / GRAVITY_M_S2)
@@ -102,7 +82,7 @@ def flights(
         if number == 1:
             first = held
         kept = restitution * (held / first) ** -slope
-        leaving[number] = np.clip(kept * speed, _MIN_SPEED_LEAVING_M_S, _MAX_SPEED_M_S)
+        leaving[number] = np.clip(kept * speed, 1e-6, 1e3)  # so that a fit may go on
     return FlightTimes(impacts_s, leaving, arriving)
 
 
@@ -142,18 +122,12 @@ class Whitening:
     """Whitening of the times' residuals: independent, of the size of the jitter.
 
     An impact that returns more than the law says makes all later flights longer.
-
-    Attributes:
-        rows: lower triangle, shape (N, N).
-        log_size: logarithm of its determinant.
-        ratio_1_s: scatter of the impacts over the jitter [1/s].
-        log_prior: of that ratio.
     """
 
-    rows: Array
-    log_size: float
-    ratio_1_s: float
-    log_prior: float = 0.0
+    rows: Array  # lower triangle, shape (N, N)
+    log_size: float  # logarithm of its determinant
+    ratio_1_s: float  # scatter of the impacts over the jitter [1/s]
+    log_prior: float = 0.0  # of that ratio
 
     @classmethod
     def of(cls, times_s: Array, numbers: NDArray[np.int64], ratio_1_s: float) -> Whitening:
@@ -176,30 +150,20 @@ def whitenings(
 
 @dataclass(frozen=True, eq=False)
 class BallsByTimes:
-    """Least-squares fits of every ball of a grid.
+    """Least-squares fits of every ball of a grid."""
 
-    Attributes:
-        unknowns: time of the first impact [s], log speed after it [m/s], restitution at the second;
-            shape (M, 3), of balls that touch the table for the usual time.
-        spread: of them, for a jitter of 1 s, shape (M, 3, 3).
-        squares: sum of the squared residuals, shape (M,) [s²].
-        leans: change of the unknowns with longer contacts, shape (M, 3) [1/s].
-        across: sum of the residuals times what a contact of 1 s more makes of them, shape (M,) [s].
-        bends: sum of the squares of the latter, shape (M,).
-        white: what made the residuals independent.
-        seconds_m_s: speed of the second impact, shape (M,).
-        count: N, of the times.
-    """
-
+    # Time of the first impact [s], log speed after it [m/s], restitution at the second; shape (M,
+    # 3), of balls that touch the table for the usual time.
     unknowns: Array
-    spread: Array
-    squares: Array
-    leans: Array
+    spread: Array  # of them, for a jitter of 1 s, shape (M, 3, 3)
+    squares: Array  # sum of the squared residuals, shape (M,) [s²]
+    leans: Array  # change of the unknowns with longer contacts, shape (M, 3) [1/s]
+    # Sum of the residuals times what a contact of 1 s more makes of them, shape (M,) [s].
     across: Array
-    bends: Array
-    seconds_m_s: Array
-    count: int
-    white: Whitening
+    bends: Array  # sum of the squares of the latter, shape (M,)
+    seconds_m_s: Array  # speed of the second impact, shape (M,)
+    count: int  # N, of the times
+    white: Whitening  # what made the residuals independent
 
     @classmethod
     def of(
@@ -274,20 +238,13 @@ def ideal_ball(times_s: Array, numbers: NDArray[np.int64]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class WithContacts:
-    """Fit of every ball with every jitter, marginalised over contact durations.
+    """Fit of every ball with every jitter, marginalised over contact durations."""
 
-    Attributes:
-        middles: log speed after the first impact [m/s] and restitution at the second, shape
-            (M, J, 2).
-        covariances: of them, shape (M, J, 2, 2).
-        contacts_s: how long the ball touches the table, shape (M, J).
-        log_gains: what the contacts add to the logarithm of the evidence, shape (M, J).
-    """
-
+    # Log speed after the first impact [m/s] and restitution at the second, shape (M, J, 2).
     middles: Array
-    covariances: Array
-    contacts_s: Array
-    log_gains: Array
+    covariances: Array  # of them, shape (M, J, 2, 2)
+    contacts_s: Array  # how long the ball touches the table, shape (M, J)
+    log_gains: Array  # what the contacts add to the logarithm of the evidence, shape (M, J)
 
     @classmethod
     def of(cls, fit: BallsByTimes) -> WithContacts:
@@ -334,70 +291,45 @@ def _cut_normal(middle: Array, sd: Array, low: float, high: float) -> tuple[Arra
 # For every slope and drag the first impact, the speed after it and the second one's restitution are
 # fitted. With the drop height the first impact's restitution follows too.
 
-# By how much a height may be off that was measured by hand: a fraction, and a length [m].
-HEIGHT_SD, MIN_HEIGHT_SD_M = 0.005, 0.003
-
 _FREEDOM = 2.0  # of Student's t of the height
-# Cells of the grid, first over all balls, then about what is likely, so many sds to a side.
-_ROUGH, _FINE, _REACH_SDS = (18, 12), (25, 25), 4.5
-
-_MIN_SD = 1e-5  # of a restitution: no clock and no table are better
-FLIGHT_RANGE = float(np.log(100.0))  # of the log duration of a first flight, before it is heard
+_REACH_SDS = 4.5  # of the fine grid about what is likely, to a side
 _MIN_BALL_WEIGHT = 1e-6  # a ball with less is left out
 
 
 @dataclass(frozen=True)
 class DropSetup:
-    """Knowledge of ball, drop and clock beside the times.
+    """Knowledge of ball, drop and clock beside the times."""
 
-    Attributes:
-        drag_1_m: of the ball; None where it is not known.
-        height_m: of the drop whose first impact is heard first; None where it is not known.
-        has_clock: whether the seconds are true.
-        jitter_s: usual standard deviation of a time.
-    """
-
-    drag_1_m: float | None = None
+    drag_1_m: float | None = None  # of the ball; None where it is not known
+    # Of the drop whose first impact is heard first; None where it is not known.
     height_m: float | None = None
-    has_clock: bool = True
-    jitter_s: float = priors.TRIGGER_JITTER_S
+    has_clock: bool = True  # whether the seconds are true
+    jitter_s: float = priors.TRIGGER_JITTER_S  # usual standard deviation of a time
 
     @property
     def height_sd_m(self) -> float:
         """Standard deviation of the height."""
-        return max(HEIGHT_SD * (self.height_m or 0.0), MIN_HEIGHT_SD_M)
+        return max(0.005 * (self.height_m or 0.0), 0.003)  # measured by hand
 
 
 @dataclass(frozen=True, eq=False)
 class Balls:
-    """Weighted samples of balls that may have made the times: slope, drag, jitter; shape (M,) each.
+    """Weighted samples of balls that may have made the times; shape (M,) each."""
 
-    Attributes:
-        weights: adding up to 1.
-        restitutions: at the first impact where it can be determined: the second that is heard, or
-            the first with a known height.
-        sds: of them.
-        slopes: p.
-        drags_1_m: likewise.
-        jitters_s: of the times.
-        scatters: of each impact's own restitution about the law, as a fraction.
-        begins: log speed after the first impact [m/s].
-        contacts_s: how long each touches the table.
-        log_evidence: of all together, against noises: see `fit_times`.
-        height_sds: by how many standard deviations the law's first rebound is off from what the
-            height asks for; 0 without a height.
-    """
-
-    weights: Array
+    weights: Array  # adding up to 1
+    # At the first impact where it can be determined: the second that is heard, or the first with a
+    # known height.
     restitutions: Array
-    sds: Array
-    slopes: Array
-    drags_1_m: Array
-    jitters_s: Array
-    scatters: Array
-    begins: Array
-    contacts_s: Array
-    log_evidence: float
+    sds: Array  # of them
+    slopes: Array  # p
+    drags_1_m: Array  # likewise
+    jitters_s: Array  # of the times
+    scatters: Array  # of each impact's own restitution about the law, as a fraction
+    begins: Array  # log speed after the first impact [m/s]
+    contacts_s: Array  # how long each touches the table
+    log_evidence: float  # of all together, against noises: see `fit_times`
+    # By how many standard deviations the law's first rebound is off from what the height asks for;
+    # 0 without a height.
     height_sds: float
 
     @classmethod
@@ -442,19 +374,15 @@ def fit_times(
     *,
     fine: bool = True,
 ) -> Balls:
-    """Fit all balls whose impacts may have been heard at these times, on a grid.
+    """Fit all balls whose impacts, of these numbers from 0, may have been heard then (3 or more).
 
-    Args:
-        times_s: of the impacts, shape (N,), N at least 3 [s].
-        numbers: of the impacts, the first 0, shape (N,).
-        log_rate: logarithm of the density of noises' times [1/s], by which the evidence is divided.
-        rig: what is known.
-        fine: whether the grid is refined about the likeliest.
+    On a grid, refined about the likeliest if `fine`; the evidence is against noises of the
+    logarithmic rate `log_rate` [1/s].
     """
     nodes = priors.nodes(
         priors.WHOLE_SLOPE,
         priors.WHOLE_LOG_DRAG,
-        _ROUGH,
+        (18, 12),
         rig.drag_1_m,
         has_clock=rig.has_clock,
     )
@@ -470,7 +398,7 @@ def fit_times(
     positive = balls.drags_1_m > 0
     logs = np.log(np.where(positive, balls.drags_1_m, priors.TYPICAL_DRAG_1_M))
     ends = [_about(balls, balls.slopes, 0.01), _about(balls, logs, 0.1)]
-    nodes = priors.nodes(ends[0], ends[1], _FINE, rig.drag_1_m, has_clock=rig.has_clock)
+    nodes = priors.nodes(ends[0], ends[1], (25, 25), rig.drag_1_m, has_clock=rig.has_clock)
     return fitted(nodes)
 
 
@@ -490,7 +418,7 @@ def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: DropS
     log = log + told.log_gains + fit.white.log_size
     log = log - fit.squares[:, None] / (2 * jitters**2) - free * np.log(jitters)
     log = log + 0.5 * np.linalg.slogdet(fit.spread)[1][:, None]
-    log -= 0.5 * free * np.log(2 * np.pi) + np.log(FLIGHT_RANGE) + (fit.count - 1) * log_rate
+    log -= 0.5 * free * np.log(2 * np.pi) + np.log(priors.FLIGHT_RANGE) + (fit.count - 1) * log_rate
     begin, value = told.middles[..., 0], told.middles[..., 1]
     variance = told.covariances[..., 1, 1]
     off_sds = np.zeros_like(log)
@@ -506,10 +434,11 @@ def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: DropS
     rows, columns = np.nonzero(weights > _MIN_BALL_WEIGHT)
     chosen = weights[rows, columns]
     chosen = chosen / chosen.sum()
+    # No clock and no table are better.
     return Balls(
         weights=chosen,
         restitutions=value[rows, columns],
-        sds=np.sqrt(variance[rows, columns] + _MIN_SD**2),
+        sds=np.sqrt(variance[rows, columns] + 1e-5**2),
         slopes=nodes.slopes[rows],
         drags_1_m=nodes.drags_1_m[rows],
         jitters_s=jitters[columns],
@@ -528,10 +457,8 @@ def _from_height(
 
     The times tell the speed after the first impact and the restitution at the second; the height
     tells the speed before the first. The law ties all three: one more measurement, in closed form.
-
-    Returns:
-        Restitutions, their variances, log speeds after the first impact, how many standard
-        deviations the law is off, and the logarithm of what that does to the weights.
+    Returned with variances, log speeds after the first impact, how many standard deviations the law
+    is off, and the logarithm of what that does to the weights.
     """
     assert rig.height_m is not None
     slopes = nodes.slopes[:, None]
@@ -563,61 +490,37 @@ def _from_height(
 # ---- Ball that was heard: the average over readings, and against rhythms
 
 MAX_TIMES = 60  # that are looked at: by then a ball hardly rises
-_READINGS = 8  # that are fitted; most have one that stands out
 _MIN_READING_WEIGHT = 1e-4  # a reading with less is left out
 _TAILS = (0.025, 0.975)  # probabilities at the ends of an interval
-_HALVINGS = 24  # of a bracket of about 1 around a quantile
-_TYPICAL_APEX_M = 0.4  # of a first flight whose true seconds are not known
 
 
 @dataclass(frozen=True)
 class ClutterModel:
-    """Evidence beside the times.
+    """Evidence beside the times."""
 
-    Attributes:
-        rate_hz: of times that are none of the ball's.
-        log_odds: of the ball by all else than the times.
-    """
-
-    rate_hz: float
-    log_odds: float
+    rate_hz: float  # of times that are none of the ball's
+    log_odds: float  # of the ball by all else than the times
 
 
 @dataclass(frozen=True, eq=False)
 class HeardBall:
-    """Posterior of a ball by its impact times.
+    """Posterior of a ball by its impact times."""
 
-    Attributes:
-        values: restitution at the first reported impact, slope, drag [1/m], shape (3,).
-        interval95: shape (3, 2).
-        reading: the likeliest.
-        times_s: of its impacts, as they were heard, shape (N,) [s].
-        rig: what was known.
-        jitter_s: standard deviation of a time.
-        scatter: of each impact's own restitution about the law, as a fraction.
-        contact_s: how long the ball touches the table at each impact.
-        log_odds: against noises at random times.
-        rhythm: likeliest rhythm that is no ball's, and a ball's log odds against it.
-        height_sds: by how many standard deviations the height contradicts the times.
-        begin_s: time of the first impact by the values [s].
-        leaving_m_s: speed after it.
-        seconds_s: true seconds in one of the log's: 1, where it has a clock.
-    """
-
-    values: Array
-    interval95: Array
-    reading: Reading
-    times_s: Array
-    rig: DropSetup
-    jitter_s: float
-    scatter: float
-    contact_s: float
-    log_odds: float
+    values: Array  # restitution at the first reported impact, slope, drag [1/m], shape (3,)
+    interval95: Array  # shape (3, 2)
+    reading: Reading  # the likeliest
+    times_s: Array  # of its impacts, as they were heard, shape (N,) [s]
+    rig: DropSetup  # what was known
+    jitter_s: float  # standard deviation of a time
+    scatter: float  # of each impact's own restitution about the law, as a fraction
+    contact_s: float  # how long the ball touches the table at each impact
+    log_odds: float  # against noises at random times
+    # Likeliest rhythm that is no ball's, and a ball's log odds against it.
     rhythm: tuple[str, float]
-    height_sds: float
-    begin_s: float
-    leaving_m_s: float
-    seconds_s: float
+    height_sds: float  # by how many standard deviations the height contradicts the times
+    begin_s: float  # time of the first impact by the values [s]
+    leaving_m_s: float  # speed after it
+    seconds_s: float  # true seconds in one of the log's: 1, where it has a clock
 
     @property
     def numbers(self) -> NDArray[np.int64]:
@@ -653,11 +556,6 @@ class HeardBall:
     def _delays_s(self, numbers: NDArray[np.int64]) -> Array:
         """Return the delays by the contacts since the first reported impact."""
         return self.contact_s * (numbers - self.told).astype(np.float64)
-
-    @property
-    def residuals_s(self) -> Array:
-        """Residuals, heard less predicted, shape (N,) [s]."""
-        return self.times_s - self.predicted_s[self.numbers]
 
     @property
     def fall_m(self) -> float:
@@ -718,10 +616,8 @@ def heard_ball(
 ) -> HeardBall | None:
     """Average over readings and balls that may have been heard; None where no ball explains any.
 
-    Args:
-        times_s: rising, shape (N,) [s]; of more than `MAX_TIMES` the first.
-        rig: what is known of the ball.
-        besides: None where the times are all that was heard.
+    Of more than `MAX_TIMES` rising times [s] the first; `besides` only where more than times was
+    heard.
     """
     times_s = times_s[:MAX_TIMES]
     if len(times_s) < 3:
@@ -730,9 +626,10 @@ def heard_ball(
     clock = times_s * seconds_s
     log_rate = float(np.log(noise_rate_hz(clock) if besides is None else besides.rate_hz))
     heightless = replace(rig, height_m=None)  # it tells nothing of which time is an impact
+    # Most have one that stands out.
     tried = [
         (one, fit_times(clock[one.heard], one.numbers[one.heard], log_rate, heightless, fine=False))
-        for one in readings(clock, _READINGS)
+        for one in readings(clock, 8)
     ]
     if not tried:
         return None
@@ -806,7 +703,7 @@ def _against_rhythms(
 
 def _typical_seconds(times_s: Array) -> float:
     """Return seconds that make the longest flight as high as usual: only its drag needs them."""
-    usual_s = 2 * float(np.sqrt(2 * _TYPICAL_APEX_M / GRAVITY_M_S2))
+    usual_s = 2 * float(np.sqrt(2 * 0.4 / GRAVITY_M_S2))
     return usual_s / float(np.quantile(np.diff(times_s), 0.9))
 
 
@@ -864,7 +761,7 @@ def _quantile(probability: float, middles: Array, sds: Array, weights: Array) ->
     from scipy.special import ndtr
 
     low, high = float((middles - 5 * sds).min()), float((middles + 5 * sds).max())
-    for _ in range(_HALVINGS):
+    for _ in range(24):  # of a bracket of about 1 around a quantile
         middle = (low + high) / 2
         below = float(weights @ ndtr((middle - middles) / sds)) < probability
         low, high = (middle, high) if below else (low, middle)

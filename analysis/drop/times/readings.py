@@ -22,59 +22,46 @@ from tunenet_logs.episode import Array
 # Probabilities of a ball that keeps its restitution, and of one that the air does not slow: what is
 # heard is real, and in air.
 NO_SLOPE, NO_DRAG = 0.1, 0.05
-
 # Another ball's slope: half normal, with a little room below 0.
 _SLOPE_SD, _NEGATIVE_SD = 0.09, 0.02
-
 # Another ball's drag: log normal. A steel ball has .002, a table-tennis ball .13.
 TYPICAL_DRAG_1_M, LOG_DRAG_SD = 0.03, 1.1
-
-_LOG_SCALE_SD = 0.7  # added to it where no clock tells how high the ball flies
+# Ends of the grid that leaves nothing out: of the slope, and of the log of the drag [1/m].
+WHOLE_SLOPE, WHOLE_LOG_DRAG = (-0.25, 0.45), (float(np.log(5e-4)), float(np.log(0.6)))
+FLIGHT_RANGE = float(np.log(100.0))  # of the log duration of a first flight, before it is heard
 KNOWN_DRAG = 0.1  # fraction by which a drag may be off that follows from a ball's mass and size
 # Usual standard deviation of a time: of a trigger at a sound's threshold, which has .1 to 5 ms, and
 # of an onset that is looked for in the sound.
 TRIGGER_JITTER_S, ONSET_JITTER_S = 0.001, 0.00025
-
-_LOG_JITTER_SD = 0.9  # of either: log normal
-_LOW_SLOPE, _HIGH_SLOPE = -0.25, 0.45  # ends of the grid
-_LOW_DRAG_1_M, _HIGH_DRAG_1_M = 5e-4, 0.6
 JITTERS_S = np.geomspace(3e-5, 0.03, 31)  # standard deviations of a time that are tried
 # Prior probability of each standard deviation of an impact's own restitution about the law, as a
 # fraction of it: a machined ball's on stone, a table-tennis ball's, a marble's on a floor. The
 # times' own jitter scales it.
 SCATTERS = {0.002: 0.5, 0.01: 0.3, 0.03: 0.2}
-
-_MAX_SCATTER, _LOG_MOST_SD = 0.04, 0.1  # no ball that keeps to a law has more
 # How long a ball touches the table: a steel ball .2 ms, a soft one 8 ms.
 CONTACT_S, CONTACT_SD_S, CONTACTS_S = 0.002, 0.003, (0.0, 0.009)
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Grid of balls, shape (M,) each.
+    """Grid of balls, shape (M,) each."""
 
-    Attributes:
-        slopes: p.
-        drags_1_m: deceleration by the air over speed squared.
-        log_prior: of each cell.
-    """
-
-    slopes: Array
-    drags_1_m: Array
-    log_prior: Array
+    slopes: Array  # p
+    drags_1_m: Array  # deceleration by the air over speed squared
+    log_prior: Array  # of each cell
 
 
 def log_jitter_prior(usual_s: float) -> Array:
     """Return the log prior of each of `JITTERS_S`, normalised."""
-    off = np.log(JITTERS_S / usual_s) / _LOG_JITTER_SD
+    off = np.log(JITTERS_S / usual_s) / 0.9
     weights = np.exp(-0.5 * off**2)
     return np.log(weights / weights.sum())
 
 
 def log_scatter_prior(scatters: Array) -> Array:
     """Return the log prior against too much scatter: 0 where there is not."""
-    over = np.maximum(np.log(scatters / _MAX_SCATTER), 0.0)
-    return -0.5 * (over / _LOG_MOST_SD) ** 2
+    over = np.maximum(np.log(scatters / 0.04), 0.0)  # no ball that keeps to a law has more
+    return -0.5 * (over / 0.1) ** 2
 
 
 def nodes(
@@ -86,7 +73,7 @@ def nodes(
     has_clock: bool = True,
 ) -> Nodes:
     """Build a grid over slope and log drag within these ends, with balls of no slope or no drag."""
-    low, high = max(slopes[0], _LOW_SLOPE), min(slopes[1], _HIGH_SLOPE)
+    low, high = max(slopes[0], WHOLE_SLOPE[0]), min(slopes[1], WHOLE_SLOPE[1])
     edges = np.linspace(min(low, high - 1e-3), high, counts[0] + 1)
     slope = (edges[1:] + edges[:-1]) / 2
     sds = np.where(slope < 0, _NEGATIVE_SD, _SLOPE_SD)
@@ -101,10 +88,11 @@ def nodes(
         drag_prior = np.exp(-0.5 * off**2)
         drag_prior /= drag_prior.sum()
     else:
-        ends = np.log([_LOW_DRAG_1_M, _HIGH_DRAG_1_M])
+        ends = np.array(WHOLE_LOG_DRAG)
         low, high = max(log_drags[0], ends[0]), min(log_drags[1], ends[1])
         edges = np.linspace(min(low, high - 0.1), high, counts[1] + 1)
-        sd = LOG_DRAG_SD if has_clock else float(np.hypot(LOG_DRAG_SD, _LOG_SCALE_SD))
+        # No clock tells how high the ball flies.
+        sd = LOG_DRAG_SD if has_clock else float(np.hypot(LOG_DRAG_SD, 0.7))
         middle = (edges[1:] + edges[:-1]) / 2
         off = (middle - np.log(TYPICAL_DRAG_1_M)) / sd
         density = np.exp(-0.5 * off**2) / np.sqrt(2 * np.pi) / sd
@@ -115,41 +103,24 @@ def nodes(
     return Nodes(both[0].ravel(), both[1].ravel(), np.log(np.maximum(prior, 1e-300)))
 
 
-# Ends of the grid that leaves nothing out.
-WHOLE_SLOPE = (_LOW_SLOPE, _HIGH_SLOPE)
-WHOLE_LOG_DRAG = (float(np.log(_LOW_DRAG_1_M)), float(np.log(_HIGH_DRAG_1_M)))
-
-
 # ---- Beam search for the readings
 
 # Probability of an impact that is not heard, and the rate of noises, as a share of the rate at
 # which times follow each other.
 MISSED, FALSE = 0.06, 0.12
-
-# The same share of noises before the first impact, and how many of them count.
-_BEFORE, _MAX_BEFORE = 0.15, 5
-
 MAX_FLIGHTS, MAX_FALSE = 3, 3  # flights in one interval, and noises in a row, between two impacts
-_PAUSE = 5.0  # median intervals: a longer one is a pause
-_STARTS = 24  # times from which on the first impact is looked for at most
-_BEAM = 80  # readings that are kept of those that end with the same time
 _JITTER_S = 0.002  # standard deviation of a time while searching
 _DRIFT = 0.06  # of the log ratio from flight to flight: slope and drag change it slowly
-_FARTHEST_SDS = 5.0  # off a predicted time; what is farther is another one
 _RATIOS = np.linspace(0.08, 1.04, 481)  # of a flight's duration to the one before, to begin with
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Times assigned to a ball's impacts.
+    """Times assigned to a ball's impacts."""
 
-    Attributes:
-        numbers: of the impacts, 0 the first that is heard; -1 of a time that is none, shape (N,).
-        score: log odds against noises, roughly.
-    """
-
+    # Of the impacts, 0 the first that is heard; -1 of a time that is none, shape (N,).
     numbers: NDArray[np.int64]
-    score: float
+    score: float  # log odds against noises, roughly
 
     @property
     def heard(self) -> NDArray[np.int64]:
@@ -181,13 +152,13 @@ class Reading:
 
 def _log_before(first: NDArray[np.int64]) -> Array:
     """Return the log prior of so many times before the first impact."""
-    return np.minimum(first, _MAX_BEFORE) * np.log(_BEFORE)
+    return np.minimum(first, 5) * np.log(0.15)  # at most five of them count
 
 
 def noise_rate_hz(times_s: Array) -> float:
     """Return how often times follow each other, but for pauses: so would noises, if all were."""
     apart_s = np.diff(times_s)
-    return 1 / float(apart_s[apart_s < _PAUSE * np.median(apart_s)].mean())
+    return 1 / float(apart_s[apart_s < 5.0 * np.median(apart_s)].mean())  # longer ones are pauses
 
 
 def readings(times_s: Array, most: int) -> list[Reading]:
@@ -205,7 +176,7 @@ def readings(times_s: Array, most: int) -> list[Reading]:
                 before.extended(times_s, at, back - 1, lasting, rate_hz)
                 for lasting in range(1, MAX_FLIGHTS + 1)
             ]
-        ending.append(_Beam.joined(found).best(_BEAM))
+        ending.append(_Beam.joined(found).best(80))
     every = _Beam.joined(ending).best(most)
     return [
         Reading(numbers, float(score))
@@ -215,20 +186,13 @@ def readings(times_s: Array, most: int) -> list[Reading]:
 
 @dataclass(frozen=True, eq=False)
 class _Beam:
-    """Beam of R readings that end with one time, and what each predicts.
+    """Beam of R readings that end with one time, and what each predicts."""
 
-    Attributes:
-        scores: shape (R,).
-        numbers: shape (R, N).
-        state: time of the last impact [s], log duration of the flight after it, log ratio; shape
-            (R, 3).
-        covariance: of it, shape (R, 3, 3).
-    """
-
-    scores: Array
-    numbers: NDArray[np.int64]
+    scores: Array  # shape (R,)
+    numbers: NDArray[np.int64]  # shape (R, N)
+    # Time of the last impact [s], log duration of the flight after it, log ratio; shape (R, 3).
     state: Array
-    covariance: Array
+    covariance: Array  # of it, shape (R, 3, 3)
 
     @classmethod
     def joined(cls, parts: list[_Beam]) -> _Beam:
@@ -258,7 +222,7 @@ class _Beam:
         since_s = times_s[at] - times_s[at - false - 1]
         costs = (1 - FALSE) * rate_hz * since_s
         costs += false * np.log(FALSE) + (lasting - 1) * np.log(MISSED) + np.log1p(-MISSED)
-        near = off**2 < _FARTHEST_SDS**2 * variance
+        near = off**2 < 5.0**2 * variance  # farther off it is another one
         near &= self.state[:, 2] < np.log(_RATIOS[-1])
         part = replace(self, scores=self.scores + density + costs)
         chosen = np.flatnonzero(near)
@@ -268,24 +232,19 @@ class _Beam:
         covariance = part.covariance - gain[:, :, None] * across[:, None, :]
         numbers = part.numbers.copy()
         numbers[:, at] = numbers.max(axis=1, initial=-1) + lasting
-        return _Beam(
-            part.scores, numbers, *_moved(state, covariance, lasting, row[near].astype(np.float64))
+        # Move state and covariance on to the impact `lasting` flights later (EKF prediction).
+        row = row[near].astype(np.float64)
+        move = np.tile(np.eye(3), (len(state), 1, 1))
+        move[:, 0] = row
+        move[:, 1, 2] = lasting
+        each = np.exp(state[:, 1:2] + np.arange(lasting) * state[:, 2:])
+        later = np.column_stack(
+            [state[:, 0] + each.sum(axis=1), state[:, 1] + lasting * state[:, 2], state[:, 2]]
         )
-
-
-def _moved(state: Array, covariance: Array, lasting: int, row: Array) -> tuple[Array, Array]:
-    """Move state and covariance on to the impact `lasting` flights later (EKF prediction)."""
-    move = np.tile(np.eye(3), (len(state), 1, 1))
-    move[:, 0] = row
-    move[:, 1, 2] = lasting
-    each = np.exp(state[:, 1:2] + np.arange(lasting) * state[:, 2:])
-    later = np.column_stack(
-        [state[:, 0] + each.sum(axis=1), state[:, 1] + lasting * state[:, 2], state[:, 2]]
-    )
-    spread = move @ covariance @ move.transpose(0, 2, 1)
-    spread[:, 2, 2] += lasting * _DRIFT**2
-    spread[:, 1, 1] += lasting * _DRIFT**2
-    return later, spread
+        spread = move @ covariance @ move.transpose(0, 2, 1)
+        spread[:, 2, 2] += lasting * _DRIFT**2
+        spread[:, 1, 1] += lasting * _DRIFT**2
+        return _Beam(part.scores, numbers, *(later, spread))
 
 
 def _starts(times_s: Array, at: int, rate_hz: float) -> _Beam:
@@ -297,7 +256,7 @@ def _starts(times_s: Array, at: int, rate_hz: float) -> _Beam:
         for first in range(max(second - reach, 0), second)
         for before in range(1, MAX_FLIGHTS + 1)
         for after in range(1, MAX_FLIGHTS + 1)
-        if first < _STARTS
+        if first < 24
     ]
     chosen = np.array(picks, dtype=np.int64).reshape(-1, 4)
     first, second, before, after = chosen.T
@@ -358,30 +317,16 @@ def _interval_ratios(before: int, after: int) -> Array:
 # A hand keeps its beat, or quickens it by a time, a tempo, or a ratio that falls; a ball's may only
 # grow. Times are jittered one by one as a ball's, or each beat runs from the one before.
 
-_RANGE = float(np.log(100.0))  # prior range of a first beat's log duration
 # Standard deviations of a beat that are tried, in mean beats.
 _STEADY_SDS = np.geomspace(0.002, 0.5, 25)
-
-_TYPICAL_STEADY, _LOG_STEADY_SD = 0.03, 1.0  # of a hand: log normal
-# By which the last beat is shorter than the first; below 0 it is longer.
-_SHARES = np.linspace(-1.0, 0.98, 1001)
-
-_TEMPOS = np.geomspace(0.02, 20.0, 400)  # by how much the last beat's tempo is over the first's
-# Logarithm of the first ratio of beats, and what is added to it from beat to beat.
-_BEAT_LOG_RATIOS, _BENDS = np.linspace(-1.5, 0.0, 61), -np.geomspace(0.002, 0.3, 40)
 
 
 @dataclass(frozen=True)
 class Rhythm:
-    """Rhythm that explains the times best.
+    """Rhythm that explains the times best."""
 
-    Attributes:
-        name: in words.
-        log_evidence: against noises, as a ball's.
-    """
-
-    name: str
-    log_evidence: float
+    name: str  # in words
+    log_evidence: float  # against noises, as a ball's
 
 
 def best_rhythm(
@@ -390,30 +335,36 @@ def best_rhythm(
     log_rate: float,
     jitter_s: float = TRIGGER_JITTER_S,
 ) -> Rhythm:
-    """Find the rhythm with the highest evidence.
-
-    Args:
-        times_s: of the beats, shape (N,), N at least 3 [s].
-        numbers: of the beats, the first 0, shape (N,).
-        log_rate: logarithm of the density of noises' times [1/s], by which the evidence is divided.
-        jitter_s: usual standard deviation of a time.
-    """
+    """Find the rhythm with the highest evidence for three times or more, against noises."""
     found = []
     for name, beats in _families(int(numbers.max())):
         sums = np.cumsum(np.column_stack([np.zeros(len(beats)), beats]), axis=1)[:, numbers]
+        # The log evidence where each time has its own jitter, shape (M,).
+        middle = sums.mean(axis=1)
+        about = sums - middle[:, None]
+        length = (about**2).sum(axis=1)
+        first_s = about @ times_s / length
+        off = times_s - times_s.mean() - first_s[:, None] * about
+        jitters, free = JITTERS_S, len(times_s) - 2
+        log = log_jitter_prior(jitter_s) - free * np.log(jitters * np.sqrt(2 * np.pi))
+        log = log - (off**2).sum(axis=1)[:, None] / (2 * jitters**2)
         each = np.logaddexp(
-            _jittered(times_s, sums, jitter_s), _running(times_s, sums, np.diff(numbers))
+            _summed(log) - 0.5 * np.log(len(times_s) * length) - _log_duration(first_s),
+            _running(times_s, sums, np.diff(numbers)),
         )
         most = float(each.max())
         evidence = most + float(np.log(np.exp(each - most).mean())) - float(np.log(2.0))
-        found.append(Rhythm(name, evidence - _RANGE - (len(times_s) - 1) * log_rate))
+        found.append(Rhythm(name, evidence - FLIGHT_RANGE - (len(times_s) - 1) * log_rate))
     return max(found, key=lambda one: one.log_evidence)
 
 
 @lru_cache(maxsize=4)
 def _bent(count: int) -> Array:
     steps = np.arange(count)
-    first, bend = (one.ravel()[:, None] for one in np.meshgrid(_BEAT_LOG_RATIOS, _BENDS))
+    first, bend = (
+        one.ravel()[:, None]
+        for one in np.meshgrid(np.linspace(-1.5, 0.0, 61), -np.geomspace(0.002, 0.3, 40))
+    )
     return np.exp(np.maximum(first * steps + bend * steps * (steps - 1) / 2, -20.0))
 
 
@@ -421,22 +372,9 @@ def _families(count: int) -> Iterator[tuple[str, Array]]:
     """Yield the beats' durations over the first, shape (M, count), of each kind of rhythm."""
     steps = np.arange(count) / max(count - 1, 1)
     yield "an even beat", np.ones((1, count))
-    yield "beats that shorten by one time each", 1 - _SHARES[:, None] * steps
-    yield "a tempo that grows evenly", 1 / (1 + _TEMPOS[:, None] * steps)
+    yield "beats that shorten by one time each", 1 - np.linspace(-1.0, 0.98, 1001)[:, None] * steps
+    yield "a tempo that grows evenly", 1 / (1 + np.geomspace(0.02, 20.0, 400)[:, None] * steps)
     yield "beats whose ratio falls", _bent(count)
-
-
-def _jittered(times_s: Array, sums: Array, jitter_s: float) -> Array:
-    """Return the log evidence where each time has its own jitter, shape (M,)."""
-    middle = sums.mean(axis=1)
-    about = sums - middle[:, None]
-    length = (about**2).sum(axis=1)
-    first_s = about @ times_s / length
-    off = times_s - times_s.mean() - first_s[:, None] * about
-    jitters, free = JITTERS_S, len(times_s) - 2
-    log = log_jitter_prior(jitter_s) - free * np.log(jitters * np.sqrt(2 * np.pi))
-    log = log - (off**2).sum(axis=1)[:, None] / (2 * jitters**2)
-    return _summed(log) - 0.5 * np.log(len(times_s) * length) - _log_duration(first_s)
 
 
 def _running(times_s: Array, sums: Array, apart: NDArray[np.int64]) -> Array:
@@ -447,7 +385,7 @@ def _running(times_s: Array, sums: Array, apart: NDArray[np.int64]) -> Array:
     first_s = shape @ heard / length
     off = heard - first_s[:, None] * shape
     sds = _STEADY_SDS * float(np.ptp(times_s)) / int(apart.sum())
-    prior = np.exp(-0.5 * (np.log(_STEADY_SDS / _TYPICAL_STEADY) / _LOG_STEADY_SD) ** 2)
+    prior = np.exp(-0.5 * (np.log(_STEADY_SDS / 0.03) / 1.0) ** 2)  # of a hand: log normal
     log = np.log(prior / prior.sum()) - (len(heard) - 1) * np.log(sds * np.sqrt(2 * np.pi))
     log = log - (off**2).sum(axis=1)[:, None] / (2 * sds**2)
     return _summed(log) - 0.5 * np.log(length) - np.log(scale).sum() - _log_duration(first_s)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from tunenet_logs.analysis.drop.times import readings as priors
 from tunenet_logs.analysis.drop.times.model import (
-    FLIGHT_RANGE,
     MAX_TIMES,
     ClutterModel,
     DropSetup,
@@ -34,53 +33,33 @@ from tunenet_logs.episode import Array
 # Every three onsets whose gaps shorten as a ball's predict a fourth, and so on. A chain's log odds
 # say how sharply its times follow each other, and how steadily it softens and keeps its colour.
 
-_MIN_S, _MAX_S = 0.06, 1.5  # of a flight: from a shorter one on a ball rattles
-_MIN_RATIO, _MAX_RATIO = 0.35, 0.985  # of a flight's duration to the one before
+_MIN_S = 0.06  # of a flight: from a shorter one on a ball rattles
+_MAX_RATIO = 0.985  # of a flight's duration to the one before
 _MAX_SEEDS = 60_000  # triples of knocks that are followed, those of the loudest knocks first
 _MAX_IMPACTS = 40  # of a chain
-_DRIFT, _JITTER_S = 0.02, 0.002  # standard deviation of a predicted gap: a fraction, and a time
-_FARTHEST_SDS = 3.5  # off a predicted time; what is farther is another knock
 _MISSED = float(np.log(0.08))  # of an impact that is not heard; two in a row end a chain
 _PER_DECADE_DB = 30.0  # by which a knock gets softer, as its ball gets slower
-# Standard deviation of a ball's knock about that, and least one of other knocks.
-_CHAIN_LOUDNESS_SD_DB, _MIN_SPREAD_DB = 4.0, 6.0
-
-# The same of a band, and how many bands tell something of their own.
-_COLOUR_SD_DB, _MIN_COLOUR_DB, _COLOURS = 4.0, 5.0, 2.0
-
-_CHAINS = 40  # different ones that are returned
+_CHAIN_LOUDNESS_SD_DB = 4.0  # of a ball's knock about that
+_COLOUR_SD_DB = 4.0  # the same of a band
 
 
 @dataclass(frozen=True, eq=False)
 class KnockChain:
-    """Onsets as one ball's impacts.
+    """Onsets as one ball's impacts."""
 
-    Attributes:
-        which: indices of the onsets, shape (N,).
-        numbers: of the impacts, the first 0, shape (N,).
-        score: log odds, roughly.
-    """
-
-    which: NDArray[np.int64]
-    numbers: NDArray[np.int64]
-    score: float
+    which: NDArray[np.int64]  # indices of the onsets, shape (N,)
+    numbers: NDArray[np.int64]  # of the impacts, the first 0, shape (N,)
+    score: float  # log odds, roughly
 
 
 @dataclass(frozen=True, eq=False)
 class Crowd:
-    """Statistics of onsets that are nobody's.
+    """Statistics of onsets that are nobody's."""
 
-    Attributes:
-        rate_hz: of them.
-        loudness_db: mean.
-        spread_db: standard deviation about it.
-        colour_sd_db: of a band's share.
-    """
-
-    rate_hz: float
-    loudness_db: float
-    spread_db: float
-    colour_sd_db: float
+    rate_hz: float  # of them
+    loudness_db: float  # mean
+    spread_db: float  # standard deviation about it
+    colour_sd_db: float  # of a band's share
 
     @classmethod
     def of(cls, heard: Onsets, lasts_s: float) -> Crowd:
@@ -91,8 +70,8 @@ class Crowd:
         return cls(
             len(heard) / max(lasts_s, 0.2),
             float(heard.loudness_db.mean()),
-            max(spread, _MIN_SPREAD_DB),
-            max(colour, _MIN_COLOUR_DB),
+            max(spread, 6.0),
+            max(colour, 5.0),
         )
 
     def loudness_odds(self, loudness_db: Array, foretold_db: Array) -> Array:
@@ -106,10 +85,10 @@ class Crowd:
         """Return the log odds of the mean squared difference of two onsets' colours."""
         own, other = 2 * _COLOUR_SD_DB**2, 2 * self.colour_sd_db**2
         odds = -0.5 * squares_db2 / own + 0.5 * squares_db2 / other + 0.5 * np.log(other / own)
-        return _COLOURS * np.maximum(odds, -3.0)
+        return 2.0 * np.maximum(odds, -3.0)  # so many bands tell something of their own
 
 
-def chains(heard: Onsets, lasts_s: float, most: int = _CHAINS) -> list[KnockChain]:
+def chains(heard: Onsets, lasts_s: float, most: int = 40) -> list[KnockChain]:
     """Find the likeliest chains of three impacts or more, best first."""
     if len(heard) < 3:
         return []
@@ -144,7 +123,7 @@ def _seeds(heard: Onsets) -> NDArray[np.int64]:
     """Return the triples whose gaps and loudness may be a ball's, shape (S, 3)."""
     times_s, loud = heard.times_s, heard.loudness_db
     gaps = times_s[None, :] - times_s[:, None]
-    first, second = np.nonzero((gaps >= _MIN_S) & (gaps <= _MAX_S))
+    first, second = np.nonzero((gaps >= _MIN_S) & (gaps <= 1.5))
     rows = [np.zeros((0, 3), dtype=np.int64)]
     softer = loud[None, :] < loud[:, None] + 2 * _CHAIN_LOUDNESS_SD_DB
     for middle in range(len(times_s)):
@@ -153,7 +132,7 @@ def _seeds(heard: Onsets) -> NDArray[np.int64]:
         if not len(before) or not len(after):
             continue
         ratio = gaps[middle, after][None, :] / gaps[before, middle][:, None]
-        one, two = np.nonzero((ratio >= _MIN_RATIO) & (ratio <= _MAX_RATIO))
+        one, two = np.nonzero((ratio >= 0.35) & (ratio <= _MAX_RATIO))
         triple = np.column_stack([before[one], np.full(len(one), middle), after[two]])
         rows.append(triple.astype(np.int64))
     seeds = np.concatenate(rows)
@@ -194,14 +173,14 @@ def _followed(
             break
         level = level + _PER_DECADE_DB * np.log10(ratio)
         due = last + gap_next
-        sd = np.hypot(_JITTER_S, _DRIFT * gap_next) * (1 + missed)
+        sd = np.hypot(0.002, 0.02 * gap_next) * (1 + missed)
         at = np.clip(np.searchsorted(times_s, due), 1, len(times_s) - 1)
         at = np.where(due - times_s[at - 1] < times_s[at] - due, at - 1, at)
         off = (times_s[at] - due) / sd
         gain = -0.5 * off**2 - np.log(np.sqrt(2 * np.pi) * sd * crowd.rate_hz)
         gain += crowd.loudness_odds(loud[at], level)
         gain += crowd.colour_odds(((colours[at] - mean_colour) ** 2).mean(axis=1))
-        met = alive & (np.abs(off) < _FARTHEST_SDS) & (gain > _MISSED)
+        met = alive & (np.abs(off) < 3.5) & (gain > _MISSED)
         gone = alive & ~met
         scores[met] += gain[met]
         scores[gone] += _MISSED
@@ -223,25 +202,17 @@ def _followed(
 # ball is fitted with the same unknowns and priors, the posterior about it normal.
 
 _SLOPE, _SLOPE_SD = 0.04, 0.07
-_ITERATIONS = 8
 # Of the derivatives: log speed, restitution, slope, log drag.
 _STEPS = np.array([1e-6, 1e-6, 1e-5, 1e-4])
-
 _FLAT = 3  # unknowns without a prior: time of the first impact, log speed after it, restitution
-# Slope and log drag, within which balls are.
-_MIN, _MAX = np.array([-0.25, np.log(5e-4)]), np.array([0.45, np.log(0.6)])
 
 
 def log_likelihood(
     times_s: Array, numbers: NDArray[np.int64], log_rate: float, rig: DropSetup
 ) -> tuple[float, float]:
-    """Return the log odds against noises at random times, and the ball's restitution.
+    """Return the log odds against noises of the logarithmic rate `log_rate`, and the restitution.
 
-    Args:
-        times_s: of the impacts, shape (N,), N at least 3 [s].
-        numbers: of the impacts, the first 0, shape (N,).
-        log_rate: logarithm of the density of noises' times [1/s].
-        rig: what is known of the ball; its height is not used.
+    Of impacts at three times or more, numbered from 0; the height of the drop is not used.
     """
     tried = [
         _likelihood(times_s, numbers, white, rig)
@@ -250,7 +221,7 @@ def log_likelihood(
     logs = np.array([log for log, _ in tried])
     most = float(logs.max())
     found = most + float(np.log(np.exp(logs - most).sum()))
-    odds = found - float(np.log(FLIGHT_RANGE)) - (len(times_s) - 1) * log_rate
+    odds = found - float(np.log(priors.FLIGHT_RANGE)) - (len(times_s) - 1) * log_rate
     return odds, tried[int(logs.argmax())][1]
 
 
@@ -265,7 +236,7 @@ def _likelihood(
     at: Array = middles.copy()
     at[:_FLAT] = ideal_ball(times_s - priors.CONTACT_S * numbers, numbers)
     left, columns = _seen(times_s, numbers, at)
-    for _ in range(_ITERATIONS):
+    for _ in range(8):
         left, columns = white.rows @ left, white.rows @ columns
         normal = columns.T @ columns / rig.jitter_s**2 + np.diag(prior + 1e-9)
         pull = columns.T @ left / rig.jitter_s**2 + prior * (middles - at)
@@ -273,7 +244,7 @@ def _likelihood(
         step[1:3] = np.clip(step[1:3], -0.15, 0.15)
         at = np.asarray(at + step, dtype=np.float64)
         at[2] = np.clip(at[2], 0.01, 1.3)
-        at[3:5] = np.clip(at[3:5], _MIN, _MAX)
+        at[3:5] = np.clip(at[3:5], np.array([-0.25, np.log(5e-4)]), np.array([0.45, np.log(0.6)]))
         left, columns = _seen(times_s, numbers, at)
     left, columns = white.rows @ left, white.rows @ columns
     jitters = priors.JITTERS_S[:, None, None]
@@ -305,69 +276,53 @@ def _seen(times_s: Array, numbers: NDArray[np.int64], at: Array) -> tuple[Array,
 
 # ---- Best chain: each is fitted and completed, then judged beside all other onsets
 
-_FITTED = 24  # chains that are fitted
-_CHANGES = 30  # of the best chain at most
-# Before the first impact, and about a foretold one, where knocks are tried.
-_BEFORE_S, _NEAR_S = 1.6, 0.02
-
-_EVEN = 0.985  # restitution of a beat that keeps on: of no ball
-_SECONDS = 6  # chains of other knocks that are looked at
-_ECHO_SPREAD_S = 0.002  # by which what is late by the same time everywhere is an echo
-# Of a knock's own moment that come to that: an echo begins less sharply than a knock.
-_ECHO_SDS = 2.0
-
-_AS_LOUD_DB = 6.0  # below the ball's own, from which on another knock is as loud
+_BEFORE_S = 1.6  # before the first impact, where knocks are tried
 # For ten times the speed: of a ball's knocks, usually; their spread; that of a beat's, about 0.
 _SOFTENING_DB, _SOFTENING_SD_DB, _BEAT_SD_DB = 28.0, 8.0, 5.0
-
 # Usual scatter of a knock's loudness, and how many knocks that counts for.
 _LOUDNESS_SD_DB, _LOUDNESS_KNOWN = 2.0, 2
-
-# Of a knock that is clipped; and knocks that are not, from which on their softening is known.
-_FULL_SCALE, _MIN_SOFTENING = 0.98, 4
-
 _TRIED = 6  # knocks, for one impact
 
 
 @dataclass(frozen=True, eq=False)
 class BallAmong:
-    """Ball found among onsets, and what was heard beside it.
+    """Ball found among onsets, and what was heard beside it."""
 
-    Attributes:
-        ball: by its impact times, on the sound's clock.
-        which: indices of its impacts among the onsets, shape (N,).
-        second_odds: log odds of a second ball while this one bounces, or just before.
-        earlier_s: its impacts where all are before this one's first: of the same ball, most likely;
-            shape (E,), else empty.
-        as_loud: other knocks meanwhile that are as loud as its own.
-        softening_odds: log odds that its knocks soften as a ball's do, against knocks that stay as
-            loud; None where too few are below full scale.
-        clipped: its knocks that are as loud as the recording can tell.
-    """
-
-    ball: HeardBall
-    which: NDArray[np.int64]
-    second_odds: float
+    ball: HeardBall  # by its impact times, on the sound's clock
+    which: NDArray[np.int64]  # indices of its impacts among the onsets, shape (N,)
+    second_odds: float  # log odds of a second ball while this one bounces, or just before
+    # Its impacts where all are before this one's first: of the same ball, most likely; shape (E,),
+    # else empty.
     earlier_s: Array
-    as_loud: int
+    as_loud: int  # other knocks meanwhile that are as loud as its own
+    # Log odds that its knocks soften as a ball's do, against knocks that stay as loud; None where
+    # too few are below full scale.
     softening_odds: float | None
-    clipped: int
+    clipped: int  # its knocks that are as loud as the recording can tell
 
 
 def ball_among(heard: Onsets, lasts_s: float, rig: DropSetup) -> BallAmong | None:
     """Find the likeliest ball among the onsets; None where nothing sounds like one."""
-    found = chains(heard, lasts_s)[:_FITTED]
+    found = chains(heard, lasts_s)[:24]
     if not found:
         return None
     judge = _Judge(heard, Crowd.of(heard, lasts_s), replace(rig, height_m=None))
     best = max((judge.judged(one) for one in found), key=lambda one: one.score)
-    best = _completed(judge, best)
+    # Climb to the best chain: make every change that raises the evidence, the best first.
+    chain = best
+    for _ in range(30):
+        tried = [judge.judged(one) for one in _changes(judge.heard, chain)]
+        better = max(tried, key=lambda one: one.score, default=chain)
+        if better.score <= chain.score:
+            break
+        chain = better
+    best = chain
     which = best.which[:MAX_TIMES]
     ball = heard_ball(heard.times_s[which], rig, judge.besides(best))
     if ball is None:
         return None
     kept = which[ball.reading.heard]
-    clipped = heard.peaks[kept] > _FULL_SCALE
+    clipped = heard.peaks[kept] > 0.98
     return BallAmong(
         ball,
         kept,
@@ -380,17 +335,11 @@ def ball_among(heard: Onsets, lasts_s: float, rig: DropSetup) -> BallAmong | Non
 
 @dataclass(frozen=True, eq=False)
 class _Judge:
-    """Evidence of chains.
+    """Evidence of chains."""
 
-    Attributes:
-        heard: all knocks.
-        crowd: what they are like.
-        rig: what is known of the ball, but for its height.
-    """
-
-    heard: Onsets
-    crowd: Crowd
-    rig: DropSetup
+    heard: Onsets  # all knocks
+    crowd: Crowd  # what they are like
+    rig: DropSetup  # what is known of the ball, but for its height
 
     def judged(self, chain: KnockChain) -> KnockChain:
         """Score a chain by its evidence."""
@@ -398,7 +347,7 @@ class _Judge:
         times_s = self.heard.times_s[which]
         rate = float(np.log(self.crowd.rate_hz))
         odds, restitution = log_likelihood(times_s, numbers, rate, self.rig)
-        if restitution > _EVEN:
+        if restitution > 0.985:  # a beat that keeps on is of no ball
             return replace(chain, score=-np.inf)
         missed = int(numbers.max()) + 1 - len(which)
         score = odds + missed * np.log(MISSED) + len(which) * np.log1p(-MISSED)
@@ -420,17 +369,6 @@ class _Judge:
     def besides(self, chain: KnockChain) -> ClutterModel:
         """Return what the times alone do not say."""
         return ClutterModel(self.crowd.rate_hz, self._beside(chain))
-
-
-def _completed(judge: _Judge, chain: KnockChain) -> KnockChain:
-    """Climb to the best chain: make every change that raises the evidence, the best first."""
-    for _ in range(_CHANGES):
-        tried = [judge.judged(one) for one in _changes(judge.heard, chain)]
-        best = max(tried, key=lambda one: one.score, default=chain)
-        if best.score <= chain.score:
-            break
-        chain = best
-    return chain
 
 
 def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
@@ -459,7 +397,7 @@ def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
         at = int(np.searchsorted(numbers, number)) - 1
         steps = np.arange(numbers[at], number) + 0.5
         due = own_s[at] + float(np.exp(level + slope * steps).sum())
-        near = np.flatnonzero(np.abs(times_s - due) < _NEAR_S * len(steps))
+        near = np.flatnonzero(np.abs(times_s - due) < 0.02 * len(steps))
         near = np.setdiff1d(near, which)
         near = near[(times_s[near] > own_s[at])]
         if at + 1 < len(own_s):
@@ -477,7 +415,7 @@ def _softening_odds(ball: HeardBall, loudness_db: Array) -> float | None:
     """Regress loudness, NaN where not known, on the log impact speed, for the odds of a ball."""
     speeds = np.log10(ball.flown.arriving_m_s[ball.numbers, 0])
     known = np.isfinite(speeds + loudness_db)  # nobody hears how fast it arrives at the first
-    if known.sum() < _MIN_SOFTENING:
+    if known.sum() < 4:
         return None
     speeds, loudness_db = speeds[known], loudness_db[known]
     off = speeds - speeds.mean()
@@ -498,7 +436,7 @@ def _as_loud(heard: Onsets, which: NDArray[np.int64]) -> int:
     own_s, own_db = heard.times_s[which], heard.loudness_db[which]
     others = heard.only(np.setdiff1d(np.arange(len(heard)), which))
     inside = (others.times_s > own_s[0]) & (others.times_s < own_s[-1])
-    least_db = np.interp(others.times_s, own_s, own_db) - _AS_LOUD_DB
+    least_db = np.interp(others.times_s, own_s, own_db) - 6.0
     return int((inside & (others.loudness_db > least_db)).sum())
 
 
@@ -510,11 +448,12 @@ def _second_odds(judge: _Judge, which: NDArray[np.int64]) -> tuple[float, Array]
     others = others.only(inside)
     judge = replace(judge, heard=others)
     odds, best_s = -np.inf, np.zeros(0)
-    for chain in chains(others, float(own_s[-1] - own_s[0]) + _BEFORE_S)[:_SECONDS]:
+    for chain in chains(others, float(own_s[-1] - own_s[0]) + _BEFORE_S)[:6]:
         times_s, sds_s = others.times_s[chain.which], others.sds_s[chain.which]
         late_s = times_s - own_s[np.maximum(np.searchsorted(own_s, times_s) - 1, 0)]
         off_s = np.abs(late_s - np.median(late_s))
-        if np.any(off_s > _ECHO_SPREAD_S / 2 + _ECHO_SDS * sds_s):
+        # What is late by the same time everywhere is an echo.
+        if np.any(off_s > 0.002 / 2 + 2.0 * sds_s):
             score = judge.judged(chain).score
             if score > odds:
                 odds, best_s = score, times_s

@@ -33,9 +33,9 @@ from tunenet_logs.analysis.evaluation.worlds.audio import (
 )
 from tunenet_logs.analysis.evaluation.worlds.ball import BounceHistory, BounceOrder, bounced
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
 from tunenet_logs.analysis.record import Record
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo
 from tunenet_logs.reader import read_episode
@@ -47,27 +47,17 @@ from tunenet_logs.terminal import Progress
 
 @dataclass(frozen=True)
 class SoundAnswer:
-    """Answer of a tuning; NaN where there is none.
+    """Answer of a tuning; NaN where there is none."""
 
-    Attributes:
-        verdict: "ok", "suspect" or "rejected".
-        reason: why it is not "ok"; "" where it is.
-        value: restitution, at the first impact that the log determines.
-        low: lower end of its 95 % interval.
-        high: upper end.
-        slope: of the restitution's fall with speed.
-        rebounds: when each impact was, after the log's first sample, and its restitution.
-        seconds: of the processor.
-    """
-
-    verdict: str
-    reason: str
-    value: float
-    low: float
-    high: float
-    slope: float
+    verdict: str  # "ok", "suspect" or "rejected"
+    reason: str  # why it is not "ok"; "" where it is
+    value: float  # restitution, at the first impact that the log determines
+    low: float  # lower end of its 95 % interval
+    high: float  # upper end
+    slope: float  # of the restitution's fall with speed
+    # when each impact was, after the log's first sample, and its restitution
     rebounds: tuple[tuple[float, float], ...]
-    seconds: float
+    seconds: float  # of the processor
 
     @property
     def is_answered(self) -> bool:
@@ -87,7 +77,7 @@ class SoundAnswer:
 def answer_to(episode: Episode, ball: Ball = UNKNOWN_BALL) -> tuple[SoundAnswer, Array]:
     """Tune an episode; return the answer, and the impact times heard [s], shape (N,)."""
     began_s = time.process_time()
-    tuning = tune_episode(episode, Options(selection=Selection(ball=ball)))
+    tuning = tune_episode(episode, TuneOptions(ball=ball))
     seconds = time.process_time() - began_s
     return answer_of(record_of(tuning), seconds), _heard_s(tuning)
 
@@ -211,16 +201,11 @@ _LATE_S, _EARLY_S = 0.02, 0.001
 
 @dataclass(frozen=True, eq=False)
 class PhyphoxReading:
-    """Reading of the app at one threshold.
+    """Reading of the app at one threshold."""
 
-    Attributes:
-        threshold: of full scale.
-        events_s: at most six, after the first sample, shape (N,).
-        right: how many of them, from the first on, are the ball's first impacts, one after another.
-    """
-
-    threshold: float
-    events_s: Array
+    threshold: float  # of full scale
+    events_s: Array  # at most six, after the first sample, shape (N,)
+    # how many of them, from the first on, are the ball's first impacts, one after another
     right: int
 
     @property
@@ -281,19 +266,12 @@ TYPICAL_JITTER_S = 0.0002  # of an onset, where none was heard
 
 @dataclass(frozen=True)
 class AloneTrial:
-    """Clip to be heard.
+    """Clip to be heard."""
 
-    Attributes:
-        seed: of it.
-        number: likewise.
-        snr_db: see `impact_ratio`.
-        uneven: see `BounceOrder`.
-    """
-
-    seed: int
-    number: int
-    snr_db: float
-    uneven: float = 0.0
+    seed: int  # of it
+    number: int  # likewise
+    snr_db: float  # see `impact_ratio`
+    uneven: float = 0.0  # see `BounceOrder`
 
     def clip(self) -> SoundClip:
         """Synthesise the clip: every second one through AAC."""
@@ -305,37 +283,24 @@ class AloneTrial:
 
 @dataclass(frozen=True)
 class AloneOutcome:
-    """Result for a clip.
+    """Result for a clip."""
 
-    Attributes:
-        trial: which.
-        ball: its kind.
-        table: on what it bounced.
-        background: what else was heard.
-        impacts: how many were loud enough.
-        truth: restitution at the second impact, by the ball's law.
-        unnamed: the answer where the ball is not named.
-        named: the answer where its size and mass are.
-        jitter_s: rms error of the onsets that were used; NaN where there are fewer than three.
-        bounds: least standard deviation of a value from onsets with this jitter, the ball not named
-            and named; see `bound_sd`.
-        phyphox: its value at the threshold that is best for this clip; NaN where no threshold hears
-            the first three impacts first.
-        phyphox_hears: whether a threshold hears the first five impacts first.
-    """
-
-    trial: AloneTrial
-    ball: str
-    table: str
-    background: Background
-    impacts: int
-    truth: float
-    unnamed: SoundAnswer
-    named: SoundAnswer
-    jitter_s: float
+    trial: AloneTrial  # which
+    ball: str  # its kind
+    table: str  # on what it bounced
+    background: Background  # what else was heard
+    impacts: int  # how many were loud enough
+    truth: float  # restitution at the second impact, by the ball's law
+    unnamed: SoundAnswer  # the answer where the ball is not named
+    named: SoundAnswer  # the answer where its size and mass are
+    jitter_s: float  # rms error of the onsets that were used; NaN where there are fewer than three
+    # least standard deviation of a value from onsets with this jitter, the ball not named and
+    # named; see `bound_sd`
     bounds: tuple[float, float]
+    # its value at the threshold that is best for this clip; NaN where no threshold hears the first
+    # three impacts first
     phyphox: float
-    phyphox_hears: bool
+    phyphox_hears: bool  # whether a threshold hears the first five impacts first
 
 
 def alone_outcome(trial: AloneTrial) -> AloneOutcome:
@@ -374,19 +339,12 @@ def sound_alone(heard: SoundClip | NoBounce) -> Episode:
 
 @dataclass(frozen=True)
 class NegativeOutcome:
-    """Result for a sound that is no bounce.
+    """Result for a sound that is no bounce."""
 
-    Attributes:
-        seed: of it.
-        number: likewise.
-        kind: of what is heard.
-        answer: of the product.
-    """
-
-    seed: int
-    number: int
-    kind: str
-    answer: SoundAnswer
+    seed: int  # of it
+    number: int  # likewise
+    kind: str  # of what is heard
+    answer: SoundAnswer  # of the product
 
 
 def negative_outcome(asked: tuple[int, int]) -> NegativeOutcome:
@@ -406,44 +364,26 @@ _UNRELATED_SEEDS = 4_000_000
 
 @dataclass(frozen=True)
 class BesideTrial:
-    """One video or track.
+    """One video or track."""
 
-    Attributes:
-        kind: "film" or "track".
-        seed: of it.
-        number: likewise.
-        unrelated: sounds of `UNRELATED` that are put beside it in turn.
-        uneven: of a film, see `BounceOrder`.
-    """
-
-    kind: str
-    seed: int
-    number: int
-    unrelated: tuple[str, ...] = ()
-    uneven: float = 0.0
+    kind: str  # "film" or "track"
+    seed: int  # of it
+    number: int  # likewise
+    unrelated: tuple[str, ...] = ()  # sounds of `UNRELATED` that are put beside it in turn
+    uneven: float = 0.0  # of a film, see `BounceOrder`
 
 
 @dataclass(frozen=True)
 class BesideOutcome:
-    """Result of a trial.
+    """Result of a trial."""
 
-    Attributes:
-        trial: which.
-        background: behind its own sound.
-        truth: restitution at the first impact.
-        deaf: the answer without sound.
-        heard: with its own.
-        unrelated: with each of the trial's unrelated sounds.
-        alone: verdicts on these sounds alone.
-    """
-
-    trial: BesideTrial
-    background: str
-    truth: float
-    deaf: SoundAnswer
-    heard: SoundAnswer
-    unrelated: tuple[SoundAnswer, ...]
-    alone: tuple[str, ...]
+    trial: BesideTrial  # which
+    background: str  # behind its own sound
+    truth: float  # restitution at the first impact
+    deaf: SoundAnswer  # the answer without sound
+    heard: SoundAnswer  # with its own
+    unrelated: tuple[SoundAnswer, ...]  # with each of the trial's unrelated sounds
+    alone: tuple[str, ...]  # verdicts on these sounds alone
 
 
 def beside_outcome(trial: BesideTrial) -> BesideOutcome:
@@ -513,19 +453,12 @@ SoundOutcome = AloneOutcome | NegativeOutcome | BesideOutcome
 
 @dataclass(frozen=True)
 class SoundOrder:
-    """Settings of the experiment.
+    """Settings of the experiment."""
 
-    Attributes:
-        seeds: each with its own sounds.
-        count: for each seed: clips at a ratio, sounds that are no bounce, films, tracks.
-        sections: of `study.SOUND_SECTIONS`.
-        jobs: processes; None for all cores.
-    """
-
-    seeds: Sequence[int]
-    count: int
-    sections: Sequence[str]
-    jobs: int | None = None
+    seeds: Sequence[int]  # each with its own sounds
+    count: int  # for each seed: clips at a ratio, sounds that are no bounce, films, tracks
+    sections: Sequence[str]  # of `study.SOUND_SECTIONS`
+    jobs: int | None = None  # processes; None for all cores
 
 
 def sound_sections(

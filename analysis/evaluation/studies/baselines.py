@@ -283,15 +283,10 @@ _CELLS = 4000  # of the grid: 1/4000 of the prior's range is far below any poste
 
 @dataclass(frozen=True, eq=False)
 class GridDensity:
-    """Density of one parameter, constant within each cell of a grid.
+    """Density of one parameter, constant within each cell of a grid."""
 
-    Attributes:
-        edges: of the cells, ascending, shape (N + 1,).
-        below: probability of less than each edge, from 0 to 1, shape (N + 1,).
-    """
-
-    edges: Array
-    below: Array
+    edges: Array  # of the cells, ascending, shape (N + 1,)
+    below: Array  # probability of less than each edge, from 0 to 1, shape (N + 1,)
 
     @classmethod
     def from_logs(cls, edges: Array, logs: Array) -> GridDensity:
@@ -375,16 +370,11 @@ _HIDDEN = 256
 
 @dataclass(frozen=True, eq=False)
 class SbiPosterior:
-    """Trained network as plain numbers, which travel between processes; see `Posterior`.
+    """Trained network as plain numbers, which travel between processes; see `Posterior`."""
 
-    Attributes:
-        bounds: of the uniform prior.
-        inputs: L, numbers in an observation.
-        weights: by the library's names, the offsets and gains of its standardisation among them.
-    """
-
-    bounds: tuple[float, float]
-    inputs: int
+    bounds: tuple[float, float]  # of the uniform prior
+    inputs: int  # L, numbers in an observation
+    # by the library's names, the offsets and gains of its standardisation among them
     weights: Mapping[str, NDArray[Any]]
 
     def log_density(self, observation: Array, values: Array) -> Array:

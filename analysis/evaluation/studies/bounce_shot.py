@@ -51,10 +51,10 @@ from tunenet_logs.analysis.evaluation.worlds.clips import (
     track_of,
 )
 from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
 from tunenet_logs.analysis.planning import KnownBall, Plan, plan_shot, read_tuning, told_ball
 from tunenet_logs.analysis.record import to_json
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.analysis.tunenet.network import Model, PairSet, PaperNetwork, consecutive_pairs
 from tunenet_logs.analysis.tuning import tune_log
@@ -203,65 +203,41 @@ _OFF_ROUND_DEG = 2.0  # standard deviation of their impacts' normals
 
 @dataclass(frozen=True)
 class Trial:
-    """Specification of a trial.
+    """Specification of a trial."""
 
-    Attributes:
-        seed: of the campaign.
-        number: of the trial in it, from 0.
-        ball: what is dropped and shot.
-        attempt: number of the trial among those with this ball, from 1.
-        mishap: of its first drop.
-        leaving: chance of a further drop to have one.
-    """
-
-    seed: int
-    number: int
-    ball: HiddenBall
-    attempt: int
-    mishap: str | None
-    leaving: float
+    seed: int  # of the campaign
+    number: int  # of the trial in it, from 0
+    ball: HiddenBall  # what is dropped and shot
+    attempt: int  # number of the trial among those with this ball, from 1
+    mishap: str | None  # of its first drop
+    leaving: float  # chance of a further drop to have one
 
 
 @dataclass(frozen=True)
 class Taken:
-    """One shot.
+    """One shot."""
 
-    Attributes:
-        restitution: that it was planned with.
-        height_m: from which the ball was let go.
-        success: through the hoop.
-        miss_m: from the hoop's centre, negative where it was short of it; None where the ball
-            never came down at the hoop's height.
-        exact_miss_m: of the same shot without error of release.
-        plan_s: how long planning took.
-    """
-
-    restitution: float
-    height_m: float
-    success: bool
+    restitution: float  # that it was planned with
+    height_m: float  # from which the ball was let go
+    success: bool  # through the hoop
+    # from the hoop's centre, negative where it was short of it; None where the ball never came down
+    # at the hoop's height
     miss_m: float | None
-    exact_miss_m: float | None
-    plan_s: float
+    exact_miss_m: float | None  # of the same shot without error of release
+    plan_s: float  # how long planning took
 
 
 @dataclass(frozen=True)
 class TrialResult:
-    """Result of a trial.
-
-    Attributes:
-        drops: of ours: mishap or None, and the verdict.
-        papers: its shot.
-        ours: None where it was abandoned.
-        truth: restitution of the ball at the speed of our shot's impact; None without one.
-        seconds: that the trial took.
-    """
+    """Result of a trial."""
 
     trial: Trial
-    drops: tuple[tuple[str | None, str], ...]
-    papers: Taken
-    ours: Taken | None
+    drops: tuple[tuple[str | None, str], ...]  # of ours: mishap or None, and the verdict
+    papers: Taken  # its shot
+    ours: Taken | None  # None where it was abandoned
+    # restitution of the ball at the speed of our shot's impact; None without one
     truth: float | None
-    seconds: float
+    seconds: float  # that the trial took
 
     @property
     def is_on_table(self) -> bool:
@@ -369,7 +345,7 @@ def _trial(work: _Work, folder: Path, start: float) -> TrialResult:
 def _tuned(film: DropFilm, path: Path) -> tuple[str, Path]:
     """Record a film and tune its log; return the verdict, and the JSON."""
     record_film(film, path)
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     json_path = path.with_suffix(".json")
     json_path.write_text(to_json(record_of(tuning)), "utf-8")
     return tuning.verdict, json_path
@@ -450,36 +426,24 @@ _WRONG = 0.02  # of restitution: such an error uses up about what the hoop leave
 
 @dataclass(frozen=True)
 class JudgedDrop:
-    """Drop and its verdict.
+    """Drop and its verdict."""
 
-    Attributes:
-        mishap: None for a good one.
-        is_round: whether its ball is.
-        off: estimate less truth at the first impact's speed; None where it was rejected.
-    """
-
-    mishap: str | None
-    is_round: bool
+    mishap: str | None  # None for a good one
+    is_round: bool  # whether its ball is
     verdict: str
-    off: float | None
+    off: float | None  # estimate less truth at the first impact's speed; None where it was rejected
 
 
 @dataclass(frozen=True)
 class AcceptanceRow:
-    """Line of the table: fractions of the drops.
+    """Line of the table: fractions of the drops."""
 
-    Attributes:
-        label: which drops.
-        drops: how many.
-        wrong: `ok` and off by more than .02.
-    """
-
-    label: str
-    drops: int
+    label: str  # which drops
+    drops: int  # how many
     ok: float
     suspect: float
     rejected: float
-    wrong: float
+    wrong: float  # `ok` and off by more than .02
 
 
 @dataclass(frozen=True)
@@ -536,7 +500,7 @@ def _row(label: str, drops: list[JudgedDrop]) -> AcceptanceRow:
 
 
 def _judge(portion: _Portion) -> list[JudgedDrop]:
-    options = Options(selection=Selection(ball=Ball(2 * RADIUS_M, MASS_KG)))
+    options = TuneOptions(ball=Ball(2 * RADIUS_M, MASS_KG))
     judged = []
     for number in portion.numbers:
         rng = np.random.default_rng([portion.seed, number, int(portion.is_good), 0xACC])

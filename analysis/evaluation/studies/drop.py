@@ -61,8 +61,8 @@ from tunenet_logs.analysis.evaluation.study import (
     short_or_dash,
     table_line,
 )
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.registry import needed
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.recorders.simulators.base import CALIBRATED, PAPER, ContactSettings
@@ -97,24 +97,18 @@ _OUR_COLORS: Sequence[Color] = ((220, 40, 40), (240, 110, 90))
 
 @dataclass(frozen=True, eq=False)
 class ErrorCurve:
-    """Error curve of a method.
-
-    Attributes:
-        mean: mean over the seeds of the mean absolute error after 0, 1, ... rollouts, shape (R,).
-        low: of the best seed, shape (R,).
-        high: of the worst, shape (R,).
-        paper: (rollouts, error) of the published points.
-    """
+    """Error curve of a method."""
 
     method: str
     label: str
     is_ours: bool
     is_users: bool
     color: Color
+    # mean over the seeds of the mean absolute error after 0, 1, ... rollouts, shape (R,)
     mean: Array
-    low: Array
-    high: Array
-    paper: tuple[tuple[int, float], ...]
+    low: Array  # of the best seed, shape (R,)
+    high: Array  # of the worst, shape (R,)
+    paper: tuple[tuple[int, float], ...]  # (rollouts, error) of the published points
 
     @property
     def rollouts(self) -> Array:
@@ -251,25 +245,15 @@ _MIN_IMPACTS, _MAX_IMPACTS = 5, 12  # that are heard
 
 @dataclass(frozen=True, eq=False)
 class HeardSet:
-    """Impact times of one ball.
+    """Impact times of one ball."""
 
-    Attributes:
-        times_s: as they were heard, shape (N,).
-        restitution: at the second impact.
-        bound: least standard deviation of an estimate of it.
-        jitter_s: of the times.
-        height_m: of the drop.
-        first: restitution at the first impact.
-        wrong: "", "missed" or "noise".
-    """
-
-    times_s: Array
-    restitution: float
-    bound: float
-    jitter_s: float
-    height_m: float
-    first: float
-    wrong: str
+    times_s: Array  # as they were heard, shape (N,)
+    restitution: float  # at the second impact
+    bound: float  # least standard deviation of an estimate of it
+    jitter_s: float  # of the times
+    height_m: float  # of the drop
+    first: float  # restitution at the first impact
+    wrong: str  # "", "missed" or "noise"
 
 
 def _landing(speed_m_s: float, drag_1_m: float, height_m: float = 0.0) -> tuple[float, float]:
@@ -388,25 +372,15 @@ def heard_set(rng: np.random.Generator, number: int) -> HeardSet:
 
 @dataclass(frozen=True)
 class TimesFigures:
-    """Figures of sets of one kind.
+    """Figures of sets of one kind."""
 
-    Attributes:
-        label: of the kind.
-        sets: how many.
-        told: how many of them have a value.
-        mae: mean absolute error.
-        bound: what the bound allows of it.
-        covered: fraction of the intervals that hold the truth.
-        width: median width of them.
-    """
-
-    label: str
-    sets: int
-    told: int
-    mae: float
-    bound: float
-    covered: float
-    width: float
+    label: str  # of the kind
+    sets: int  # how many
+    told: int  # how many of them have a value
+    mae: float  # mean absolute error
+    bound: float  # what the bound allows of it
+    covered: float  # fraction of the intervals that hold the truth
+    width: float  # median width of them
 
 
 def times_figures(seed: int, count: int, *, with_height: bool = False) -> list[TimesFigures]:
@@ -595,38 +569,25 @@ _BATCH = 5  # targets in a batch: few, so that the processes end together
 
 @dataclass(frozen=True)
 class DropExperiment:
-    """Settings of the experiment.
+    """Settings of the experiment."""
 
-    Attributes:
-        seeds: each trains its own networks and draws its own targets.
-        targets: test cases for each seed, set and noise.
-        methods: names of those that compete; None for all.
-        jobs: processes; None for all cores.
-        effort: of training, in place of the presets'.
-        rollouts: most that any method may spend; None for the cells' own limits.
-    """
-
-    seeds: tuple[int, ...]
-    targets: int
-    methods: tuple[str, ...] | None = None
-    jobs: int | None = None
-    effort: Effort | None = None
-    rollouts: int | None = None
+    seeds: tuple[int, ...]  # each trains its own networks and draws its own targets
+    targets: int  # test cases for each seed, set and noise
+    methods: tuple[str, ...] | None = None  # names of those that compete; None for all
+    jobs: int | None = None  # processes; None for all cores
+    effort: Effort | None = None  # of training, in place of the presets'
+    rollouts: int | None = None  # most that any method may spend; None for the cells' own limits
 
 
 @dataclass(frozen=True)
 class _EmptyCell:
-    """Cell before it is filled.
-
-    Attributes:
-        most: rollouts that a method is allowed there, by whose it is.
-    """
+    """Cell before it is filled."""
 
     cell: Cell
     table: Table
     which: TargetSet
     contact: ContactSettings
-    most: Mapping[Group, int]
+    most: Mapping[Group, int]  # rollouts that a method is allowed there, by whose it is
 
     def batches(
         self, method: Method, targets: Sequence[DropTarget], rollouts: int | None
@@ -979,7 +940,9 @@ def heard_verdict(times_s: Array) -> Verdict:
     """Return the verdict of `tunenet-tune` on these times, shape (N,) [s]."""
     stamps_ns = np.round(times_s * 1e9).astype(np.int64)
     signal = Signal("impacts", stamps_ns, np.ones((len(stamps_ns), 1)), ("impact",), "1")
-    return tune_episode(Episode(EpisodeInfo(), {"impacts": signal}), Options(), Path("a")).verdict
+    return tune_episode(
+        Episode(EpisodeInfo(), {"impacts": signal}), TuneOptions(), Path("a")
+    ).verdict
 
 
 def _sets(seed: int, count: int, balls: int) -> Iterator[tuple[list[str], Array]]:

@@ -48,9 +48,9 @@ from tunenet_logs.analysis.evaluation.studies.baselines import (
     train_posterior,
 )
 from tunenet_logs.analysis.evaluation.worlds.ball import TEST_SEEDS
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
 from tunenet_logs.analysis.registry import needed
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tunenet.network import (
     AntisymmetricNetwork,
     Model,
@@ -217,15 +217,10 @@ NETWORKS = (*_PLANS, *_OURS)
 
 @dataclass(frozen=True)
 class Effort:
-    """Amount of training in place of the presets', to try things out.
+    """Amount of training in place of the presets', to try things out."""
 
-    Attributes:
-        pairs: training pairs.
-        epochs: passes over them.
-    """
-
-    pairs: int | None = None
-    epochs: int | None = None
+    pairs: int | None = None  # training pairs
+    epochs: int | None = None  # passes over them
 
 
 def train_networks(
@@ -278,23 +273,14 @@ _SECANT_ROLLOUTS, _OUR_ROLLOUTS = 10, 40
 
 @dataclass(frozen=True)
 class Method:
-    """Method to compare, a row of the table.
+    """Method to compare, a row of the table."""
 
-    Attributes:
-        name: as JSON, CSV and `--methods` have it.
-        label: as the table has it.
-        group: whose it is.
-        estimator: the method, ready to estimate.
-        budget: rollouts after which it gives nothing new, or the most of the experiment.
-        free_release: it is given the height of release as a second parameter to find.
-    """
-
-    name: str
-    label: str
-    group: Group
-    estimator: Estimator
-    budget: int
-    free_release: bool = False
+    name: str  # as JSON, CSV and `--methods` have it
+    label: str  # as the table has it
+    group: Group  # whose it is
+    estimator: Estimator  # the method, ready to estimate
+    budget: int  # rollouts after which it gives nothing new, or the most of the experiment
+    free_release: bool = False  # it is given the height of release as a second parameter to find
 
 
 @dataclass(frozen=True)
@@ -337,15 +323,10 @@ NAMES = tuple(_ALL)  # what `--methods` takes, in the order of the tables
 
 @dataclass(frozen=True)
 class MethodRegistry:
-    """Chosen methods and their requirements.
+    """Chosen methods and their requirements."""
 
-    Attributes:
-        names: of those chosen.
-        networks: to be trained for them, see `train_networks`.
-    """
-
-    names: tuple[str, ...]
-    networks: frozenset[str]
+    names: tuple[str, ...]  # of those chosen
+    networks: frozenset[str]  # to be trained for them, see `train_networks`
 
     @property
     def has_curves(self) -> bool:
@@ -476,17 +457,11 @@ RELEASE = Parameter("release_m", "m", (0.6, 10.0), PAPER_HEIGHT_M, 4.5)
 
 @dataclass(frozen=True)
 class TargetSet:
-    """Test set: ranges from which its restitutions are drawn.
+    """Test set: ranges from which its restitutions are drawn."""
 
-    Attributes:
-        name: as `tunenet-eval` prints it.
-        initial: range of the first guess.
-        target: range of what is to be found.
-    """
-
-    name: str
-    initial: tuple[float, float]
-    target: tuple[float, float]
+    name: str  # as `tunenet-eval` prints it
+    initial: tuple[float, float]  # range of the first guess
+    target: tuple[float, float]  # range of what is to be found
 
 
 EASY = TargetSet("Easy", PAPER_RESTITUTION, PAPER_RESTITUTION)
@@ -499,21 +474,13 @@ TARGET_SETS = (EASY, HARD, HARD_TARGET)
 
 @dataclass(frozen=True)
 class DropTarget:
-    """Test case.
+    """Test case."""
 
-    Attributes:
-        release_m: height of the ball's centre when it is let go.
-        initial: the first guess of the restitution, alike for every method.
-        truth: the restitution of the target; no method sees it.
-        noise_m: standard deviation of what is added to each height of the target.
-        seed: of that noise.
-    """
-
-    release_m: float
-    initial: float
-    truth: float
-    noise_m: float = 0.0
-    seed: int = 0
+    release_m: float  # height of the ball's centre when it is let go
+    initial: float  # the first guess of the restitution, alike for every method
+    truth: float  # the restitution of the target; no method sees it
+    noise_m: float = 0.0  # standard deviation of what is added to each height of the target
+    seed: int = 0  # of that noise
 
 
 def draw_targets(which: TargetSet, count: int, seed: int, noise_m: float = 0.0) -> list[DropTarget]:
@@ -602,19 +569,12 @@ class OverspentError(Exception):
 
 @dataclass(frozen=True)
 class TargetBatch:
-    """Method and some of the targets of a cell: what one process does in one go.
+    """Method and some of the targets of a cell: what one process does in one go."""
 
-    Attributes:
-        method: the method, ready to estimate.
-        targets: the test cases.
-        contact: of the simulator that it may roll out.
-        rollouts: most that it may spend on a target.
-    """
-
-    method: Method
-    targets: tuple[DropTarget, ...]
-    contact: ContactSettings
-    rollouts: int
+    method: Method  # the method, ready to estimate
+    targets: tuple[DropTarget, ...]  # the test cases
+    contact: ContactSettings  # of the simulator that it may roll out
+    rollouts: int  # most that it may spend on a target
 
 
 def errors_of(batch: TargetBatch) -> Array:
@@ -669,19 +629,12 @@ PER_TARGET = 2  # recordings of each kind for each target of the experiment
 
 @dataclass(frozen=True)
 class Recording:
-    """Kind of recording.
+    """Kind of recording."""
 
-    Attributes:
-        label: of its row; its recordings are drawn from it.
-        drop_heights_m: range of the fall.
-        rates_hz: sampling rates, one of which is drawn.
-        hold_s: how long the ball is held before it is let go.
-    """
-
-    label: str
-    drop_heights_m: tuple[float, float]
-    rates_hz: tuple[float, ...]
-    hold_s: float
+    label: str  # of its row; its recordings are drawn from it
+    drop_heights_m: tuple[float, float]  # range of the fall
+    rates_hz: tuple[float, ...]  # sampling rates, one of which is drawn
+    hold_s: float  # how long the ball is held before it is let go
 
 
 RECORDINGS = (
@@ -694,32 +647,21 @@ RECORDINGS = (
 class Coverage:
     """Interval coverage for one kind of recording.
 
-    Attributes:
-        targets: how many were recorded.
-        fitted: how many of them were not rejected.
-        covered: fraction of the fitted whose interval contains the truth, for any verdict.
-        covered_se: its standard error.
-        ok: fraction of all with the verdict "ok", which show their interval.
-        ok_covered: fraction of those whose interval contains the truth.
-        ok_covered_se: its standard error.
-        width: median of the intervals' widths.
-        mae: mean absolute error of the fitted.
-        network_mae: that of the network's steps alone.
-
     A figure over no recordings is None.
     """
 
     label: str
-    targets: int
-    fitted: int
+    targets: int  # how many were recorded
+    fitted: int  # how many of them were not rejected
+    # fraction of the fitted whose interval contains the truth, for any verdict
     covered: float | None
-    covered_se: float | None
-    ok: float
-    ok_covered: float | None
-    ok_covered_se: float | None
-    width: float | None
-    mae: float | None
-    network_mae: float | None
+    covered_se: float | None  # its standard error
+    ok: float  # fraction of all with the verdict "ok", which show their interval
+    ok_covered: float | None  # fraction of those whose interval contains the truth
+    ok_covered_se: float | None  # its standard error
+    width: float | None  # median of the intervals' widths
+    mae: float | None  # mean absolute error of the fitted
+    network_mae: float | None  # that of the network's steps alone
 
 
 def interval_coverages(
@@ -796,7 +738,7 @@ def _tuned(orders: Sequence[DropOrder]) -> Array:
     """Return the rows of `coverage_of`, shape (N, 6)."""
     rows = np.full((len(orders), 6), np.nan)
     for row, order in zip(rows, orders, strict=True):
-        tuning = tune_episode(simulate_drop(order), Options())
+        tuning = tune_episode(simulate_drop(order), TuneOptions())
         if tuning.estimate is None or tuning.trace is None or tuning.trace.fit is None:
             continue
         ends = tuning.trace.fit.interval95[0]
@@ -864,59 +806,36 @@ GIVEN_NOTE = "* is given the mean / the range of the test targets, as by its aut
 
 @dataclass(frozen=True)
 class Cell:
-    """Conditions of a comparison: the same targets, observed alike, in the same simulator.
+    """Conditions of a comparison: the same targets, observed alike, in the same simulator."""
 
-    Attributes:
-        experiment: which table it belongs to.
-        simulator: "paper" or "calibrated".
-        which: name of the `TargetSet`.
-        noise_m: standard deviation of the noise of each height of the target [m].
-    """
-
-    experiment: Experiment
-    simulator: str
-    which: str
-    noise_m: float
+    experiment: Experiment  # which table it belongs to
+    simulator: str  # "paper" or "calibrated"
+    which: str  # name of the `TargetSet`
+    noise_m: float  # standard deviation of the noise of each height of the target [m]
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of one method in one cell after some number of rollouts.
+    """Figures of one method in one cell after some number of rollouts."""
 
-    Attributes:
-        mae: mean over the seeds of the mean absolute error over the targets.
-        median: of the errors of all targets of all seeds.
-        lowest: mean absolute error of the best seed.
-        highest: of the worst seed.
-        paper: what the paper has in its place.
-    """
-
-    mae: float
-    median: float
-    lowest: float
-    highest: float
-    paper: float | None
+    mae: float  # mean over the seeds of the mean absolute error over the targets
+    median: float  # of the errors of all targets of all seeds
+    lowest: float  # mean absolute error of the best seed
+    highest: float  # of the worst seed
+    paper: float | None  # what the paper has in its place
 
 
 @dataclass(frozen=True, eq=False)
 class MethodErrors:
-    """Errors of one method in one cell.
+    """Errors of one method in one cell."""
 
-    Attributes:
-        cell: where it competed.
-        method: its name.
-        label: as tables have it.
-        group: whose it is.
-        budget: rollouts after which it gives nothing new.
-        errors: absolute error of the restitution of the answer after 0, 1, ... rollouts, shape
-            (seeds, targets, 1 + rollouts that it was allowed).
-    """
-
-    cell: Cell
-    method: str
-    label: str
-    group: Group
-    budget: int
+    cell: Cell  # where it competed
+    method: str  # its name
+    label: str  # as tables have it
+    group: Group  # whose it is
+    budget: int  # rollouts after which it gives nothing new
+    # absolute error of the restitution of the answer after 0, 1, ... rollouts, shape (seeds,
+    # targets, 1 + rollouts that it was allowed)
     errors: Array
 
     @property
@@ -960,42 +879,28 @@ class MethodErrors:
 
 @dataclass(frozen=True)
 class Credible:
-    """Coverage of the 95 % credible intervals of a posterior in a cell.
-
-    Attributes:
-        method: name of the one that has a posterior.
-        targets: of all seeds.
-        held: fraction of them whose interval contains the truth.
-        held_se: its standard error.
-        width: median of the intervals' widths.
-    """
+    """Coverage of the 95 % credible intervals of a posterior in a cell."""
 
     cell: Cell
-    method: str
-    targets: int
-    held: float
-    held_se: float
-    width: float
+    method: str  # name of the one that has a posterior
+    targets: int  # of all seeds
+    held: float  # fraction of them whose interval contains the truth
+    held_se: float  # its standard error
+    width: float  # median of the intervals' widths
 
 
 @dataclass(frozen=True, eq=False)
 class DropResults:
-    """Results of the second experiment.
+    """Results of the second experiment."""
 
-    Attributes:
-        seeds: of training and of the targets.
-        targets: test cases for each seed and cell.
-        outcomes: every method in every cell.
-        coverage: of the intervals of recorded drops; empty where it was not measured.
-        credible: coverage of neural posteriors' intervals; empty where there was none.
-        rollouts: most that any method was allowed; None where the cells' own limits applied.
-    """
-
-    seeds: tuple[int, ...]
-    targets: int
-    outcomes: tuple[MethodErrors, ...]
+    seeds: tuple[int, ...]  # of training and of the targets
+    targets: int  # test cases for each seed and cell
+    outcomes: tuple[MethodErrors, ...]  # every method in every cell
+    # of the intervals of recorded drops; empty where it was not measured
     coverage: tuple[Coverage, ...] = ()
+    # coverage of neural posteriors' intervals; empty where there was none
     credible: tuple[Credible, ...] = ()
+    # most that any method was allowed; None where the cells' own limits applied
     rollouts: int | None = None
 
     @property
@@ -1022,18 +927,12 @@ SIMULATIONS = 1600  # drops: as many as the paper's 800 pairs take
 
 @dataclass(frozen=True, eq=False)
 class _Training:
-    """Training data of one network.
+    """Training data of one network."""
 
-    Attributes:
-        observations: z of the drops [m], as they are observed, shape (N, L).
-        restitutions: shape (N,).
-        epochs: most passes; None for the library's rule.
-    """
-
-    observations: Array
-    restitutions: Array
+    observations: Array  # z of the drops [m], as they are observed, shape (N, L)
+    restitutions: Array  # shape (N,)
     seed: int
-    epochs: int | None
+    epochs: int | None  # most passes; None for the library's rule
 
 
 def train_posteriors(

@@ -40,8 +40,8 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
     RealBall,
     fallen,
 )
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
@@ -187,15 +187,11 @@ REAL = "Real balls"
 
 @dataclass(frozen=True)
 class Promise:
-    """Range of targets, and how well they are to be tuned.
+    """Range of targets, and how well they are to be tuned."""
 
-    Attributes:
-        name: as tables and files have it.
-        worst: largest error of the effective restitution that the default method may make; None
-            where nothing is promised.
-    """
-
-    name: str
+    name: str  # as tables and files have it
+    # largest error of the effective restitution that the default method may make; None where
+    # nothing is promised
     worst: float | None
 
 
@@ -204,19 +200,12 @@ RANGES = (Promise(EASY.name, 0.003), Promise(HARD.name, 0.005), Promise(REAL, No
 
 @dataclass(frozen=True)
 class EngineTarget:
-    """Ball to be dropped by one engine and tuned in another.
+    """Ball to be dropped by one engine and tuned in another."""
 
-    Attributes:
-        ball: given to the source.
-        initial: the first guess of its restitution.
-        rate_hz: of the samples.
-        samples: how many, the first at the release.
-    """
-
-    ball: RealBall
-    initial: float
-    rate_hz: float
-    samples: int
+    ball: RealBall  # given to the source
+    initial: float  # the first guess of its restitution
+    rate_hz: float  # of the samples
+    samples: int  # how many, the first at the release
 
     @property
     def seconds(self) -> Array:
@@ -270,17 +259,11 @@ _START_NS = 1_700_000_000_000_000_000
 
 @dataclass(frozen=True)
 class EngineOrder:
-    """Settings of the experiment.
+    """Settings of the experiment."""
 
-    Attributes:
-        seeds: each draws its own targets.
-        targets: of each range and seed.
-        jobs: processes; None for all cores.
-    """
-
-    seeds: tuple[int, ...]
-    targets: int
-    jobs: int | None = None
+    seeds: tuple[int, ...]  # each draws its own targets
+    targets: int  # of each range and seed
+    jobs: int | None = None  # processes; None for all cores
 
 
 @dataclass(frozen=True)
@@ -294,19 +277,13 @@ class EnginePortion:
 
 @dataclass(frozen=True)
 class TunedTarget:
-    """Result of one method on a target.
+    """Result of one method on a target."""
 
-    Attributes:
-        wanted: effective restitution of the target, by the height of its first rebound.
-        found: of the tuned ball in the engine that was tuned, likewise.
-        apart_percent: rms difference of the two motions over the bounces in view [% of the drop].
-        is_ok: whether that is the tuning's verdict, and not "suspect".
-    """
-
-    wanted: float
-    found: float
+    wanted: float  # effective restitution of the target, by the height of its first rebound
+    found: float  # of the tuned ball in the engine that was tuned, likewise
+    # rms difference of the two motions over the bounces in view [% of the drop]
     apart_percent: float
-    is_ok: bool
+    is_ok: bool  # whether that is the tuning's verdict, and not "suspect"
 
     @property
     def error(self) -> float:
@@ -316,21 +293,15 @@ class TunedTarget:
 
 @dataclass(frozen=True)
 class EngineLine:
-    """Targets of one range from one source, tuned in one engine by one method.
-
-    Attributes:
-        engine: that is tuned.
-        missing: which of the two engines is not installed; None where both are.
-        targets: how many were posed.
-        outcomes: of those that were answered: a ball that stays down has no restitution to tune.
-    """
+    """Targets of one range from one source, tuned in one engine by one method."""
 
     source: str
-    engine: str
+    engine: str  # that is tuned
     promise: Promise
     method: str
-    missing: str | None
-    targets: int
+    missing: str | None  # which of the two engines is not installed; None where both are
+    targets: int  # how many were posed
+    # of those that were answered: a ball that stays down has no restitution to tune
     outcomes: tuple[TunedTarget, ...]
 
     @property
@@ -399,7 +370,7 @@ def tuned_targets(portion: EnginePortion) -> list[dict[str, TunedTarget]]:
 def _tuned(source: str, tuned_engine: str, target: EngineTarget) -> dict[str, TunedTarget]:
     drop_m = target.ball.drop_m
     heights_m = source_m(source, target.ball, target.seconds)
-    options = Options(task="drop", iterations=ROLLOUTS, initial=(target.initial,))
+    options = TuneOptions(task="drop", iterations=ROLLOUTS, initial=(target.initial,))
     tuning = tune_episode(_recorded(target.seconds, heights_m), options)
     trace = tuning.trace
     if trace is None:

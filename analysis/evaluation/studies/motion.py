@@ -295,16 +295,11 @@ MIDDLE_RESTITUTION = sum(PAPER_RESTITUTION) / 2
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """Drops, and the engine's step with a fixed restitution from each of their states.
+    """Drops, and the engine's step with a fixed restitution from each of their states."""
 
-    Attributes:
-        states: height of the centre [m] and speed upward [m/s], shape (N, T + 1, 2), the release
-            first.
-        simulated: the engine's step from each state but the last, shape (N, T, 2).
-    """
-
+    # height of the centre [m] and speed upward [m/s], shape (N, T + 1, 2), the release first
     states: Array
-    simulated: Array
+    simulated: Array  # the engine's step from each state but the last, shape (N, T, 2)
 
 
 class EngineStep:
@@ -532,17 +527,12 @@ class VrnnSizes:
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Normalisation of states and residuals.
+    """Normalisation of states and residuals."""
 
-    Attributes:
-        offset: mean state, shape (2,).
-        spread: standard deviation of states, shape (2,).
-        residual: what a residual of 1 is, shape (2,): a tenth of the largest, about that of a
-            middling impact. They are too rare for their standard deviation to be of use.
-    """
-
-    offset: Array
-    spread: Array
+    offset: Array  # mean state, shape (2,)
+    spread: Array  # standard deviation of states, shape (2,)
+    # what a residual of 1 is, shape (2,): a tenth of the largest, about that of a middling impact.
+    # They are too rare for their standard deviation to be of use
     residual: Array
 
     @staticmethod
@@ -656,26 +646,20 @@ class VrnnRecipe:
     gains more from a smaller deviation in the many steps in which nothing happens. On 100 test
     drops that errs by 0.010 cm one step ahead and 1.34 cm after 100 steps seen; this by 0.008 and
     0.52 cm; the simulator alone by 0.018 and 1.41 cm.
-
-    Attributes:
-        batch: drops at a time.
-        keep: added to the first bias of the gate that keeps the memory: an impact is to be
-            remembered for a hundred steps.
-        bound: weight of the evidence lower bound, in nats a step.
-        forecast: weight of the mean squared error, in units of a tenth of the largest residual.
-        least_deviation: of the decoder, in the same units.
-        most_gradient: its norm is clipped there.
     """
 
     sizes: VrnnSizes = field(default_factory=VrnnSizes)
     epochs: int = 15
-    batch: int = 25
+    batch: int = 25  # drops at a time
     learning_rate: float = 1e-2
+    # added to the first bias of the gate that keeps the memory: an impact is to be remembered for a
+    # hundred steps
     keep: float = 3.0
-    bound: float = 0.03
+    bound: float = 0.03  # weight of the evidence lower bound, in nats a step
+    # weight of the mean squared error, in units of a tenth of the largest residual
     forecast: float = 10.0
-    least_deviation: float = 0.1
-    most_gradient: float = 1.0
+    least_deviation: float = 0.1  # of the decoder, in the same units
+    most_gradient: float = 1.0  # its norm is clipped there
 
 
 def train_vrnn(drops: Transitions, recipe: VrnnRecipe, seed: int, progress: Progress) -> VrnnHybrid:
@@ -774,38 +758,26 @@ Given = Literal["rollout", "one step ahead", "100 steps seen"]
 
 @dataclass(frozen=True)
 class MotionError:
-    """Error of predicted heights.
+    """Error of predicted heights."""
 
-    Attributes:
-        percent: 100 mean(|z_hat - z_T| / z_T), over runs and steps.
-        cm: mean |z_hat - z_T|, over runs and steps.
-    """
-
-    percent: float
-    cm: float
+    percent: float  # 100 mean(|z_hat - z_T| / z_T), over runs and steps
+    cm: float  # mean |z_hat - z_T|, over runs and steps
 
 
 @dataclass(frozen=True)
 class MotionRow:
-    """Method under a protocol.
+    """Method under a protocol."""
 
-    Attributes:
-        name: as JSON and CSV have it.
-        label: as the table has it.
-        protocol: what it is given of each run.
-        paper: the published figure of the method. Those of Neural and VRNN hybrid are said to be
-            of one-step predictions; but nothing that errs by 5.8 cm can be one step of 1/60 s
-            ahead, so they stand in every row of theirs.
-        ours: measured, one for each seed; None for a row that is not measured.
-        note: what a reader must know.
-    """
-
-    name: str
-    label: str
-    protocol: Given
+    name: str  # as JSON and CSV have it
+    label: str  # as the table has it
+    protocol: Given  # what it is given of each run
+    # the published figure of the method. Those of Neural and VRNN hybrid are said to be of one-step
+    # predictions; but nothing that errs by 5.8 cm can be one step of 1/60 s ahead, so they stand in
+    # every row of theirs
     paper: MotionError | None = None
+    # measured, one for each seed; None for a row that is not measured
     ours: tuple[MotionError, ...] | None = None
-    note: str = ""
+    note: str = ""  # what a reader must know
 
 
 _NEURAL = MotionError(9.16, 5.8)
@@ -971,19 +943,12 @@ ITERATIONS = 5  # K, rollouts that a tuner may spend: the paper's
 
 @dataclass(frozen=True, eq=False)
 class Tuners:
-    """Networks trained for one seed.
+    """Networks trained for one seed."""
 
-    Attributes:
-        paper_code: the paper's network, preset "paper-code".
-        ours: for heights of the paper's simulator.
-        paper_filmed: the paper's network for films, preset "paper".
-        ours_filmed: for films of the paper's simulator.
-    """
-
-    paper_code: Model
-    ours: Estimator
-    paper_filmed: Model
-    ours_filmed: Estimator
+    paper_code: Model  # the paper's network, preset "paper-code"
+    ours: Estimator  # for heights of the paper's simulator
+    paper_filmed: Model  # the paper's network for films, preset "paper"
+    ours_filmed: Estimator  # for films of the paper's simulator
 
 
 @dataclass(frozen=True)

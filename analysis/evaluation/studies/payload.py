@@ -27,6 +27,7 @@ from tunenet_logs.analysis.evaluation.worlds.arm import (
     described_arm,
     stranger_log,
 )
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
 from tunenet_logs.analysis.payload.detection import (
     PAPER_GRAVITY_M_S2,
@@ -38,7 +39,6 @@ from tunenet_logs.analysis.payload.detection import (
     payload_readings,
 )
 from tunenet_logs.analysis.payload.torque_model import CONVENTIONS, Convention
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tunenet.network import Model, train
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode
@@ -182,22 +182,16 @@ _PORTION = 10  # logs in a piece of work: few, so that the processes end togethe
 
 @dataclass(frozen=True)
 class LogCase:
-    """Kind of log, a line of the table.
-
-    Attributes:
-        noise_nm: white noise of the torques alone; None for all disturbances of a real driver.
-        is_off_centre: whether the payload's centre is drawn too.
-        share: of the sizes of `REAL_ARM` that disturbances are drawn with.
-        rate_hz: of the driver's messages.
-    """
+    """Kind of log, a line of the table."""
 
     label: str
     is_circle: bool
     has_tare: bool = False
+    # white noise of the torques alone; None for all disturbances of a real driver
     noise_nm: float | None = None
-    is_off_centre: bool = False
-    rate_hz: float = 65.0
-    share: float = 1.0
+    is_off_centre: bool = False  # whether the payload's centre is drawn too
+    rate_hz: float = 65.0  # of the driver's messages
+    share: float = 1.0  # of the sizes of `REAL_ARM` that disturbances are drawn with
 
 
 CASES = (
@@ -218,35 +212,24 @@ CASES = (
 
 @dataclass(frozen=True)
 class LogRow:
-    """Results of one case; of masses in kg, None where nothing was answered.
-
-    Attributes:
-        logs: how many.
-        answered: fraction that got a value.
-        ok: fraction with that verdict.
-        mae: mean absolute error of the answered.
-        bound: the same of the best unbiased estimate, under the model that each answer states
-            (Cramér and Rao; mean of sd sqrt(2 / pi)).
-        secant: mean absolute error of the line through two rollouts.
-        held: fraction of the intervals of the answered that contain the truth, shown or not.
-        width: their median width.
-        told: fraction of the answered whose centre of mass is reported.
-        centre_mm: mean absolute errors of it along x, y, z of the tool.
-        told_mae: mean absolute error of the mass where it is.
-    """
+    """Results of one case; of masses in kg, None where nothing was answered."""
 
     case: LogCase
-    logs: int
-    answered: float
-    ok: float
-    mae: float | None
+    logs: int  # how many
+    answered: float  # fraction that got a value
+    ok: float  # fraction with that verdict
+    mae: float | None  # mean absolute error of the answered
+    # the same of the best unbiased estimate, under the model that each answer states (Cramér and
+    # Rao; mean of sd sqrt(2 / pi))
     bound: float | None
-    secant: float | None
+    secant: float | None  # mean absolute error of the line through two rollouts
+    # fraction of the intervals of the answered that contain the truth, shown or not
     held: float | None
-    width: float | None
-    told: float | None
+    width: float | None  # their median width
+    told: float | None  # fraction of the answered whose centre of mass is reported
+    # mean absolute errors of it along x, y, z of the tool
     centre_mm: tuple[float, float, float] | None
-    told_mae: float | None
+    told_mae: float | None  # mean absolute error of the mass where it is
 
 
 def log_rows(
@@ -323,7 +306,7 @@ def _tuned_log(case: LogCase, number: int) -> list[float]:
         )
     tares = [driver_episode(arm, moved, None, disturbances.another_run())] * case.has_tare
     episode = driver_episode(arm, moved, Payload(mass_kg, (x, y, z)), disturbances)
-    tuning = tune_episode(episode, Options(task="payload", selection=Selection(tares=tuple(tares))))
+    tuning = tune_episode(episode, TuneOptions(task="payload", tares=tuple(tares)))
     nothing = float("nan")
     fit = tuning.trace.fit if tuning.trace else None
     if tuning.estimate is None or fit is None:
@@ -356,21 +339,14 @@ EFFORT = f"{TOPIC}.effort"
 
 @dataclass(frozen=True)
 class MassMethod:
-    """Method, a row of the table.
+    """Method, a row of the table."""
 
-    Attributes:
-        name: what files call it.
-        label: what the table calls it.
-        iterations: K; 0 where nothing is iterated.
-        paper: mean absolute errors of the paper on each set [kg]; None where it has none.
-        percent: the paper's percent on the test set.
-    """
-
-    name: str
-    label: str
-    iterations: int
+    name: str  # what files call it
+    label: str  # what the table calls it
+    iterations: int  # K; 0 where nothing is iterated
+    # mean absolute errors of the paper on each set [kg]; None where it has none
     paper: tuple[float | None, float | None] = (None, None)
-    percent: float | None = None
+    percent: float | None = None  # the paper's percent on the test set
 
 
 METHODS = (
@@ -386,36 +362,23 @@ METHODS = (
 
 @dataclass(frozen=True, eq=False)
 class MassRow:
-    """Errors of a method on one set.
-
-    Attributes:
-        errors: absolute errors [kg], shape (seeds, targets).
-        percents: of the target's mass [%], of the same shape.
-    """
+    """Errors of a method on one set."""
 
     method: MassMethod
     which: str
-    errors: Array
-    percents: Array
+    errors: Array  # absolute errors [kg], shape (seeds, targets)
+    percents: Array  # of the target's mass [%], of the same shape
 
 
 @dataclass(frozen=True)
 class MassOrder:
-    """Settings of the experiment.
+    """Settings of the experiment."""
 
-    Attributes:
-        seeds: each with its own training and targets.
-        targets: of each set and seed.
-        jobs: processes; None for all cores.
-        pairs: of training, in place of the presets'.
-        epochs: likewise.
-    """
-
-    seeds: tuple[int, ...]
-    targets: int
-    jobs: int | None
-    pairs: int | None = None
-    epochs: int | None = None
+    seeds: tuple[int, ...]  # each with its own training and targets
+    targets: int  # of each set and seed
+    jobs: int | None  # processes; None for all cores
+    pairs: int | None = None  # of training, in place of the presets'
+    epochs: int | None = None  # likewise
 
 
 def mass_rows(order: MassOrder, progress: Progress) -> list[MassRow]:
@@ -533,17 +496,11 @@ _BATCH = 5  # strangers' logs in a piece of work: few, so that the processes end
 
 @dataclass(frozen=True)
 class StrangerCase:
-    """Cell of arms with the same troubles.
+    """Cell of arms with the same troubles."""
 
-    Attributes:
-        label: in words.
-        troubles: of the arms.
-        size: of the troubles, by what the label stands for.
-    """
-
-    label: str
-    troubles: Troubles
-    size: float = 1.0
+    label: str  # in words
+    troubles: Troubles  # of the arms
+    size: float = 1.0  # of the troubles, by what the label stands for
 
     @property
     def sized(self) -> Troubles:
@@ -573,95 +530,57 @@ STRANGER_CASES = (
 
 @dataclass(frozen=True)
 class StrangerAnswer:
-    """Answer of `tunenet-tune` on a log.
+    """Answer of `tunenet-tune` on a log."""
 
-    Attributes:
-        mass_kg: its value.
-        low_kg: lower end of its 95 % interval, whether a user is shown it or not.
-        high_kg: the upper end.
-        is_ok: whether that is its verdict; else it is suspect.
-        convention: what it takes the driver's torques for.
-    """
-
-    mass_kg: float
-    low_kg: float
-    high_kg: float
-    is_ok: bool
-    convention: Convention
+    mass_kg: float  # its value
+    low_kg: float  # lower end of its 95 % interval, whether a user is shown it or not
+    high_kg: float  # the upper end
+    is_ok: bool  # whether that is its verdict; else it is suspect
+    convention: Convention  # what it takes the driver's torques for
 
 
 @dataclass(frozen=True)
 class StrangerResult:
-    """All answers on one log, and the truth.
+    """All answers on one log, and the truth."""
 
-    Attributes:
-        truth_kg: the mass.
-        least_squares_kg: its value, without the tare.
-        tare_subtracted_kg: its value, with the tare.
-        bounds_kg: standard deviations of the mass, without and with the tare.
-        answers: without and with the tare; None where the log is rejected.
-    """
-
-    truth_kg: float
-    least_squares_kg: float
-    tare_subtracted_kg: float
-    bounds_kg: tuple[float, float]
+    truth_kg: float  # the mass
+    least_squares_kg: float  # its value, without the tare
+    tare_subtracted_kg: float  # its value, with the tare
+    bounds_kg: tuple[float, float]  # standard deviations of the mass, without and with the tare
+    # without and with the tare; None where the log is rejected
     answers: tuple[StrangerAnswer | None, StrangerAnswer | None]
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Baseline on the logs that were answered.
+    """Baseline on the logs that were answered."""
 
-    Attributes:
-        mae_g: mean absolute error.
-        standing: where ours is: "ahead" or "behind" of it by more than a standard error of the
-            paired difference, else "level".
-    """
-
-    mae_g: float
+    mae_g: float  # mean absolute error
+    # where ours is: "ahead" or "behind" of it by more than a standard error of the paired
+    # difference, else "level"
     standing: str
 
 
 @dataclass(frozen=True)
 class StrangerRow:
-    """Cell without the tares, or with them; None where nothing was answered.
+    """Cell without the tares, or with them; None where nothing was answered."""
 
-    Attributes:
-        case: which cell.
-        has_tare: whether each log was tuned with its tare.
-        logs: how many.
-        answered: fraction that was not rejected; what follows is of these, but for `ok`.
-        ok: fraction of all with that verdict.
-        mae_g: mean absolute error.
-        mae_sd_g: standard error of it.
-        median_g: of the absolute errors.
-        worst_g: of them.
-        bound_g: mean absolute error at the Cramér-Rao bound of noise alone.
-        least_squares: the baseline that needs no tare.
-        tare_subtracted: the baseline that needs one.
-        held: fraction of the intervals that contain the truth.
-        width_g: their median width.
-        far_ok: fraction of all logs that are ok and further off than three half widths.
-        wrong_ok: logs that are ok and whose convention is not what the driver means.
-    """
-
-    case: StrangerCase
-    has_tare: bool
-    logs: int
-    answered: float
-    ok: float
-    mae_g: float | None
-    mae_sd_g: float | None
-    median_g: float | None
-    worst_g: float | None
-    bound_g: float | None
-    least_squares: Rival | None
-    tare_subtracted: Rival | None
-    held: float | None
-    width_g: float | None
-    far_ok: float
-    wrong_ok: int
+    case: StrangerCase  # which cell
+    has_tare: bool  # whether each log was tuned with its tare
+    logs: int  # how many
+    answered: float  # fraction that was not rejected; what follows is of these, but for `ok`
+    ok: float  # fraction of all with that verdict
+    mae_g: float | None  # mean absolute error
+    mae_sd_g: float | None  # standard error of it
+    median_g: float | None  # of the absolute errors
+    worst_g: float | None  # of them
+    bound_g: float | None  # mean absolute error at the Cramér-Rao bound of noise alone
+    least_squares: Rival | None  # the baseline that needs no tare
+    tare_subtracted: Rival | None  # the baseline that needs one
+    held: float | None  # fraction of the intervals that contain the truth
+    width_g: float | None  # their median width
+    far_ok: float  # fraction of all logs that are ok and further off than three half widths
+    wrong_ok: int  # logs that are ok and whose convention is not what the driver means
 
 
 def stranger_rows(
@@ -713,7 +632,7 @@ def stranger_result(case: StrangerCase, number: int) -> StrangerResult:
 
 def stranger_answer(episode: Episode, tares: tuple[Episode, ...]) -> StrangerAnswer | None:
     """Tune a log with the whole of `tunenet-tune`; None where it is rejected."""
-    tuning = tune_episode(episode, Options(task="payload", selection=Selection(tares=tares)))
+    tuning = tune_episode(episode, TuneOptions(task="payload", tares=tares))
     fit = tuning.trace.fit if tuning.trace else None
     if tuning.estimate is None or fit is None:
         return None
@@ -795,30 +714,19 @@ _TROUBLES = (LIGHT, FULL)
 
 @dataclass(frozen=True)
 class ConventionRow:
-    """Logs of drivers with one convention.
+    """Logs of drivers with one convention."""
 
-    Attributes:
-        convention: what they mean; None for all drivers together.
-        logs: how many.
-        outcomes: how many of them, by the words of `OUTCOMES`.
-    """
-
-    convention: Convention | None
-    logs: int
-    outcomes: Mapping[str, int]
+    convention: Convention | None  # what they mean; None for all drivers together
+    logs: int  # how many
+    outcomes: Mapping[str, int]  # how many of them, by the words of `OUTCOMES`
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """One log.
+    """One log."""
 
-    Attributes:
-        number: that it is drawn from.
-        at: its place among all, which says the troubles and the convention.
-    """
-
-    number: int
-    at: int
+    number: int  # that it is drawn from
+    at: int  # its place among all, which says the troubles and the convention
 
     @property
     def convention(self) -> Convention:

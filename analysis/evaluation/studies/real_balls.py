@@ -43,8 +43,8 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
 )
 from tunenet_logs.analysis.evaluation.worlds.camera import filmed
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.recorders.simulators.ball import DropSimulator
@@ -65,19 +65,12 @@ _ENDS = (0.025, 0.5, 0.975)
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFit:
-    """Fitted restitution, slope and drag [1/m], in this order.
+    """Fitted restitution, slope and drag [1/m], in this order."""
 
-    Attributes:
-        values: medians, shape (3,).
-        interval95: lower and upper ends, shape (3, 2).
-        ball: of the best path.
-        release_s: of the best path, on the drop's clock: 0 is the truth.
-    """
-
-    values: Array
-    interval95: Array
-    ball: RealBall
-    release_s: float
+    values: Array  # medians, shape (3,)
+    interval95: Array  # lower and upper ends, shape (3, 2)
+    ball: RealBall  # of the best path
+    release_s: float  # of the best path, on the drop's clock: 0 is the truth
 
     def heights_m(self, seconds: Array) -> Array:
         """Return the best path over its contact, at times on the drop's clock, shape (T,)."""
@@ -199,21 +192,14 @@ VERDICTS = ("ok", "suspect", "rejected")
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Result for one drop; NaN where there is none.
+    """Result for one drop; NaN where there is none."""
 
-    Attributes:
-        truth: restitution at the first impact, slope, drag [1/m], shape (3,).
-        values: likewise.
-        interval95: lower and upper ends, shape (3, 2).
-        verdict: one of `VERDICTS`; "" for a fit that gives none.
-        path: rms distance of its motion from the true one, from the release to the last bounce in
-            view, over the drop.
-    """
-
-    truth: Array
-    values: Array
-    interval95: Array
-    verdict: str
+    truth: Array  # restitution at the first impact, slope, drag [1/m], shape (3,)
+    values: Array  # likewise
+    interval95: Array  # lower and upper ends, shape (3, 2)
+    verdict: str  # one of `VERDICTS`; "" for a fit that gives none
+    # rms distance of its motion from the true one, from the release to the last bounce in view,
+    # over the drop
     path: float
 
 
@@ -310,41 +296,25 @@ class Moved:
 
     Every error is the mean distance from the release to the last bounce in view, over the drop; NaN
     where there is no answer.
-
-    Attributes:
-        ball: its name.
-        drop_m: that it fell.
-        ours: tuned on the first `SEEN` of the time.
-        verdict: of that tuning.
-        paper: the preset "paper", tuned on all that it asks for, for any verdict.
-        first_rebound: no air, the restitution that gives the first rebound's height.
-        best_airless: no air, the restitution that is best on the first `SEEN`.
-        whole: what a tuning on all that is in view finds.
     """
 
-    ball: str
-    drop_m: float
-    ours: float
-    verdict: str
-    paper: float
-    first_rebound: float
-    best_airless: float
-    whole: Found
+    ball: str  # its name
+    drop_m: float  # that it fell
+    ours: float  # tuned on the first `SEEN` of the time
+    verdict: str  # of that tuning
+    paper: float  # the preset "paper", tuned on all that it asks for, for any verdict
+    first_rebound: float  # no air, the restitution that gives the first rebound's height
+    best_airless: float  # no air, the restitution that is best on the first `SEEN`
+    whole: Found  # what a tuning on all that is in view finds
 
 
 @dataclass(frozen=True, eq=False)
 class FilmedBall:
-    """Video of a ball.
+    """Video of a ball."""
 
-    Attributes:
-        ball: its name.
-        found: by a tuning on the whole film.
-        ahead: mean error of the motion as in `Moved.ours`; NaN where it was not asked for.
-    """
-
-    ball: str
-    found: Found
-    ahead: float
+    ball: str  # its name
+    found: Found  # by a tuning on the whole film
+    ahead: float  # mean error of the motion as in `Moved.ours`; NaN where it was not asked for
 
 
 def compared_drops(portion: CellPortion) -> list[Compared]:
@@ -352,7 +322,7 @@ def compared_drops(portion: CellPortion) -> list[Compared]:
     found: list[Compared] = []
     for number in portion.numbers:
         drop = draw_drop(portion.cell, portion.seed, number)
-        ours = found_by(tune_episode(drop.episode(), Options()), drop)
+        ours = found_by(tune_episode(drop.episode(), TuneOptions()), drop)
         found.append(Compared(ours, reference_found(drop, portion.cell)))
     return found
 
@@ -373,8 +343,8 @@ def moved_drops(asked: tuple[TableBall, int, int]) -> list[Moved]:
     for drop in table_drops(ball, seed, count):
         view = drop.view
         seen = view.until(SEEN * view.last_bounce_s)
-        ahead = tune_episode(seen.episode(), Options())
-        paper = tune_episode(drop.whole.episode(), Options(preset="paper"))
+        ahead = tune_episode(seen.episode(), TuneOptions())
+        paper = tune_episode(drop.whole.episode(), TuneOptions(preset="paper"))
         found.append(
             Moved(
                 ball=ball.name,
@@ -384,7 +354,7 @@ def moved_drops(asked: tuple[TableBall, int, int]) -> list[Moved]:
                 paper=_mean_error(off_path(paper, drop.whole.until(view.last_bounce_s))),
                 first_rebound=_mean_error(airless_off(first_rebound(view), view)),
                 best_airless=_mean_error(airless_off(best_of_all(seen), view)),
-                whole=found_by(tune_episode(view.episode(), Options()), view),
+                whole=found_by(tune_episode(view.episode(), TuneOptions()), view),
             )
         )
     return found
@@ -400,8 +370,8 @@ def filmed_table(asked: tuple[TableBall, int, int]) -> list[FilmedBall]:
         track = filmed(view, ball.diameter_m / 2, rng)
         rng = np.random.default_rng([seed, at, *b"film", *ball.name.encode()])
         seen = filmed(view.until(SEEN * view.last_bounce_s), ball.diameter_m / 2, rng)
-        ahead = tune_track(seen, Options())
-        whole = found_by(tune_track(track, Options()), view)
+        ahead = tune_track(seen, TuneOptions())
+        whole = found_by(tune_track(track, TuneOptions()), view)
         found.append(FilmedBall(ball.name, whole, _mean_error(off_motion(ahead, view))))
     return found
 
@@ -419,7 +389,7 @@ def filmed_light(asked: tuple[bool, int, range]) -> list[FilmedBall]:
             rng.uniform(*DROPS_M),
         )
         drop = record_drop(ball, _FILM_HZ, 0.0, rng)
-        tuning = tune_track(filmed(drop, LIGHT_RADIUS_M, rng), Options())
+        tuning = tune_track(filmed(drop, LIGHT_RADIUS_M, rng), TuneOptions())
         found.append(FilmedBall(LIGHT[slopes], found_by(tuning, drop), np.nan))
     return found
 
@@ -441,56 +411,33 @@ Shares = tuple[float | None, float | None, float | None]  # of the verdicts, in 
 
 @dataclass(frozen=True)
 class Spread:
-    """Statistics of absolute errors; None where there is none.
+    """Statistics of absolute errors; None where there is none."""
 
-    Attributes:
-        mean: over all that were answered.
-        median: likewise.
-        p99: 99th percentile.
-        worst: largest.
-    """
-
-    mean: float | None
-    median: float | None
-    p99: float | None
-    worst: float | None
+    mean: float | None  # over all that were answered
+    median: float | None  # likewise
+    p99: float | None  # 99th percentile
+    worst: float | None  # largest
 
 
 @dataclass(frozen=True)
 class RealLine:
-    """Results of drops of one kind, for one quantity. Fractions; None where there is none.
+    """Results of drops of one kind, for one quantity. Fractions; None where there is none."""
 
-    Attributes:
-        section: of the evaluation.
-        label: the kind.
-        quantity: one of `PARAMETERS`, `PATH`, or one of `MOTION`.
-        drops: how many there were.
-        answered: how many got a value.
-        ok: share of that verdict; `suspect` and `rejected` likewise.
-        ours: errors: of a path or a motion over the drop height, of a drag in 1/m.
-        reference: those of the fit that knows the model.
-        intervals: how many 95 % intervals are given.
-        covered: of these, how many hold the truth.
-        reference_covered: of the reference's.
-        width: median of an interval's width over the reference's.
-        widest: the largest of these.
-    """
-
-    section: str
-    label: str
-    quantity: str
-    drops: int
-    answered: int
-    ok: float | None
+    section: str  # of the evaluation
+    label: str  # the kind
+    quantity: str  # one of `PARAMETERS`, `PATH`, or one of `MOTION`
+    drops: int  # how many there were
+    answered: int  # how many got a value
+    ok: float | None  # share of that verdict; `suspect` and `rejected` likewise
     suspect: float | None
     rejected: float | None
-    ours: Spread
-    reference: Spread
-    intervals: int = 0
-    covered: float | None = None
-    reference_covered: float | None = None
-    width: float | None = None
-    widest: float | None = None
+    ours: Spread  # errors: of a path or a motion over the drop height, of a drag in 1/m
+    reference: Spread  # those of the fit that knows the model
+    intervals: int = 0  # how many 95 % intervals are given
+    covered: float | None = None  # of these, how many hold the truth
+    reference_covered: float | None = None  # of the reference's
+    width: float | None = None  # median of an interval's width over the reference's
+    widest: float | None = None  # the largest of these
 
 
 NONE = Spread(None, None, None, None)
@@ -616,17 +563,11 @@ _TARGETS_A_TABLE_DROP = 50  # drops of a cell for each drop of a ball of the tab
 
 @dataclass(frozen=True)
 class RealOrder:
-    """Settings of the experiment.
+    """Settings of the experiment."""
 
-    Attributes:
-        seeds: each draws its own drops.
-        targets: drops of each cell for each seed; of balls of the table fewer in proportion.
-        jobs: processes; None for all cores.
-    """
-
-    seeds: tuple[int, ...]
-    targets: int
-    jobs: int | None = None
+    seeds: tuple[int, ...]  # each draws its own drops
+    targets: int  # drops of each cell for each seed; of balls of the table fewer in proportion
+    jobs: int | None = None  # processes; None for all cores
 
     @property
     def table_drops(self) -> int:

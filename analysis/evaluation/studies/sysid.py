@@ -23,8 +23,8 @@ import numpy as np
 
 from tunenet_logs.analysis.evaluation.study import csv_text, json_text, seeds_in_words, table_line
 from tunenet_logs.analysis.evaluation.worlds.machines import MACHINES, HeldCommands, ModelLog
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.sysid.experiment import ROLLOUTS, SimulatorExperiment
 from tunenet_logs.analysis.sysid.fit import SimulatorFit
 from tunenet_logs.analysis.sysid.source import ModelSource
@@ -52,23 +52,14 @@ _QUANTITIES = {
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Measurements of a log.
+    """Measurements of a log."""
 
-    Attributes:
-        seconds: of the samples, after the first of all that are simulated, shape (T,).
-        values: in the order of the model's sensors, shape (T, C).
-        weights: by sensor; None where all columns have one noise.
-        start: positions, then velocities, of the joints or in the plane, shape (S,).
-        start_reach: how far that can be off, shape (S,).
-        commands: of the model's actuators; None without any.
-    """
-
-    seconds: Array
-    values: Array
-    weights: dict[str, float] | None
-    start: Array
-    start_reach: Array
-    commands: HeldCommands | None
+    seconds: Array  # of the samples, after the first of all that are simulated, shape (T,)
+    values: Array  # in the order of the model's sensors, shape (T, C)
+    weights: dict[str, float] | None  # by sensor; None where all columns have one noise
+    start: Array  # positions, then velocities, of the joints or in the plane, shape (S,)
+    start_reach: Array  # how far that can be off, shape (S,)
+    commands: HeldCommands | None  # of the model's actuators; None without any
 
     def count(self, step_s: float) -> int:
         """Return the number of steps until the last sample, and one more."""
@@ -182,19 +173,12 @@ _MAX_ITERATIONS = 100
 
 @dataclass(frozen=True, eq=False)
 class ToolboxAnswer:
-    """Answer of `mujoco.sysid` to a log.
+    """Answer of `mujoco.sysid` to a log."""
 
-    Attributes:
-        values: by address.
-        intervals: of 95 %, by address; infinite where it says so.
-        rollouts: simulated in all, those of finite differences too.
-        seconds: CPU time that it took.
-    """
-
-    values: Mapping[str, float]
-    intervals: Mapping[str, tuple[float, float]]
-    rollouts: int
-    seconds: float
+    values: Mapping[str, float]  # by address
+    intervals: Mapping[str, tuple[float, float]]  # of 95 %, by address; infinite where it says so
+    rollouts: int  # simulated in all, those of finite differences too
+    seconds: float  # CPU time that it took
 
 
 def toolbox_answer(log: ModelLog, *, tunes_start: bool = False, threads: int = 1) -> ToolboxAnswer:
@@ -390,44 +374,26 @@ Section = Literal["tuned", "untold", "wrong", "toolbox", "network"]
 
 @dataclass(frozen=True)
 class MachineTrial:
-    """Log to be tuned.
+    """Log to be tuned."""
 
-    Attributes:
-        section: what is asked of it.
-        machine: its number in `MACHINES`.
-        seed: of it.
-        noise: times the usual one.
-    """
-
-    section: Section
-    machine: int
-    seed: int
-    noise: float = 1.0
+    section: Section  # what is asked of it
+    machine: int  # its number in `MACHINES`
+    seed: int  # of it
+    noise: float = 1.0  # times the usual one
 
 
 @dataclass(frozen=True)
 class FoundValue:
-    """Estimate of one parameter.
+    """Estimate of one parameter."""
 
-    Attributes:
-        address: which.
-        truth: of the machine; NaN where the model is another's.
-        value: NaN where none was given.
-        low: end of the 95 % interval; NaN without one.
-        high: likewise.
-        range: that it was looked for in, its width.
-        is_told: whether the result reports it as identifiable.
-        can_be_told: whether it is identifiable.
-    """
-
-    address: str
-    truth: float
-    value: float
-    low: float
-    high: float
-    range: float
-    is_told: bool = True
-    can_be_told: bool = True
+    address: str  # which
+    truth: float  # of the machine; NaN where the model is another's
+    value: float  # NaN where none was given
+    low: float  # end of the 95 % interval; NaN without one
+    high: float  # likewise
+    range: float  # that it was looked for in, its width
+    is_told: bool = True  # whether the result reports it as identifiable
+    can_be_told: bool = True  # whether it is identifiable
 
     @property
     def is_covered(self) -> bool:
@@ -437,23 +403,14 @@ class FoundValue:
 
 @dataclass(frozen=True)
 class SysidOutcome:
-    """Result for one log.
+    """Result for one log."""
 
-    Attributes:
-        trial: which.
-        what: of several models of one log.
-        verdict: "" of the toolbox, which gives none.
-        found: by parameter.
-        rollouts: simulated in all.
-        seconds: of the processor.
-    """
-
-    trial: MachineTrial
-    what: str
-    verdict: str
-    found: tuple[FoundValue, ...]
-    rollouts: int
-    seconds: float
+    trial: MachineTrial  # which
+    what: str  # of several models of one log
+    verdict: str  # "" of the toolbox, which gives none
+    found: tuple[FoundValue, ...]  # by parameter
+    rollouts: int  # simulated in all
+    seconds: float  # of the processor
 
 
 def outcomes_of(trial: MachineTrial) -> list[SysidOutcome]:
@@ -481,7 +438,7 @@ def _source(log: ModelLog, folder: str) -> ModelSource:
 def _tuned(trial: MachineTrial, log: ModelLog, what: str = "") -> SysidOutcome:
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.process_time()
-        tuning = tune_episode(log.episode, Options(source=_source(log, folder)))
+        tuning = tune_episode(log.episode, TuneOptions(source=_source(log, folder)))
         seconds = time.process_time() - began_s
     found: list[FoundValue] = []
     if tuning.trace is not None and tuning.trace.fit is not None:
@@ -524,7 +481,7 @@ def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.process_time()
         experiment = SimulatorExperiment(_source(log, folder))
-        detection = experiment.detect(log.episode, Selection(), "default")
+        detection = experiment.detect(log.episode, TuneOptions(), "default")
         parameters = experiment.source.parameters
         problem = experiment.problem(detection, np.array([one.initial for one in parameters]))
         assert problem.train is not None
@@ -578,19 +535,12 @@ NOISES = (1.0, 0.5, 2.0)  # times the noise that the logs usually have
 
 @dataclass(frozen=True)
 class SysidOrder:
-    """Settings of the experiment.
+    """Settings of the experiment."""
 
-    Attributes:
-        seeds: each with its own logs.
-        logs: for each seed, machine and section; see `trials`.
-        sections: of `study.SYSID_SECTIONS`.
-        jobs: processes; None for all cores.
-    """
-
-    seeds: Sequence[int]
-    logs: int
-    sections: Sequence[str]
-    jobs: int | None = None
+    seeds: Sequence[int]  # each with its own logs
+    logs: int  # for each seed, machine and section; see `trials`
+    sections: Sequence[str]  # of `study.SYSID_SECTIONS`
+    jobs: int | None = None  # processes; None for all cores
 
 
 def sysid_sections(

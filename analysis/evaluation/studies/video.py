@@ -53,8 +53,8 @@ from tunenet_logs.analysis.evaluation.worlds.clips import (
     write_versions,
 )
 from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.parallel import Piece, parallel_map
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.analysis.tuning import Stopwatch, tune_detected, tune_log
 from tunenet_logs.episode import Array
@@ -69,47 +69,31 @@ TRANSFORMED = 30  # likewise, in all `VERSIONS`
 
 @dataclass(frozen=True)
 class ClipResult:
-    """Result for one clip.
-
-    Attributes:
-        truth: restitution that was drawn.
-        estimate: None where it was rejected.
-        interval: 95 %; None where there is none.
-        verdict: "ok", "suspect" or "rejected".
-        reason: why it is not "ok".
-        off_px: rms distance of the tracked centres from the true ones, from the release on; None
-            where there is no track.
-        found: fraction of the frames from the release on in which the ball was found.
-        seconds: the time that reading and tuning took.
-        length_s: of the clip.
-    """
+    """Result for one clip."""
 
     seed: int
     index: int
-    truth: float
-    estimate: float | None
-    interval: tuple[float, float] | None
-    verdict: str
-    reason: str | None
+    truth: float  # restitution that was drawn
+    estimate: float | None  # None where it was rejected
+    interval: tuple[float, float] | None  # 95 %; None where there is none
+    verdict: str  # "ok", "suspect" or "rejected"
+    reason: str | None  # why it is not "ok"
+    # rms distance of the tracked centres from the true ones, from the release on; None where there
+    # is no track
     off_px: float | None
-    found: float
-    seconds: float
-    length_s: float
+    found: float  # fraction of the frames from the release on in which the ball was found
+    seconds: float  # the time that reading and tuning took
+    length_s: float  # of the clip
 
 
 @dataclass(frozen=True)
 class TransformedClip:
-    """Results for one clip and its versions, in the order of `VERSIONS`.
-
-    Attributes:
-        truth: restitution that was drawn.
-        estimates: None where a version was rejected.
-    """
+    """Results for one clip and its versions, in the order of `VERSIONS`."""
 
     seed: int
     index: int
-    truth: float
-    estimates: tuple[float | None, ...]
+    truth: float  # restitution that was drawn
+    estimates: tuple[float | None, ...]  # None where a version was rejected
 
     @property
     def answered(self) -> int:
@@ -141,7 +125,7 @@ def clip_result(seed: int, index: int) -> ClipResult:
     """Tune one clip."""
     order = draw_clip(seed, index)
     with tempfile.TemporaryDirectory() as folder:
-        tuning = tune_log(write_clip(order, Path(folder)), Options())
+        tuning = tune_log(write_clip(order, Path(folder)), TuneOptions())
     ends = tuning.interval95
     off_px, found = _tracked(order, tuning)
     return ClipResult(
@@ -169,7 +153,7 @@ def version_estimates(order: ClipOrder) -> tuple[float | None, ...]:
     """Return the estimate from each of `VERSIONS`."""
     with tempfile.TemporaryDirectory() as folder:
         paths = write_versions(order, Path(folder), VERSIONS)
-        return tuple(_value(tune_log(path, Options())) for path in paths)
+        return tuple(_value(tune_log(path, TuneOptions())) for path in paths)
 
 
 def track_errors_px(order: ClipOrder, track: Track) -> Array:
@@ -270,16 +254,15 @@ def _error_cells(errors: Array) -> list[str]:
 # ---- Tune from a track that was made, not found in pictures.
 
 
-def tune_track(track: Track, options: Options) -> Tuning:
+def tune_track(track: Track, options: TuneOptions) -> Tuning:
     """Tune from the track of a filmed ball, as `tune_log` does once it has found one."""
     experiment = DropFromFilm()
-    selection = options.selection
     detection = FilmDetection(
         physical=experiment.presets[options.preset].physical,
         topic="",
         start_ns=int(track.stamps_ns[0]),
         track=track,
-        ball=selection.ball,
+        ball=options.told_ball,
     )
     return tune_detected(experiment, lambda: detection, options, Stopwatch())
 
@@ -299,38 +282,23 @@ _LIGHT_SET = TrackSet("light", (0.3, 2.0), TABLE_TENNIS_RADIUS_M)
 
 @dataclass(frozen=True)
 class TrackKind:
-    """Tracks of one kind: a line of a table.
+    """Tracks of one kind: a line of a table."""
 
-    Attributes:
-        label: in tables.
-        tracks: the rig.
-        balls: what is dropped.
-        noises_px: standard deviations of a coordinate, one for each track, in turn.
-        fault: name of the `TrackFault`, "" for good tracks.
-        given_ball: name of the ball that the tuning is given, "" for none.
-    """
-
-    label: str
-    tracks: TrackSet
-    balls: BallRanges
-    noises_px: tuple[float, ...]
-    fault: str = ""
-    given_ball: str = ""
+    label: str  # in tables
+    tracks: TrackSet  # the rig
+    balls: BallRanges  # what is dropped
+    noises_px: tuple[float, ...]  # standard deviations of a coordinate, one for each track, in turn
+    fault: str = ""  # name of the `TrackFault`, "" for good tracks
+    given_ball: str = ""  # name of the ball that the tuning is given, "" for none
 
 
 @dataclass(frozen=True)
 class Section:
-    """One table.
+    """One table."""
 
-    Attributes:
-        name: in JSON and CSV.
-        title: above the table.
-        kinds: its lines.
-    """
-
-    name: str
-    title: str
-    kinds: tuple[TrackKind, ...]
+    name: str  # in JSON and CSV
+    title: str  # above the table
+    kinds: tuple[TrackKind, ...]  # its lines
 
 
 @dataclass(frozen=True)
@@ -358,8 +326,8 @@ def _outcome(kind: TrackKind, seed: int, number: int) -> list[float]:
     if kind.fault:
         fault = next(one for one in TRACK_FAULTS if one.name == kind.fault)
         truth, track = truth if fault.bounces else np.nan, fault.track(scene)
-    selection = Selection(ball=BALLS[kind.given_ball]) if kind.given_ball else Selection()
-    options = Options(selection=selection)
+    selection = TuneOptions(ball=BALLS[kind.given_ball]) if kind.given_ball else TuneOptions()
+    options = selection
     tuning = tune_track(film(scene) if track is None else track, options)
     value, low, high = np.nan, np.nan, np.nan
     if tuning.estimate is not None:
@@ -438,53 +406,34 @@ _PORTION = 10  # tracks in a portion: few, so that the processes end together
 
 @dataclass(frozen=True)
 class VideoFigures:
-    """Figures of tracks of one kind; of errors and intervals, None where there is none.
+    """Figures of tracks of one kind; of errors and intervals, None where there is none."""
 
-    Attributes:
-        targets: how many there were.
-        answered: fraction that got a value: verdict `ok` or `suspect`.
-        ok: fraction with that verdict; `suspect` and `rejected` likewise.
-        wrong: fraction of all that are `ok` and off by more than `WRONG`, or have no bounce at all.
-        mae: mean absolute error of the answered.
-        median: of their absolute errors.
-        p95: 95th percentile of these.
-        bias: mean error, positive where the value is too high.
-        covered: fraction of the answered with an interval whose interval contains the truth, be it
-            shown or not.
-        shown: fraction of the answered whose interval the tuning shows.
-        shown_covered: fraction of those whose interval contains the truth.
-        width: median of all intervals' widths.
-    """
-
-    targets: int
-    answered: float
-    ok: float
+    targets: int  # how many there were
+    answered: float  # fraction that got a value: verdict `ok` or `suspect`
+    ok: float  # fraction with that verdict; `suspect` and `rejected` likewise
     suspect: float
     rejected: float
+    # fraction of all that are `ok` and off by more than `WRONG`, or have no bounce at all
     wrong: float
-    mae: float | None
-    median: float | None
-    p95: float | None
-    bias: float | None
+    mae: float | None  # mean absolute error of the answered
+    median: float | None  # of their absolute errors
+    p95: float | None  # 95th percentile of these
+    bias: float | None  # mean error, positive where the value is too high
+    # fraction of the answered with an interval whose interval contains the truth, be it shown or
+    # not
     covered: float | None
-    shown: float | None
-    shown_covered: float | None
-    width: float | None
+    shown: float | None  # fraction of the answered whose interval the tuning shows
+    shown_covered: float | None  # fraction of those whose interval contains the truth
+    width: float | None  # median of all intervals' widths
 
 
 @dataclass(frozen=True)
 class VideoRow:
-    """Line of a table.
+    """Line of a table."""
 
-    Attributes:
-        section: name of the `Section`.
-        label: of the `TrackKind`.
-        outcomes: see `OUTCOME_COLUMNS`, shape (N, 6).
-    """
-
-    section: str
-    label: str
-    outcomes: Array
+    section: str  # name of the `Section`
+    label: str  # of the `TrackKind`
+    outcomes: Array  # see `OUTCOME_COLUMNS`, shape (N, 6)
 
     @property
     def figures(self) -> VideoFigures:
@@ -494,17 +443,11 @@ class VideoRow:
 
 @dataclass(frozen=True)
 class VideoOrder:
-    """Settings of the experiment.
+    """Settings of the experiment."""
 
-    Attributes:
-        seeds: each draws its own tracks.
-        targets: tracks of each kind for each seed.
-        jobs: processes; None for all cores.
-    """
-
-    seeds: tuple[int, ...]
-    targets: int
-    jobs: int | None = None
+    seeds: tuple[int, ...]  # each draws its own tracks
+    targets: int  # tracks of each kind for each seed
+    jobs: int | None = None  # processes; None for all cores
 
 
 def track_sections(

@@ -32,21 +32,13 @@ _EASING_S = 1.0  # how long starting and stopping take
 
 @dataclass(frozen=True, eq=False)
 class StrangerMotion:
-    """Joint positions over time.
+    """Joint positions over time."""
 
-    Attributes:
-        middle: of each joint [rad], shape (J,).
-        amplitudes: of each sine [rad], shape (K, J).
-        rates: of each sine [rad/s], shape (K, J).
-        phases: of each sine at 0 s [rad], shape (K, J).
-        length_s: from rest to rest.
-    """
-
-    middle: Array
-    amplitudes: Array
-    rates: Array
-    phases: Array
-    length_s: float
+    middle: Array  # of each joint [rad], shape (J,)
+    amplitudes: Array  # of each sine [rad], shape (K, J)
+    rates: Array  # of each sine [rad/s], shape (K, J)
+    phases: Array  # of each sine at 0 s [rad], shape (K, J)
+    length_s: float  # from rest to rest
 
     @classmethod
     def drawn(cls, model: Any, rng: np.random.Generator) -> StrangerMotion:
@@ -90,45 +82,25 @@ _MAX_KG, _OFF_CENTRE_M = 2.5, 0.015
 
 @dataclass(frozen=True)
 class Troubles:
-    """Sizes of an arm's imperfections; those in parts are of each joint's highest torque.
+    """Sizes of an arm's imperfections; those in parts are of each joint's highest torque."""
 
-    Attributes:
-        noise: white, in parts.
-        offset: of a sensor's zero, in parts.
-        dry: Coulomb friction, in parts; Stribeck's peak is up to 60 % more.
-        viscous: in parts, for 1 rad/s.
-        load: friction as a fraction of what the gear carries.
-        ripple: amplitude of a gear's, in parts.
-        hoses: amplitude of what a joint's hoses pull, in parts.
-        drift: of a sensor's zero from the empty run to the other, in parts.
-        warming: what it drifts by within a run, in parts.
-        gain: a fraction.
-        link_mass: a fraction.
-        link_centre_m: of each axis.
-        link_inertia: a fraction.
-        rotor_kg_m2: reflected to the joint.
-        tilt_rad: of the base about each level axis.
-        zero_rad: of each encoder.
-        lag_s: of torques behind positions, at most.
-    """
-
-    noise: float = 0.001
-    offset: float = 0.0
-    dry: float = 0.0
-    viscous: float = 0.0
-    load: float = 0.0
-    ripple: float = 0.0
-    hoses: float = 0.0
-    drift: float = 0.0
-    warming: float = 0.0
-    gain: float = 0.0
-    link_mass: float = 0.0
-    link_centre_m: float = 0.0
-    link_inertia: float = 0.0
-    rotor_kg_m2: float = 0.0
-    tilt_rad: float = 0.0
-    zero_rad: float = 0.0
-    lag_s: float = 0.0
+    noise: float = 0.001  # white, in parts
+    offset: float = 0.0  # of a sensor's zero, in parts
+    dry: float = 0.0  # Coulomb friction, in parts; Stribeck's peak is up to 60 % more
+    viscous: float = 0.0  # in parts, for 1 rad/s
+    load: float = 0.0  # friction as a fraction of what the gear carries
+    ripple: float = 0.0  # amplitude of a gear's, in parts
+    hoses: float = 0.0  # amplitude of what a joint's hoses pull, in parts
+    drift: float = 0.0  # of a sensor's zero from the empty run to the other, in parts
+    warming: float = 0.0  # what it drifts by within a run, in parts
+    gain: float = 0.0  # a fraction
+    link_mass: float = 0.0  # a fraction
+    link_centre_m: float = 0.0  # of each axis
+    link_inertia: float = 0.0  # a fraction
+    rotor_kg_m2: float = 0.0  # reflected to the joint
+    tilt_rad: float = 0.0  # of the base about each level axis
+    zero_rad: float = 0.0  # of each encoder
+    lag_s: float = 0.0  # of torques behind positions, at most
 
     def times(self, factor: float) -> Troubles:
         """Scale all of them but the noise."""
@@ -175,36 +147,23 @@ FULL = Troubles(
 
 @dataclass(frozen=True, eq=False)
 class StrangerRun:
-    """Run of a stranger's arm, as its driver gives it, and as it was.
+    """Run of a stranger's arm, as its driver gives it, and as it was."""
 
-    Attributes:
-        episode: `/joint_states` signals.
-        seconds: of them [s], shape (T,).
-        feels: derivatives of the torques by mass and first moments in the tool frame, (T, J, 4).
-        noise_nm: standard deviation of each joint's white noise, shape (J,).
-    """
-
-    episode: Episode
-    seconds: Array
+    episode: Episode  # `/joint_states` signals
+    seconds: Array  # of them [s], shape (T,)
+    # derivatives of the torques by mass and first moments in the tool frame, (T, J, 4)
     feels: Array
-    noise_nm: Array
+    noise_nm: Array  # standard deviation of each joint's white noise, shape (J,)
 
 
 @dataclass(frozen=True, eq=False)
 class StrangerLog:
-    """Run with a payload, one without, and the truth.
+    """Run with a payload, one without, and the truth."""
 
-    Attributes:
-        held: with the payload.
-        empty: before it, along the same motion, with nothing in the hand.
-        mass_kg: of the payload.
-        centre_m: of its mass, in the tool frame [m], shape (3,).
-    """
-
-    held: StrangerRun
-    empty: StrangerRun
-    mass_kg: float
-    centre_m: Array
+    held: StrangerRun  # with the payload
+    empty: StrangerRun  # before it, along the same motion, with nothing in the hand
+    mass_kg: float  # of the payload
+    centre_m: Array  # of its mass, in the tool frame [m], shape (3,)
 
 
 def stranger_log(urdf: Path, tool: str, seed: int, troubles: Troubles) -> StrangerLog:
@@ -223,25 +182,15 @@ def stranger_log(urdf: Path, tool: str, seed: int, troubles: Troubles) -> Strang
 
 @dataclass(frozen=True, eq=False)
 class StrangerArm:
-    """Arm as it is, drawn.
+    """Arm as it is, drawn."""
 
-    Attributes:
-        library: Pinocchio.
-        model: its, with the links and the tilt that this arm has.
-        frame: of the tool, in the model.
-        limit_nm: highest torque of each joint [N·m], shape (J,).
-        zero_rad: of each encoder, shape (J,).
-        draws: without units, by what they are of; each of shape (J,) or (K, J).
-        troubles: how large they become.
-    """
-
-    library: Any
-    model: Any
-    frame: int
-    limit_nm: Array
-    zero_rad: Array
-    draws: dict[str, Array]
-    troubles: Troubles
+    library: Any  # Pinocchio
+    model: Any  # its, with the links and the tilt that this arm has
+    frame: int  # of the tool, in the model
+    limit_nm: Array  # highest torque of each joint [N·m], shape (J,)
+    zero_rad: Array  # of each encoder, shape (J,)
+    draws: dict[str, Array]  # without units, by what they are of; each of shape (J,) or (K, J)
+    troubles: Troubles  # how large they become
 
     @classmethod
     def drawn(cls, urdf: Path, tool: str, rng: np.random.Generator, size: Troubles) -> StrangerArm:

@@ -274,29 +274,17 @@ _AIR_KG_M3 = 1.2
 
 @dataclass(frozen=True)
 class SoundingBall:
-    """Kind of ball.
+    """Kind of ball."""
 
-    Attributes:
-        name: in tables.
-        diameter_m: range that one is drawn from.
-        density_kg_m3: of the whole ball, likewise.
-        drag_coefficient: Cd at the speeds of a drop.
-        contact_s: range of a contact's duration at 1 m/s.
-        strike_s: range of the time in which a touch gets to its full strength.
-        ball_hz: range of the ball's own modes.
-        ball_ring_s: range of the time in which one falls to 1/e.
-        slap: range of the strength of the noise of the touch, over the modes'.
-    """
-
-    name: str
-    diameter_m: Range
-    density_kg_m3: Range
-    drag_coefficient: float
-    contact_s: Range
-    strike_s: Range
-    ball_hz: Range
-    ball_ring_s: Range
-    slap: Range
+    name: str  # in tables
+    diameter_m: Range  # range that one is drawn from
+    density_kg_m3: Range  # of the whole ball, likewise
+    drag_coefficient: float  # Cd at the speeds of a drop
+    contact_s: Range  # range of a contact's duration at 1 m/s
+    strike_s: Range  # range of the time in which a touch gets to its full strength
+    ball_hz: Range  # range of the ball's own modes
+    ball_ring_s: Range  # range of the time in which one falls to 1/e
+    slap: Range  # range of the strength of the noise of the touch, over the modes'
 
 
 # Contacts from .3 to 8 ms, drags from .0013 to .13 per m.
@@ -342,19 +330,12 @@ SOUNDING_BALLS = (
 
 @dataclass(frozen=True)
 class SoundingTable:
-    """Kind of table or floor.
+    """Kind of table or floor."""
 
-    Attributes:
-        name: for a reader.
-        modes: how many there are, at least and at most.
-        table_hz: range of their frequencies.
-        table_ring_s: range of the time in which one falls to 1/e.
-    """
-
-    name: str
-    modes: tuple[int, int]
-    table_hz: Range
-    table_ring_s: Range
+    name: str  # for a reader
+    modes: tuple[int, int]  # how many there are, at least and at most
+    table_hz: Range  # range of their frequencies
+    table_ring_s: Range  # range of the time in which one falls to 1/e
 
 
 SOUNDING_TABLES = (
@@ -368,46 +349,27 @@ SOUNDING_TABLES = (
 
 @dataclass(frozen=True, eq=False)
 class ImpactVoice:
-    """Sound of one ball on one table.
+    """Sound of one ball on one table."""
 
-    Attributes:
-        modes_hz: frequencies, shape (M,).
-        rings_s: time in which each falls to 1/e, shape (M,).
-        gains: of each in an impact at 1 m/s, before the strike's own low pass, shape (M,).
-        strike_s: in which a touch at 1 m/s gets to its full strength.
-        slap_gain: of the noise of the touch.
-        slap_s: in which that falls to 1/e.
-        slap_hz: its band.
-        loudness: power of the speed that all grows with.
-        uneven: by which the strength of each mode differs from impact to impact (log, one sd).
-    """
-
-    modes_hz: Array
-    rings_s: Array
-    gains: Array
-    strike_s: float
-    slap_gain: float
-    slap_s: float
-    slap_hz: Range
-    loudness: float
-    uneven: float
+    modes_hz: Array  # frequencies, shape (M,)
+    rings_s: Array  # time in which each falls to 1/e, shape (M,)
+    gains: Array  # of each in an impact at 1 m/s, before the strike's own low pass, shape (M,)
+    strike_s: float  # in which a touch at 1 m/s gets to its full strength
+    slap_gain: float  # of the noise of the touch
+    slap_s: float  # in which that falls to 1/e
+    slap_hz: Range  # its band
+    loudness: float  # power of the speed that all grows with
+    uneven: float  # by which the strength of each mode differs from impact to impact (log, one sd)
 
 
 @dataclass(frozen=True)
 class SampledBall:
-    """One ball of a kind.
+    """One ball of a kind."""
 
-    Attributes:
-        kind: its name.
-        told: what a user can say of it: size and mass of the kind's middle.
-        drag_1_m: of this one.
-        contact_s: of it at 1 m/s.
-    """
-
-    kind: str
-    told: Ball
-    drag_1_m: float
-    contact_s: float
+    kind: str  # its name
+    told: Ball  # what a user can say of it: size and mass of the kind's middle
+    drag_1_m: float  # of this one
+    contact_s: float  # of it at 1 m/s
 
 
 # By which a ball's drag differs from what its size and mass say (log, one sd): seams, nap, air.
@@ -569,19 +531,12 @@ _BLOCK = 64  # samples that automatic gain is the same for, before it is smoothe
 
 @dataclass(frozen=True)
 class SoundRoom:
-    """Room and where the microphone stands in it.
+    """Room and where the microphone stands in it."""
 
-    Attributes:
-        echo_s: time in which echoes fall by 60 dB.
-        direct_db: power of the direct sound over that of the echo's tail.
-        reflections: how many come one by one.
-        seed: of them.
-    """
-
-    echo_s: float
-    direct_db: float
-    reflections: int
-    seed: int
+    echo_s: float  # time in which echoes fall by 60 dB
+    direct_db: float  # power of the direct sound over that of the echo's tail
+    reflections: int  # how many come one by one
+    seed: int  # of them
 
     def response(self, rate_hz: float) -> Array:
         """Return the impulse response; the direct sound is its first sample, of 1."""
@@ -622,21 +577,13 @@ def draw_room(rng: np.random.Generator) -> SoundRoom:
 
 @dataclass(frozen=True)
 class SoundPhone:
-    """Microphone and electronics of a phone.
+    """Microphone and electronics of a phone."""
 
-    Attributes:
-        low_hz: lower end of its band.
-        high_hz: upper end.
-        peak: loudest sample of what it records, of full scale; over 1 is clipped.
-        gain_ratio: compression of its automatic gain; 1 for none.
-        release_s: in which that gain comes back.
-    """
-
-    low_hz: float
-    high_hz: float
-    peak: float
-    gain_ratio: float = 1.0
-    release_s: float = 0.5
+    low_hz: float  # lower end of its band
+    high_hz: float  # upper end
+    peak: float  # loudest sample of what it records, of full scale; over 1 is clipped
+    gain_ratio: float = 1.0  # compression of its automatic gain; 1 for none
+    release_s: float = 0.5  # in which that gain comes back
 
     def band(self, samples: Array, rate_hz: float) -> Array:
         """Apply the microphone's band-pass filter; causal, as every microphone."""
@@ -779,37 +726,21 @@ _MAX_BOUNCE_S = 10.0  # from the release to the end of a recording
 
 @dataclass(frozen=True, eq=False)
 class SoundScene:
-    """Bounce and where it is heard, before any background.
+    """Bounce and where it is heard, before any background."""
 
-    Attributes:
-        ball: what bounces.
-        table: on what, its name.
-        history: the bounce.
-        voice: how they sound together.
-        room: around them.
-        phone: that records.
-        audible: how many impacts are recorded and at most 30 dB below the loudest.
-        rate_hz: of the samples.
-        release_s: when the ball is let go, after the first sample.
-        lasts_s: length of the recording.
-        distance_m: from ball to microphone at the release.
-        walk_m_s: by which that grows.
-        seed: of what differs from impact to impact.
-    """
-
-    ball: SampledBall
-    table: str
-    history: BounceHistory
-    voice: ImpactVoice
-    room: SoundRoom
-    phone: SoundPhone
-    audible: int
-    rate_hz: int
-    release_s: float
-    lasts_s: float
-    distance_m: float
-    walk_m_s: float
-    seed: int
+    ball: SampledBall  # what bounces
+    table: str  # on what, its name
+    history: BounceHistory  # the bounce
+    voice: ImpactVoice  # how they sound together
+    room: SoundRoom  # around them
+    phone: SoundPhone  # that records
+    audible: int  # how many impacts are recorded and at most 30 dB below the loudest
+    rate_hz: int  # of the samples
+    release_s: float  # when the ball is let go, after the first sample
+    lasts_s: float  # length of the recording
+    distance_m: float  # from ball to microphone at the release
+    walk_m_s: float  # by which that grows
+    seed: int  # of what differs from impact to impact
 
     @property
     def touches_s(self) -> Array:
@@ -833,23 +764,14 @@ class SoundScene:
 
 @dataclass(frozen=True, eq=False)
 class SoundClip:
-    """Recording and its truth.
+    """Recording and its truth."""
 
-    Attributes:
-        samples: full scale 1, shape (N,).
-        rate_hz: of them.
-        scene: the bounce.
-        background: what else is heard.
-        snr_db: see `impact_ratio`.
-        codec: that the samples went through.
-    """
-
-    samples: NDArray[np.float32]
-    rate_hz: int
-    scene: SoundScene
-    background: Background
-    snr_db: float
-    codec: Codec
+    samples: NDArray[np.float32]  # full scale 1, shape (N,)
+    rate_hz: int  # of them
+    scene: SoundScene  # the bounce
+    background: Background  # what else is heard
+    snr_db: float  # see `impact_ratio`
+    codec: Codec  # that the samples went through
 
     @property
     def impacts_s(self) -> Array:
@@ -1026,19 +948,12 @@ _DROP = SoundingBall(
 
 @dataclass(frozen=True, eq=False)
 class NoBounce:
-    """Recording of something else.
+    """Recording of something else."""
 
-    Attributes:
-        kind: one of `NO_BOUNCES`.
-        samples: full scale 1, shape (N,).
-        rate_hz: of them.
-        codec: that they went through: "pcm" or "aac".
-    """
-
-    kind: str
-    samples: NDArray[np.float32]
-    rate_hz: int
-    codec: str
+    kind: str  # one of `NO_BOUNCES`
+    samples: NDArray[np.float32]  # full scale 1, shape (N,)
+    rate_hz: int  # of them
+    codec: str  # that they went through: "pcm" or "aac"
 
     def write(self, path: Path) -> None:
         """Write as .wav or .m4a."""
@@ -1242,17 +1157,11 @@ _START_NS = 1_700_000_000_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class FilmedSound:
-    """Video with its sound.
+    """Video with its sound."""
 
-    Attributes:
-        order: the pictures.
-        clip: the sound.
-        offset_s: by which the sound is late, on the pictures' clock.
-    """
-
-    order: ClipOrder
-    clip: SoundClip
-    offset_s: float
+    order: ClipOrder  # the pictures
+    clip: SoundClip  # the sound
+    offset_s: float  # by which the sound is late, on the pictures' clock
 
     @property
     def restitution(self) -> float:
@@ -1333,19 +1242,12 @@ def _heard(
 
 @dataclass(frozen=True, eq=False)
 class TrackedSound:
-    """Track of the ball's positions at 30 Hz, and its sound.
+    """Track of the ball's positions at 30 Hz, and its sound."""
 
-    Attributes:
-        clip: the sound.
-        offset_s: by which the sound is late, on the positions' clock.
-        seconds: of the positions, after the first, shape (T,).
-        positions_m: z is up, shape (T, 3).
-    """
-
-    clip: SoundClip
-    offset_s: float
-    seconds: Array
-    positions_m: Array
+    clip: SoundClip  # the sound
+    offset_s: float  # by which the sound is late, on the positions' clock
+    seconds: Array  # of the positions, after the first, shape (T,)
+    positions_m: Array  # z is up, shape (T, 3)
 
     @property
     def restitution(self) -> float:

@@ -38,19 +38,12 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 @dataclass(frozen=True)
 class RealBall:
-    """Ball and its drop height.
+    """Ball and its drop height."""
 
-    Attributes:
-        restitution: e, at the first impact's speed.
-        slope: p of e(v) = e (v / v_first)^-p, kept from 0 to 1.
-        drag_1_m: k of dv/dt = -g - k v |v|.
-        drop_m: from its contact with the table up to where it is let go, at rest.
-    """
-
-    restitution: float
-    slope: float
-    drag_1_m: float
-    drop_m: float
+    restitution: float  # e, at the first impact's speed
+    slope: float  # p of e(v) = e (v / v_first)^-p, kept from 0 to 1
+    drag_1_m: float  # k of dv/dt = -g - k v |v|
+    drop_m: float  # from its contact with the table up to where it is let go, at rest
 
     @property
     def values(self) -> Array:
@@ -60,27 +53,16 @@ class RealBall:
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Motion of B balls: states from each of which one step reaches the next.
+    """Motion of B balls: states from each of which one step reaches the next."""
 
-    Attributes:
-        drops_m: see `RealBall`, shape (B,).
-        drags_1_m: likewise, shape (B,).
-        times_s: of M states, after the release, shape (B, M), never falling.
-        heights_m: over the contact, shape (B, M).
-        speeds_m_s: upward, after an impact, shape (B, M).
-        impacts_s: of N impacts, shape (B, N); those after the end asked for are not all there.
-        impact_speeds_m_s: downward, shape (B, N); 0 once it lies.
-        rests_s: from when on a ball lies still, shape (B,); inf where it does not.
-    """
-
-    drops_m: Array
-    drags_1_m: Array
-    times_s: Array
-    heights_m: Array
-    speeds_m_s: Array
-    impacts_s: Array
-    impact_speeds_m_s: Array
-    rests_s: Array
+    drops_m: Array  # see `RealBall`, shape (B,)
+    drags_1_m: Array  # likewise, shape (B,)
+    times_s: Array  # of M states, after the release, shape (B, M), never falling
+    heights_m: Array  # over the contact, shape (B, M)
+    speeds_m_s: Array  # upward, after an impact, shape (B, M)
+    impacts_s: Array  # of N impacts, shape (B, N); those after the end asked for are not all there
+    impact_speeds_m_s: Array  # downward, shape (B, N); 0 once it lies
+    rests_s: Array  # from when on a ball lies still, shape (B,); inf where it does not
 
     def at(self, seconds: Array) -> Array:
         """Return heights over the contact [m], shape (B, T), at times after the release, (B, T)."""
@@ -223,15 +205,10 @@ _TOPIC = "/vrpn/ball/pose"
 
 @dataclass(frozen=True)
 class WorldCell:
-    """Drops of one kind.
+    """Drops of one kind."""
 
-    Attributes:
-        scale: of slope and drag; restitution, fall and rate are the same in all cells.
-        noise_m: standard deviation of each coordinate.
-    """
-
-    scale: float
-    noise_m: float
+    scale: float  # of slope and drag; restitution, fall and rate are the same in all cells
+    noise_m: float  # standard deviation of each coordinate
 
     @property
     def label(self) -> str:
@@ -254,23 +231,14 @@ CELLS = tuple(WorldCell(scale, noise) for noise in NOISES_M for scale in SCALES)
 
 @dataclass(frozen=True, eq=False)
 class RecordedDrop:
-    """Ball let go and recorded.
+    """Ball let go and recorded."""
 
-    Attributes:
-        ball: what fell.
-        level_m: z of the ball's centre when it touches the table.
-        seconds: of the samples, after the release, shape (T,).
-        positions_m: of the ball's centre, with noise, shape (T, 3); z is up.
-        noise_m: standard deviation of each coordinate.
-        path: what it does in truth, up to the last sample.
-    """
-
-    ball: RealBall
-    level_m: float
-    seconds: Array
-    positions_m: Array
-    noise_m: float
-    path: Paths
+    ball: RealBall  # what fell
+    level_m: float  # z of the ball's centre when it touches the table
+    seconds: Array  # of the samples, after the release, shape (T,)
+    positions_m: Array  # of the ball's centre, with noise, shape (T, 3); z is up
+    noise_m: float  # standard deviation of each coordinate
+    path: Paths  # what it does in truth, up to the last sample
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -404,25 +372,15 @@ PAPER_S = 7.2
 
 @dataclass(frozen=True)
 class TableBall:
-    """Kind of ball.
+    """Kind of ball."""
 
-    Attributes:
-        name: in tables.
-        diameter_m: of the ball.
-        mass_kg: likewise.
-        drag_coefficient: Cd at the speeds of a drop.
-        restitution: at an impact with `speed_m_s`.
-        speed_m_s: see there.
-        slope: p of the restitution's fall with speed.
-    """
-
-    name: str
-    diameter_m: float
-    mass_kg: float
-    drag_coefficient: float
-    restitution: float
-    speed_m_s: float
-    slope: float
+    name: str  # in tables
+    diameter_m: float  # of the ball
+    mass_kg: float  # likewise
+    drag_coefficient: float  # Cd at the speeds of a drop
+    restitution: float  # at an impact with `speed_m_s`
+    speed_m_s: float  # see there
+    slope: float  # p of the restitution's fall with speed
 
     @property
     def drag_1_m(self) -> float:
@@ -463,16 +421,11 @@ TABLE_BALLS = (
 
 @dataclass(frozen=True, eq=False)
 class TableDrop:
-    """Drop of a ball of the table.
+    """Drop of a ball of the table."""
 
-    Attributes:
-        ball: which.
-        view: what is recorded of it, for `MAX_S` at most.
-        whole: the same and more, for the paper's network: 60 Hz, `PAPER_S`, whether it lies or not.
-    """
-
-    ball: TableBall
-    view: RecordedDrop
+    ball: TableBall  # which
+    view: RecordedDrop  # what is recorded of it, for `MAX_S` at most
+    # the same and more, for the paper's network: 60 Hz, `PAPER_S`, whether it lies or not
     whole: RecordedDrop
 
 
@@ -515,19 +468,12 @@ _MAX_IMPACTS_A_STEP = 8  # in one step; then the ball stays where it is until th
 
 @dataclass(frozen=True)
 class HiddenBall:
-    """Ball as it is.
+    """Ball as it is."""
 
-    Attributes:
-        name: as on a label.
-        restitution: at 3 m/s.
-        slope: p, by which it falls with an impact's speed.
-        off_round_deg: standard deviation of the angle by which an impact's normal is off, in any
-            direction.
-    """
-
-    name: str
-    restitution: float
-    slope: float
+    name: str  # as on a label
+    restitution: float  # at 3 m/s
+    slope: float  # p, by which it falls with an impact's speed
+    # standard deviation of the angle by which an impact's normal is off, in any direction
     off_round_deg: float = 0.0
 
     @property
@@ -543,30 +489,19 @@ class HiddenBall:
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Obstacle for a ball.
+    """Obstacle for a ball."""
 
-    Attributes:
-        gap: from a ball's skin to it, by the ball's centre.
-        normal: unit vector out of it there.
-        restitution: of any ball on it; None where it is the ball's own.
-    """
-
-    gap: Callable[[Vector], float]
-    normal: Callable[[Vector], Vector]
-    restitution: float | None = None
+    gap: Callable[[Vector], float]  # from a ball's skin to it, by the ball's centre
+    normal: Callable[[Vector], Vector]  # unit vector out of it there
+    restitution: float | None = None  # of any ball on it; None where it is the ball's own
 
 
 @dataclass(frozen=True, eq=False)
 class BallPath:
-    """Path of a ball.
+    """Path of a ball."""
 
-    Attributes:
-        positions_m: of its centre at 960 Hz, shape (T, 3).
-        hits: which obstacle at which sample, in order.
-    """
-
-    positions_m: Array
-    hits: tuple[tuple[int, int], ...]
+    positions_m: Array  # of its centre at 960 Hz, shape (T, 3)
+    hits: tuple[tuple[int, int], ...]  # which obstacle at which sample, in order
 
     def at(self, seconds: Array) -> Array:
         """Interpolate positions at `seconds` after the release, shape (N, 3) [m]."""
@@ -783,17 +718,12 @@ _MAX_SHOT_S = 4.0  # after which a shot is over: the ball is below the hoop long
 
 @dataclass(frozen=True)
 class HiddenShot:
-    """Result of a shot.
+    """Result of a shot."""
 
-    Attributes:
-        is_through: the ball fell through the hoop.
-        has_touched: it hit the rim.
-        miss_m: from the hoop's centre where its centre first came down through the hoop's plane
-            after the bounce, negative where that was short of it; None where it never did.
-    """
-
-    is_through: bool
-    has_touched: bool
+    is_through: bool  # the ball fell through the hoop
+    has_touched: bool  # it hit the rim
+    # from the hoop's centre where its centre first came down through the hoop's plane after the
+    # bounce, negative where that was short of it; None where it never did
     miss_m: float | None
 
 
@@ -857,20 +787,13 @@ _ONE_CONTACT_S = 0.01  # hits that follow each other faster are one contact
 
 @dataclass(frozen=True, eq=False)
 class HiddenDrop:
-    """Drop in the hidden world.
-
-    Attributes:
-        mishap: one of `MISHAPS`; None where it stays on the table and in view.
-        path: the ball's, from its release on.
-        leaves_s: when it goes out of view; None unless that is its mishap.
-        heading_rad: which way it moves then, from the camera's line of sight.
-    """
+    """Drop in the hidden world."""
 
     ball: HiddenBall
-    mishap: str | None
-    path: BallPath
-    leaves_s: float | None = None
-    heading_rad: float = 0.0
+    mishap: str | None  # one of `MISHAPS`; None where it stays on the table and in view
+    path: BallPath  # the ball's, from its release on
+    leaves_s: float | None = None  # when it goes out of view; None unless that is its mishap
+    heading_rad: float = 0.0  # which way it moves then, from the camera's line of sight
 
     def centers_m(self, seconds: Array) -> Array:
         """Return the ball's centre at times after the release, (N, 3) [m], z over the table."""
@@ -948,46 +871,27 @@ _MIN_DRAG_1_M = 1e-7
 
 @dataclass(frozen=True)
 class BounceOrder:
-    """Specification of a bounce.
+    """Specification of a bounce."""
 
-    Attributes:
-        height_m: of the fall.
-        restitution: at the first impact.
-        slope: p of e_n = e_1 (v_n / v_1)^-p.
-        drag_1_m: deceleration by the air over speed squared.
-        contact_s: how long a contact at 1 m/s lasts.
-        uneven: standard deviation of an impact's own restitution about that law (log).
-        seed: of what each impact is off by.
-    """
-
-    height_m: float
-    restitution: float
-    slope: float
-    drag_1_m: float
-    contact_s: float
-    uneven: float = 0.0
-    seed: int = 0
+    height_m: float  # of the fall
+    restitution: float  # at the first impact
+    slope: float  # p of e_n = e_1 (v_n / v_1)^-p
+    drag_1_m: float  # deceleration by the air over speed squared
+    contact_s: float  # how long a contact at 1 m/s lasts
+    uneven: float = 0.0  # standard deviation of an impact's own restitution about that law (log)
+    seed: int = 0  # of what each impact is off by
 
 
 @dataclass(frozen=True, eq=False)
 class BounceHistory:
-    """Impacts of a bounce, shape (N,) each.
+    """Impacts of a bounce, shape (N,) each."""
 
-    Attributes:
-        order: what was dropped.
-        touches_s: when contacts begin, after the release.
-        contacts_s: how long they last.
-        speeds_m_s: at touch, downward.
-        restitutions: speed after over speed before.
-        by_law: what they were without being uneven.
-    """
-
-    order: BounceOrder
-    touches_s: Array
-    contacts_s: Array
-    speeds_m_s: Array
-    restitutions: Array
-    by_law: Array
+    order: BounceOrder  # what was dropped
+    touches_s: Array  # when contacts begin, after the release
+    contacts_s: Array  # how long they last
+    speeds_m_s: Array  # at touch, downward
+    restitutions: Array  # speed after over speed before
+    by_law: Array  # what they were without being uneven
 
     def heights_m(self, seconds: Array) -> Array:
         """Return heights over the table, shape (T,); in a contact a little below 0."""
@@ -1070,21 +974,13 @@ _AT_REST = 1e-4  # fraction of the first impact's speed below which the ball lie
 
 @dataclass(frozen=True)
 class DroppedBall:
-    """Ball and its drop.
+    """Ball and its drop."""
 
-    Attributes:
-        drop_m: height over its contact at the start.
-        restitution: at the first impact.
-        slope: p of e_n = e_1 (v_n / v_1)^-p; no impact gives more than it takes.
-        drag_1_m: deceleration by the air over speed squared.
-        speed_m_s: at the start, upward.
-    """
-
-    drop_m: float
-    restitution: float
-    slope: float = 0.0
-    drag_1_m: float = 0.0
-    speed_m_s: float = 0.0
+    drop_m: float  # height over its contact at the start
+    restitution: float  # at the first impact
+    slope: float = 0.0  # p of e_n = e_1 (v_n / v_1)^-p; no impact gives more than it takes
+    drag_1_m: float = 0.0  # deceleration by the air over speed squared
+    speed_m_s: float = 0.0  # at the start, upward
 
     @property
     def fall_s(self) -> float:
@@ -1094,17 +990,11 @@ class DroppedBall:
 
 @dataclass(frozen=True, eq=False)
 class Fall:
-    """Motion of a dropped ball.
+    """Motion of a dropped ball."""
 
-    Attributes:
-        heights_m: over its contact, at the given times, shape (T,).
-        impacts_s: up to the last of these times, or to the end of all bounces, shape (N,).
-        impact_speeds_m_s: downward, shape (N,).
-    """
-
-    heights_m: Array
-    impacts_s: Array
-    impact_speeds_m_s: Array
+    heights_m: Array  # over its contact, at the given times, shape (T,)
+    impacts_s: Array  # up to the last of these times, or to the end of all bounces, shape (N,)
+    impact_speeds_m_s: Array  # downward, shape (N,)
 
 
 def drop_ball(ball: DroppedBall, seconds: Array) -> Fall:

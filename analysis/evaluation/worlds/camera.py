@@ -56,15 +56,10 @@ _TRIES = 60  # before a ball of another size is drawn
 
 @dataclass(frozen=True)
 class View:
-    """Pinhole camera turned about its optical axis.
+    """Pinhole camera turned about its optical axis."""
 
-    Attributes:
-        camera: where from, upright.
-        roll_rad: clockwise turn of the picture.
-    """
-
-    camera: PinholeCamera
-    roll_rad: float
+    camera: PinholeCamera  # where from, upright
+    roll_rad: float  # clockwise turn of the picture
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -218,19 +213,12 @@ _VIEWPOINT_MARGIN_PX = 2.0  # between a ball and the frame, at the start and at 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Pinhole camera without distortion.
+    """Pinhole camera without distortion."""
 
-    Attributes:
-        position_m: where it stands.
-        aim_m: the point in the middle of its picture.
-        focal_px: focal length.
-        roll_deg: by which its picture is turned.
-    """
-
-    position_m: tuple[float, float, float]
-    aim_m: tuple[float, float, float]
-    focal_px: float
-    roll_deg: float = 0.0
+    position_m: tuple[float, float, float]  # where it stands
+    aim_m: tuple[float, float, float]  # the point in the middle of its picture
+    focal_px: float  # focal length
+    roll_deg: float = 0.0  # by which its picture is turned
 
     def image_from_world(self, points_m: Array) -> tuple[Array, Array]:
         """Project points, (N, 3), to pixels, (N, 2), and depths, (N,); NaN behind."""
@@ -355,23 +343,15 @@ _RADIUS_NOISE = 0.05  # standard deviation of a radius, over it
 
 @dataclass(frozen=True)
 class TrackSet:
-    """Kind of rig.
+    """Kind of rig."""
 
-    Attributes:
-        name: in tables; what is drawn depends on it.
-        drop_m: range of the fall.
-        radius_m: of the ball; None for 1.5 to 6 % of the fall.
-        lasts: range of what is filmed after the release [fall times].
-        paper: before the paper's camera; else before any.
-        free: any frame rate, release held or unseen, pictures without the ball, early ends; else
-            60 Hz from before the release on.
-    """
-
-    name: str
-    drop_m: Range
-    radius_m: float | None = None
-    lasts: Range = (4.0, 8.0)
-    paper: bool = False
+    name: str  # in tables; what is drawn depends on it
+    drop_m: Range  # range of the fall
+    radius_m: float | None = None  # of the ball; None for 1.5 to 6 % of the fall
+    lasts: Range = (4.0, 8.0)  # range of what is filmed after the release [fall times]
+    paper: bool = False  # before the paper's camera; else before any
+    # any frame rate, release held or unseen, pictures without the ball, early ends; else 60 Hz from
+    # before the release on
     free: bool = False
 
 
@@ -383,40 +363,24 @@ TRACK_SETS = (A, B, C)
 
 @dataclass(frozen=True)
 class BallRanges:
-    """Ranges of the ball's parameters, each drawn uniformly.
+    """Ranges of the ball's parameters, each drawn uniformly."""
 
-    Attributes:
-        restitution: at the first impact.
-        slope: see `DroppedBall`.
-        drag_1_m: likewise, of every ball.
-    """
-
-    restitution: Range
-    slope: Range = (0.0, 0.0)
-    drag_1_m: float = 0.0
+    restitution: Range  # at the first impact
+    slope: Range = (0.0, 0.0)  # see `DroppedBall`
+    drag_1_m: float = 0.0  # likewise, of every ball
 
 
 @dataclass(frozen=True, eq=False)
 class TrackScene:
-    """All that determines a track: a fault changes one thing of it.
+    """All that determines a track: a fault changes one thing of it."""
 
-    Attributes:
-        ball: its restitution is the truth.
-        radius_m: of the ball.
-        view: the camera.
-        seconds: of the pictures, after the release, shape (T,).
-        lost: pictures in which the tracker does not find the ball, shape (T,).
-        noise_px: standard deviation of a coordinate, before it is rounded.
-        seed: of that noise.
-    """
-
-    ball: DroppedBall
-    radius_m: float
-    view: Viewpoint
-    seconds: Array
-    lost: Mask
-    noise_px: float
-    seed: int
+    ball: DroppedBall  # its restitution is the truth
+    radius_m: float  # of the ball
+    view: Viewpoint  # the camera
+    seconds: Array  # of the pictures, after the release, shape (T,)
+    lost: Mask  # pictures in which the tracker does not find the ball, shape (T,)
+    noise_px: float  # standard deviation of a coordinate, before it is rounded
+    seed: int  # of that noise
 
     def fall(self) -> Fall:
         """Return the ball's motion if nothing goes wrong."""
@@ -668,19 +632,12 @@ _EDGE_PX = 8.0  # from the frame to where other objects are
 
 @dataclass(frozen=True)
 class TrackFault:
-    """Kind of fault of a track.
+    """Kind of fault of a track."""
 
-    Attributes:
-        name: for files.
-        label: for tables.
-        make: the faulty track of a scene.
-        bounces: whether its first impact is one of the ball; where it is not, no restitution is
-            right.
-    """
-
-    name: str
-    label: str
-    make: Maker
+    name: str  # for files
+    label: str  # for tables
+    make: Maker  # the faulty track of a scene
+    # whether its first impact is one of the ball; where it is not, no restitution is right
     bounces: bool = True
 
     def track(self, scene: TrackScene) -> Track:

@@ -47,15 +47,11 @@ _FINER = 2  # points along each side of a pixel, whose mean is its colour (antia
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Static part of a scene.
+    """Static part of a scene."""
 
-    Attributes:
-        picture: RGB, uint8, shape (H, W, 3).
-        floor_m: x and y of the floor that each pixel shows, float32, shape (H, W, 2); NaN where it
-            shows the wall.
-    """
-
-    picture: Picture
+    picture: Picture  # RGB, uint8, shape (H, W, 3)
+    # x and y of the floor that each pixel shows, float32, shape (H, W, 2); NaN where it shows the
+    # wall
     floor_m: NDArray[np.float32]
 
 
@@ -167,27 +163,16 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class BallLook:
-    """Appearance of the ball.
+    """Appearance of the ball."""
 
-    Attributes:
-        radius_m: of the ball.
-        colour: RGB, 0 to 255.
-        light: unit vector to the lamp, in the world.
-        ambient: fraction of the light that comes from everywhere.
-        gloss: strength of the highlight, 0 to 1.
-        shadow: fraction of the light that the middle of its shadow lacks.
-        softness: width of the shadow's edge over the ball's height.
-        mirror: how much of it the floor reflects, 0 to 1.
-    """
-
-    radius_m: float
-    colour: tuple[float, float, float]
-    light: tuple[float, float, float]
-    ambient: float
-    gloss: float
-    shadow: float
-    softness: float
-    mirror: float
+    radius_m: float  # of the ball
+    colour: tuple[float, float, float]  # RGB, 0 to 255
+    light: tuple[float, float, float]  # unit vector to the lamp, in the world
+    ambient: float  # fraction of the light that comes from everywhere
+    gloss: float  # strength of the highlight, 0 to 1
+    shadow: float  # fraction of the light that the middle of its shadow lacks
+    softness: float  # width of the shadow's edge over the ball's height
+    mirror: float  # how much of it the floor reflects, 0 to 1
 
 
 def add_ball(frame: Picture, view: View, stage: Stage, look: BallLook, centers_m: Array) -> None:
@@ -312,81 +297,47 @@ _MIN_CONTRAST = (20.0, 30.0)
 
 @dataclass(frozen=True)
 class Hand:
-    """Hand that holds the ball until it lets go, and then leaves.
+    """Hand that holds the ball until it lets go, and then leaves."""
 
-    Attributes:
-        colour: RGB.
-        covers: whether it is before the ball; else behind.
-        leaves: which way [ball radii a second], right and down.
-        follows_s: how long it goes on downward with half the ball's acceleration.
-        grip: where its middle is, from the ball's [ball radii], right and down.
-    """
-
-    colour: tuple[int, int, int]
-    covers: bool
-    leaves: tuple[float, float]
-    follows_s: float
-    grip: tuple[float, float]
+    colour: tuple[int, int, int]  # RGB
+    covers: bool  # whether it is before the ball; else behind
+    leaves: tuple[float, float]  # which way [ball radii a second], right and down
+    follows_s: float  # how long it goes on downward with half the ball's acceleration
+    grip: tuple[float, float]  # where its middle is, from the ball's [ball radii], right and down
 
 
 @dataclass(frozen=True)
 class Person:
-    """Person who walks through behind the ball.
+    """Person who walks through behind the ball."""
 
-    Attributes:
-        colours: RGB of head, body and legs.
-        from_s: when, after the release.
-        height: of the picture's height.
-        crossing_s: from one edge to the other; negative from the right.
-    """
-
-    colours: tuple[tuple[int, int, int], ...]
-    from_s: float
-    height: float
-    crossing_s: float
+    colours: tuple[tuple[int, int, int], ...]  # RGB of head, body and legs
+    from_s: float  # when, after the release
+    height: float  # of the picture's height
+    crossing_s: float  # from one edge to the other; negative from the right
 
 
 @dataclass(frozen=True, eq=False)
 class ClipOrder:
-    """Specification of one clip.
+    """Specification of one clip."""
 
-    Attributes:
-        ball: what falls.
-        view: where from.
-        stage: what is behind it.
-        look: of the ball.
-        rate_hz: frames a second.
-        held_s: from the first frame to the release.
-        length_s: from the release to the last frame.
-        exposure_s: how long the shutter is open, centred on a frame's stamp.
-        noise: standard deviation of a pixel, of 255.
-        flicker: amplitude of a lamp's at twice the mains.
-        hand: None where the ball is held by nothing that shows.
-        person: None where nobody comes.
-        as_log: recorded to MCAP as JPEGs; else to mp4 as H.264.
-        jpeg_quality: of 100.
-        h264_factor: constant rate factor; smaller is better.
-        pixel_seed: draws the noise.
-        heights_m: of the ball over its contact at times after the release, shape (T,), where they
-            are not what `ball` does by itself.
-    """
-
-    ball: DroppedBall
-    view: View
-    stage: Stage
-    look: BallLook
-    rate_hz: float
-    held_s: float
-    length_s: float
-    exposure_s: float
-    noise: float
-    flicker: float
-    hand: Hand | None
-    person: Person | None
-    as_log: bool
-    jpeg_quality: int
-    h264_factor: int
-    pixel_seed: int
+    ball: DroppedBall  # what falls
+    view: View  # where from
+    stage: Stage  # what is behind it
+    look: BallLook  # of the ball
+    rate_hz: float  # frames a second
+    held_s: float  # from the first frame to the release
+    length_s: float  # from the release to the last frame
+    exposure_s: float  # how long the shutter is open, centred on a frame's stamp
+    noise: float  # standard deviation of a pixel, of 255
+    flicker: float  # amplitude of a lamp's at twice the mains
+    hand: Hand | None  # None where the ball is held by nothing that shows
+    person: Person | None  # None where nobody comes
+    as_log: bool  # recorded to MCAP as JPEGs; else to mp4 as H.264
+    jpeg_quality: int  # of 100
+    h264_factor: int  # constant rate factor; smaller is better
+    pixel_seed: int  # draws the noise
+    # of the ball over its contact at times after the release, shape (T,), where they are not what
+    # `ball` does by itself
     heights_m: Callable[[Array], Array] | None = None
 
 
@@ -843,17 +794,11 @@ _START_M = _FALL_M[1:]
 
 @dataclass(frozen=True, eq=False)
 class DropFilm:
-    """Drop and its camera.
+    """Drop and its camera."""
 
-    Attributes:
-        drop: what happens.
-        view: the camera.
-        seed: of the room and the noise.
-    """
-
-    drop: HiddenDrop
-    view: View
-    seed: int
+    drop: HiddenDrop  # what happens
+    view: View  # the camera
+    seed: int  # of the room and the noise
 
     @property
     def seconds(self) -> Array:

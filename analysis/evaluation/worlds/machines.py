@@ -37,43 +37,29 @@ _STANDS_STILL = 1e-9  # standard deviation up to which a column does
 
 @dataclass(frozen=True, eq=False)
 class ModelLog:
-    """A user's log and model, and the truth.
+    """A user's log and model, and the truth."""
 
-    Attributes:
-        episode: the log, as it is read.
-        truth: by the addresses of what is tuned.
-        model: the text of the MJCF file, whose values are wrong where they are to be tuned.
-        tune: what stands after `--tune`, with ranges.
-        unidentifiable: addresses of what is unidentifiable from this log.
-        clean: the signals without noise, by name, each of shape (T, C).
-        noise: standard deviation of the noise of each column, by signal, each of shape (C,).
-    """
-
-    episode: Episode
-    truth: Mapping[str, float]
-    model: str
-    tune: tuple[str, ...]
-    unidentifiable: tuple[str, ...] = ()
+    episode: Episode  # the log, as it is read
+    truth: Mapping[str, float]  # by the addresses of what is tuned
+    model: str  # the text of the MJCF file, whose values are wrong where they are to be tuned
+    tune: tuple[str, ...]  # what stands after `--tune`, with ranges
+    unidentifiable: tuple[str, ...] = ()  # addresses of what is unidentifiable from this log
+    # the signals without noise, by name, each of shape (T, C)
     clean: Mapping[str, Array] = field(default_factory=dict)
+    # standard deviation of the noise of each column, by signal, each of shape (C,)
     noise: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Sensed:
-    """Quantity before its sensor.
+    """Quantity before its sensor."""
 
-    Attributes:
-        seconds: when it is sampled, after the log's start, shape (T,).
-        values: shape (T, C).
-        columns: the C names.
-        noise: standard deviation of its sensor, in the values' unit; None for `NOISE` of the
-            values' own; 0 of what is known.
-    """
-
-    seconds: Array
-    values: Array
-    columns: tuple[str, ...]
+    seconds: Array  # when it is sampled, after the log's start, shape (T,)
+    values: Array  # shape (T, C)
+    columns: tuple[str, ...]  # the C names
     unit: str
+    # standard deviation of its sensor, in the values' unit; None for `NOISE` of the values' own; 0
+    # of what is known
     noise: float | None = None
 
 
@@ -150,19 +136,12 @@ EARTH = f"0 0 -{GRAVITY_M_S2}"
 
 @dataclass(frozen=True)
 class Pendulum:
-    """Pendulum released at rest.
+    """Pendulum released at rest."""
 
-    Attributes:
-        damping: [N·m·s/rad].
-        friction: dry [N·m].
-        armature: [kg·m²], beside the bob's own inertia.
-        angle_rad: from which it is let go.
-    """
-
-    damping: float
-    friction: float
-    armature: float
-    angle_rad: float
+    damping: float  # [N·m·s/rad]
+    friction: float  # dry [N·m]
+    armature: float  # [kg·m²], beside the bob's own inertia
+    angle_rad: float  # from which it is let go
     inertia: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -277,19 +256,12 @@ _ARM_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """Sums of sines, eased in from rest.
+    """Sums of sines, eased in from rest."""
 
-    Attributes:
-        middle: of each joint [rad], shape (2,).
-        amplitudes: of each sine [rad], shape (K, 2).
-        rates: of each sine [rad/s], shape (K, 2).
-        phases: of each sine [rad], shape (K, 2).
-    """
-
-    middle: Array
-    amplitudes: Array
-    rates: Array
-    phases: Array
+    middle: Array  # of each joint [rad], shape (2,)
+    amplitudes: Array  # of each sine [rad], shape (K, 2)
+    rates: Array  # of each sine [rad/s], shape (K, 2)
+    phases: Array  # of each sine [rad], shape (K, 2)
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Commands:
@@ -311,17 +283,11 @@ class Commands:
 
 @dataclass(frozen=True)
 class PlanarArm:
-    """Planar arm; angles are 0 where it hangs down, the elbow's against the first link.
+    """Planar arm; angles are 0 where it hangs down, the elbow's against the first link."""
 
-    Attributes:
-        payload_kg: at the tip.
-        delay_s: after which a servo obeys a command.
-        elbow_is_held: whether a brake holds the elbow where the first command wants it.
-    """
-
-    payload_kg: float
-    delay_s: float
-    elbow_is_held: bool = False
+    payload_kg: float  # at the tip
+    delay_s: float  # after which a servo obeys a command
+    elbow_is_held: bool = False  # whether a brake holds the elbow where the first command wants it
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, *, elbow_is_held: bool = False) -> PlanarArm:
@@ -523,15 +489,10 @@ def _log(arm: PlanarArm, commands: Commands, noise: float, rng: np.random.Genera
 
 @dataclass(frozen=True, eq=False)
 class HeldCommands:
-    """Commands as they are given.
+    """Commands as they are given."""
 
-    Attributes:
-        seconds: when, increasing, shape (K,).
-        values: each held until the next, the first from ever on, shape (K, C).
-    """
-
-    seconds: Array
-    values: Array
+    seconds: Array  # when, increasing, shape (K,)
+    values: Array  # each held until the next, the first from ever on, shape (K, C)
 
     def over_steps(self, step_s: float, count: int, delay_s: float) -> Array:
         """Average what is obeyed in each step from 0 on, shape (count, C).
@@ -586,17 +547,11 @@ BLOCK = """\
 
 @dataclass(frozen=True, eq=False)
 class SlidingBlock:
-    """Block that slides without turning.
+    """Block that slides without turning."""
 
-    Attributes:
-        friction: Coulomb's coefficient.
-        start_m: where it is at 0 s, x and y, shape (2,).
-        velocity_m_s: then, shape (2,).
-    """
-
-    friction: float
-    start_m: Array
-    velocity_m_s: Array
+    friction: float  # Coulomb's coefficient
+    start_m: Array  # where it is at 0 s, x and y, shape (2,)
+    velocity_m_s: Array  # then, shape (2,)
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> SlidingBlock:
@@ -693,18 +648,13 @@ def wrong_blocks(log: ModelLog) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Machine:
-    """Kind of machine.
+    """Kind of machine."""
 
-    Attributes:
-        name: in words.
-        log: of a seed and so many times the usual noise.
-        unidentifiable: the same with one more parameter, which is unidentifiable.
-        wrong: texts of models that are of another machine than a log's, by what is wrong.
-    """
-
-    name: str
-    log: Callable[[int, float], ModelLog]
+    name: str  # in words
+    log: Callable[[int, float], ModelLog]  # of a seed and so many times the usual noise
+    # the same with one more parameter, which is unidentifiable
     unidentifiable: Callable[[int, float], ModelLog]
+    # texts of models that are of another machine than a log's, by what is wrong
     wrong: Callable[[ModelLog], Mapping[str, str]]
 
 

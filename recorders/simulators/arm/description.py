@@ -41,24 +41,15 @@ def rpy_from_rotation(rotation: Array) -> tuple[float, float, float]:
     pitch = atan2(-rotation[2, 0], level)
     if level < 1e-9:  # pitch is 90 degrees: roll and yaw turn about the same axis
         return atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
-    return (
-        atan2(rotation[2, 1], rotation[2, 2]),
-        pitch,
-        atan2(rotation[1, 0], rotation[0, 0]),
-    )
+    return (atan2(rotation[2, 1], rotation[2, 2]), pitch, atan2(rotation[1, 0], rotation[0, 0]))
 
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """A rigid transform: the pose of a frame in its parent.
+    """A rigid transform: the pose of a frame in its parent."""
 
-    Attributes:
-        origin_m: the frame's origin in the parent, shape (3,).
-        rotation: the frame's axes in the parent, as columns, shape (3, 3).
-    """
-
-    origin_m: Array
-    rotation: Array
+    origin_m: Array  # the frame's origin in the parent, shape (3,)
+    rotation: Array  # the frame's axes in the parent, as columns, shape (3, 3)
 
     @classmethod
     def at(cls, origin_m: Sequence[float], rpy: Sequence[float]) -> Transform:
@@ -77,18 +68,11 @@ IDENTITY = Transform.at((0, 0, 0), (0, 0, 0))
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass, centre of mass and inertia of a link, as in a URDF's `<inertial>`.
+    """Mass, centre of mass and inertia of a link, as in a URDF's `<inertial>`."""
 
-    Attributes:
-        mass_kg: over 0 where a joint moves it.
-        com_m: centre of mass in the link's frame.
-        inertia_kg_m2: ixx, ixy, ixz, iyy, iyz, izz about the centre of mass, along the axes of the
-            link's frame.
-    """
-
-    mass_kg: float
-    com_m: tuple[float, float, float]
-    inertia_kg_m2: tuple[float, float, float, float, float, float]
+    mass_kg: float  # over 0 where a joint moves it
+    com_m: tuple[float, float, float]  # centre of mass in the link's frame
+    inertia_kg_m2: tuple[float, float, float, float, float, float]  # about that: xx xy xz yy yz zz
 
     def tensor(self) -> Array:
         """Return the inertia tensor, shape (3, 3) [kg m²]."""
@@ -101,11 +85,9 @@ class Inertial:
         return inertial(self.mass_kg, com_m, frame.rotation @ self.tensor() @ frame.rotation.T)
 
     def principal(self) -> tuple[Array, Array]:
-        """Diagonalise: principal moments [kg m²], shape (3,), and axes as columns, (3, 3).
-
-        Where rounding in a file breaks the triangle inequality of the moments, the largest is
-        lowered to the sum of the others: PyBullet would take all of them for 0.
-        """
+        """Diagonalise: principal moments [kg m²], shape (3,), and axes as columns, (3, 3)."""
+        # Where rounding in a file breaks the triangle inequality of the moments, the largest is
+        # lowered to the sum of the others: PyBullet would take all of them for 0.
         tensor = self.tensor()
         if np.any(tensor - np.diag(np.diag(tensor))):
             moments, axes = np.linalg.eigh(tensor)
@@ -155,7 +137,6 @@ _MAX_LINKS = 1000  # of a file: more than any arm's; what has more is refused be
 _MAX_M, _MAX_RAD, _MAX_KG, _MAX_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
 
 _MAX_LIMIT = 1e9  # of a joint's position [rad or m]: files write large numbers for "none"
-_MIN_MOMENT_SHARE = 1e-3  # of a link's largest moment, put for one below 0: engines take 0 for none
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -163,54 +144,45 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 @dataclass(frozen=True, eq=False)
 class FileJoint:
-    """A joint as in the file.
-
-    Attributes:
-        origin: the child's frame in the parent's, at 0.
-        axis: unit, in the child's frame.
-        limits: lower and upper; infinite where there are none.
-        is_mimic: it follows another joint.
-    """
+    """A joint as in the file."""
 
     name: str
     kind: str
     parent: str
     child: str
-    origin: Transform
-    axis: tuple[float, float, float]
-    limits: tuple[float, float]
+    origin: Transform  # the child's frame in the parent's, at 0
+    axis: tuple[float, float, float]  # unit, in the child's frame
+    limits: tuple[float, float]  # lower and upper; infinite where there are none
     max_velocity: float
     max_effort: float
-    is_mimic: bool
+    is_mimic: bool  # it follows another joint
 
 
 @dataclass(frozen=True)
 class FileRobot:
-    """A robot as in the file.
-
-    Attributes:
-        links: inertia of each; `NOTHING` where it is one of `faults`.
-        joints: by the child's name.
-        faults: links whose `<inertial>` is invalid: of a base, which never moves, it does not
-            count.
-        mended: links with a moment of inertia below 0, and what was done, in words.
-    """
+    """A robot as in the file."""
 
     name: str
-    links: Mapping[str, Inertial]
-    joints: Mapping[str, FileJoint]
-    faults: Mapping[str, UsageError]
-    mended: Mapping[str, str]
+    links: Mapping[str, Inertial]  # inertia of each; `NOTHING` where it is one of `faults`
+    joints: Mapping[str, FileJoint]  # by the child's name
+    faults: Mapping[str, UsageError]  # of links with an invalid `<inertial>`: of a base, none
+    mended: Mapping[str, str]  # links with a moment of inertia below 0, and what was done, in words
 
 
 def read_urdf(path: Path) -> FileRobot:
-    """Read links and joints; shapes, materials and extensions are left out.
-
-    Raises:
-        UsageError: not a URDF, or something in it is invalid; with file, element and value. Where
-            it is only a link's inertia, that is in `faults` instead.
-    """
-    root = _robot_element(path)
+    """Read links and joints; shapes, materials and extensions are left out."""
+    try:
+        data = read_small_file(path, MAX_XML_BYTES)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}; --urdf takes a robot's URDF file") from error
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}, so no URDF of an arm") from error
+    root = parse_xml(data, path, "URDF", "--urdf takes a robot's URDF")
+    if root.tag != "robot":
+        raise UsageError(f"{path}: begins with <{short_name(root.tag)}>, a URDF with <robot>")
+    refuse_xacro(root, path)
+    if len(root) > 10 * _MAX_LINKS or len(root.findall("link")) > _MAX_LINKS:
+        raise UsageError(f"{path}: over {_MAX_LINKS} links, so no URDF of an arm")
     links: dict[str, Inertial] = {}
     faults: dict[str, UsageError] = {}
     mended: dict[str, str] = {}
@@ -239,22 +211,6 @@ def read_urdf(path: Path) -> FileRobot:
         names.add(joint.name)
         joints[joint.child] = joint
     return FileRobot(root.get("name", "") or path.stem, links, joints, faults, mended)
-
-
-def _robot_element(path: Path) -> ET.Element:
-    try:
-        data = read_small_file(path, MAX_XML_BYTES)
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}; --urdf takes a robot's URDF file") from error
-    except ValueError as error:
-        raise UsageError(f"{path}: {error}, so no URDF of an arm") from error
-    root = parse_xml(data, path, "URDF", "--urdf takes a robot's URDF")
-    if root.tag != "robot":
-        raise UsageError(f"{path}: begins with <{short_name(root.tag)}>, a URDF with <robot>")
-    refuse_xacro(root, path)
-    if len(root) > 10 * _MAX_LINKS or len(root.findall("link")) > _MAX_LINKS:
-        raise UsageError(f"{path}: over {_MAX_LINKS} links, so no URDF of an arm")
-    return root
 
 
 class _Element:
@@ -314,7 +270,8 @@ def _inertial(place: _Element) -> tuple[Inertial, str]:
     least = float(principal[0])
     if least >= -1e-9 * max(map(abs, moments)):
         return own.seen_from(frame), ""
-    raised = np.maximum(principal, _MIN_MOMENT_SHARE * np.abs(principal).max())
+    # Not to 0, which engines take for none.
+    raised = np.maximum(principal, 1e-3 * np.abs(principal).max())
     nearest = inertial(mass_kg, np.zeros(3), axes @ np.diag(raised) @ axes.T)
     fault = place.wrong(
         f"has a principal moment of inertia of {least:.3g} kg m²; none is below 0: "
@@ -379,44 +336,25 @@ _UNLIMITED = 1e9  # stands for infinity in a URDF [rad, rad/s or N·m]: engines 
 
 @dataclass(frozen=True)
 class Joint:
-    """A moving joint with the link that it carries.
-
-    Attributes:
-        is_prismatic: it slides: rad, rad/s and N·m are then m, m/s and N.
-        origin_m: the joint's frame in the one before it, at 0.
-        origin_rpy: likewise, roll, pitch and yaw.
-        axis: unit, in the joint's frame.
-        limits_rad: -inf, inf for a continuous joint.
-        max_velocity_rad_s: inf where none is known.
-        max_effort_nm: likewise.
-        link: inertia up to the next moving joint, fixed parts and fingers lumped in.
-    """
+    """A moving joint with the link that it carries."""
 
     name: str
-    is_prismatic: bool
-    origin_m: tuple[float, float, float]
-    origin_rpy: tuple[float, float, float]
-    axis: tuple[float, float, float]
-    limits_rad: tuple[float, float]
-    max_velocity_rad_s: float
-    max_effort_nm: float
-    link: Inertial
+    is_prismatic: bool  # it slides: rad, rad/s and N·m are then m, m/s and N
+    origin_m: tuple[float, float, float]  # the joint's frame in the one before it, at 0
+    origin_rpy: tuple[float, float, float]  # likewise, roll, pitch and yaw
+    axis: tuple[float, float, float]  # unit, in the joint's frame
+    limits_rad: tuple[float, float]  # -inf, inf for a continuous joint
+    max_velocity_rad_s: float  # inf where none is known
+    max_effort_nm: float  # likewise
+    link: Inertial  # inertia up to the next moving joint, fixed parts and fingers lumped in
 
 
 @dataclass(frozen=True)
 class Payload:
-    """The payload that the arm holds.
+    """The payload that the arm holds."""
 
-    Attributes:
-        mass_kg: 0 for nothing.
-        com_m: its centre of mass in the tool frame.
-
-    Raises:
-        UsageError: not finite, or nothing that an arm holds.
-    """
-
-    mass_kg: float
-    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass_kg: float  # 0 for nothing
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # its centre of mass in the tool frame
 
     def __post_init__(self) -> None:
         if not 0 <= self.mass_kg <= _MAX_PAYLOAD_KG:
@@ -427,20 +365,13 @@ class Payload:
 
 @dataclass(frozen=True)
 class Arm:
-    """A serial arm on a fixed base.
-
-    Attributes:
-        joints: from the base to the tool.
-        tool_from_last_m: the tool frame, where a payload sits, in the last joint's frame.
-        tool_from_last_rpy: likewise, roll, pitch and yaw.
-        remarks: doubts about its description, and how they were resolved.
-    """
+    """A serial arm on a fixed base."""
 
     name: str
-    joints: tuple[Joint, ...]
-    tool_from_last_m: tuple[float, float, float]
-    tool_from_last_rpy: tuple[float, float, float]
-    remarks: tuple[str, ...] = ()
+    joints: tuple[Joint, ...]  # from the base to the tool
+    tool_from_last_m: tuple[float, float, float]  # of the payload, in the last joint's frame
+    tool_from_last_rpy: tuple[float, float, float]  # likewise, roll, pitch and yaw
+    remarks: tuple[str, ...] = ()  # doubts about its description, and how they were resolved
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -461,48 +392,39 @@ class Arm:
         everywhere. Names are ours, `joint_1` and `link_1` for the first: engines end at a duplicate
         name. A payload with mass is a link `payload` on a fixed joint.
         """
-        robot = ET.Element("robot", name="arm")
-        _link(robot, "base", solid_sphere(1.0, 0.1))
+        parts = ['<robot name="arm">', _link_xml("base", solid_sphere(1.0, 0.1))]
         parent = "base"
         for number, joint in enumerate(self.joints, 1):
             child = f"link_{number}"
-            _link(robot, child, joint.link)
             kind = "prismatic" if joint.is_prismatic else "revolute"
-            element = ET.SubElement(robot, "joint", name=f"joint_{number}", type=kind)
-            _ends(element, parent, child, joint.origin_m, joint.origin_rpy)
-            ET.SubElement(element, "axis", xyz=_numbers(joint.axis))
             low, high = joint.limits_rad
-            ET.SubElement(
-                element,
-                "limit",
-                lower=repr(max(low, -_UNLIMITED)),
-                upper=repr(min(high, _UNLIMITED)),
-                velocity=repr(min(joint.max_velocity_rad_s, _UNLIMITED)),
-                effort=repr(min(joint.max_effort_nm, _UNLIMITED)),
-            )
+            velocity = min(joint.max_velocity_rad_s, _UNLIMITED)
+            parts += [
+                _link_xml(child, joint.link),
+                f'<joint name="joint_{number}" type="{kind}">',
+                _ends_xml(parent, child, joint.origin_m, joint.origin_rpy),
+                f'<axis xyz="{_numbers(joint.axis)}" />',
+                f'<limit lower="{max(low, -_UNLIMITED)!r}" upper="{min(high, _UNLIMITED)!r}"',
+                f' velocity="{velocity!r}" effort="{min(joint.max_effort_nm, _UNLIMITED)!r}" />',
+                "</joint>",
+            ]
             parent = child
         if payload is not None and payload.mass_kg > 0:
             ball = solid_sphere(payload.mass_kg, PAYLOAD_RADIUS_M)
-            _link(robot, "payload", replace(ball, com_m=payload.com_m))
-            element = ET.SubElement(robot, "joint", name="payload_mount", type="fixed")
-            _ends(element, parent, "payload", self.tool_from_last_m, self.tool_from_last_rpy)
-        return ET.tostring(robot, encoding="unicode")
+            tool = self.tool_from_last_m, self.tool_from_last_rpy
+            parts += [
+                _link_xml("payload", replace(ball, com_m=payload.com_m)),
+                '<joint name="payload_mount" type="fixed">',
+                _ends_xml(parent, "payload", *tool),
+                "</joint>",
+            ]
+        return "".join((*parts, "</robot>"))
 
 
 def read_arm(path: Path, tool_link: str) -> Arm:
-    """Read the chain of a URDF from its base to a link, the tool frame.
-
-    Parts that are fixed to the chain, and what moves beside it (fingers), are lumped into the
-    chain's links with their joints at 0.
-
-    Args:
-        path: the URDF of any serial arm; of what hangs on its base, only the chain counts.
-        tool_link: the link in whose frame the payload is.
-
-    Raises:
-        UsageError: the file, a value in it or the chain is invalid; names the remedy. The mass of
-            a link that no joint of the chain moves may be anything.
-    """
+    """Read the chain of a URDF from its base to a link, the tool frame."""
+    # Parts that are fixed to the chain, and what moves beside it (fingers), are lumped into the
+    # chain's links with their joints at 0.
     robot = read_urdf(path)
     chain = _chain(path, robot, tool_link)
     carried = _carried(path, robot, {joint.child for joint in chain if joint.kind != "fixed"})
@@ -542,19 +464,13 @@ def read_arm(path: Path, tool_link: str) -> Arm:
 
 
 def jaco() -> Arm:
-    """Load Kinova's Jaco with 7 joints and a spherical wrist (j2s7s300), with a Robotiq 85.
-
-    The tool frame is 0.15 m from the gripper's base: x along the gripper, y as its fingers open.
-    """
+    """Load Kinova's Jaco with 7 joints and a spherical wrist (j2s7s300), with a Robotiq 85."""
+    # The tool frame is 0.15 m from the gripper's base: x along the gripper, y as its fingers open.
     return read_arm(JACO_URDF, JACO_TOOL_LINK)
 
 
 def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
-    """Return the joints from the base to the tool.
-
-    Raises:
-        UsageError: no such link, a loop, or joints that are not an arm's.
-    """
+    """Return the joints from the base to the tool."""
     if tool_link not in robot.links:
         raise UsageError(
             f"{path}: has no link {short_name(tool_link)}; --tool-link is one of "
@@ -597,11 +513,7 @@ def _chain(path: Path, robot: FileRobot, tool_link: str) -> list[FileJoint]:
 
 
 def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, dict[str, Inertial]]:
-    """Return the links that each of the chain's moving links carries, in its frame.
-
-    Raises:
-        UsageError: an inertia is invalid, or a link hangs on itself.
-    """
+    """Return the links that each of the chain's moving links carries, in its frame."""
     carried: dict[str, dict[str, Inertial]] = {child: {} for child in movers}
     placed: dict[str, tuple[str, Transform]] = {}
     for link, own in robot.links.items():
@@ -623,29 +535,27 @@ def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, dict[s
     return carried
 
 
-def _as_tuples(
-    frame: Transform,
-) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def _as_tuples(frame: Transform) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     x, y, z = (float(value) for value in frame.origin_m)
     return (x, y, z), rpy_from_rotation(frame.rotation)
 
 
-def _link(robot: ET.Element, name: str, weight: Inertial) -> None:
+def _link_xml(name: str, weight: Inertial) -> str:
     moments, axes = weight.principal()
-    element = ET.SubElement(ET.SubElement(robot, "link", name=name), "inertial")
-    rpy = rpy_from_rotation(axes)
-    ET.SubElement(element, "origin", xyz=_numbers(weight.com_m), rpy=_numbers(rpy))
-    ET.SubElement(element, "mass", value=repr(weight.mass_kg))
-    xx, yy, zz = (repr(float(moment)) for moment in moments)
-    ET.SubElement(element, "inertia", ixx=xx, ixy="0", ixz="0", iyy=yy, iyz="0", izz=zz)
+    xx, yy, zz = map(float, moments)
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{_numbers(weight.com_m)}" '
+        f'rpy="{_numbers(rpy_from_rotation(axes))}" /><mass value="{weight.mass_kg!r}" />'
+        f'<inertia ixx="{xx!r}" ixy="0" ixz="0" iyy="{yy!r}" iyz="0" izz="{zz!r}" />'
+        "</inertial></link>"
+    )
 
 
-def _ends(
-    joint: ET.Element, parent: str, child: str, origin_m: Sequence[float], rpy: Sequence[float]
-) -> None:
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "origin", xyz=_numbers(origin_m), rpy=_numbers(rpy))
+def _ends_xml(parent: str, child: str, origin_m: Sequence[float], rpy: Sequence[float]) -> str:
+    return (
+        f'<parent link="{parent}" /><child link="{child}" />'
+        f'<origin xyz="{_numbers(origin_m)}" rpy="{_numbers(rpy)}" />'
+    )
 
 
 def _numbers(values: Sequence[float]) -> str:

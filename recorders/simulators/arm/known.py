@@ -20,31 +20,18 @@ FOLDER = Path(__file__).with_name("known")
 # The paper's arm: taken where neither a user nor a log says which one it is.
 DEFAULT = "jaco7-robotiq85"
 
-_MIN_LIKENESS = 0.5  # of a misspelt name to a known one, 0 to 1
-
 
 @dataclass(frozen=True)
 class KnownArm:
-    """An arm that can be named instead of described.
+    """An arm that can be named instead of described."""
 
-    Attributes:
-        name: as `--arm` takes it, and the stem of its URDF.
-        words: its make and model, with what is on its flange.
-        tool_link: where a payload sits.
-        tool_words: that link's frame, for people.
-        joint_names: joint names of its usual drivers, base to tool, one tuple a driver.
-        is_said_by_names: whether a log with such names is of this arm or a variant of it, and of no
-            other make.
-        doubt: what a user should know is uncertain; "" for nothing.
-    """
-
-    name: str
-    words: str
-    tool_link: str
-    tool_words: str
-    joint_names: tuple[tuple[str, ...], ...]
-    is_said_by_names: bool = True
-    doubt: str = ""
+    name: str  # as `--arm` takes it, and the stem of its URDF
+    words: str  # its make and model, with what is on its flange
+    tool_link: str  # where a payload sits
+    tool_words: str  # that link's frame, for people
+    joint_names: tuple[tuple[str, ...], ...]  # of its usual drivers, one tuple each
+    is_said_by_names: bool = True  # whether no other make's arm has such names
+    doubt: str = ""  # what a user should know is uncertain; "" for nothing
 
     @property
     def urdf(self) -> Path:
@@ -66,13 +53,10 @@ class KnownArm:
     def names_in(self, columns: Sequence[str]) -> tuple[str, ...] | None:
         """Return the first driver's names found in the columns, prefixed or not, or None."""
         for names in self.joint_names:
-            if all(any(_is_called(name, column) for column in columns) for name in names):
+            called = [re.compile(rf"(^|[^a-z0-9]){re.escape(name)}$", re.I) for name in names]
+            if all(any(map(one.search, columns)) for one in called):
                 return names
         return None
-
-
-def _is_called(name: str, column: str) -> bool:
-    return bool(re.search(rf"(^|[^a-z0-9]){re.escape(name)}$", column, re.I))
 
 
 def _numbered(before: str, count: int, after: str = "", first: int = 1) -> tuple[str, ...]:
@@ -146,11 +130,7 @@ _ARMS = (
         (_numbered("panda_joint", 7),),
     ),
     KnownArm(
-        "panda-bare",
-        "Franka Emika Panda",
-        "panda_link8",
-        _FLANGE,
-        (_numbered("panda_joint", 7),),
+        "panda-bare", "Franka Emika Panda", "panda_link8", _FLANGE, (_numbered("panda_joint", 7),)
     ),
     KnownArm(
         "fr3",
@@ -202,14 +182,10 @@ ARMS = {known.name: known for known in _ARMS}
 
 
 def known_arm(name: str) -> KnownArm:
-    """Look up an arm by name.
-
-    Raises:
-        UsageError: none has it; the message lists the nearest.
-    """
+    """Look up an arm by name."""
     found = ARMS.get(name.lower())
     if found is None:
-        near = get_close_matches(name.lower(), ARMS, 3, _MIN_LIKENESS)
+        near = get_close_matches(name.lower(), ARMS, 3, 0.5)
         there = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(ARMS)};"
         raise UsageError(
             f"--arm {short_name(name)}: no such arm; {there} any other arm is "
@@ -219,11 +195,7 @@ def known_arm(name: str) -> KnownArm:
 
 
 def name_alone(name: str, urdf: Path | None, tool_link: str | None) -> str:
-    """Check a known arm's name; return it as `ARMS` has it.
-
-    Raises:
-        UsageError: there is no such arm, or a URDF or link is given as well.
-    """
+    """Check a known arm's name; return it as `ARMS` has it."""
     for option, value in (("--urdf", urdf), ("--tool-link", tool_link)):
         if value is not None:
             raise UsageError(f"--arm {short_name(name)} does not go with {option}; leave one out")
@@ -231,10 +203,8 @@ def name_alone(name: str, urdf: Path | None, tool_link: str | None) -> str:
 
 
 def arms_called(columns: Sequence[str]) -> tuple[KnownArm, ...]:
-    """Find the arms whose drivers give these columns, the usual one first.
-
-    Names that only one make has take precedence over common ones, such as `joint_1`.
-    """
+    """Find the arms whose drivers give these columns, the usual one first."""
+    # Names that only one make has take precedence over common ones, such as `joint_1`.
     found = tuple(known for known in _ARMS if known.names_in(columns) is not None)
     return tuple(known for known in found if known.is_said_by_names) or found
 

@@ -30,11 +30,7 @@ _MAX_CHARACTERS = 10_000  # of a line: a file without line ends must not fill th
 
 
 def read_path_file(file: Path) -> tuple[tuple[str, ...], Array, Array]:
-    """Read joint names (J), times [s], shape (T,), and positions [rad], shape (T, J).
-
-    Raises:
-        UsageError: no such table; with the line and what is wrong there.
-    """
+    """Read joint names (J), times [s], shape (T,), and positions [rad], shape (T, J)."""
     try:
         with open_regular_text(file, "utf-8-sig", newline="") as stream:
             lines = iter(lambda: stream.readline(_MAX_CHARACTERS), "")
@@ -53,58 +49,46 @@ def _read(file: Path, lines: Iterable[list[str]]) -> tuple[tuple[str, ...], Arra
             continue
         if not header:
             header = [text_of(cell.strip()) for cell in cells]
-            _check_header(file, header)
+            if header[0] != "time_s" or not 2 <= len(header) <= _MAX_COLUMNS:
+                raise UsageError(
+                    f"{file}: begins with {short_name(','.join(header))}; a path begins with "
+                    "time_s and the joints' names"
+                )
+            if len(set(header)) < len(header):
+                raise UsageError(f"{file}: two columns have one name")
             continue
-        rows.append(_row(file, number, cells, header))
+        line = f"{file}: line {number}"
+        if len(cells) != len(header):
+            raise UsageError(f"{line}: {len(cells)} values under {len(header)} columns")
+        values: list[float] = []
+        for cell, name in zip(cells, header, strict=True):
+            try:
+                value = float(cell)
+            except ValueError:
+                value = math.nan
+            most, unit = (_MAX_S, "s") if name == "time_s" else (_MAX_RAD, "rad")
+            if not abs(value) <= most:
+                raise UsageError(
+                    f"{line}: {short_name(name)} is {short_name(cell)!r}, not a number within "
+                    f"{most:g} {unit}"
+                )
+            values.append(value)
+        rows.append(values)
         if len(rows) > _MAX_ROWS:
             raise UsageError(f"{file}: over {_MAX_ROWS} rows; give fewer samples a second")
         if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
-            raise UsageError(f"{file}: line {number}: time_s does not increase")
+            raise UsageError(f"{line}: time_s does not increase")
     if len(rows) < 2:
         raise UsageError(f"{file}: holds {len(rows)} rows of numbers; a path has two or more")
     table = np.array(rows)
     return tuple(header[1:]), table[:, 0], table[:, 1:]
 
 
-def _check_header(file: Path, header: list[str]) -> None:
-    if header[0] != "time_s" or not 2 <= len(header) <= _MAX_COLUMNS:
-        raise UsageError(
-            f"{file}: begins with {short_name(','.join(header))}; a path begins with time_s and "
-            "the joints' names"
-        )
-    if len(set(header)) < len(header):
-        raise UsageError(f"{file}: two columns have one name")
-
-
-def _row(file: Path, number: int, cells: list[str], header: list[str]) -> list[float]:
-    if len(cells) != len(header):
-        raise UsageError(f"{file}: line {number}: {len(cells)} values under {len(header)} columns")
-    values: list[float] = []
-    for cell, name in zip(cells, header, strict=True):
-        try:
-            value = float(cell)
-        except ValueError:
-            value = math.nan
-        most = _MAX_S if name == "time_s" else _MAX_RAD
-        if not abs(value) <= most:
-            raise UsageError(
-                f"{file}: line {number}: {short_name(name)} is {short_name(cell)!r}, not a number "
-                f"within {most:g} {'s' if name == 'time_s' else 'rad'}"
-            )
-        values.append(value)
-    return values
-
-
 def write_path_file(
     file: Path, names: Iterable[str], seconds: Array, position_rad: Array, *, overwrite: bool
 ) -> None:
-    """Write a path; the counterpart of `read_path_file`.
-
-    Replaces only a path of the same joints, and only with `overwrite`.
-
-    Raises:
-        LogError: something is there already, or it cannot be written.
-    """
+    """Write a path; the counterpart of `read_path_file`."""
+    # Replaces only a path of the same joints, and only with `overwrite`.
     rows = [csv_line(["time_s", *names])]
     begins = begins_with(rows[0].encode())
     for time_s, angles in zip(seconds.tolist(), position_rad.tolist(), strict=True):
@@ -138,22 +122,12 @@ _MAX_TRIES = 2000  # draws after which an arm is said to leave no room; they tak
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """A sampled joint path; its arrays are read-only.
+    """A sampled joint path; its arrays are read-only."""
 
-    Attributes:
-        seconds: increasing, shape (T,).
-        position_rad: shape (T, J), as all that follow; m, m/s and m/s² of a prismatic joint.
-        velocity_rad_s: its derivative.
-        acceleration_rad_s2: its second derivative.
-
-    Raises:
-        UsageError: shapes disagree, or a value is not finite.
-    """
-
-    seconds: Array
-    position_rad: Array
-    velocity_rad_s: Array
-    acceleration_rad_s2: Array
+    seconds: Array  # increasing, shape (T,)
+    position_rad: Array  # shape (T, J), as all that follow; m, m/s and m/s² of a prismatic joint
+    velocity_rad_s: Array  # its derivative
+    acceleration_rad_s2: Array  # its second derivative
 
     def __post_init__(self) -> None:
         shape = np.shape(self.position_rad)
@@ -175,11 +149,7 @@ class JointPath:
         return JointPath(*(getattr(self, item.name)[kept] for item in fields(self)))
 
     def checked(self, arm: Arm) -> JointPath:
-        """Return the path if it fits the arm's joints and their limits.
-
-        Raises:
-            UsageError: another number of joints, or a position beyond a joint's limits.
-        """
+        """Return the path if it fits the arm's joints and their limits."""
         count = self.position_rad.shape[1]
         if count != len(arm.joints):
             raise UsageError(f"a path of {count} joints is none of {arm.name}: {len(arm.joints)}")
@@ -196,15 +166,10 @@ class JointPath:
 
 @dataclass(frozen=True, eq=False)
 class LinkPoses:
-    """Frames of an arm's base, of each joint's link and of its tool, in that order.
+    """Frames of an arm's base, of each joint's link and of its tool, in that order."""
 
-    Attributes:
-        position_m: origins in the base frame, shape (T, J + 2, 3).
-        rotation: rotations to the base frame (axes as columns), shape (T, J + 2, 3, 3).
-    """
-
-    position_m: Array
-    rotation: Array
+    position_m: Array  # origins in the base frame, shape (T, J + 2, 3)
+    rotation: Array  # rotations to the base frame (axes as columns), shape (T, J + 2, 3, 3)
 
 
 def link_poses(arm: Arm, position_rad: ArrayLike) -> LinkPoses:
@@ -273,14 +238,9 @@ def _circle_coefficients() -> NDArray[np.complex128]:
 
 
 def random_path(arm: Arm, seed: int, rate_hz: float = 60.0, seconds: float = 5.0) -> JointPath:
-    """Draw a smooth motion of all joints within their limits and 70 % of their speeds.
-
-    Each joint follows a few slow sine waves about a posture. Tool and wrist stay above the base
-    plane and out of the base's column.
-
-    Raises:
-        UsageError: the arm leaves no room for one.
-    """
+    """Draw a smooth motion of all joints within their limits and 70 % of their speeds."""
+    # Each joint follows a few slow sine waves about a posture. Tool and wrist stay above the base
+    # plane and out of the base's column.
     rng = np.random.default_rng([seed, 0x9A7B])
     times = sample_times(rate_hz, seconds)
     for _ in range(_MAX_TRIES):
@@ -320,11 +280,9 @@ def _is_clear(arm: Arm, position_rad: Array) -> bool:
 
 
 def eased(path: JointPath, ease_s: float, rate_hz: float) -> JointPath:
-    """Time-scale a path to go from rest to rest, with smoothsteps of `ease_s` at both ends.
-
-    The path's time runs at 0 first, at 1 after `ease_s`, and at 0 at the end. It takes `ease_s`
-    and up to one row longer than the path, and is nowhere faster.
-    """
+    """Time-scale a path to go from rest to rest, with smoothsteps of `ease_s` at both ends."""
+    # The path's time runs at 0 first, at 1 after `ease_s`, and at 0 at the end. It takes `ease_s`
+    # and up to one row longer than the path, and is nowhere faster.
     from scipy.interpolate import CubicHermiteSpline
 
     start_s, end_s = float(path.seconds[0]), float(path.seconds[-1])
@@ -351,13 +309,16 @@ def eased(path: JointPath, ease_s: float, rate_hz: float) -> JointPath:
 
 
 def path_from_file(arm: Arm, file: Path, rate_hz: float = 60.0) -> JointPath:
-    """Read a user's path (time_s, joint positions [rad]) and fit a quintic spline to it.
-
-    Raises:
-        UsageError: the file is no such table, or the arm cannot move so.
-    """
+    """Read a user's path (time_s, joint positions [rad]) and fit a quintic spline to it."""
     names, times, position_rad = read_path_file(file)
-    order = _columns(arm, file, names)
+    # The arm's joints' indices among the file's columns.
+    missing = [name for name in arm.joint_names if name not in names]
+    if missing:
+        raise UsageError(
+            f"{file}: has no column {missing[0]}; its columns are {', '.join(names)}, wanted are "
+            f"time_s and {', '.join(arm.joint_names)}"
+        )
+    order = [names.index(name) for name in arm.joint_names]
     if len(times) < 6:
         raise UsageError(f"{file}: {len(times)} rows are no path; give at least 6")
     from scipy.interpolate import make_interp_spline
@@ -369,14 +330,3 @@ def path_from_file(arm: Arm, file: Path, rate_hz: float = 60.0) -> JointPath:
         return path.checked(arm)
     except UsageError as error:
         raise UsageError(f"{file}: {error}") from error
-
-
-def _columns(arm: Arm, file: Path, names: tuple[str, ...]) -> list[int]:
-    """Return the arm's joints' indices among the file's columns."""
-    missing = [name for name in arm.joint_names if name not in names]
-    if missing:
-        raise UsageError(
-            f"{file}: has no column {missing[0]}; its columns are {', '.join(names)}, wanted are "
-            f"time_s and {', '.join(arm.joint_names)}"
-        )
-    return [names.index(name) for name in arm.joint_names]

@@ -19,16 +19,11 @@ from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.simulators.arm.description import Arm, Payload
 from tunenet_logs.recorders.simulators.arm.path import JointPath
-from tunenet_logs.recorders.simulators.base import (
-    UPRIGHT_GRAVITY_M_S2,
-    Parameter,
-    RolloutSettings,
-)
+from tunenet_logs.recorders.simulators.base import UPRIGHT_GRAVITY_M_S2, Parameter, RolloutSettings
 from tunenet_logs.recorders.simulators.known import engine
 
 # ---- Disturbances: between ideal torques and a driver's messages
 
-_MAX_SIZE = 1e6  # of any disturbance, in its own unit: a larger one counts as infinite
 _NEVER_NEGATIVE = (
     "torque_noise_nm",
     "lag_s",
@@ -62,50 +57,30 @@ class Disturbances:
     """Errors between ideal torques and a driver's messages; none by default.
 
     What is drawn for each joint is a tuple, base to tool; empty for none.
-
-    Attributes:
-        torque_noise_nm: standard deviation, white.
-        offset_nm: added to each joint's torque.
-        viscous_nm_s: viscous friction [N·m s/rad].
-        coulomb_nm: Coulomb friction.
-        gain_error: 0.03 for a torque read 3 % too large.
-        lag_s: delay of the torques.
-        link_mass_error: 0.05 for a link 5 % heavier than the description says.
-        link_com_error_m: offset of its centre of mass, (x, y, z).
-        rate_hz: messages a second; None for one at each of the path's samples.
-        jitter_s: standard deviation of a message's time.
-        clock: update rates of the fields.
-        position_noise_rad: standard deviation, white.
-        position_step_rad: quantisation step of positions; 0 for none.
-        velocity_noise_rad_s: standard deviation, white.
-        noise_seed: of what is drawn anew for each sample.
-
-    Raises:
-        UsageError: a value is not finite or out of range.
     """
 
-    torque_noise_nm: float = 0.0
-    offset_nm: tuple[float, ...] = ()
-    viscous_nm_s: tuple[float, ...] = ()
-    coulomb_nm: tuple[float, ...] = ()
-    gain_error: tuple[float, ...] = ()
-    lag_s: float = 0.0
-    link_mass_error: tuple[float, ...] = ()
-    link_com_error_m: tuple[tuple[float, float, float], ...] = ()
-    rate_hz: float | None = None
-    jitter_s: float = 0.0
-    clock: FieldClock = field(default_factory=FieldClock)
-    position_noise_rad: float = 0.0
-    position_step_rad: float = 0.0
-    velocity_noise_rad_s: float = 0.0
-    noise_seed: int = 0
+    torque_noise_nm: float = 0.0  # standard deviation, white
+    offset_nm: tuple[float, ...] = ()  # added to each joint's torque
+    viscous_nm_s: tuple[float, ...] = ()  # viscous friction [N·m s/rad]
+    coulomb_nm: tuple[float, ...] = ()  # Coulomb friction
+    gain_error: tuple[float, ...] = ()  # 0.03 for a torque read 3 % too large
+    lag_s: float = 0.0  # delay of the torques
+    link_mass_error: tuple[float, ...] = ()  # 0.05 for a link 5 % heavier than the description says
+    link_com_error_m: tuple[tuple[float, float, float], ...] = ()  # offset of its centre of mass
+    rate_hz: float | None = None  # messages a second; None for one at each of the path's samples
+    jitter_s: float = 0.0  # standard deviation of a message's time
+    clock: FieldClock = field(default_factory=FieldClock)  # update rates of the fields
+    position_noise_rad: float = 0.0  # standard deviation, white
+    position_step_rad: float = 0.0  # quantisation step of positions; 0 for none
+    velocity_noise_rad_s: float = 0.0  # standard deviation, white
+    noise_seed: int = 0  # of what is drawn anew for each sample
 
     def __post_init__(self) -> None:
         for item in fields(self):
             values = np.ravel(getattr(self, item.name))
             if item.name in ("rate_hz", "clock", "noise_seed"):
                 continue
-            if not np.all(np.abs(values.astype(np.float64)) <= _MAX_SIZE):
+            if not np.all(np.abs(values.astype(np.float64)) <= 1e6):  # more counts as infinite
                 raise UsageError(f"{item.name} {getattr(self, item.name)} is not finite")
         for name in _NEVER_NEGATIVE:
             if getattr(self, name) < 0:
@@ -141,22 +116,16 @@ class Disturbances:
 
 @dataclass(frozen=True)
 class DisturbanceScales:
-    """Standard deviations of the disturbances, 0 for none; by default a real arm's.
-
-    Attributes:
-        friction_nm: of viscous friction [N·m s/rad] and of Coulomb friction [N·m].
-        most_lag_s: lags are drawn uniformly from 0 to this.
-        friction_opposes: friction is drawn against the motion; else of either sign.
-    """
+    """Standard deviations of the disturbances, 0 for none; by default a real arm's."""
 
     torque_noise_nm: float = 0.2
     offset_nm: float = 0.3
-    friction_nm: float = 0.5
+    friction_nm: float = 0.5  # of viscous friction [N·m s/rad] and of Coulomb friction [N·m]
     gain_error: float = 0.03
-    most_lag_s: float = 0.03
+    most_lag_s: float = 0.03  # lags are drawn uniformly from 0 to this
     link_mass_error: float = 0.05
     link_com_error_m: float = 0.003
-    friction_opposes: bool = True
+    friction_opposes: bool = True  # friction is drawn against the motion; else of either sign
 
 
 REAL_ARM = DisturbanceScales()
@@ -164,10 +133,8 @@ NO_ERRORS = DisturbanceScales(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def drawn(seed: int, arm: Arm, sizes: DisturbanceScales = REAL_ARM) -> Disturbances:
-    """Draw one arm's disturbances from a seed: of torques, and of the arm's description.
-
-    The same seed draws the same for every combination of sizes, scaled.
-    """
+    """Draw one arm's disturbances from a seed: of torques, and of the arm's description."""
+    # The same seed draws the same for every combination of sizes, scaled.
     rng = np.random.default_rng([seed, 0xD217])
     count = len(arm.joints)
     offset, viscous, coulomb, gain, mass = rng.normal(0.0, 1.0, (5, count))
@@ -193,10 +160,8 @@ def drawn(seed: int, arm: Arm, sizes: DisturbanceScales = REAL_ARM) -> Disturban
 
 
 def through_kinovas_driver(disturbances: Disturbances, rate_hz: float = 65.0) -> Disturbances:
-    """Add a Kinova driver's jitter, stale fields and quantised positions.
-
-    At 20 messages a second and fewer every field is new in each.
-    """
+    """Add a Kinova driver's jitter, stale fields and quantised positions."""
+    # At 20 messages a second and fewer every field is new in each.
     return replace(
         disturbances,
         rate_hz=rate_hz,
@@ -222,26 +187,12 @@ def joint_efforts_nm(
     payload: Payload | None = None,
     gravity_m_s2: tuple[float, float, float] = UPRIGHT_GRAVITY_M_S2,
 ) -> Array:
-    """Compute the torques along a path by inverse dynamics: rigid links, no friction.
-
-    Returns:
-        Shape (T, J) [N·m], or [N] for a prismatic joint.
-
-    Raises:
-        UsageError: the path does not fit the arm.
-    """
+    """Compute the torques that rigid links need on a path, (T, J) [N·m], or [N] of a slide."""
     return engine().inverse_dynamics(arm, path.checked(arm), payload, gravity_m_s2)
 
 
 def held_efforts_nm(arm: Arm, path: JointPath) -> Array:
-    """Compute the gravity torques of the empty arm at each position of a path.
-
-    Returns:
-        Shape (T, J) [N·m].
-
-    Raises:
-        UsageError: the path does not fit the arm.
-    """
+    """Compute the gravity torques, (T, J) [N·m], of the empty arm at each position of a path."""
     still = np.zeros_like(path.position_rad)
     return joint_efforts_nm(arm, JointPath(path.seconds, path.position_rad, still, still))
 
@@ -265,15 +216,10 @@ PRESETS = {settings.name: settings for settings in (CALIBRATED, PAPER)}
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """Recording of one rollout.
+    """Recording of one rollout."""
 
-    Attributes:
-        path: states before each recorded step; accelerations are those of the step.
-        effort_nm: motor torques in that step, shape (samples, J).
-    """
-
-    path: JointPath
-    effort_nm: Array
+    path: JointPath  # states before each recorded step; accelerations are those of the step
+    effort_nm: Array  # motor torques in that step, shape (samples, J)
 
 
 def roll_out(
@@ -282,18 +228,7 @@ def roll_out(
     payload: Payload | None = None,
     settings: RolloutSettings = CALIBRATED,
 ) -> Rollout:
-    """Follow a path and record the motors' torques, deterministically.
-
-    Args:
-        arm: with limits that the path keeps: motors would fight them.
-        path: at `settings.times()`.
-        payload: None for an empty gripper.
-        settings: of engine and motors.
-
-    Raises:
-        UsageError: the path does not fit the arm.
-        ValueError: the path has other times.
-    """
+    """Follow a path and record the motors' torques, deterministically."""
     path.checked(arm)
     if not np.allclose(path.seconds, settings.times(), rtol=0, atol=1e-9):
         raise ValueError("a rollout's path is wanted at settings.times()")
@@ -348,11 +283,7 @@ class PayloadSimulator:
         return loaded - self.empty_efforts_nm
 
     def efforts_nm(self, mass_kg: float) -> Array:
-        """Compute the torques with a payload [N·m], shape (T, J).
-
-        Raises:
-            UsageError: a mass that no arm holds.
-        """
+        """Compute the torques with a payload [N·m], shape (T, J)."""
         return self.empty_efforts_nm + PAYLOAD_MASS.checked(mass_kg) * self.efforts_nm_per_kg
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
@@ -363,14 +294,7 @@ class PayloadSimulator:
 
 
 class PayloadRollout:
-    """Motor torques of a rollout in the engine, as the paper's authors made them.
-
-    Args:
-        path: at `settings.times()`.
-        com_m: the payload's centre of mass in the tool frame.
-        settings: of engine and motors.
-        keep_every: decimation of the steps: 4 makes 60 Hz of 240.
-    """
+    """Motor torques of a rollout in the engine, as the paper's authors made them."""
 
     parameters = (PAYLOAD_MASS,)
 
@@ -383,10 +307,10 @@ class PayloadRollout:
         keep_every: int = 4,
     ) -> None:
         self.arm = arm
-        self.path = path
-        self.com_m = com_m
-        self.settings = settings
-        self.keep_every = keep_every
+        self.path = path  # at `settings.times()`
+        self.com_m = com_m  # the payload's centre of mass in the tool frame
+        self.settings = settings  # of engine and motors
+        self.keep_every = keep_every  # decimation of the steps: 4 makes 60 Hz of 240
         self.engine = engine().name
         self.step_hz = settings.step_hz
 
@@ -454,68 +378,17 @@ def perturbed(arm: Arm, disturbances: Disturbances) -> Arm:
 def driver_episode(
     arm: Arm, path: JointPath, payload: Payload | None, disturbances: Disturbances
 ) -> Episode:
-    """Simulate a run along a path as the driver publishes it, deterministically.
-
-    Args:
-        arm: as its description says; the one that moves is `perturbed`.
-        path: the true motion; at 100 Hz or more where messages have times of their own.
-        payload: None for an empty gripper.
-        disturbances: errors of sensors, model and timing.
-
-    Returns:
-        `/joint_states` signals; it begins a little after the path where torques lag or are stale.
-
-    Raises:
-        UsageError: the path does not fit the arm, or is shorter than what the driver needs.
-    """
+    """Simulate a run along a path as the driver publishes it, deterministically."""
     rng = np.random.default_rng([disturbances.noise_seed, 0x4015])
     true_arm = perturbed(arm, disturbances)
-    effort_nm = _with_errors(arm, path, joint_efforts_nm(true_arm, path, payload), disturbances)
-    times = _message_times(path, disturbances, rng)
-    clock = disturbances.clock
-    position_at = _fresh_times(times, clock.position_hz, rng)
-    velocity_at = _fresh_times(times, clock.velocity_hz, rng)
-    effort_at = _fresh_times(times, clock.effort_hz, rng)
-    position = _at(path.seconds, path.position_rad, position_at.fresh)
-    velocity = _at(path.seconds, path.velocity_rad_s, velocity_at.fresh)
-    effort = _at(path.seconds, effort_nm, effort_at.fresh - disturbances.lag_s)
-    position = position + disturbances.position_noise_rad * rng.normal(0, 1, position.shape)
-    velocity = velocity + disturbances.velocity_noise_rad_s * rng.normal(0, 1, velocity.shape)
-    effort = effort + disturbances.torque_noise_nm * rng.normal(0, 1, effort.shape)
-    if disturbances.position_step_rad:
-        step = disturbances.position_step_rad
-        position = np.round(position / step) * step
-    shown = JointPath(
-        times,
-        position[position_at.shown],
-        velocity[velocity_at.shown],
-        np.zeros((len(times), len(arm.joints))),
-    )
-    held = payload or Payload(0.0)
-    source = f"{engine().name}, inverse dynamics"
-    info = payload_info(held, source, "default", disturbances.in_words())
-    return Episode(info, joint_signals(arm, shown, effort[effort_at.shown]))
-
-
-def _with_errors(arm: Arm, path: JointPath, ideal_nm: Array, disturbances: Disturbances) -> Array:
-    """Add friction, sensor gain and offset to ideal torques, shape (T, J) [N·m]."""
+    # Add friction, sensor gain and offset to ideal torques, shape (T, J) [N·m].
+    ideal_nm = joint_efforts_nm(true_arm, path, payload)
     speed = path.velocity_rad_s
     friction = _per_joint(arm, disturbances, "viscous_nm_s") * speed
     friction += _per_joint(arm, disturbances, "coulomb_nm") * np.tanh(speed / STICKING_RAD_S)
     gain = 1 + _per_joint(arm, disturbances, "gain_error")
-    return gain * (ideal_nm + friction) + _per_joint(arm, disturbances, "offset_nm")
-
-
-def _per_joint(arm: Arm, disturbances: Disturbances, name: str) -> Array:
-    """Return a disturbance of all joints, shape (J,); zeros where there is none."""
-    values = getattr(disturbances, name)
-    if len(values) not in (0, len(arm.joints)):
-        raise UsageError(f"{name} has {len(values)} values for {len(arm.joints)} joints")
-    return np.array(values or [0.0] * len(arm.joints))
-
-
-def _message_times(path: JointPath, disturbances: Disturbances, rng: np.random.Generator) -> Array:
-    """Draw the message stamps [s], shape (T,)."""
+    effort_nm = gain * (ideal_nm + friction) + _per_joint(arm, disturbances, "offset_nm")
+    # Draw the message stamps [s], shape (T,).
     start_s, end_s = float(path.seconds[0]) + disturbances.lead_s, float(path.seconds[-1])
     if disturbances.rate_hz is None:
         times = path.seconds[path.seconds >= start_s - 1e-12]
@@ -526,24 +399,46 @@ def _message_times(path: JointPath, disturbances: Disturbances, rng: np.random.G
         raise UsageError(f"a path of {end_s - path.seconds[0]:.3g} s is too short for this driver")
     jitter = np.clip(rng.normal(0.0, 1.0, len(times)), -4, 4) * disturbances.jitter_s
     closest = 0.4 * float(np.diff(times).min())
-    return times + np.clip(jitter, -closest, closest)
+    times = times + np.clip(jitter, -closest, closest)
+    clock = disturbances.clock
+    position_s, position_at = _fresh_times(times, clock.position_hz, rng)
+    velocity_s, velocity_at = _fresh_times(times, clock.velocity_hz, rng)
+    effort_s, effort_at = _fresh_times(times, clock.effort_hz, rng)
+    position = _at(path.seconds, path.position_rad, position_s)
+    velocity = _at(path.seconds, path.velocity_rad_s, velocity_s)
+    effort = _at(path.seconds, effort_nm, effort_s - disturbances.lag_s)
+    position = position + disturbances.position_noise_rad * rng.normal(0, 1, position.shape)
+    velocity = velocity + disturbances.velocity_noise_rad_s * rng.normal(0, 1, velocity.shape)
+    effort = effort + disturbances.torque_noise_nm * rng.normal(0, 1, effort.shape)
+    if disturbances.position_step_rad:
+        step = disturbances.position_step_rad
+        position = np.round(position / step) * step
+    still = np.zeros((len(times), len(arm.joints)))
+    shown = JointPath(times, position[position_at], velocity[velocity_at], still)
+    held = payload or Payload(0.0)
+    source = f"{engine().name}, inverse dynamics"
+    info = payload_info(held, source, "default", disturbances.in_words())
+    return Episode(info, joint_signals(arm, shown, effort[effort_at]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Fresh:
-    """Update times of a field [s], shape (F,), and the one each message shows, shape (T,)."""
+def _per_joint(arm: Arm, disturbances: Disturbances, name: str) -> Array:
+    """Return a disturbance of all joints, shape (J,); zeros where there is none."""
+    values = getattr(disturbances, name)
+    if len(values) not in (0, len(arm.joints)):
+        raise UsageError(f"{name} has {len(values)} values for {len(arm.joints)} joints")
+    return np.array(values or [0.0] * len(arm.joints))
 
-    fresh: Array
-    shown: NDArray[np.int64]
 
-
-def _fresh_times(times: Array, rate_hz: float, rng: np.random.Generator) -> _Fresh:
+def _fresh_times(
+    times: Array, rate_hz: float, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.int64]]:
+    """Draw a field's update times [s], shape (F,), and which each message shows, shape (T,)."""
     if math.isinf(rate_hz):
-        return _Fresh(times, np.arange(len(times)))
+        return times, np.arange(len(times))
     first = times[0] - rng.uniform() / rate_hz
     count = math.floor((times[-1] - first) * rate_hz) + 1
     fresh = first + np.arange(count) / rate_hz
-    return _Fresh(fresh, np.searchsorted(fresh, times, side="right") - 1)
+    return fresh, np.searchsorted(fresh, times, side="right") - 1
 
 
 def _at(seconds: Array, values: Array, wanted: Array) -> Array:

@@ -42,23 +42,14 @@ _TYPES = {"jointactuatorfrc": "mjSENS_JOINTACTFRC"}  # sensors that MuJoCo names
 
 
 class Sensor(NamedTuple):
-    """One column of a signal as a sensor in the model.
+    """One column of a signal as a sensor in the model."""
 
-    Attributes:
-        kind: MuJoCo's sensor type. Forces and torques are those of a parent on its child.
-        name: of the joint, body or site.
-        axis: component of a vector sensor.
-        reference: the body whose frame a pose is in; "" for the world.
-        is_at_body: whether a force or torque is that at the origin of the body of that name.
-        sign: 1.0, or -1.0 of a log with forces of the child on its parent.
-    """
-
-    kind: Kind
-    name: str
-    axis: int = 0
-    reference: str = ""
-    is_at_body: bool = False
-    sign: float = 1.0
+    kind: Kind  # MuJoCo's sensor type. Forces and torques are those of a parent on its child.
+    name: str  # of the joint, body or site
+    axis: int = 0  # component of a vector sensor
+    reference: str = ""  # the body whose frame a pose is in; "" for the world
+    is_at_body: bool = False  # whether a force or torque is at the origin of that body
+    sign: float = 1.0  # 1.0, or -1.0 of a log with forces of the child on its parent
 
     @property
     def whole(self) -> Sensor:
@@ -68,16 +59,11 @@ class Sensor(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SensedSignal:
-    """A signal of the log that the model reproduces.
-
-    Attributes:
-        columns: those of its columns that the model has.
-        sensors: their sensors.
-    """
+    """A signal of the log that the model reproduces."""
 
     signal: Signal
-    columns: tuple[str, ...]
-    sensors: tuple[Sensor, ...]
+    columns: tuple[str, ...]  # those of its columns that the model has
+    sensors: tuple[Sensor, ...]  # their sensors
 
 
 def put_sensors(spec: Any, sensors: Sequence[Sensor]) -> None:
@@ -117,14 +103,7 @@ def free_joint(model: Any, body: str) -> int | None:
 
 
 def rotation_in(model: Any, qpos: Array, body: str, reference: str) -> Array:
-    """Compute a body's rotation in another's frame ("": the world) at `qpos`, shape (3, 3).
-
-    Args:
-        model: compiled.
-        qpos: its coordinates, shape (nq,).
-        body: its name.
-        reference: name of the other; "" for the world.
-    """
+    """Return a body's rotation in another's frame ("": the world's) at qpos of shape (nq,)."""
     data = mujoco().MjData(model)
     data.qpos[:] = qpos
     mujoco().mj_kinematics(model, data)
@@ -140,65 +119,46 @@ def seen_in_world(model: Any, sensed: Sequence[SensedSignal]) -> list[SensedSign
         if not reference:
             found.append(one)
         elif model.body_weldid[model.body(reference).id] == 0:
-            found.append(_in_world(model, one, reference))
+            # Transform a signal of 3-vectors to the world frame.
+            data = mujoco().MjData(model)
+            mujoco().mj_kinematics(model, data)
+            frame = data.body(reference)
+            values = one.signal.values.reshape(len(one.signal.values), -1, 3)
+            values = values @ frame.xmat.reshape(3, 3).T
+            if one.sensors[0].kind == "framepos":
+                values = values + frame.xpos
+            flat = np.asarray(values).reshape(one.signal.values.shape)
+            sensors = tuple(sensor._replace(reference="") for sensor in one.sensors)
+            found.append(replace(one, signal=replace(one.signal, values=flat), sensors=sensors))
     return found
-
-
-def _in_world(model: Any, sensed: SensedSignal, reference: str) -> SensedSignal:
-    """Transform a signal of 3-vectors to the world frame."""
-    data = mujoco().MjData(model)
-    mujoco().mj_kinematics(model, data)
-    frame = data.body(reference)
-    values = sensed.signal.values.reshape(len(sensed.signal.values), -1, 3)
-    values = values @ frame.xmat.reshape(3, 3).T
-    if sensed.sensors[0].kind == "framepos":
-        values = values + frame.xpos
-    flat = np.asarray(values).reshape(sensed.signal.values.shape)
-    sensors = tuple(sensor._replace(reference="") for sensor in sensed.sensors)
-    return replace(sensed, signal=replace(sensed.signal, values=flat), sensors=sensors)
 
 
 # ---- Scene: shapes and poses of the bodies, for drawing
 
-_SHOWN_GROUPS = 3  # the first groups of geoms are those that MuJoCo's own viewer shows, too
-_MAX_TRIANGLES = 100_000  # of all meshes that are drawn as they are; of larger ones the box is
-_MIN_ALPHA = 0.02
 _BONE = 0.12  # least radius of a stand-in for a body without a shape, over its joint's distance
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """One shape of a body, in the body's frame.
+    """One shape of a body, in the body's frame."""
 
-    Attributes:
-        kind: of a capsule and a cylinder the axis is z, of a plane the normal.
-        body: its index.
-        position_m: of its centre, shape (3,).
-        rotation: from its own frame, shape (3, 3).
-        size_m: half sizes along its axes, shape (3,); of a capsule and a cylinder the radius twice
-            and half the length, without caps. 0 of an infinite plane.
-        vertices_m: of a mesh, shape (V, 3).
-        triangles: of a mesh, shape (F, 3).
-    """
-
+    # Of a capsule and a cylinder the axis is z, of a plane the normal.
     kind: Literal["box", "ellipsoid", "capsule", "cylinder", "mesh", "plane"]
-    body: int
-    position_m: Array
-    rotation: Array
+    body: int  # its index
+    position_m: Array  # of its centre, shape (3,)
+    rotation: Array  # from its own frame, shape (3, 3)
+    # Half sizes along its axes, shape (3,); of a capsule and a cylinder the radius twice and half
+    # the length, without caps. 0 of an infinite plane.
     size_m: Array
-    vertices_m: Array | None = None
-    triangles: NDArray[np.int32] | None = None
+    vertices_m: Array | None = None  # of a mesh, shape (V, 3)
+    triangles: NDArray[np.int32] | None = None  # of a mesh, shape (F, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class ModelScene:
-    """The shapes and poses of a compiled model.
+    """The shapes and poses of a compiled model."""
 
-    Attributes:
-        model: compiled.
-    """
-
-    model: Any
+    model: Any  # compiled
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
@@ -209,11 +169,12 @@ class ModelScene:
     def shapes(self) -> tuple[Shape, ...]:
         """All visible shapes; stand-ins for the masses if no moving body has one."""
         model = self.model
-        seen = [int(geom) for geom in np.flatnonzero(self._has_alpha)]
-        shown = [geom for geom in seen if model.geom_group[geom] < _SHOWN_GROUPS]
+        seen = [int(geom) for geom in np.flatnonzero(model.geom_rgba[:, 3] > 0.02)]
+        # Only the first three groups of geoms are shown by MuJoCo's own viewer, too.
+        shown = [geom for geom in seen if model.geom_group[geom] < 3]
         if not any(model.body_weldid[model.geom_bodyid[geom]] for geom in shown):
             shown = seen
-        left = _MAX_TRIANGLES
+        left = 100_000  # triangles of all meshes that are drawn; of larger ones the box is
         found: list[Shape] = []
         for geom in sorted(shown, key=self._triangles):
             triangles = self._triangles(geom)
@@ -224,14 +185,7 @@ class ModelScene:
         return tuple(found)
 
     def poses(self, qpos: Array) -> tuple[Array, Array]:
-        """Compute the poses of all B bodies.
-
-        Args:
-            qpos: shape (T, nq).
-
-        Returns:
-            Positions [m], shape (T, B, 3), and rotations from their frames, (T, B, 3, 3).
-        """
+        """Compute B bodies' positions [m] (T, B, 3) and rotations (T, B, 3, 3) at qpos (T, nq)."""
         library = mujoco()
         data = library.MjData(self.model)
         positions = np.empty((len(qpos), self.model.nbody, 3))
@@ -241,11 +195,6 @@ class ModelScene:
             library.mj_kinematics(self.model, data)
             positions[moment], rotations[moment] = data.xpos, data.xmat
         return positions, rotations.reshape(*rotations.shape[:2], 3, 3)
-
-    @property
-    def _has_alpha(self) -> NDArray[np.bool_]:
-        """Whether each geom is visible."""
-        return self.model.geom_rgba[:, 3] > _MIN_ALPHA
 
     def _triangles(self, geom: int) -> int:
         """Count the triangles of a geom's mesh."""
@@ -304,7 +253,11 @@ class ModelScene:
         if length < radius:
             return [ball]
         thin = _BONE * length / 4
-        turn = _towards(away / length)
+        # A rotation that turns z into a unit direction, shape (3, 3).
+        direction = away / length
+        quaternion = np.empty(4)
+        mujoco().mju_quatZ2Vec(quaternion, direction)
+        turn = _rotation(quaternion)
         rod = Shape("capsule", body, begin + away / 2, turn, np.array([thin, thin, length / 2]))
         return [ball, rod]
 
@@ -314,13 +267,6 @@ def _rotation(quaternion: Array) -> Array:
     found = np.empty(9)
     mujoco().mju_quat2Mat(found, quaternion)
     return found.reshape(3, 3)
-
-
-def _towards(direction: Array) -> Array:
-    """Return a rotation that turns z into a unit direction, shape (3, 3)."""
-    quaternion = np.empty(4)
-    mujoco().mju_quatZ2Vec(quaternion, direction)
-    return _rotation(quaternion)
 
 
 # ---- Simulator: rollouts driven by a log
@@ -335,8 +281,6 @@ _STOPS = {
     "time": "it stops",
 }
 
-_MAX_BATCH, _MAX_BATCH_BYTES = 64, 50_000_000  # rollouts at once, and their sensor values
-
 # Integrators that step speeds first, then positions with them: their speeds are those of half a
 # step before, to second order.
 _LATE_BY_HALF_A_STEP = ("mjINT_EULER", "mjINT_IMPLICIT", "mjINT_IMPLICITFAST")
@@ -344,69 +288,48 @@ _LATE_BY_HALF_A_STEP = ("mjINT_EULER", "mjINT_IMPLICIT", "mjINT_IMPLICITFAST")
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """A signal that drives the model.
-
-    Attributes:
-        columns: indices of its columns that drive something, shape (C,).
-        targets: the actuator or degree of freedom that each drives, shape (C,).
-        is_effort: whether its values are measured efforts, interpolated and applied at joints; else
-            commands to actuators, each of which holds until the next one (zero-order hold).
-    """
+    """A signal that drives the model."""
 
     signal: Signal
-    columns: NDArray[np.intp]
-    targets: NDArray[np.intp]
+    columns: NDArray[np.intp]  # indices of its columns that drive something, shape (C,)
+    targets: NDArray[np.intp]  # the actuator or degree of freedom that each drives, shape (C,)
+    # Whether its values are measured efforts, interpolated and applied at joints; else commands to
+    # actuators, each of which holds until the next one (zero-order hold).
     is_effort: bool
 
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """The initial state of a rollout, and its uncertainty.
-
-    Attributes:
-        qpos: shape (nq,).
-        qvel: shape (nv,).
-        unsure: parameters of what the log leaves uncertain, each with its prior.
-        places: where each goes: whether it is a speed, and its index in `qpos` or `qvel`.
-    """
+    """The initial state of a rollout, and its uncertainty."""
 
     stamp_ns: int
-    qpos: Array
-    qvel: Array
-    unsure: tuple[Parameter, ...] = ()
-    places: tuple[tuple[bool, int], ...] = ()
+    qpos: Array  # shape (nq,)
+    qvel: Array  # shape (nv,)
+    unsure: tuple[Parameter, ...] = ()  # what the log leaves uncertain, each with its prior
+    places: tuple[tuple[bool, int], ...] = ()  # of each: is it a speed? its index in its vector
 
 
 @dataclass(frozen=True, eq=False)
 class ModelSimulator:
-    """A compiled model, driven and sensed as in a log.
+    """A compiled model, driven and sensed as in a log."""
 
-    Attributes:
-        spec: the model; not compiled with `sensed` yet.
-        tuned: its tuned parameters.
-        sensed: signals to compare.
-        drives: signals that drive it.
-        process: where it is run.
-        step_s: of its integrator; None for the model's own.
-    """
-
-    spec: Any
-    tuned: tuple[ModelParameter, ...]
-    sensed: tuple[SensedSignal, ...]
-    drives: tuple[Drive, ...]
+    spec: Any  # the model; not compiled with `sensed` yet
+    tuned: tuple[ModelParameter, ...]  # its tuned parameters
+    sensed: tuple[SensedSignal, ...]  # signals to compare
+    drives: tuple[Drive, ...]  # signals that drive it
     initial: InitialState
     end_ns: int
-    process: ModelProcess
-    step_s: float | None = None
+    process: ModelProcess  # where it is run
+    step_s: float | None = None  # of its integrator; None for the model's own
 
     @property
     def engine(self) -> str:
-        """See `Simulator`."""
+        """Library with its version."""
         return named_version("mujoco")
 
     @property
     def step_hz(self) -> float:
-        """See `Simulator`."""
+        """Rate of the integrator's steps."""
         return 1.0 / self._step_s
 
     @property
@@ -425,36 +348,30 @@ class ModelSimulator:
         row = [one.checked(values.get(one.name, one.initial)) for one in self.parameters]
         found = self.rollouts(np.array([row]))[0]
         if found.info.notes[STOPPED].startswith(_MEMORY_IS_FULL):
+            more_mb = max(self._model.narena * 4 // 1_000_000, 10)
             raise LogError(
                 f"{self.process.path}: {found.info.notes[STOPPED]}",
-                f'give it more, such as <size memory="{_more_memory(self._model.narena)}"/>',
+                f'give it more, such as <size memory="{more_mb}M"/>',
             )
         return found
 
     def rollouts(self, values: Array) -> list[Episode]:
-        """Roll out several episodes at once, on all cores.
-
-        Args:
-            values: of all parameters, shape (N, P).
-
-        Returns:
-            N of them; from where MuJoCo stops a rollout its values are NaN, and `STOPPED` in its
-            notes says why.
-        """
+        """Roll out N episodes at values (N, P), on all cores; NaN from where MuJoCo stops one."""
+        # At most 64 at once, and 50 MB of sensor values.
         each_bytes = 8 * self._steps * (self._model.nsensordata + len(self._driven))
-        count = int(np.clip(_MAX_BATCH_BYTES // each_bytes, 1, _MAX_BATCH))
+        count = int(np.clip(50_000_000 // each_bytes, 1, 64))
         found: list[Episode] = []
         for first in range(0, len(values), count):
-            found += self._batch(values[first : first + count])
+            batch = values[first : first + count]
+            kept, why, arrays = self._rolled(batch)
+            found += [
+                self._episode(seen, row, _stop_in_words(stop, steps * self._step_s))
+                for seen, row, steps, stop in zip(arrays["sensed"], batch, kept, why, strict=True)
+            ]
         return found
 
     def coordinates(self, values: Array) -> tuple[Array, Array]:
-        """Roll out at `values` of shape (P,); return the coordinates after each step.
-
-        Returns:
-            Seconds since the initial stamp, shape (T,); qpos then, shape (T, nq), which stays as it
-            is where the rollout diverges.
-        """
+        """Roll out at values (P,); return seconds (T,) and qpos (T, nq) while it goes on."""
         (kept,), _, found = self._rolled(values[None], wants_qpos=True)
         places = np.arange(self._steps + 1)
         seconds = np.asarray(self._step_s * places, np.float64)
@@ -494,29 +411,25 @@ class ModelSimulator:
         targets = [one.targets + self._model.nu * one.is_effort for one in self.drives]
         return np.unique(np.concatenate([np.zeros(0, np.intp), *targets]))
 
-    def _batch(self, values: Array) -> list[Episode]:
-        kept, why, found = self._rolled(values)
-        rolled = zip(found["sensed"], values, kept, why, strict=True)
-        return [
-            self._episode(seen, row, _stop_in_words(stop, steps * self._step_s))
-            for seen, row, steps, stop in rolled
-        ]
-
     def _rolled(
         self, values: Array, *, wants_qpos: bool = False
     ) -> tuple[list[int], list[str], dict[str, Array]]:
         """Roll out rows; return the steps of each, what stopped it, and sensor values."""
-        delays = [self._delay_s(row) for row in values]
+        names = [one.parameter.name for one in self.tuned]
+        delays = [float(row[names.index(DELAY)]) if DELAY in names else 0.0 for row in values]
         known = sorted(set(delays))
-        rows = [
-            (self._changed(row), *self._state(row), known.index(delay_s))
-            for row, delay_s in zip(values, delays, strict=True)
-        ]
+        rows: list[tuple[list[tuple[str, Array]], Array, Array, int]] = []
+        for row, delay_s in zip(values, delays, strict=True):
+            qpos, qvel = self.initial.qpos.copy(), self.initial.qvel.copy()
+            unsure = row[len(self.tuned) :]
+            for value, (is_speed, place) in zip(unsure, self.initial.places, strict=True):
+                (qvel if is_speed else qpos)[place] = value
+            rows.append((self._changed(row), qpos, qvel, known.index(delay_s)))
         return self.process.run(
             self._model,
             rows=rows,
             controls=[self._control(delay_s) for delay_s in known],
-            columns=self._driven,
+            columns=self._driven.tolist(),
             steps=self._steps,
             step_s=self._step_s,
             is_late=self._is_late,
@@ -533,18 +446,6 @@ class ModelSimulator:
         for name, values in before.items():
             put_array(model, name, values)
         return [(name, after[name]) for name in before if (after[name] != before[name]).any()]
-
-    def _state(self, row: Array) -> tuple[Array, Array]:
-        """Return the initial qpos and qvel."""
-        qpos, qvel = self.initial.qpos.copy(), self.initial.qvel.copy()
-        unsure = row[len(self.tuned) :]
-        for value, (is_speed, place) in zip(unsure, self.initial.places, strict=True):
-            (qvel if is_speed else qpos)[place] = value
-        return qpos, qvel
-
-    def _delay_s(self, row: Array) -> float:
-        named = zip(self.tuned, row, strict=False)
-        return next((float(value) for one, value in named if one.parameter.name == DELAY), 0.0)
 
     def _control(self, delay_s: float) -> Array:
         """Compute the controls of each step, shape (steps, `_driven`)."""
@@ -597,16 +498,7 @@ class ModelSimulator:
 
 
 def held_means(at_s: Array, values: Array, edges_s: Array) -> Array:
-    """Average a zero-order-hold signal between edges.
-
-    Args:
-        at_s: when each value begins, shape (T,), increasing; the first holds before it, too.
-        values: shape (T,).
-        edges_s: shape (N + 1,), increasing.
-
-    Returns:
-        Shape (N,), continuous in a shift of the edges.
-    """
+    """Average a zero-order hold, shape (T,), between edges (N + 1,); the first holds before it."""
     if not len(at_s):
         return np.zeros(len(edges_s) - 1)
     area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(at_s))])
@@ -623,8 +515,3 @@ def _stop_in_words(stop: str, at_s: float) -> str:
     what = next(words, _MEMORY_IS_FULL)
     rest = ", and MuJoCo leaves contacts out" if what == _MEMORY_IS_FULL else ""
     return f"{what} after {at_s:.3g} s of the rollout{rest}"
-
-
-def _more_memory(now_bytes: int) -> str:
-    """Suggest a <size memory>."""
-    return f"{max(now_bytes * 4 // 1_000_000, 10)}M"

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import tunenet_logs as tn
 from tests.conftest import ROOT, Command
-from tunenet_logs.analysis.options import build_parser
+from tunenet_logs.analysis.cli.tune import build_parser
+from tunenet_logs.console import options_in
 from tunenet_logs.recorders.simulators.known import ENGINES
 
 SAMPLES = ROOT / "sample_logs"
@@ -24,23 +27,19 @@ _OF_THE_TERMINAL |= {"verbose", "json", "dry_run"}
 # Those that `tune_all` has by other names, or as they are; `csv` is the table that it returns.
 _OF_MANY = {"logs", "output", "jobs", "overwrite", "resume", "ray", "no_review", "review_only"}
 
-_RENAMED = {
-    "start": "start_s",
-    "end": "end_s",
-    "height": "height_m",
-    "ball_diameter": "ball_diameter_m",
-    "ball_mass": "ball_mass_kg",
-    "tare": "tares",
-    "tune": "parameters",
-    "map": "mapping",
-}
-
 
 def test_every_option_of_the_command_has_its_name():
     actions = {action.dest for action in build_parser()._actions}
-    mine = set(tn.TuneOptions.__annotations__) | {"engine", "save_arm_card", "csv"}
-    left = {_RENAMED.get(name, name) for name in actions - _OF_THE_TERMINAL - _OF_MANY}
-    assert left == mine
+    mine = set(options_in(tn.TuneOptions)) | {"engine", "save_arm_card", "csv"}
+    assert actions - _OF_THE_TERMINAL - _OF_MANY == mine
+
+
+def test_a_notebook_completes_every_option():
+    for function in (tn.tune, tn.tune_all):
+        named = inspect.signature(function).parameters
+        assert set(options_in(tn.TuneOptions)) <= set(named)
+        assert named["start_s"].kind is inspect.Parameter.KEYWORD_ONLY
+        assert named["iterations"].default == 5
 
 
 def test_a_film_a_payload_and_impact_times_as_the_command_tunes_them(
@@ -183,7 +182,7 @@ def test_arrays_that_make_no_sense_are_refused(seconds: list, heights: list, say
         ({"bal": "golf"}, "no option 'bal'"),
     ],
 )
-def test_an_option_that_makes_no_sense_raises(options: tn.TuneOptions, says: str):
+def test_an_option_that_makes_no_sense_raises(options: dict[str, Any], says: str):
     with pytest.raises(tn.UsageError, match=says):
         tn.tune(SAMPLES / "dull.mcap", **options)
 

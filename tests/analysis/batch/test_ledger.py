@@ -265,7 +265,7 @@ def resident():
 for turn in range(15):
     writing = Writing(overwrite=True, reviewed=frozenset())
     run_batch(Order(found, writing=writing, folder=Path({str(tmp_path)!r}) / "out",
-        keeps_ledger=True), Progress(quiet=True), jobs=1)
+        keeps_ledger=True, jobs=1), Progress(quiet=True))
     (Path({str(tmp_path)!r}) / "out" / "ledger.parquet").unlink()
     if turn == 4:
         before = resident()

@@ -14,7 +14,7 @@ import pytest
 
 from tests.analysis.batch.test_ledger import ledger_of, write_drop
 from tests.conftest import BIN, Command
-from tunenet_logs.analysis.batch.ledger import check_csv, csv_place
+from tunenet_logs.analysis.batch.ledger import csv_place
 from tunenet_logs.analysis.batch.logs import find_logs
 from tunenet_logs.errors import UsageError
 
@@ -48,7 +48,7 @@ def test_a_text_table_goes_beside_results_that_are_not_there_yet(tmp_path: Path,
 @pytest.mark.parametrize("name", ["ledger.parquet", "drop.json", "drop.RRD", "ledger.jsonl"])
 def test_a_text_table_never_takes_the_name_of_other_results(tmp_path: Path, name: str):
     with pytest.raises(UsageError, match="other results"):
-        check_csv(csv_place(tmp_path / name, tmp_path, overwrite=True), tmp_path)
+        csv_place(tmp_path / name, tmp_path, (), overwrite=True)
 
 
 def test_links_in_circles_and_to_nowhere_are_left_out(tmp_path: Path):

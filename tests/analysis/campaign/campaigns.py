@@ -8,8 +8,8 @@ from pathlib import Path
 
 from tests.conftest import record
 from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import to_json
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import Signal
 from tunenet_logs.outcomes import Outcome, write_outcome
@@ -43,7 +43,7 @@ def drop_at(path: Path, stamp_ns: int) -> Path:
 
 def tune(path: Path) -> None:
     """Write a log's tuning beside it."""
-    path.with_suffix(".json").write_text(to_json(record_of(tune_log(path, Options()))))
+    path.with_suffix(".json").write_text(to_json(record_of(tune_log(path, TuneOptions()))))
 
 
 def told(path: Path, **changes: object) -> None:

@@ -18,7 +18,7 @@ from tests.conftest import ROOT, Command, film
 from tunenet_logs.analysis.campaign import TunedDrop
 from tunenet_logs.analysis.cli.review import main
 from tunenet_logs.analysis.record import Curves
-from tunenet_logs.analysis.review.campaign import _CurveAxes, _observed, _simulated
+from tunenet_logs.analysis.review.campaign import _CurveAxes, _curves
 from tunenet_logs.images import decode_image
 
 STATES = ("/ball", "/drop", "/restitution", "/shot")
@@ -277,8 +277,9 @@ def test_samples_that_are_not_known_are_left_out_of_the_curves():
     overlay = Curves(0, np.arange(6.0), observed, simulated)
     drop = TunedDrop(None, None, "a", "gel", "ok", "", 0.7, None, overlay)
     axes = _CurveAxes(5.0, 1.0)
-    assert len(_observed(drop, axes)) == 5
-    assert [len(stretch) for stretch in _simulated(drop, axes)] == [2, 2]
+    seen, line = _curves(drop, axes)
+    assert len(seen) == 5
+    assert [len(stretch) for stretch in line] == [2, 2]
 
 
 def test_of_many_balls_the_charts_show_the_first_and_the_tables_all(tmp_path: Path):

@@ -8,19 +8,23 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import Command
-from tunenet_logs.analysis.cli.tune import given_options
-from tunenet_logs.analysis.options import ball_doubts, build_parser, options_of
+from tunenet_logs.analysis.cli.tune import build_parser
+from tunenet_logs.analysis.options import TuneOptions, options_of
+from tunenet_logs.console import given
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.simulators.known import BALLS, Ball
 
 
+def options(*words: str) -> TuneOptions:
+    return options_of(given(build_parser().parse_args(["a.mp4", *words]), TuneOptions))
+
+
 def told(*words: str) -> Ball:
-    return options_of(given_options(build_parser().parse_args(["a.mp4", *words]))).selection.ball
+    return options(*words).told_ball
 
 
 def doubts(*words: str) -> tuple[str, ...]:
-    given = given_options(build_parser().parse_args(["a.mp4", *words]))
-    return ball_doubts(given, options_of(given).selection.ball)
+    return options(*words).ball_doubts
 
 
 def test_a_ball_by_name_by_measure_or_both():

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from tests.conftest import Command
+from tunenet_logs.analysis.cli import tune
+from tunenet_logs.recorders import cli as recorders_cli
 
 
 @pytest.mark.parametrize(
@@ -19,15 +23,38 @@ def test_help_shows_examples(process: Command, name: str):
     assert f"  tunenet-{name} " in result.stdout
 
 
-@pytest.mark.parametrize("name", ["tune", "record"])
-def test_help_says_that_sound_is_tuned(process: Command, name: str):
-    said = process(f"tunenet-{name}", "--help").stdout
+@pytest.mark.parametrize("words", [["tune", "--help"], ["record", "--help", "microphone"]])
+def test_help_says_that_sound_is_tuned(process: Command, words: list[str]):
+    said = process(f"tunenet-{words[0]}", *words[1:]).stdout
     assert "tunenet-tune bounce.wav" in " ".join(said.split())
 
 
 def test_help_names_sound_among_the_logs(process: Command):
-    options = process("tunenet-tune", "--help").stdout.partition("positional arguments")[2]
-    assert "sound to tune from" in " ".join(options.partition("options:")[0].split())
+    said = process("tunenet-tune", "--help").stdout
+    assert "sound to tune from" in " ".join(said.partition("\noptions:")[2].split())
+
+
+@pytest.mark.parametrize("module", [tune, recorders_cli], ids=["tune", "record"])
+def test_help_is_short_and_its_topics_tell_the_rest(module: ModuleType, command: Command):
+    """Each option stands in one topic, or in what everybody needs; all of them in all."""
+    name = module.build_parser().prog
+    said = {topic: command(name, "--help", topic).stdout for topic in (*module.TOPICS, "all")}
+    short = command(name, "-h").stdout
+    assert short.count("\n") <= 45
+    assert all(f"\n  {topic}" in short for topic in module.TOPICS)
+    every = set(options_of_help(said.pop("all")))
+    of_all = {"--version", "--debug", "--print-completion"}
+    shown = options_of_help("\n".join([short, *said.values()]))
+    assert sorted(shown) == sorted(every - of_all)
+    assert all("examples:" in text for text in said.values())
+    wrong = command(name, "--help", "cooking")
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert wrong.stderr.count("\n") == 1
+    assert ", ".join((*module.TOPICS, "all")) in wrong.stderr
+
+
+def options_of_help(text: str) -> list[str]:
+    return re.findall(r"^  (?:-\w(?: \S+)?, )?(--[\w-]+)", text, re.MULTILINE)
 
 
 def test_tune_prints_a_table_and_says_how_to_look(process: Command, drop_log: Path):

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import BIN, Command, record
-from tunenet_logs.analysis.presentation import laid_out
+from tunenet_logs.analysis.presentation import TextTable, laid_out
 
 COLUMNS = {
     "log": ["a" * 30 + ".mcap", "b.mcap"],
@@ -26,6 +26,11 @@ COLUMNS = {
     "time": ["1.00 s", "0.10 s"],
 }
 BELOW = [[], ["rejected: the ball is not seen to bounce, and so on for many more words than fit"]]
+
+
+def shown(columns: dict[str, list[str]], below: list[list[str]]) -> TextTable:
+    """The table of some columns, with lines below each row."""
+    return TextTable(tuple(columns), list(zip(*columns.values(), strict=True)), below)
 
 
 def seen(columns: int, *words: object) -> list[str]:
@@ -101,7 +106,7 @@ def test_json_is_not_mixed_with_bars(drop_log: Path, monkeypatch):
 
 @pytest.mark.parametrize("most", [1, 30, 50, 60, 80, 200])
 def test_no_line_is_wider_than_the_terminal(most: int):
-    lines = laid_out(COLUMNS, BELOW, most).splitlines()
+    lines = laid_out(shown(COLUMNS, BELOW), most).splitlines()
     least = len("a" * 10 + "  verdict  restitution")
     assert max(map(len, lines)) <= max(most, least + 1)
     assert "0.7000" in lines[1]
@@ -109,7 +114,7 @@ def test_no_line_is_wider_than_the_terminal(most: int):
 
 
 def test_columns_leave_from_the_right_and_are_named():
-    text = laid_out(COLUMNS, BELOW, 80)
+    text = laid_out(shown(COLUMNS, BELOW), 80)
     assert text.splitlines()[0].split("  ")[-1].strip() == "fits"
     assert "left out, too wide for this terminal: rollouts, time;" in text.replace("\n", " ")
 
@@ -123,7 +128,7 @@ ADDRESSES = {
 
 def test_long_names_take_several_lines_before_a_column_leaves():
     columns = {name: COLUMNS[name] for name in ("log", "verdict")} | ADDRESSES
-    lines = laid_out(columns, BELOW, 100).splitlines()
+    lines = laid_out(shown(columns, BELOW), 100).splitlines()
     assert max(map(len, lines)) <= 100
     joint, body = (lines[0].index(word) for word in ("joint/", "body/"))
     assert [line[joint : joint + 19].rstrip() for line in lines[:3]] == [
@@ -141,7 +146,7 @@ def test_long_names_take_several_lines_before_a_column_leaves():
 
 def test_at_80_columns_the_interval_stays_beside_a_long_name():
     columns = {name: COLUMNS[name] for name in ("log", "verdict")} | ADDRESSES
-    lines = laid_out(columns, BELOW, 80).splitlines()
+    lines = laid_out(shown(columns, BELOW), 80).splitlines()
     assert max(map(len, lines)) <= 80
     assert "0.0120 to 0.0126" in lines[3]
     assert "left out, too wide for this terminal: body/left_gripper" in " ".join(lines)
@@ -151,13 +156,13 @@ def test_at_80_columns_the_interval_stays_beside_a_long_name():
 def test_one_log_with_a_long_name_stays_within_80_columns(letters: int):
     name = f"joint/{'x' * letters}.frictionloss [N·m]"
     columns = {"log": ["a.mcap"], "verdict": ["ok"], name: ["0.0123 ± 0.0001"]}
-    lines = laid_out({**columns, "y" * 50: ["0.1"]}, [[]], 80).splitlines()
+    lines = laid_out(shown({**columns, "y" * 50: ["0.1"]}, [[]]), 80).splitlines()
     assert max(map(len, lines)) <= 80
     assert ("…" in "".join(lines)) == (letters == 100)
     assert all(cells[0] in "".join(lines) for cells in columns.values())
 
 
 def test_without_a_width_nothing_is_left_out_or_wrapped():
-    lines = laid_out(COLUMNS, BELOW, None).splitlines()
+    lines = laid_out(shown(COLUMNS, BELOW), None).splitlines()
     assert lines[0].split()[-1] == "time"
     assert lines[-1] == f"  {BELOW[1][0]}"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.strangers import Stranger
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 
@@ -19,9 +19,9 @@ def test_a_doubtful_body_is_passed_over_for_a_ball():
     signals = {
         name: Signal(name, stamps, xyz, ("x", "y", "z"), "m") for name, xyz in bodies.items()
     }
-    alone = tune_episode(Episode(EpisodeInfo(), {"A": signals["A"]}), Options())
+    alone = tune_episode(Episode(EpisodeInfo(), {"A": signals["A"]}), TuneOptions())
     assert alone.verdict != "ok"
-    tuning = tune_episode(Episode(EpisodeInfo(), signals), Options())
+    tuning = tune_episode(Episode(EpisodeInfo(), signals), TuneOptions())
     assert (tuning.verdict, tuning.detection.topic) == ("ok", "B")
     assert tuning.estimate is not None
     assert tuning.estimate[0] == pytest.approx(0.7, abs=0.003)

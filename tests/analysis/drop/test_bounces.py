@@ -19,10 +19,10 @@ from tunenet_logs.analysis.drop.review.views import (
 )
 from tunenet_logs.analysis.estimators.base import FitResult
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.presentation import result_words
 from tunenet_logs.analysis.record import Rebound, to_json
 from tunenet_logs.analysis.review.tuning import write_review
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_log
 
 RESTITUTIONS = (0.700, 0.712, 0.731)
@@ -31,7 +31,7 @@ SPEEDS = (4.43, 3.10, 2.21)
 
 @pytest.fixture(scope="module")
 def filmed(filmed_log: Path) -> Tuning:
-    return tune_log(filmed_log, Options(method="tunenet"))
+    return tune_log(filmed_log, TuneOptions(method="tunenet"))
 
 
 def drawn(path: Path, entity: str) -> list[str]:
@@ -98,14 +98,14 @@ def test_without_a_refinement_there_is_the_first(filmed: Tuning):
 
 def test_the_words_name_bounces_interval_and_cross_check(filmed: Tuning):
     words = words_of(with_rebounds(filmed))
-    assert "| 2 | 0.712 | 0.7020 to 0.7220 | 3.10 m/s |" in words
-    assert "| parameter | value | 95 % |" in words
-    assert "cross-check agrees: 0.7" in words
+    assert " | 0.7120 | 0.7020 to 0.7220 | 3.100 |" in words
+    assert "| parameter | value | 95 % interval |" in words
+    assert "A second estimate agrees: 0.7" in words
     unsure = words_of(doubted(with_rebounds(filmed, (None, None, None))))
-    assert "| 2 | 0.712 | - | - |" in unsure
-    assert "| parameter | value | 95 % (suspect) |" in unsure
+    assert " | 0.7120 | - | not known |" in unsure
+    assert "| parameter | value | 95 % interval (suspect) |" in unsure
     assert "| restitution | 0.7" in unsure
-    assert " to " not in unsure.partition("| parameter |")[2].partition("cross-check")[0]
+    assert " to " not in unsure.partition("| parameter |")[2].partition("second estimate")[0]
 
 
 def test_the_chart_of_the_bounces_stays_on_any_timeline(filmed: Tuning, tmp_path: Path):
@@ -178,9 +178,9 @@ def test_a_rejected_drop_is_shown_with_what_to_do_and_no_value(filmed: Tuning, t
     verified(tmp_path / "a.rrd")
     assert "/sheets/convergence/interval" not in contents(tmp_path / "a.rrd")
     words = words_of(tuning)
-    first, second, *_ = words.split("- **failed: ")[1:]
+    first, second, *_ = words.split("- failed: ")[1:]
     assert words.startswith("# rejected")
     assert "| restitution" not in words.partition("| k |")[0]
-    assert first.startswith("first flight seen**: ")
+    assert first.startswith("first flight seen: ")
     assert "at the next drop: record until the ball lies still" in first
     assert "at the next drop: drop onto the middle of a large" in second

@@ -7,7 +7,7 @@ import pytest
 
 from tests.analysis.films import short_film
 from tests.conftest import Made
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tracking.frames import Pictures
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
@@ -71,7 +71,7 @@ def test_positions_on_both_sides_of_a_jump_are_one_part():
     stamps = signal.stamps_ns.copy()
     stamps[250:] += DAY_NS
     off = replace(episode, signals={name: replace(signal, stamps_ns=stamps)})
-    tuning = tune_episode(off, Options())
+    tuning = tune_episode(off, TuneOptions())
     assert tuning.trace is not None, tuning.reason
     assert abs(float(tuning.trace.estimate[0]) - 0.8) < 0.005
     assert any("after sample 250 of 300" in words for words in tuning.warnings)

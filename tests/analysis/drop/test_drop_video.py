@@ -16,7 +16,7 @@ from tests.recorders.mjpeg_camera import check_times, playing
 from tests.strangers import Stranger, write_poses
 from tunenet_logs import messages
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.selection import Hints, Options, Selection
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import EpisodeInfo, Frame
 from tunenet_logs.errors import UsageError
@@ -41,7 +41,7 @@ def short(made: Made) -> Path:
 
 @pytest.fixture(scope="module")
 def tuned(short: Path) -> Tuning:
-    return tune_log(short, Options())
+    return tune_log(short, TuneOptions())
 
 
 @pytest.mark.slow
@@ -60,7 +60,7 @@ def test_fresh_films_of_random_cameras(tmp_path: Path):
             seconds=2.2,
             seed=40_000 + index,
         )
-        tuning = tune_log(path, Options())
+        tuning = tune_log(path, TuneOptions())
         assert tuning.task == "drop"
         off.append(abs(value(tuning) - truth))
     assert np.mean(off) < 0.01
@@ -75,7 +75,7 @@ def test_truth_in_the_log_changes_nothing(short: Path, tuned: Tuning, tmp_path: 
                 writer.write_frame("/any/camera", frame)
     assert tuned.trace is not None
     for path in tmp_path.glob("*.mcap"):
-        other = tune_log(path, Options())
+        other = tune_log(path, TuneOptions())
         assert other.trace is not None
         for mine, theirs in zip(tuned.trace.steps, other.trace.steps, strict=True):
             assert np.array_equal(mine.values, theirs.values)
@@ -102,7 +102,7 @@ def test_a_network_camera_plays_a_drop(command: Command, tmp_path: Path):
         for number, frame in enumerate(episode.frames()):
             stamp_ns = round(number * 1e9 / 60)
             writer.write_frame(messages.CAMERA_TOPIC, replace(frame, stamp_ns=stamp_ns))
-    assert value(tune_log(tmp_path / "b.mcap", Options())) == pytest.approx(0.74, abs=0.02)
+    assert value(tune_log(tmp_path / "b.mcap", TuneOptions())) == pytest.approx(0.74, abs=0.02)
 
 
 def test_positions_come_before_pictures_unless_a_topic_says_so(short: Path, tmp_path: Path):
@@ -113,12 +113,12 @@ def test_positions_come_before_pictures_unless_a_topic_says_so(short: Path, tmp_
             writer.write_pose("/mocap/ball", int(stamp_ns), position_m)
         for frame in read_episode(short).frames():
             writer.write_frame("/webcam", frame)
-    assert value(tune_log(path, Options())) == pytest.approx(0.4, abs=0.01)
-    camera = tune_log(path, Options(selection=Selection(topic="/webcam")))
+    assert value(tune_log(path, TuneOptions())) == pytest.approx(0.4, abs=0.01)
+    camera = tune_log(path, TuneOptions(topic="/webcam"))
     assert value(camera) == pytest.approx(0.7, abs=0.01)
     assert camera.detection.topic == "/webcam"
-    hints = Hints(roi=(0, 0, 300, 200), ball_at=(1, 2, 0))
-    (told,) = tune_log(path, Options(selection=Selection(hints=hints))).warnings
+    hinted = TuneOptions(roi=(0, 0, 300, 200), ball_at=(1, 2, 0))
+    (told,) = tune_log(path, hinted).warnings
     assert "--roi, --ball-at not used" in told
     assert "--topic /webcam" in told
 
@@ -149,13 +149,13 @@ def test_the_camera_that_sees_the_drop_is_found(short: Path, tmp_path: Path):
         for frame in frames:
             writer.write_frame("/a_still", replace(frames[0], stamp_ns=frame.stamp_ns))
             writer.write_frame("/b_drop", frame)
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     assert value(tuning) == pytest.approx(0.7, abs=0.01)
     assert tuning.detection.topic == "/b_drop"
 
 
 def test_part_of_a_film(short: Path, tuned: Tuning):
-    part = tune_log(short, Options(selection=Selection(start_s=0.4, end_s=1.7)))
+    part = tune_log(short, TuneOptions(start_s=0.4, end_s=1.7))
     assert value(part) == pytest.approx(0.7, abs=0.015)
     assert part.detection.drop.impact_s == pytest.approx(tuned.detection.drop.impact_s, abs=0.005)
 
@@ -177,7 +177,7 @@ def test_the_ball_marked_while_it_was_recorded(short: Path, tuned: Tuning, tmp_p
         with EpisodeWriter(path, info, live=False) as writer:
             for frame in episode.frames():
                 writer.write_frame("/camera", frame)
-        tuning = tune_log(path, Options())
+        tuning = tune_log(path, TuneOptions())
         assert value(tuning) == pytest.approx(0.7, abs=0.01)
         said = any("without it" in one for one in tuning.warnings)
         assert said == (name in ("aimed", "later", "corner")), name
@@ -188,7 +188,7 @@ def test_a_wrong_frame_rate_is_told_by_a_known_height(short: Path, tmp_path: Pat
     with EpisodeWriter(tmp_path / "slow.mcap", episode.info, live=False) as writer:
         for frame in episode.frames():
             writer.write_frame("/camera", replace(frame, stamp_ns=4 * frame.stamp_ns))
-    tuning = tune_log(tmp_path / "slow.mcap", Options())
+    tuning = tune_log(tmp_path / "slow.mcap", TuneOptions())
     assert value(tuning) == pytest.approx(0.7, abs=0.01)
     assert tuning.verdict == "suspect"
     assert "frame rate" in (tuning.reason or "")
@@ -201,12 +201,12 @@ def test_the_papers_network_on_its_own_kind_of_film(tmp_path: Path):
     path = tmp_path / "paper.mcap"
     episode = film_drop(order, FilmOrder(size_px=(100, 100)))
     record_episode(episode, path, overwrite=False, progress=Progress(quiet=True))
-    tuning = tune_log(path, Options(preset="paper", initial=(0.5,)))
+    tuning = tune_log(path, TuneOptions(preset="paper", initial=(0.5,)))
     assert not tuning.physical
     assert tuning.cross_check is None
     assert value(tuning) == pytest.approx(0.5, abs=0.3)
     with pytest.raises(UsageError, match="no preset 'paper-code'"):
-        tune_log(path, Options(preset="paper-code"))
+        tune_log(path, TuneOptions(preset="paper-code"))
 
 
 def with_frames(path: Path, frames: list[Frame]) -> Path:
@@ -223,7 +223,7 @@ def test_pictures_that_are_none(tmp_path: Path, short: Path):
         ("one", frames[:1], "too few"),
         ("still", [replace(frames[0], stamp_ns=one.stamp_ns) for one in frames], "fly"),
     ):
-        tuning = tune_log(with_frames(tmp_path / f"{name}.mcap", wrong), Options())
+        tuning = tune_log(with_frames(tmp_path / f"{name}.mcap", wrong), TuneOptions())
         assert tuning.verdict == "rejected", name
         assert reason in (tuning.reason or ""), name
 
@@ -231,7 +231,7 @@ def test_pictures_that_are_none(tmp_path: Path, short: Path):
 def test_damaged_pictures_among_good_ones_are_counted(tmp_path: Path, short: Path):
     frames = list(read_episode(short).frames())
     frames[10] = replace(frames[10], data=frames[10].data[:100])
-    tuning = tune_log(with_frames(tmp_path / "a.mcap", frames), Options())
+    tuning = tune_log(with_frames(tmp_path / "a.mcap", frames), TuneOptions())
     assert value(tuning) == pytest.approx(0.7, abs=0.01)
     assert "1 damaged pictures were left out" in tuning.warnings
 
@@ -248,7 +248,7 @@ def test_header_stamps_that_do_not_tell_the_time(tmp_path: Path, short: Path, st
             data = messages.compressed_image(stamp_ns, "camera", "jpeg", frame.data)
             cdr = messages.encode(data, messages.COMPRESSED_IMAGE)
             writer.write_message("/cam", messages.COMPRESSED_IMAGE, frame.stamp_ns, cdr)
-    assert value(tune_log(path, Options())) == pytest.approx(0.7, abs=0.01)
+    assert value(tune_log(path, TuneOptions())) == pytest.approx(0.7, abs=0.01)
 
 
 def test_pictures_of_another_size_are_left_out(tmp_path: Path, short: Path):
@@ -258,14 +258,14 @@ def test_pictures_of_another_size_are_left_out(tmp_path: Path, short: Path):
     small = cv2.imencode(".jpg", np.zeros((60, 80, 3), np.uint8))[1].tobytes()
     frames[0] = replace(frames[0], data=small)
     frames[9] = replace(frames[9], data=small)
-    tuning = tune_log(with_frames(tmp_path / "a.mcap", frames), Options())
+    tuning = tune_log(with_frames(tmp_path / "a.mcap", frames), TuneOptions())
     assert value(tuning) == pytest.approx(0.7, abs=0.01)
     assert "2 pictures of another size were left out" in tuning.warnings
 
 
 def test_a_box_outside_the_picture_is_wrong_usage(command: Command, short: Path, tmp_path: Path):
     with pytest.raises(UsageError, match="--roi"):
-        tune_log(short, Options(selection=Selection(hints=Hints(roi=(400, 0, 20, 20)))))
+        tune_log(short, TuneOptions(roi=(400, 0, 20, 20)))
     result = command("tunenet-tune", short, "--roi", "400,0,20,20", "-o", tmp_path)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
@@ -302,4 +302,4 @@ def test_a_bad_mark_is_one_line_that_names_it(command: Command, words: tuple[str
 def test_a_strangers_poses_still_need_no_pictures(tmp_path: Path):
     stamps, positions = Stranger(restitution=0.55, gap_m=0.8).samples()
     write_poses(tmp_path / "a.mcap", stamps, positions)
-    assert tune_log(tmp_path / "a.mcap", Options()).detection.film is None
+    assert tune_log(tmp_path / "a.mcap", TuneOptions()).detection.film is None

@@ -13,12 +13,10 @@ from tests.analysis.films import short_film
 from tests.conftest import Made
 from tunenet_logs.analysis.cli.tune import main
 from tunenet_logs.analysis.drop.film import find_filmed_drop
-from tunenet_logs.analysis.drop.motion import tells_speed
-from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tracking.frames import Pictures
 from tunenet_logs.analysis.tracking.track import track_ball
 from tunenet_logs.analysis.tuning import tune_log
-from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.reader import read_episode
 
 
@@ -46,13 +44,13 @@ def test_its_record_has_no_metre(made: Made, tmp_path: Path, capsys: pytest.Capt
 
 def test_a_rate_that_is_said_is_its_clock(made: Made, tmp_path: Path):
     log = folder_of(made, tmp_path / "film")
-    without = tune_log(log, Options())
-    timed = tune_log(log, Options(selection=Selection(reading=ReadOptions(rate_hz=60))))
+    without = tune_log(log, TuneOptions())
+    timed = tune_log(log, TuneOptions(fps=60))
     assert without.estimate is not None
     assert timed.estimate is not None
     assert without.estimate[0] == pytest.approx(timed.estimate[0], abs=2e-3)
-    assert not tells_speed(without.detection)
-    assert tells_speed(timed.detection)
+    assert not without.detection.tells_speed
+    assert timed.detection.tells_speed
     assert not any(check.name == "frame rate" for check in without.checks)
     assert timed.detection.extent[1].endswith(" m")
 

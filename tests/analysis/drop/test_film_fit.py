@@ -23,7 +23,7 @@ from tunenet_logs.analysis.evaluation.worlds.camera import (
     draw_scene,
     film,
 )
-from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.recorders.simulators.known import BALLS, Ball
 
 SEED = -77
@@ -191,7 +191,7 @@ def test_a_ball_that_comes_nearer_is_seen():
 def test_no_bad_track_is_trusted_and_wrong(bad: TrackFault, numbers: tuple[int, ...]):
     for number in numbers:
         scene = draw_scene(replace(B, name="bad"), BallRanges((0.3, 0.9)), 0.3, SEED, number)
-        tuning = tune_track(bad.track(scene), Options())
+        tuning = tune_track(bad.track(scene), TuneOptions())
         if tuning.verdict == "ok":
             assert bad.bounces
             assert tuning.estimate is not None
@@ -199,7 +199,7 @@ def test_no_bad_track_is_trusted_and_wrong(bad: TrackFault, numbers: tuple[int, 
 
 
 def test_a_good_track_is_ok_with_an_interval():
-    tuning = tune_track(film(draw_scene(B, BallRanges((0.6, 0.6)), 0.3, SEED, 5)), Options())
+    tuning = tune_track(film(draw_scene(B, BallRanges((0.6, 0.6)), 0.3, SEED, 5)), TuneOptions())
     assert tuning.verdict == "ok", tuning.reason
     assert tuning.interval95 is not None
     low, high = tuning.interval95[0]
@@ -211,5 +211,5 @@ def test_a_good_track_is_ok_with_an_interval():
 def test_a_ball_of_known_size_needs_a_true_clock():
     track = film(draw_scene(B, BallRanges((0.6, 0.6)), 0.3, SEED, 6))
     slow = replace(track, stamps_ns=track.stamps_ns * 8)
-    told = Options(selection=Selection(ball=Ball(diameter_m=0.05)))
+    told = TuneOptions(ball=Ball(diameter_m=0.05))
     assert "frame rate" in (tune_track(slow, told).reason or "")

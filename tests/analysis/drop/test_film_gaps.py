@@ -10,7 +10,7 @@ import pytest
 from tests.analysis.films import short_film
 from tests.conftest import Made
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.describe import describe
 from tunenet_logs.messages import CAMERA_TOPIC
@@ -34,7 +34,7 @@ def tuned_without(film: Path, log: Path, at_s: float, gap_s: float, *, is_marked
                 writer.note(*gap_note([Gap(before_ns, stamp_ns)]))
             writer.write_frame(CAMERA_TOPIC, replace(frame, stamp_ns=stamp_ns))
             before_ns = stamp_ns
-    return tune_log(log, Options())
+    return tune_log(log, TuneOptions())
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,9 @@ from tunenet_logs.analysis.evaluation.studies.drop import (
     verdicts,
 )
 from tunenet_logs.analysis.experiment import Claim, Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.presentation import row_of, table
 from tunenet_logs.analysis.record import record_from, to_json
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import FRAME_NS, Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError
@@ -64,9 +64,9 @@ def at_second() -> float:
 
 
 def tuned(
-    times_s: NDArray[Any], selection: Selection | None = None, *, frames: bool = False
+    times_s: NDArray[Any], selection: TuneOptions | None = None, *, frames: bool = False
 ) -> Tuning:
-    options = Options(selection=selection or Selection())
+    options = selection or TuneOptions()
     return tune_episode(episode_of(times_s, frames=frames), options, Path("stopwatch.csv"))
 
 
@@ -93,7 +93,7 @@ def test_a_ball_of_one_restitution_is_not_doubted_for_its_slope(restitution: flo
 
 
 def test_a_known_height_tells_the_first_impact_too():
-    tuning = tuned(impacts(9), Selection(height_m=HEIGHT_M))
+    tuning = tuned(impacts(9), TuneOptions(height_m=HEIGHT_M))
     assert tuning.verdict == "ok", tuning.reason
     assert tuning.estimate is not None
     assert tuning.interval95 is not None
@@ -105,15 +105,15 @@ def test_a_known_height_tells_the_first_impact_too():
 
 
 def test_a_wrong_height_is_doubted():
-    tuning = tuned(impacts(9), Selection(height_m=0.6))
+    tuning = tuned(impacts(9), TuneOptions(height_m=0.6))
     assert tuning.verdict != "ok"
     assert "height fits the times" in (tuning.reason or "")
 
 
 def test_a_known_ball_makes_it_surer():
     usual, known = (
-        tuned(impacts(9), Selection(ball=ball)).interval95
-        for ball in (Selection().ball, ball_named("squash"))
+        tuned(impacts(9), TuneOptions(ball=ball)).interval95
+        for ball in (TuneOptions().ball, ball_named("squash"))
     )
     assert usual is not None
     assert known is not None
@@ -150,7 +150,7 @@ def test_three_wrong_times_among_nine_are_found():
 
 def test_an_unknown_clock_tells_the_restitution_and_no_speed():
     frames = np.round(impacts(9) * 1000) * FRAME_NS * 1e-9  # of a camera with 1000 a second
-    tuning = tuned(frames, Selection(height_m=HEIGHT_M), frames=True)
+    tuning = tuned(frames, TuneOptions(height_m=HEIGHT_M), frames=True)
     assert tuning.estimate is not None
     assert tuning.estimate[0] == pytest.approx(at_second(), abs=0.012)
     record = record_of(tuning)
@@ -258,11 +258,11 @@ def test_the_signal_with_the_most_times_is_used_unless_one_is_named():
     }
     episode, way = Episode(EpisodeInfo(), both), DropFromTimes()
     assert way.claim(episode, None) == Claim.CERTAIN
-    assert way.detect(episode, Selection(), "default").topic == "All/impacts"
-    named = way.detect(episode, Selection(topic="Simple/impacts"), "default")
+    assert way.detect(episode, TuneOptions(), "default").topic == "All/impacts"
+    named = way.detect(episode, TuneOptions(topic="Simple/impacts"), "default")
     assert len(named.times_s) == 4
     with pytest.raises(NotFoundError, match="there are: All/impacts, Simple/impacts"):
-        way.detect(episode, Selection(topic="Sound"), "default")
+        way.detect(episode, TuneOptions(topic="Sound"), "default")
 
 
 def test_positions_come_first():

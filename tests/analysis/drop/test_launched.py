@@ -11,9 +11,8 @@ import pytest
 from tests.bench.throws import throw
 from tests.conftest import real, tune_all
 from tunenet_logs.analysis.experiment import record_of
-from tunenet_logs.analysis.selection import Options, Selection
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_episode
-from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.recorders.simulators.ball import DropRig, DropSimulator
 from tunenet_logs.terminal import Progress
 
@@ -25,7 +24,7 @@ BY_HAND = (0.796, 0.811, 0.799, 0.808, 0.816, 0.824)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_ball_is_measured_however_it_came_to_fly(kind: str, seed: int):
     made = throw(np.random.default_rng([77, seed]), kind, noise_m=0.0005)
-    tuning = tune_episode(made.episode(), Options())
+    tuning = tune_episode(made.episode(), TuneOptions())
     assert tuning.verdict != "rejected", tuning.reason
     found = record_of(tuning).rebounds
     for one in found:
@@ -39,7 +38,7 @@ def test_a_ball_is_measured_however_it_came_to_fly(kind: str, seed: int):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_hand_is_no_bounce(seed: int):
     made = throw(np.random.default_rng([78, seed]), "tossed")
-    assert tune_episode(made.episode(), Options()).verdict != "ok"
+    assert tune_episode(made.episode(), TuneOptions()).verdict != "ok"
 
 
 def test_a_simulated_ball_starts_with_the_speed_that_it_has():
@@ -56,7 +55,7 @@ def test_a_simulated_ball_starts_with_the_speed_that_it_has():
 
 def test_six_bounces_of_a_real_basketball_that_was_thrown_down(tmp_path: Path):
     log = real("labs/motive_basketball_10.csv")
-    tune_all([log], Options(), tmp_path, 1, Progress(quiet=True))
+    tune_all([log], TuneOptions(), tmp_path, 1, Progress(quiet=True))
     result = json.loads((tmp_path / "motive_basketball_10.json").read_text())
     assert result["verdict"] == "ok"
     assert result["units"]["length_by"] == "named"
@@ -69,7 +68,7 @@ def test_six_bounces_of_a_real_basketball_that_was_thrown_down(tmp_path: Path):
 
 
 def test_two_bare_columns_of_a_falling_tennis_ball(tmp_path: Path):
-    options = Options(selection=Selection(reading=ReadOptions({"t": "1", "z": "2"})))
+    options = TuneOptions(columns={"t": "1", "z": "2"})
     log = real("labs/fallingtennisball02.txt")
     tune_all([log], options, tmp_path, 1, Progress(quiet=True))
     result = json.loads((tmp_path / "fallingtennisball02.json").read_text())

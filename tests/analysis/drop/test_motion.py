@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tunenet_logs.analysis.drop.bounce_model import ideal_heights
 from tunenet_logs.analysis.evaluation.worlds.ball import RealBall, record_drop
 from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import Motion, read_record, to_json
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
+from tunenet_logs.recorders.simulators.ball import Bounce
 
 # A table-tennis ball from 1.4 m, by an integrator that shares nothing with fit or simulator.
 LIGHT = RealBall(0.8, 0.06, 0.12, 1.4)
@@ -25,7 +27,7 @@ def recorded(ball: RealBall, noise_m: float = 0.001, seed: int = 3) -> Episode:
 
 
 def motion_of(episode: Episode, **options: object) -> tuple[str, Motion]:
-    tuning = tune_episode(episode, Options(**options))  # type: ignore[arg-type]
+    tuning = tune_episode(episode, TuneOptions(**options))  # type: ignore[arg-type]
     return tuning.verdict, record_of(tuning).motion
 
 
@@ -88,7 +90,7 @@ def test_curves_are_at_the_logs_own_stamps():
 
 
 def test_a_record_keeps_motion_and_vector(tmp_path: Path):
-    record = record_of(tune_episode(recorded(LIGHT), Options(), Path("a.mcap")))
+    record = record_of(tune_episode(recorded(LIGHT), TuneOptions(), Path("a.mcap")))
     path = tmp_path / "a.json"
     path.write_text(to_json(record))
     again = read_record(path)
@@ -101,7 +103,7 @@ def test_a_record_keeps_motion_and_vector(tmp_path: Path):
 
 
 def test_a_vector_of_first_values_is_taken():
-    tuning = tune_episode(recorded(LIGHT), Options(initial=(0.5, 0.02), method="tunenet"))
+    tuning = tune_episode(recorded(LIGHT), TuneOptions(initial=(0.5, 0.02), method="tunenet"))
     assert tuning.trace is not None
     assert tuning.trace.steps[0].values == pytest.approx([0.5, 0.02, 0.0])
     assert tuning.estimate == pytest.approx([0.8, 0.06, 0.12], abs=0.02)
@@ -116,7 +118,13 @@ def test_the_network_alone_walks_all_three():
         truth = rng.uniform((0.3, 0.0, 0.0), (0.95, 0.12, 0.25))
         episode = recorded(RealBall(truth[0], truth[1], truth[2], 1.0), noise_m=0.0)
         start = tuple(rng.uniform((0.3, 0.0, 0.0), (0.95, 0.12, 0.25)).tolist())
-        tuning = tune_episode(episode, Options(initial=start, method="tunenet"))
+        tuning = tune_episode(episode, TuneOptions(initial=start, method="tunenet"))
         assert tuning.trace is not None
         off.append(np.abs(tuning.trace.estimate - truth))
     assert np.all(np.median(off, axis=0) < (0.0005, 0.002, 0.002))
+
+
+def test_ideal_balls_all_at_once_are_those_one_by_one():
+    times, kept = np.linspace(-0.9, 6.0, 400), np.array([0.1, 0.5, 0.95])
+    one_by_one = [Bounce(value).heights(times) for value in kept.tolist()]
+    assert ideal_heights(kept[:, None], times) == pytest.approx(np.array(one_by_one), abs=1e-9)

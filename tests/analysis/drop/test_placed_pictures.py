@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tests.conftest import ROOT
 from tunenet_logs.analysis.drop.film import placed_by_motion
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tracking.frames import Pictures
 from tunenet_logs.analysis.tracking.track import track_ball
 from tunenet_logs.analysis.tuning import tune_log
@@ -61,10 +61,10 @@ def test_flight_shows_where_pictures_are_missing(tmp_path: Path):
 
 
 def test_a_film_that_lost_pictures_on_its_way_tells_the_same(tmp_path: Path):
-    truth = tune_log(FILMED, Options())
+    truth = tune_log(FILMED, TuneOptions())
     path = tmp_path / "late.mcap"
     sent(path, 1)
-    found = tune_log(path, Options())
+    found = tune_log(path, TuneOptions())
     assert truth.estimate is not None
     assert found.estimate is not None
     assert found.estimate[0] == pytest.approx(truth.estimate[0], abs=0.01)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from tests.engines import needs_pybullet
 from tests.strangers import Stranger, write_poses
 from tunenet_logs.analysis.drop.review.views import film_positions, review_data, values_words
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.review.tuning import write_review
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.reader import read_episode
@@ -53,12 +54,12 @@ def text(path: Path, entity: str) -> str:
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> Tuning:
     path = tmp_path_factory.mktemp("drop") / "drop.mcap"
-    return tune_log(record(path, restitution=0.7, height_m=1.0), Options())
+    return tune_log(record(path, restitution=0.7, height_m=1.0), TuneOptions())
 
 
 @pytest.fixture(scope="module")
 def filmed(filmed_log: Path) -> Tuning:
-    return tune_log(filmed_log, Options())
+    return tune_log(filmed_log, TuneOptions())
 
 
 def test_every_iteration_lies_on_the_logs_time(tuned: Tuning, tmp_path: Path):
@@ -84,17 +85,17 @@ def test_iterations_can_be_scrubbed_over_a_fixed_observed_curve(tuned: Tuning, t
 
 @needs_pybullet
 @pytest.mark.parametrize("preset", ["paper", "paper-code"])
-def test_the_papers_presets_have_a_review_too(tmp_path: Path, preset: str):
+def test_the_papers_presets_have_a_review_too(tmp_path: Path, preset: Any):
     path = record(tmp_path / "a.mcap", preset="paper", restitution=0.5, height_m=4.0)
     write_review(
-        tuning := tune_log(path, Options(preset=preset)), record_of(tuning), tmp_path / "a.rrd"
+        tuning := tune_log(path, TuneOptions(preset=preset)), record_of(tuning), tmp_path / "a.rrd"
     )
     verified(tmp_path / "a.rrd")
 
 
 def test_a_rejected_log_shows_what_was_recorded(tmp_path: Path):
     path = record(tmp_path / "a.mcap", restitution=0.0, height_m=1.0)
-    write_review(tuning := tune_log(path, Options()), record_of(tuning), tmp_path / "a.rrd")
+    write_review(tuning := tune_log(path, TuneOptions()), record_of(tuning), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
     assert "/recorded/ball/pose/z" in contents(tmp_path / "a.rrd")
 
@@ -104,7 +105,9 @@ def test_names_of_a_stranger_do_no_harm(tmp_path: Path):
     topic = "/../we ird/тема//[x]{y}/\x07"
     write_poses(tmp_path / "a.mcap", stamps, positions, topic=topic)
     write_review(
-        tuning := tune_log(tmp_path / "a.mcap", Options()), record_of(tuning), tmp_path / "a.rrd"
+        tuning := tune_log(tmp_path / "a.mcap", TuneOptions()),
+        record_of(tuning),
+        tmp_path / "a.rrd",
     )
     verified(tmp_path / "a.rrd")
 
@@ -114,7 +117,9 @@ def test_names_of_a_stranger_are_parts_of_a_path(tmp_path: Path, capfd: pytest.C
     stamps, positions = stamps[:60], positions[:60]  # nothing falls yet
     write_poses(tmp_path / "a.mcap", stamps, positions, topic="/bäll pose/\x1b[31mx//y")
     write_review(
-        tuning := tune_log(tmp_path / "a.mcap", Options()), record_of(tuning), tmp_path / "a.rrd"
+        tuning := tune_log(tmp_path / "a.mcap", TuneOptions()),
+        record_of(tuning),
+        tmp_path / "a.rrd",
     )
     assert capfd.readouterr() == ("", "")
     assert r"/recorded/bäll\ pose/\u{001B}\[31mx/y/z" in contents(tmp_path / "a.rrd")
@@ -122,7 +127,7 @@ def test_names_of_a_stranger_are_parts_of_a_path(tmp_path: Path, capfd: pytest.C
 
 def test_of_thousands_of_signals_the_first_are_drawn(tmp_path: Path):
     write_channels(tmp_path / "a.mcap", 400)
-    tuning = tune_log(tmp_path / "a.mcap", Options())
+    tuning = tune_log(tmp_path / "a.mcap", TuneOptions())
     assert len(tuning.episode.signals) == 400  # type: ignore[union-attr]
     write_review(tuning, record_of(tuning), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")
@@ -158,7 +163,7 @@ def test_the_simulated_curve_of_the_result_lies_on_the_observed_one(tuned: Tunin
 @needs_pybullet
 def test_the_papers_rollouts_lie_over_the_observed_curve_too(tmp_path: Path):
     path = record(tmp_path / "a.mcap", preset="paper", restitution=0.55, height_m=4.0)
-    data = review_data(tune_log(path, Options(preset="paper-code")))
+    data = review_data(tune_log(path, TuneOptions(preset="paper-code")))
     off = data.residuals[-1].heights_m
     falling = data.observed.seconds < data.impact_s
     assert np.abs(off[falling]).max() < 0.05
@@ -199,7 +204,7 @@ def test_the_verdict_lies_over_all_on_any_timeline(tuned: Tuning, tmp_path: Path
 def test_the_result_between_the_samples_is_the_rollouts_ball():
     truth = {"restitution": 0.8, "restitution_slope": 0.08, "drag": 0.1}
     rig = DropRig(gap_m=1.5, rate_hz=120.0, samples=400, hold_s=0.2)
-    data = review_data(tune_episode(DropSimulator(rig, CALIBRATED).rollout(truth), Options()))
+    data = review_data(tune_episode(DropSimulator(rig, CALIBRATED).rollout(truth), TuneOptions()))
     curve, ball = data.simulated[-1], data.ball
     assert ball is not None
     off = ball.heights(curve.seconds) - curve.heights_m / data.drop_height_m
@@ -230,7 +235,7 @@ def test_a_film_without_a_drop_shows_what_was_tracked(filmed_log: Path, tmp_path
     with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), live=False) as writer:
         for frame in frames[:52]:  # it falls, and has hardly hit
             writer.write_frame("/camera", frame)
-    tuning = tune_log(tmp_path / "a.mcap", Options())
+    tuning = tune_log(tmp_path / "a.mcap", TuneOptions())
     assert tuning.verdict == "rejected"
     assert tuning.detection is None
     assert tuning.refused is not None
@@ -248,7 +253,7 @@ def test_a_rejected_film_shows_its_pictures(filmed_log: Path, tmp_path: Path):
     with EpisodeWriter(tmp_path / "a.mcap", EpisodeInfo(), live=False) as writer:
         for frame in frames[:15]:
             writer.write_frame("/camera", frame)
-    tuning = tune_log(tmp_path / "a.mcap", Options())
+    tuning = tune_log(tmp_path / "a.mcap", TuneOptions())
     assert tuning.verdict == "rejected"
     write_review(tuning, record_of(tuning), tmp_path / "a.rrd")
     verified(tmp_path / "a.rrd")

@@ -16,8 +16,8 @@ from tunenet_logs.analysis.evaluation.worlds.audio import (
     draw_sound,
 )
 from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import Record
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.reader import read_episode
 
@@ -38,8 +38,8 @@ def quiet_clip(number: int) -> SoundClip:
     return draw_sound(-7, number, background="quiet", snr_db=35.0)
 
 
-def record(path: Path, selection: Selection | None = None) -> Record:
-    options = Options() if selection is None else Options(selection=selection)
+def record(path: Path, selection: TuneOptions | None = None) -> Record:
+    options = TuneOptions() if selection is None else selection
     return record_of(tune_episode(read_episode(path), options))
 
 
@@ -65,7 +65,7 @@ def test_a_bounce_is_tuned_by_its_sound(tmp_path: Path, number: int):
 def test_the_height_tells_the_first_impact(tmp_path: Path):
     clip = quiet_clip(QUIET[0])
     path = write_wav(tmp_path / "bounce.wav", clip.samples, clip.rate_hz)
-    value, _, _ = restitution(record(path, Selection(height_m=clip.scene.history.order.height_m)))
+    value, _, _ = restitution(record(path, TuneOptions(height_m=clip.scene.history.order.height_m)))
     assert abs(value - clip.restitutions[0]) < 0.02
 
 
@@ -133,7 +133,7 @@ def test_an_earlier_throw_of_the_ball_is_told_and_can_be_left_out(tmp_path: Path
     )
     assert told in (found.reason or "")
     assert (found.reason or "").endswith("choose one drop with --start and --end")
-    chosen = record(path, Selection(start_s=end_s + 0.1))
+    chosen = record(path, TuneOptions(start_s=end_s + 0.1))
     assert chosen.verdict == "ok", chosen.reason
 
 

@@ -19,9 +19,9 @@ from tunenet_logs.analysis.evaluation.worlds.audio import (
     with_sound,
 )
 from tunenet_logs.analysis.experiment import Tuning
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.presentation import sound_words
 from tunenet_logs.analysis.record import Estimate, read_record, to_json
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.errors import LogError
 
@@ -44,8 +44,8 @@ def test_sound_beside_positions_narrows_the_interval_and_says_by_how_much():
     ratios = []
     for number in TRACKS:
         track = track_with_sound(SEED, number)
-        deaf = tune_episode(without_sound(track.episode()), Options())
-        heard = tune_episode(track.episode(), Options())
+        deaf = tune_episode(without_sound(track.episode()), TuneOptions())
+        heard = tune_episode(track.episode(), TuneOptions())
         sound = heard.record.motion.sound
         assert sound is not None
         assert sound.used, sound.reason
@@ -65,7 +65,7 @@ def test_sound_beside_positions_narrows_the_interval_and_says_by_how_much():
 def test_later_bounces_than_the_pictures_tell_are_heard_and_narrow_it_most():
     track = track_with_sound(SEED, LASTING)
     assert track.clip.scene.audible > 8
-    detection = tune_episode(track.episode(), Options()).detection
+    detection = tune_episode(track.episode(), TuneOptions()).detection
     assert isinstance(detection, DropDetection)
     assert detection.ear is not None
     assert detection.ear.touches is not None
@@ -80,7 +80,7 @@ def test_later_bounces_than_the_pictures_tell_are_heard_and_narrow_it_most():
 
 def test_the_touches_of_an_uneven_ball_are_trusted_less():
     """Each impact returns half a percent more or less than the law says."""
-    detection = tune_episode(track_with_sound(SEED, LASTING).episode(), Options()).detection
+    detection = tune_episode(track_with_sound(SEED, LASTING).episode(), TuneOptions()).detection
     assert isinstance(detection, DropDetection)
     assert detection.ear is not None
     pictures, even = detection.ear.pictures, detection.ear.touches
@@ -97,7 +97,7 @@ def test_the_touches_of_an_uneven_ball_are_trusted_less():
 
 
 def test_a_record_keeps_what_the_sound_added(tmp_path: Path):
-    record = tune_episode(track_with_sound(SEED, 0).episode(), Options()).record
+    record = tune_episode(track_with_sound(SEED, 0).episode(), TuneOptions()).record
     file = tmp_path / "heard.json"
     file.write_text(to_json(record))
     fields = json.loads(file.read_text())
@@ -113,9 +113,9 @@ def test_a_record_keeps_what_the_sound_added(tmp_path: Path):
 def test_a_sound_that_is_another_ones_changes_nothing(what: str):
     track = track_with_sound(SEED, 1)
     episode = without_sound(track.episode())
-    deaf = tune_episode(episode, Options())
+    deaf = tune_episode(episode, TuneOptions())
     other = unrelated_sound(what, track.clip.scene.lasts_s, SEED, 1)
-    heard = tune_episode(with_sound(episode, other), Options())
+    heard = tune_episode(with_sound(episode, other), TuneOptions())
     sound = heard.record.motion.sound
     assert sound is not None
     assert not sound.used
@@ -126,7 +126,7 @@ def test_a_sound_that_is_another_ones_changes_nothing(what: str):
 
 
 def test_without_sound_a_record_is_silent_about_it():
-    deaf = tune_episode(without_sound(track_with_sound(SEED, 0).episode()), Options())
+    deaf = tune_episode(without_sound(track_with_sound(SEED, 0).episode()), TuneOptions())
     assert deaf.record.motion.sound is None
     assert json.loads(to_json(deaf.record))["sound"] is None
     assert sound_words(deaf.record) == ""
@@ -142,7 +142,7 @@ def test_of_several_cameras_none_is_listened_to():
 
 def test_false_and_lost_knocks_are_told_from_impacts():
     """Make-believe onsets: one lost, four false, .15 ms of jitter."""
-    detection = tune_episode(track_with_sound(SEED, 2).episode(), Options()).detection
+    detection = tune_episode(track_with_sound(SEED, 2).episode(), TuneOptions()).detection
     assert isinstance(detection, DropDetection)
     assert detection.ear is not None
     pictures, both = detection.ear.pictures, detection.ear.posterior
@@ -166,7 +166,7 @@ def test_a_film_is_heard_too(tmp_path: Path):
     file, silent = tmp_path / "heard.mp4", tmp_path / "silent.mp4"
     film.write(file)
     film.write(silent, with_sound=False)
-    heard, deaf = tune_log(file, Options()), tune_log(silent, Options())
+    heard, deaf = tune_log(file, TuneOptions()), tune_log(silent, TuneOptions())
     assert deaf.record.motion.sound is None
     sound = heard.record.motion.sound
     assert sound is not None

@@ -11,7 +11,7 @@ import pytest
 from tunenet_logs.analysis.drop import motion as problem
 from tunenet_logs.analysis.drop.track import ball_alone, without_jumps, without_repeats
 from tunenet_logs.analysis.experiment import record_of
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import Signal
 
@@ -126,10 +126,10 @@ def test_named_metres_keep_their_repeats():
 
 
 def test_a_track_with_jumps_is_tuned_like_the_clean_one(tmp_path: Path):
-    clean = tune_log(write(tmp_path / "clean.csv", filmed()), Options())
+    clean = tune_log(write(tmp_path / "clean.csv", filmed()), TuneOptions())
     jumping = with_jumps(filmed(), *RUNS)
-    dirty = tune_log(write(tmp_path / "jumps.csv", jumping), Options())
-    twice = tune_log(write(tmp_path / "twice.csv", with_repeats(jumping, 5)), Options())
+    dirty = tune_log(write(tmp_path / "jumps.csv", jumping), TuneOptions())
+    twice = tune_log(write(tmp_path / "twice.csv", with_repeats(jumping, 5)), TuneOptions())
     for tuning in (clean, dirty, twice):
         estimate = record_of(tuning).estimates[0].value
         assert estimate == pytest.approx(RESTITUTION, abs=0.01)
@@ -148,9 +148,9 @@ def test_a_fall_of_miles_is_told_in_metres_only_where_there_are_any(
     unidentifiable = write(tmp_path / "px.csv", pixels)
     monkeypatch.setattr(problem, "_HIGHEST_SIMULATED_M", 0.0)
     monkeypatch.setattr(problem, "HIGHEST_M", 0.0)
-    reason = record_of(tune_log(unidentifiable, Options())).reason
+    reason = record_of(tune_log(unidentifiable, TuneOptions())).reason
     assert reason is not None
     assert reason.startswith("no fall of a ball is seen in it")
-    reason = record_of(tune_log(told, Options())).reason
+    reason = record_of(tune_log(told, TuneOptions())).reason
     assert reason is not None
     assert "are the lengths in mm or cm?" in reason

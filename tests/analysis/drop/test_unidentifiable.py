@@ -10,14 +10,14 @@ import pytest
 
 from tunenet_logs.analysis.drop.bounce_posterior import BallPosterior, unidentifiable
 from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import read_record, to_json
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_log
 
 
 @pytest.fixture
 def posterior(drop_log: Path) -> BallPosterior:
-    found = tune_log(drop_log, Options()).detection.posterior
+    found = tune_log(drop_log, TuneOptions()).detection.posterior
     assert found is not None
     return found
 
@@ -46,7 +46,7 @@ def test_what_trades_places_cannot_be_told_apart(posterior: BallPosterior):
 
 
 def test_the_json_keeps_it(drop_log: Path, tmp_path: Path):
-    record = record_of(tune_log(drop_log, Options()))
+    record = record_of(tune_log(drop_log, TuneOptions()))
     said = replace(record, motion=replace(record.motion, unidentifiable=("drag and slope: no",)))
     (tmp_path / "a.json").write_text(to_json(said))
     assert read_record(tmp_path / "a.json").motion.unidentifiable == ("drag and slope: no",)

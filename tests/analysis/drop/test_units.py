@@ -10,8 +10,8 @@ import pytest
 
 from tests.strangers import bounce_heights
 from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.record import to_json
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import FRAME_NS, UNSTATED, Episode, EpisodeInfo, Signal
 
@@ -47,7 +47,7 @@ def told(
         stamps = np.arange(len(times)) * FRAME_NS
     signal = Signal("/thing", stamps, xyz / size, ("x", "y", "z"), unit, frames)
     episode = Episode(EpisodeInfo(), {signal.name: signal})
-    return json.loads(to_json(record_of(tune_episode(episode, Options()))))
+    return json.loads(to_json(record_of(tune_episode(episode, TuneOptions()))))
 
 
 def assert_tuned(answer: dict[str, Any], *, speed: bool = True) -> None:

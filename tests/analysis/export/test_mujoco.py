@@ -139,7 +139,8 @@ def test_its_body_bounces_in_a_scene_of_others(tmp_path: Path, inertias: str):
             {body}
           </worldbody>
         </mujoco>""")
-    assert float(model.body("tuned_ball").inertia[0]) == pytest.approx(ball.moment_kg_m2)
+    moment_kg_m2 = ball.inertial.inertia_kg_m2[0]
+    assert float(model.body("tuned_ball").inertia[0]) == pytest.approx(moment_kg_m2)
     data = library.MjData(model)
     fallen(model, data, 1.0, (0.0, 0.0))
     wanted = 0.7 * math.sqrt(2 * GRAVITY_M_S2)

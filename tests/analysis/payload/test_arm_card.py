@@ -13,12 +13,12 @@ import pytest
 from tests.analysis.payload.arm_logs import ARM, any_log, changed, circle_log, driver, renamed
 from tests.conftest import Command
 from tunenet_logs.analysis.evaluation.worlds.arm import FULL, stranger_runs
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.arm_card import ArmCard, arm_sha256, card_text, read_arm_card
 from tunenet_logs.analysis.payload.arm_log import read_arm_log
 from tunenet_logs.analysis.payload.noise import NormalEquations, posterior
 from tunenet_logs.analysis.payload.torque_fit import fit_payload
 from tunenet_logs.analysis.payload.torque_model import arm_motion, arm_terms
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.session import record_episode
@@ -169,8 +169,11 @@ def test_files_that_are_not_there_or_too_large_are_no_cards(tmp_path: Path):
 
 def test_a_card_without_sense_makes_no_answer_that_looks_sound(card: ArmCard):
     wild = NormalEquations(np.zeros_like(card.learnt.precision), np.full(len(card.terms), 1e15))
-    selection = Selection(arm_card=replace(card, learnt=wild))
-    tuning = tune_episode(circle_log(Payload(0.5), DRIVER), Options("payload", selection=selection))
+    selection = TuneOptions(arm_card=replace(card, learnt=wild))
+    tuning = tune_episode(
+        circle_log(Payload(0.5), DRIVER),
+        replace(selection, task="payload"),
+    )
     assert tuning.verdict in ("suspect", "rejected")
 
 
@@ -178,8 +181,11 @@ def test_a_card_of_another_arm_is_refused(card: ArmCard):
     episode = circle_log(Payload(0.5), DRIVER)
 
     def reason(**other) -> str:
-        selection = Selection(arm_card=replace(card, file="arm.json", **other))
-        tuning = tune_episode(episode, Options("payload", selection=selection))
+        selection = TuneOptions(arm_card=replace(card, file="arm.json", **other))
+        tuning = tune_episode(
+            episode,
+            replace(selection, task="payload"),
+        )
         assert tuning.verdict == "rejected"
         return tuning.reason or ""
 

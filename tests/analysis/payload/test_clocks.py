@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.analysis.payload.arm_logs import ARM, changed, circle_log
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.arm_log import most_knots, read_arm_log
 from tunenet_logs.analysis.payload.torque_model import arm_motion, smoothing_spline
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
@@ -43,7 +43,7 @@ def stamp_off(at: int, by_ns: int):
 @pytest.mark.parametrize("at", [0, 150, -1])
 def test_a_stamp_days_off_costs_nothing(episode: Episode, at: int, days: int):
     """Before, 1.8 GB a day: knots all over the time from the arm to the stamp."""
-    tuning = tune_episode(with_stamps(episode, stamp_off(at, days * DAY_NS)), Options())
+    tuning = tune_episode(with_stamps(episode, stamp_off(at, days * DAY_NS)), TuneOptions())
     assert tuning.verdict == "ok", tuning.reason
     assert tuning.parameters is not None
     assert any("the clock jumps by" in words for words in tuning.warnings)
@@ -54,7 +54,7 @@ def test_a_stamp_days_off_costs_nothing(episode: Episode, at: int, days: int):
 
 def test_a_tare_with_a_stamp_days_off_serves(episode: Episode):
     tare = with_stamps(circle_log(None), stamp_off(100, DAY_NS))
-    tuning = tune_episode(episode, Options(selection=Selection(tares=(tare,))))
+    tuning = tune_episode(episode, TuneOptions(tares=(tare,)))
     assert tuning.verdict == "ok", tuning.reason
     assert len(tuning.detection.tares[0].motion.spline.t) < 200
     assert any(words.startswith("tare: ") and "jumps" in words for words in tuning.warnings)

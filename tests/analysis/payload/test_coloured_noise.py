@@ -47,3 +47,11 @@ def test_spikes_count_for_less():
     )[0]
     assert noise.weights[::50].max() < 0.01
     assert np.hypot(noise.white_nm, noise.wander_nm) < 0.2
+
+
+def test_rounding_shows_no_correlation():
+    """Residuals of exact torques are smooth by chance, whatever the number of threads."""
+    residual = 1e-13 * np.sin(SECONDS)[:, None]
+    before = (unknown(SECONDS, 0.3),)
+    (noise,) = estimated(before, residual, np.zeros(1), np.full(1, 1e-4), roughly=False)
+    assert noise.wander_nm == 0

@@ -10,10 +10,10 @@ from scipy.interpolate import CubicSpline
 
 from tests.analysis.payload.arm_logs import ARM, FULL_HZ, changed, with_values
 from tests.analysis.payload.paused import paused
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.arm_log import new_samples, read_arm_log
 from tunenet_logs.analysis.payload.checks import arm_checks
 from tunenet_logs.analysis.payload.torque_model import arm_motion
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 from tunenet_logs.recorders.simulators.arm.description import Payload
@@ -99,7 +99,7 @@ def test_a_driver_that_is_stale_rests_too(path: str, rate_hz: float, step_rad: f
 )
 def test_the_mass_of_an_arm_that_rests(path: str, clock: FieldClock):
     fine = Disturbances(rate_hz=60.0, clock=clock, torque_noise_nm=0.2, position_step_rad=1e-4)
-    tuning = tune_episode(log_of(path, fine), Options(method="fit"))
+    tuning = tune_episode(log_of(path, fine), TuneOptions(method="fit"))
     assert tuning.verdict == "ok", tuning.reason
     assert tuning.estimate is not None
     assert float(tuning.estimate[0]) == pytest.approx(TRUTH_KG, abs=0.01)

@@ -14,9 +14,9 @@ from tests.analysis.payload.test_payload import TWO_JOINTS, record
 from tests.conftest import real
 from tests.engines import needs_pybullet
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.review import payload_radius_m, payload_review_data
 from tunenet_logs.analysis.review.tuning import write_review
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
@@ -47,7 +47,7 @@ def drawn(tuning: Tuning, folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def tuned() -> Tuning:
     """A Jaco as its driver publishes it."""
-    return tune_episode(simulate_payload(PayloadOrder(mass_kg=0.7, is_driver=True)), Options())
+    return tune_episode(simulate_payload(PayloadOrder(mass_kg=0.7, is_driver=True)), TuneOptions())
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_iterations_can_be_scrubbed_over_fixed_torques(review: Path):
 def test_every_kind_of_term_has_a_chart(tmp_path: Path):
     held = simulate_payload(PayloadOrder(mass_kg=0.7, is_driver=True))
     empty = record(tmp_path / "empty.mcap", is_empty=True, is_driver=True)
-    tuning = tune_episode(held, Options(selection=Selection(tares=(empty,))))
+    tuning = tune_episode(held, TuneOptions(tares=(empty,)))
     entities = contents(drawn(tuning, tmp_path))
     charts = [
         one for one in entities if one.startswith("/sheets/terms_") and one.endswith("/values")
@@ -140,7 +140,7 @@ def test_every_kind_of_term_has_a_chart(tmp_path: Path):
 @needs_pybullet
 def test_without_a_fit_there_is_none_to_show(tmp_path: Path):
     episode = simulate_payload(PayloadOrder(mass_kg=0.7, preset="paper"))
-    entities = contents(drawn(tune_episode(episode, Options(preset="paper-code")), tmp_path))
+    entities = contents(drawn(tune_episode(episode, TuneOptions(preset="paper-code")), tmp_path))
     assert "/torque/joint_2/iterations" in entities
     assert not [one for one in entities if "fit" in one or "terms" in one]
 
@@ -156,8 +156,8 @@ def test_any_arm_has_a_review(tmp_path: Path, urdf: str, joints: int):
     order = PayloadOrder(
         mass_kg=1.2, urdf=path, tool_link="hand", path="random", torque_noise_nm=0.05, seed=4
     )
-    selection = Selection(arm=(path, "hand"))
-    tuning = tune_episode(simulate_payload(order), Options(selection=selection))
+    selection = TuneOptions(urdf=path, tool_link="hand")
+    tuning = tune_episode(simulate_payload(order), selection)
     entities = contents(drawn(tuning, tmp_path))
     assert f"/torque/joint_{joints}/fit" in entities
     assert f"/torque/joint_{joints + 1}/fit" not in entities
@@ -166,7 +166,7 @@ def test_any_arm_has_a_review(tmp_path: Path, urdf: str, joints: int):
 
 def test_a_fast_log_is_thinned(tmp_path: Path):
     episode = simulate_payload(PayloadOrder(mass_kg=0.7, rate_hz=1000.0, torque_noise_nm=0.2))
-    path = drawn(tune_episode(episode, Options()), tmp_path)
+    path = drawn(tune_episode(episode, TuneOptions()), tmp_path)
     times, _ = series(path, "/torque/joint_2/observed", "Scalars:scalars")
     assert 400 < len(times) <= 700
     assert path.stat().st_size < 3e6
@@ -174,7 +174,7 @@ def test_a_fast_log_is_thinned(tmp_path: Path):
 
 def test_torques_of_no_arm_are_shown_as_rejected(tmp_path: Path):
     bag = real("ros1/jaco_names_recorded_by_rosbag.bag")
-    tuning = tune_log(bag, Options(task="payload"))
+    tuning = tune_log(bag, TuneOptions(task="payload"))
     assert tuning.verdict == "rejected"
     path = drawn(tuning, tmp_path)
     assert "/torque/joint_2/observed" in contents(path)
@@ -182,7 +182,7 @@ def test_torques_of_no_arm_are_shown_as_rejected(tmp_path: Path):
 
 
 def test_a_log_without_torques_shows_what_was_recorded(tmp_path: Path):
-    tuning = tune_log(real("ros1/jaco2_no_effort.bag"), Options(task="payload"))
+    tuning = tune_log(real("ros1/jaco2_no_effort.bag"), TuneOptions(task="payload"))
     assert tuning.detection is None
     entities = contents(drawn(tuning, tmp_path))
     assert r"/recorded/joint_states.position/jaco_joint_1" in {

@@ -20,8 +20,8 @@ from tests.analysis.payload.arm_logs import (
     with_values,
 )
 from tests.conftest import Command
+from tunenet_logs.analysis.options import EffortSign, Gravity, TuneOptions
 from tunenet_logs.analysis.record import read_record
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Episode
 from tunenet_logs.recorders.session import record_episode
@@ -61,13 +61,13 @@ def in_amperes(constants) -> object:
 
 
 def mass(episode: Episode, **stated) -> float:
-    tuning = tune_episode(episode, Options(method="fit", selection=Selection(**stated)))
+    tuning = tune_episode(episode, TuneOptions(method="fit", **stated))
     assert tuning.estimate is not None, tuning.reason
     return float(tuning.estimate[0])
 
 
 def reason(episode: Episode, **stated) -> str:
-    tuning = tune_episode(episode, Options(method="fit", selection=Selection(**stated)))
+    tuning = tune_episode(episode, TuneOptions(method="fit", **stated))
     assert tuning.verdict == "rejected"
     return tuning.reason or ""
 
@@ -81,13 +81,16 @@ def without_gravity(episode: Episode) -> Episode:
 @pytest.mark.parametrize("gravity", [None, "included", "compensated"])
 @pytest.mark.parametrize("effort_sign", [None, "joint", "load"])
 def test_what_is_stated_of_torques_is_all_that_is_tried(
-    held: Episode, gravity: str | None, effort_sign: str | None
+    held: Episode, gravity: Gravity | None, effort_sign: EffortSign | None
 ):
     sign = -1 if effort_sign == "load" else 1
     episode = without_gravity(held) if gravity == "compensated" else held
     episode = changed(episode, effort=with_values(lambda effort: sign * effort))
-    selection = Selection(gravity=gravity, effort_sign=effort_sign)
-    tuning = tune_episode(episode, Options(method="fit", selection=selection))
+    selection = TuneOptions(gravity=gravity, effort_sign=effort_sign)
+    tuning = tune_episode(
+        episode,
+        replace(selection, method="fit"),
+    )
     assert tuning.estimate is not None
     assert float(tuning.estimate[0]) == pytest.approx(HELD.mass_kg, abs=2e-3)
     assert tuning.detection.fit.convention.sign == sign
@@ -98,8 +101,11 @@ def test_what_is_stated_of_torques_is_all_that_is_tried(
 
 
 def test_what_is_stated_goes_before_what_the_log_shows(held: Episode):
-    selection = Selection(gravity="compensated", effort_sign="load")
-    tuning = tune_episode(held, Options(method="fit", selection=selection))
+    selection = TuneOptions(gravity="compensated", effort_sign="load")
+    tuning = tune_episode(
+        held,
+        replace(selection, method="fit"),
+    )
     assert tuning.verdict in ("suspect", "rejected")
 
 
@@ -126,12 +132,15 @@ def test_a_mass_from_currents_is_no_surer_than_the_constants(off: float):
         changed(circle_log(*run), effort=in_amperes(CONSTANTS))
         for run in ((HELD, DRIVER), (None, DRIVER.another_run()))
     )
-    selection = Selection(
+    selection = TuneOptions(
         effort_unit="A",
         torque_constants=tuple(off * constant for constant in CONSTANTS),
         tares=(empty,),
     )
-    tuning = tune_episode(held, Options(method="fit", selection=selection))
+    tuning = tune_episode(
+        held,
+        replace(selection, method="fit"),
+    )
     low_kg, high_kg = tuning.detection.fit.held.interval95
     assert low_kg < HELD.mass_kg < high_kg
     assert 0.15 < (high_kg - low_kg) / 2 / HELD.mass_kg < 0.4
@@ -229,14 +238,14 @@ def test_a_copy_of_a_tare_is_no_other_tare(files, tmp_path: Path):
     held, empty, _ = files
     copy = tmp_path / "copy.mcap"
     copy.write_bytes(empty.read_bytes())
-    tuning = tune_log(held, Options(selection=Selection(tares=(empty, copy))))
+    tuning = tune_log(held, TuneOptions(tares=(empty, copy)))
     assert tuning.verdict == "rejected"
     assert f"--tare {copy}: is a run that was named before" in (tuning.reason or "")
 
 
 def test_the_log_itself_is_no_tare(files):
     held = files[0]
-    tuning = tune_log(held, Options(selection=Selection(tares=(held,))))
+    tuning = tune_log(held, TuneOptions(tares=(held,)))
     assert tuning.verdict == "rejected"
     assert f"--tare {held}: held 0.75 kg" in (tuning.reason or "")
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import Command, real
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.arm_log import which_arm
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import NotFoundError
@@ -51,7 +51,7 @@ def numbered(before: str, count: int) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_what_each_arm_holds_is_found(name: str):
-    tuning = tune_episode(log(name), Options(selection=Selection(arm=name)))
+    tuning = tune_episode(log(name), TuneOptions(arm=name))
     assert tuning.estimate is not None, tuning.reason
     assert tuning.estimate[0] == pytest.approx(HELD_KG, abs=0.005)
     assert any(f"arm: {known_arm(name).words}, as --arm says" in one for one in tuning.warnings)
@@ -71,21 +71,21 @@ def test_what_each_arm_holds_is_found(name: str):
 def test_the_joints_names_say_which(of: str, names: tuple[str, ...], found: str):
     chosen = which_arm(called(log(of), *names), None, None)
     expected = known_arm(found)
-    assert chosen.remarks[0].startswith(f"arm: {expected.words}, by its joints' names")
-    assert [joint.link for joint in chosen.arm.joints] == [
+    assert chosen[1][0].startswith(f"arm: {expected.words}, by its joints' names")
+    assert [joint.link for joint in chosen[0].joints] == [
         joint.link for joint in expected.arm().joints
     ]
     if of == "lwr":
-        assert chosen.arm.joint_names == names
-        assert "without a tare" in chosen.remarks[1]
+        assert chosen[0].joint_names == names
+        assert "without a tare" in chosen[1][1]
 
 
 @pytest.mark.parametrize("of", ["xarm7", "gen3"])
 @pytest.mark.parametrize("before", ["joint", "joint_", "iiwa_joint_", "A"])
 def test_seven_joints_of_no_name_are_the_jacos_and_said_so(of: str, before: str):
     chosen = which_arm(called(log(of), *numbered(before, 7)), None, None)
-    assert len(chosen.arm.joints) == 7
-    (remark,) = chosen.remarks
+    assert len(chosen[0].joints) == 7
+    (remark,) = chosen[1]
     assert "do not say which arm this is: taken for a Kinova Jaco, 7 joints" in remark
     assert "--arm" in remark
 
@@ -96,22 +96,22 @@ def test_what_fits_several_and_not_the_default_asks_for_a_name():
     with pytest.raises(NotFoundError, match=r"\(joint_1, .*joint_6\); name the arm.*--urdf"):
         which_arm(called(log("jaco6"), *numbered("joint_", 6)), None, None)
     named = which_arm(called(log("jaco6"), *numbered("joint_", 6)), "jaco6", None)
-    assert len(named.arm.joints) == 6
+    assert len(named[0].joints) == 6
 
 
 def test_the_topic_that_a_user_prefers_names_the_arm():
     panda = {key.replace("/", "/b/"): one for key, one in log("panda").signals.items()}
     panda = {key: replace(one, name=key) for key, one in panda.items()}
     both = replace(log("jaco6"), signals={**log("jaco6").signals, **panda})
-    assert len(which_arm(both, None, None).arm.joints) == 6
-    assert len(which_arm(both, None, "/b/joint_states").arm.joints) == 7
+    assert len(which_arm(both, None, None)[0].joints) == 6
+    assert len(which_arm(both, None, "/b/joint_states")[0].joints) == 7
 
 
 def test_a_real_log_of_six_joints_is_asked_for_its_arm():
     episode = read_episode(real("ros1/jaco2_6dof_bsd3.bag"))
     with pytest.raises(NotFoundError, match=r"jaco_joint_1.*--arm jaco6"):
         which_arm(episode, None, None)
-    assert len(which_arm(episode, "jaco6", None).arm.joints) == 6
+    assert len(which_arm(episode, "jaco6", None)[0].joints) == 6
 
 
 def test_the_commands_take_and_keep_a_name(command: Command, tmp_path: Path):
@@ -147,5 +147,5 @@ def test_a_name_that_is_wrong_is_one_line(
 
 
 def test_help_lists_the_arms(command: Command):
-    text = "".join(command("tunenet-tune", "--help").stdout.split())
+    text = "".join(command("tunenet-tune", "--help", "payload").stdout.split())
     assert all(name in text for name in ARMS)

@@ -19,8 +19,8 @@ from tests.conftest import ROOT, film, real, record
 from tunenet_logs.analysis.cli.plan import main as plan_main
 from tunenet_logs.analysis.cli.review import main as review_main
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.review.tuning import write_overview, write_review
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
 
@@ -35,64 +35,64 @@ def review_of(tuning: Tuning, folder: Path, verdict: str | None = None) -> Path:
 
 def drop_from_positions(folder: Path) -> Path:
     path = record(folder / "a.mcap", restitution=0.85, height_m=1.5)
-    return review_of(tune_log(path, Options()), folder, "ok")
+    return review_of(tune_log(path, TuneOptions()), folder, "ok")
 
 
 def filmed_drop(folder: Path) -> Path:
-    return review_of(tune_log(ROOT / "sample_logs" / "filmed.mcap", Options()), folder, "ok")
+    return review_of(tune_log(ROOT / "sample_logs" / "filmed.mcap", TuneOptions()), folder, "ok")
 
 
 def impact_times(folder: Path) -> Path:
-    return review_of(tune_episode(episode_of(impacts(7)), Options()), folder, "ok")
+    return review_of(tune_episode(episode_of(impacts(7)), TuneOptions()), folder, "ok")
 
 
 def payload_without_tare(folder: Path) -> Path:
-    return review_of(tune_log(ROOT / "sample_logs" / "payload.mcap", Options()), folder)
+    return review_of(tune_log(ROOT / "sample_logs" / "payload.mcap", TuneOptions()), folder)
 
 
 def payload_with_tare(folder: Path) -> Path:
     held = record_payload(folder / "held.mcap", mass_kg=0.6, is_driver=True)
     empty = record_payload(folder / "empty.mcap", is_empty=True, is_driver=True)
-    return review_of(tune_log(held, Options(selection=Selection(tares=(empty,)))), folder)
+    return review_of(tune_log(held, TuneOptions(tares=(empty,))), folder)
 
 
 def positions_without_a_drop(folder: Path) -> Path:
     path = record(folder / "a.mcap", restitution=0.0, height_m=1.0)
-    return review_of(tune_log(path, Options()), folder, "rejected")
+    return review_of(tune_log(path, TuneOptions()), folder, "rejected")
 
 
 def film_of_a_fall(folder: Path) -> Path:
     order = {"restitution": 0.7, "height_m": 1.0, "seconds": 0.45, "hold_s": 0.2, "seed": 5}
-    return review_of(tune_log(film(folder / "a.mcap", **order), Options()), folder, "rejected")
+    return review_of(tune_log(film(folder / "a.mcap", **order), TuneOptions()), folder, "rejected")
 
 
 def film_of_a_still_ball(folder: Path) -> Path:
     order = {"restitution": 0.7, "height_m": 1.0, "seconds": 0.15, "hold_s": 0.2, "seed": 5}
-    return review_of(tune_log(film(folder / "a.mcap", **order), Options()), folder, "rejected")
+    return review_of(tune_log(film(folder / "a.mcap", **order), TuneOptions()), folder, "rejected")
 
 
 def times_of_no_ball(folder: Path) -> Path:
     times_s = np.cumsum(np.random.default_rng(0).uniform(0.1, 0.6, 9))
-    return review_of(tune_episode(episode_of(times_s), Options()), folder, "rejected")
+    return review_of(tune_episode(episode_of(times_s), TuneOptions()), folder, "rejected")
 
 
 def too_few_times(folder: Path) -> Path:
-    return review_of(tune_episode(episode_of(impacts(2)), Options()), folder, "rejected")
+    return review_of(tune_episode(episode_of(impacts(2)), TuneOptions()), folder, "rejected")
 
 
 def payload_on_a_path_that_the_preset_does_not_know(folder: Path) -> Path:
     episode = simulate_payload(PayloadOrder(mass_kg=0.5, path="random", seconds=6.0))
-    return review_of(tune_episode(episode, Options(preset="paper")), folder, "rejected")
+    return review_of(tune_episode(episode, TuneOptions(preset="paper")), folder, "rejected")
 
 
 def payload_of_no_arm(folder: Path) -> Path:
     bag = real("ros1/jaco_names_recorded_by_rosbag.bag")
-    return review_of(tune_log(bag, Options(task="payload")), folder, "rejected")
+    return review_of(tune_log(bag, TuneOptions(task="payload")), folder, "rejected")
 
 
 def file_that_is_no_log(folder: Path) -> Path:
     (folder / "a.mcap").write_bytes(bytes(range(200)))
-    return review_of(tune_log(folder / "a.mcap", Options()), folder, "rejected")
+    return review_of(tune_log(folder / "a.mcap", TuneOptions()), folder, "rejected")
 
 
 def campaign_of_everything(folder: Path) -> Path:

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from tunenet_logs.analysis.experiment import record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.presentation import result_words, said_names
 from tunenet_logs.analysis.record import Estimate, Record
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tuning import tune_log
 
 
@@ -36,14 +36,14 @@ def named(record: Record, names: list[str]) -> Record:
 
 
 def test_long_names_stand_in_a_list_and_leave_room_for_the_result(drop_log: Path):
-    tuning = tune_log(drop_log, Options(method="fit"))
+    tuning = tune_log(drop_log, TuneOptions(method="fit"))
     record = record_of(tuning)
     short = result_words(named(record, ["joint/a.damping"]), "default", None)
     assert "| a.damping [N·m] | 0.1000 | 0.0000 to 0.2000 |" in short
     assert "| k | 3 | 4 | 5 | 6 | refined |" in short
     names = ["joint/shoulder_pan_joint.frictionloss", f"joint/{'x' * 50}.damping"]
     long = result_words(named(record, names), "default", None)
-    assert "- shoulder_pan_joint.frictionloss [N·m]: **0.1000**, 95 %: 0.0000 to 0.2000" in long
+    assert "- shoulder_pan_joint.frictionloss [N·m]: 0.1000, 95 %: 0.0000 to 0.2000" in long
     assert "| k | 5 | 6 | refined |" in long
     assert "| shoulder_pan_joint.frictionloss | 0.5000 | 0.6000 | 0.7000 |" in long
     cells = [line.split(" | ")[0] for line in long.splitlines() if line.startswith("| ")]

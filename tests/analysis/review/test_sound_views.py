@@ -25,7 +25,7 @@ from tunenet_logs.analysis.evaluation.worlds.audio import (
     track_with_sound,
     with_sound,
 )
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_episode
 from tunenet_logs.episode import Episode
 from tunenet_logs.reader import read_episode
@@ -82,7 +82,7 @@ def fall_and_speech(folder: Path) -> Episode:
 
 def review_in(folder: Path, episode: Episode, verdict: str | None = None) -> Stored:
     """The review of an episode; no view of it is ever empty."""
-    path = review_of(tune_episode(episode, Options()), folder, verdict)
+    path = review_of(tune_episode(episode, TuneOptions()), folder, verdict)
     assert empty_views(path) == []
     return Stored(path)
 

@@ -9,6 +9,7 @@ import sys
 import time
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from tests.analysis.sysid.pendulums import pendulum_episode
 from tests.conftest import ROOT
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.errors import LogError
-from tunenet_logs.recorders.simulators.model import child as model_child
 from tunenet_logs.recorders.simulators.model.reading import ModelProcess, read_model
 from tunenet_logs.recorders.simulators.mujoco import mujoco
 
@@ -49,10 +49,10 @@ def tuned(path: Path) -> Tuning:
     return tn.tune(pendulum_episode(), model=path, parameters=["joint/hinge.damping=0:.2"])
 
 
-def run(path: Path, steps: int, controls: np.ndarray | None = None, **more: object):
+def run(path: Path, steps: int, controls: np.ndarray | None = None, **more: Any):
     """One rollout of a model as it is."""
     compiled = read_model(path).compile()
-    wishes: dict[str, object] = {
+    wishes: dict[str, Any] = {
         "rows": [([], compiled.qpos0, np.zeros(compiled.nv), 0)],
         "controls": [np.zeros((steps, 0)) if controls is None else controls],
         "columns": np.zeros(0, np.intp),
@@ -102,15 +102,11 @@ def test_pieces_are_one_rollout(tmp_path: Path):
     np.testing.assert_array_equal(arrays["qpos"][0, 1:], states[0, :, 1 : 1 + compiled.nq])
 
 
-def test_what_takes_too_long_is_foreseen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_what_takes_too_long_is_foreseen(tmp_path: Path):
     """Steps that are done in time, and of which there are too many."""
-    text = Path(model_child.__file__).read_text().replace("_JUDGED_S = 5.0", "_JUDGED_S = 0.1")
-    child = tmp_path / "child.py"
-    child.write_text(text)
-    monkeypatch.setattr("tunenet_logs.recorders.simulators.model.reading._CHILD", child)
     slow = 'solver="PGS" iterations="100000" tolerance="0"'
     with pytest.raises(LogError, match=r"one rollout would take MuJoCo \d+ s for 300000 steps"):
-        run(model(tmp_path, LANDS, slow), 300_000)
+        run(model(tmp_path, LANDS, slow), 300_000, judged_s=0.1)
 
 
 def worked_s(pid: int) -> float:

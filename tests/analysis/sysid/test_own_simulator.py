@@ -59,7 +59,7 @@ def test_a_sample_is_found_within_its_intervals(
         assert abs(one.value - log.truth[one.name]) < allowed
         assert one.interval95 is not None
     assert record.provenance is not None
-    assert record.provenance.options["source"]["model"] == f"{name}.xml"
+    assert record.provenance.options["model"] == f"{name}.xml"
 
 
 def test_the_samples_are_as_they_are_made(tmp_path: Path):

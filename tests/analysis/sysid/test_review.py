@@ -20,8 +20,8 @@ from tests.analysis.sysid.pendulums import (
     swing,
 )
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.review.tuning import write_review
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.sysid.review import simulator_review_data
 from tunenet_logs.analysis.sysid.source import GivenSimulator, ModelSource
 from tunenet_logs.analysis.tuning import tune_episode
@@ -83,7 +83,7 @@ def tabs(review: Stored) -> list[str]:
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> Tuning:
     source = model_source(tmp_path_factory.mktemp("model"))
-    return tune_episode(pendulum_episode(), Options(source=source))
+    return tune_episode(pendulum_episode(), TuneOptions(source=source))
 
 
 def test_a_model_that_was_fitted(tuned: Tuning, tmp_path: Path):
@@ -114,13 +114,13 @@ def test_the_model_swings_as_the_pendulum_did(tuned: Tuning, tmp_path: Path, nam
 
 def test_a_model_without_shapes_shows_where_its_masses_are(tmp_path: Path):
     source = model_source(tmp_path, has_shapes=False)
-    review = reviewed(tune_episode(pendulum_episode(), Options(source=source)), tmp_path)
+    review = reviewed(tune_episode(pendulum_episode(), TuneOptions(source=source)), tmp_path)
     drawn = {one for one in review.entities if one.startswith("/scene/observed/body_1/")}
     assert {one.rpartition("/")[2] for one in drawn} == {"ellipsoid", "capsule"}
 
 
 def test_a_rejected_log_shows_what_was_observed(tmp_path: Path):
-    options = Options(source=model_source(tmp_path))
+    options = TuneOptions(source=model_source(tmp_path))
     tuning = tune_episode(pendulum_episode(spoiled=2.0), options)
     assert tuning.verdict == "rejected"
     assert tuning.detection is not None
@@ -134,14 +134,14 @@ def test_a_rejected_log_shows_what_was_observed(tmp_path: Path):
 
 
 def test_a_method_without_a_fit_has_no_prediction(tmp_path: Path):
-    options = Options(source=model_source(tmp_path), method="brent", iterations=3)
+    options = TuneOptions(source=model_source(tmp_path), method="brent", iterations=3)
     review = reviewed(tune_episode(pendulum_episode(), options), tmp_path)
     assert tabs(review) == ["overlay", "residuals", "scrub"]
 
 
 def test_an_object_has_no_scene(tmp_path: Path):
     simulator = Spring()
-    options = Options(source=GivenSimulator(simulator))
+    options = TuneOptions(source=GivenSimulator(simulator))
     review = reviewed(tune_episode(simulator.recorded(), options), tmp_path)
     assert tabs(review) == ["overlay", "residuals", "scrub", "held-out prediction"]
     assert "3D" not in kinds(review)
@@ -149,7 +149,7 @@ def test_an_object_has_no_scene(tmp_path: Path):
 
 def test_many_columns_have_a_tab_of_their_own_and_a_bound(tmp_path: Path):
     simulator = Spring(columns=19)
-    options = Options(source=GivenSimulator(simulator))
+    options = TuneOptions(source=GivenSimulator(simulator))
     tuning = tune_episode(simulator.recorded(), options)
     data = simulator_review_data(tuning)
     assert (len(data.main), len(data.others), data.left_out) == (4, 12, 3)
@@ -162,7 +162,7 @@ def test_many_columns_have_a_tab_of_their_own_and_a_bound(tmp_path: Path):
 @pytest.mark.parametrize("breaks_s", [3.0, -1.0])
 def test_guesses_that_diverge(tmp_path: Path, breaks_s: float):
     simulator = Spring(breaks_s=breaks_s)
-    options = Options(source=GivenSimulator(simulator))
+    options = TuneOptions(source=GivenSimulator(simulator))
     reviewed(tune_episode(simulator.recorded(), options), tmp_path)
 
 
@@ -197,7 +197,7 @@ def test_a_free_body_is_where_it_was_seen(tmp_path: Path):
     source = ModelSource(tmp_path / "ball.xml", ("body/ball.mass=0.05:0.2",))
     seconds = np.arange(0.0, 0.4, 0.01)
     places = np.column_stack([0 * seconds, 0 * seconds, 1 - 9.81 * seconds**2 / 2])
-    tuning = tune_episode(places_of("ball", places, seconds), Options(source=source))
+    tuning = tune_episode(places_of("ball", places, seconds), TuneOptions(source=source))
     title, entities = scene_of(tuning, tmp_path)
     assert title == "white: as observed, the rest as simulated; warm: the tuned model"
     assert {"/scene/points/0", "/scene/observed/body_1/ellipsoid"} <= entities
@@ -211,7 +211,7 @@ def test_a_point_of_a_robot_is_a_dot(tmp_path: Path):
     seconds = np.arange(0.0, 4.0, 0.01)
     angles = swing(seconds)[:, 0]
     places = 0.4 * np.column_stack([np.sin(angles), 0 * angles, -np.cos(angles)])
-    tuning = tune_episode(places_of("tip", places, seconds), Options(source=source))
+    tuning = tune_episode(places_of("tip", places, seconds), TuneOptions(source=source))
     title, entities = scene_of(tuning, tmp_path)
     assert title == "the tuned model, dots: as observed"
     assert "/scene/points/0" in entities
@@ -222,6 +222,6 @@ def test_a_log_that_shows_nothing_of_it_has_no_curves_to_compare(tmp_path: Path)
     seen = pendulum_episode().signals["/joint_states.position"]
     other = replace(seen, columns=("wheel",))
     episode = Episode(EpisodeInfo(), {other.name: other})
-    tuning = tune_episode(episode, Options(source=model_source(tmp_path)))
+    tuning = tune_episode(episode, TuneOptions(source=model_source(tmp_path)))
     assert tuning.detection is None
     assert "3D" not in kinds(reviewed(tuning, tmp_path))

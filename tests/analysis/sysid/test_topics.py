@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tunenet_logs.analysis.sysid.fit import compared
-from tunenet_logs.analysis.sysid.matching import Match, matched
+from tunenet_logs.analysis.sysid.matching import Match
 from tunenet_logs.analysis.sysid.source import initial_state
 from tunenet_logs.episode import Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
@@ -52,7 +52,7 @@ STATES = signal("/joint_states.position")
 
 def match(*signals: Signal, told: Mapping[str, str] | None = None, model: Any = None) -> Match:
     log = Episode(EpisodeInfo(), {one.name: one for one in signals})
-    return matched(log, model or model_of(), told or {})
+    return Match(log, model or model_of(), told or {})
 
 
 def sensed(found: Match) -> dict[str, list[str]]:
@@ -363,7 +363,7 @@ def test_stamps_in_bursts_are_simulated():
     bursts = Signal("/joint_states.position", stamps_ns, values, ("elbow",), "rad")
     log = Episode(EpisodeInfo(), {bursts.name: bursts})
     model = model_of()
-    found = matched(log, model, {})
+    found = Match(log, model, {})
     state = initial_state(model, found.sensed, START_NS)
     spec = mujoco().MjSpec.from_string(f"<mujoco>{PARTS}{SERVOS}</mujoco>")
     end_ns = int(stamps_ns[-1])

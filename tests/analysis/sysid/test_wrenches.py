@@ -21,7 +21,7 @@ from tests.driven_logs import (
     wrench,
     write_cdr,
 )
-from tunenet_logs.analysis.sysid.matching import matched, sensed_wrench
+from tunenet_logs.analysis.sysid.matching import Match, sensed_wrench
 from tunenet_logs.analysis.sysid.source import Connected, ModelSource
 from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
@@ -186,9 +186,9 @@ def test_what_a_user_says_of_a_wrench(target: str, words: str):
     log = Episode(EpisodeInfo(), {one.name: one for one in (force(), states)})
     if words:
         with pytest.raises(UsageError) as caught:
-            matched(log, model, {"/ft": target})
+            Match(log, model, {"/ft": target})
         assert words in f"{caught.value} {caught.value.remedy}"
     else:
-        assert len(matched(log, model, {"/ft": target}).sensed) == (1 if target == "-" else 2)
+        assert len(Match(log, model, {"/ft": target}).sensed) == (1 if target == "-" else 2)
     with pytest.raises(UsageError, match="is no force in N"):
-        matched(log, model, {"/j": "site/wrist"})
+        Match(log, model, {"/j": "site/wrist"})

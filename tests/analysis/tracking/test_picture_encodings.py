@@ -27,8 +27,8 @@ from tests.picture_strangers import (
 )
 from tests.tunenet_logs.test_images import with_size
 from tunenet_logs.analysis.experiment import Tuning, record_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.review.tuning import write_review
-from tunenet_logs.analysis.selection import Options
 from tunenet_logs.analysis.tracking.picker import album_of
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.messages import is_whole
@@ -66,7 +66,7 @@ def short(made: Made) -> Path:
 
 @pytest.fixture(scope="module")
 def reference(short: Path) -> float:
-    return restitution(tune_log(short, Options()))
+    return restitution(tune_log(short, TuneOptions()))
 
 
 def restitution(tuning: Tuning) -> float:
@@ -91,7 +91,7 @@ ALIKE = ("bgr8", "yuv422_yuy2", "h265")  # read as others of `OFF` are: raw pixe
 def test_tunes_to_the_same_and_is_shown(short: Path, reference: float, tmp_path: Path, form: str):
     """On the page on which the ball is marked, and in the review."""
     path = write_pictures(tmp_path / "a.mcap", messages(short, form), "/anything")
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     assert restitution(tuning) == pytest.approx(reference, abs=OFF[form])
     assert tuning.verdict == "ok", tuning.reason
     assert [one for one in tuning.warnings if "checksum" not in one] == []

@@ -21,7 +21,7 @@ from tests.picture_strangers import (
     write_video_file,
 )
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.reader import read_episode
 
@@ -112,7 +112,7 @@ def tuned(made: Made):
                 name,
                 lambda path: write_video_file(path, drawn(made, shown_as), codec, 60, **options),
             )
-            known[name] = video, tune_log(video, Options())
+            known[name] = video, tune_log(video, TuneOptions())
         return known[name]
 
     return tune
@@ -126,7 +126,7 @@ def test_a_clip_has_one_answer(tuned, command: Command, tmp_path: Path, clip: st
     video, from_file = tuned(clip)
     assert from_file.verdict == "ok", from_file.reason
     assert from_file.estimate[0] == pytest.approx(0.7, abs=0.01)
-    is_the_same(from_file, tune_log(by_road(road, video, tmp_path, command), Options()))
+    is_the_same(from_file, tune_log(by_road(road, video, tmp_path, command), TuneOptions()))
 
 
 @pytest.mark.slow
@@ -139,4 +139,4 @@ def test_a_phones_slow_motion_has_one_answer(command: Command, tmp_path: Path, r
     else:
         taken = ((START_NS + (one - START_NS) // 4, two) for one, two in decoded(video))
         log = write_jpegs_bag(tmp_path / road, taken)
-    is_the_same(tune_log(video, Options()), tune_log(log, Options()))
+    is_the_same(tune_log(video, TuneOptions()), tune_log(log, TuneOptions()))

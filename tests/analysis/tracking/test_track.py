@@ -15,7 +15,7 @@ from tests.conftest import Made
 from tests.strangers import bounce_heights
 from tunenet_logs.analysis.drop.film import find_filmed_drop
 from tunenet_logs.analysis.evaluation.studies.video import tune_track
-from tunenet_logs.analysis.selection import Hints, Options
+from tunenet_logs.analysis.options import Hints, TuneOptions
 from tunenet_logs.analysis.tracking.frames import Pictures
 from tunenet_logs.analysis.tracking.track import Track, track_ball
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
@@ -84,7 +84,7 @@ def test_random_cameras_colours_blur_and_noise(seed: int):
     track = tracked(filmed)
     assert track.found.mean() > 0.95
     assert off_px(track, order, camera).std(axis=0).max() < 0.3
-    found = tune_track(track, Options()).estimate
+    found = tune_track(track, TuneOptions()).estimate
     assert found is not None
     assert found[0] == pytest.approx(0.65, abs=0.01)
 
@@ -146,7 +146,7 @@ def test_a_picture_without_the_ball_is_a_gap(episode: Episode):
 def test_a_ball_at_rest_stays_found():
     order = replace(ORDER, restitution=0.3, seconds=2.0)
     camera = PinholeCamera(CAMERA.position_m, CAMERA.target_m, (240, 180))
-    track = tracked(kept(film_drop(order, FilmOrder(camera))))
+    track = tracked(kept(film_drop(order, FilmOrder(camera=camera))))
     assert track.found[-60:].all()
     assert np.ptp(track.places_px[-60:], axis=0).max() < 0.5
 

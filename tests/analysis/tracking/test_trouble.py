@@ -17,7 +17,7 @@ from tunenet_logs.analysis.tracking import frames as kept_film
 from tunenet_logs.analysis.tracking.candidates import Candidates, middle_of
 from tunenet_logs.analysis.tracking.flights import _parabola
 from tunenet_logs.analysis.tracking.frames import Pictures
-from tunenet_logs.analysis.tracking.track import Redetection, Track, new_pictures, track_ball
+from tunenet_logs.analysis.tracking.track import Track, new_frames, new_pictures, track_ball
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.recorders.simulated import simulate_drop
 from tunenet_logs.recorders.simulators.ball import TOPIC
@@ -186,8 +186,7 @@ def test_seen_twice_in_one_place_a_ball_that_turns_back_counts_twice(
         whole=np.ones((count, 1), dtype=bool),
         misfits=np.zeros((count, 1)),
     )
-    second = Redetection(table, table.places_px[:, 0], np.arange(count) == 4)
-    assert tuple(second.new_frames()) == kept
+    assert tuple(new_frames(table, np.arange(count) == 4)) == kept
 
 
 @pytest.mark.parametrize("times", [1, 2], ids=["doubled", "tripled"])

@@ -58,8 +58,8 @@ READERS = (
     Fault(
         "a place that is infinite is taken for a place",
         "tunenet_logs/signals.py",
-        "values = rows.places[keep]\n        values[~np.isfinite(values)] = np.nan",
-        "values = rows.places[keep]\n        values[np.isnan(values)] = np.nan",
+        "values = places[keep]\n        values[~np.isfinite(values)] = np.nan",
+        "values = places[keep]\n        values[np.isnan(values)] = np.nan",
         ("tests/tunenet_logs/test_collect.py",),
     ),
     Fault(
@@ -171,8 +171,8 @@ VERDICTS = (
     Fault(
         "a filmed bounce is taken to be as high as its restitution, not its square",
         "analysis/drop/checks.py",
-        "hop_px, least = restitution**2 * span, max(_CLEAR_FILMED_HOP * noise_px, 1.0)",
-        "hop_px, least = restitution * span, max(_CLEAR_FILMED_HOP * noise_px, 1.0)",
+        "clear.measured(restitution**2 * span_px, max(clear",
+        "clear.measured(restitution * span_px, max(clear",
         ("tests/analysis/drop/test_film.py",),
     ),
 )

@@ -23,7 +23,7 @@ MUTANTS = int(os.environ.get("TUNENET_FUZZ_MUTANTS", "400"))
 SEED = int(os.environ.get("TUNENET_FUZZ_SEED", "0"))
 OPTIONS = (
     ReadOptions(),
-    ReadOptions(rate_hz=240.0, length_unit="mm"),
+    ReadOptions(fps=240.0, length_unit="mm"),
     ReadOptions(columns={"t": "t", "z": "z"}),
     ReadOptions(columns={"t": "1", "x": "2", "z": "4"}),
 )

@@ -70,7 +70,7 @@ def test_each_layout(tmp_path: Path, write: Write, names: tuple[str, ...], unit:
 @pytest.mark.parametrize("write", [mtrack2, manual_tracking, imagej_results, trackmate_csv])
 def test_rate_that_the_user_knows(tmp_path: Path, write: Write):
     write(tmp_path / "a.txt", filmed())
-    for signal in read(tmp_path / "a.txt", rate_hz=250.0).signals.values():
+    for signal in read(tmp_path / "a.txt", fps=250.0).signals.values():
         assert np.diff(signal.stamps_ns).min() == 4_000_000
         assert not signal.counts_frames
 

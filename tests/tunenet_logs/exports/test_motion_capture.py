@@ -64,7 +64,7 @@ def test_stamps_are_exact(tmp_path: Path, layout: str, rate_hz: float):
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_a_user_says_the_rate(tmp_path: Path, layout: str):
     path = written(tmp_path, layout)
-    signal = read(path, ReadOptions(rate_hz=240)).signals["Ball 1"]
+    signal = read(path, ReadOptions(fps=240)).signals["Ball 1"]
     assert signal.rate_hz == pytest.approx(240, rel=1e-6)
 
 

@@ -101,7 +101,7 @@ def test_too_many_columns_are_refused(tmp_path: Path):
 
 
 def test_more_numbers_than_are_held_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tunenet_logs.formats.columns.table._MAX_ROWS", 100)
+    monkeypatch.setattr("tunenet_logs.formats.readers.mocap.MAX_PLACES", 100)
     with pytest.raises(LogError, match="export fewer markers or a part of the take"):
         read(take(tmp_path))
 

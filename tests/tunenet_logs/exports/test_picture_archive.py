@@ -12,7 +12,7 @@ import pytest
 
 from tests.analysis.films import short_film
 from tests.conftest import Made
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.episode import FRAME_NS, Episode
 from tunenet_logs.errors import LogError
@@ -50,7 +50,7 @@ def stamps_of(episode: Episode) -> list[int]:
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".webp", ".ppm"])
 def test_numbers_count_and_not_letters(tmp_path: Path, suffix: str):
     path = folder_of(tmp_path / "a", [f"take2_img{number}{suffix}" for number in range(COUNT)])
-    episode = read_episode(path, ReadOptions(rate_hz=500))
+    episode = read_episode(path, ReadOptions(fps=500))
     assert order_of(episode) == list(range(COUNT))
     assert stamps_of(episode) == [2_000_000 * number for number in range(COUNT)]
     assert not episode.frames_untimed
@@ -66,7 +66,7 @@ def test_without_a_rate_they_count_frames(tmp_path: Path):
 
 def test_a_number_that_is_missing_is_a_gap(tmp_path: Path):
     names = [f"{10 * number}.png" for number in range(COUNT) if number != 3]
-    episode = read_episode(folder_of(tmp_path / "a", names), ReadOptions(rate_hz=100))
+    episode = read_episode(folder_of(tmp_path / "a", names), ReadOptions(fps=100))
     wanted = [10_000_000 * number for number in range(COUNT) if number != 3]
     assert stamps_of(episode) == wanted
     assert "1 numbers between the first and the last have no picture" in episode.warnings[0]
@@ -120,7 +120,7 @@ def zip_of(path: Path, names: list[str]) -> Path:
 def test_a_zip_is_read_where_it_lies(tmp_path: Path):
     names = [f"../drop/{number}.png" for number in range(COUNT)]
     path = zip_of(tmp_path / "a.zip", [*names, "__MACOSX/drop/._1.png"])
-    episode = read_episode(path, ReadOptions(rate_hz=100))
+    episode = read_episode(path, ReadOptions(fps=100))
     assert order_of(episode) == list(range(COUNT))
     assert sorted(tmp_path.iterdir()) == [path]
 
@@ -177,7 +177,7 @@ def test_an_animated_webp_is_a_film(tmp_path: Path):
     assert [round(float(one[24:].mean()) / 20) for one in shown] == list(range(COUNT))
     assert {round(float(one[:24].mean()) / 20) for one in shown} == {5}
     assert stamps_of(episode) == [20_000_000 * number for number in range(COUNT)]
-    assert stamps_of(read_episode(path, ReadOptions(rate_hz=100)))[1] == 10_000_000
+    assert stamps_of(read_episode(path, ReadOptions(fps=100)))[1] == 10_000_000
 
 
 def test_a_cut_animation_is_damaged(tmp_path: Path):
@@ -201,7 +201,7 @@ def test_a_drop_in_numbered_pictures_is_tuned(made: Made, tmp_path: Path, kind: 
         path.mkdir()
         for name, frame in zip(names, film.frames(), strict=True):
             (path / name).write_bytes(frame.data)
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     assert tuning.verdict == "ok", tuning.reason
     assert tuning.estimate is not None
     assert tuning.estimate[0] == pytest.approx(0.7, abs=0.005)

@@ -59,7 +59,7 @@ def test_currents_become_torques_with_the_constants_that_are_said(tmp_path: Path
     effort = episode.signals["joints.effort"]
     assert effort.unit == "N·m"
     np.testing.assert_allclose(effort.values[0], np.arange(1, 7) * np.arange(20, 26))
-    with pytest.raises(LogError, match="has 2 numbers, actual_current 6 joints"):
+    with pytest.raises(LogError, match="has 2 numbers for the 6 joints of actual_current"):
         read_episode(log, ReadOptions(torque_constants=(1, 2)))
 
 

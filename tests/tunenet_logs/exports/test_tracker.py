@@ -59,7 +59,7 @@ def test_frames_alone_count_frames(tmp_path: Path):
     path = tmp_path / "a.txt"
     path.write_text(",ball,,\nframe,x,y,\n" + "".join(f"{n},1.5,{n / 7}\n" for n in range(9)))
     assert read_episode(path).signals["ball"].counts_frames
-    told = open_log(path, ReadOptions(rate_hz=240.0)).signals["ball"]  # type: ignore[union-attr]
+    told = open_log(path, ReadOptions(fps=240.0)).signals["ball"]  # type: ignore[union-attr]
     assert not told.counts_frames
     assert told.rate_hz == pytest.approx(240)
 
@@ -101,7 +101,7 @@ def test_last_row_cut_short_is_a_loss(tmp_path: Path):
             '<object class="org.opensourcephysics.cabrillo.tracker.TrackerPanel">',
             "File > Export > Data File",
         ),
-        (",mass A,,\nt,x,y,\n" + "1e99,1,1\n" * 3, "a time or frame is no number"),
+        (",mass A,,\nt,x,y,\n" + "1e99,1,1\n" * 3, "'1e99' is no time"),
     ],
 )
 def test_refusals_are_one_line(tmp_path: Path, text: str, says: str):

@@ -36,9 +36,7 @@ MAX_LINE = 1024**2  # characters; a row of 5000 columns of 20 digits is a tenth 
 _MAX_TABLE_BYTES = 512 * 1024**2  # its cells are read one by one, in Python
 _LOOK_BYTES = 65_536  # of a file, which tell whether it is text, and its encoding
 _MAX_FOREIGN = 0.3  # share of bytes beyond ASCII in CP1252 text; images and sound have more
-
 _NUMBER = re.compile(r"[-+]?(?:[0-9]++(?:[.,][0-9]++)?|[.,][0-9]++)(?:[eE][-+]?[0-9]+)?")
-
 # How encodings begin that mark themselves; spreadsheets write UTF-16 as "Unicode text".
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -47,10 +45,8 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
     (codecs.BOM_UTF8, "utf-8-sig"),
 )
-
 # Bytes that no text has; a terminal's log has ESC (1b), an old one of DOS ends with 1a.
 _CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x19\x1c-\x1f\x7f]")
-
 _MAX_LINES = 4_000_000  # of a table, empty ones too: as many again as it may have rows
 
 
@@ -150,6 +146,12 @@ def lines_of(path: Path) -> Iterator[str | None]:
             yield line.rstrip("\n") if whole else None
 
 
+def best_separator(line: str) -> str | None:
+    """Return the most frequent separator of a header's cells; None is white space."""
+    mark = max("\t;,", key=line.count)
+    return mark if mark in line else None
+
+
 def cells_of(line: str, separator: str | None) -> list[str]:
     """Split a line into cells; none where it is malformed.
 
@@ -172,24 +174,17 @@ _MAX_EXPORT_BYTES = 1024**3
 _BLOCK_CHARACTERS = 4 * 1024**2  # parsed at once
 # Where rows of numbers end and the next section begins.
 _WORDS = re.compile(r'^[ \t,;"]*[A-Za-z]', re.MULTILINE)
-
 # How cells are written where nothing was seen, in small letters too.
 _UNSEEN = ("", "-", "nan", "Nan", "NAN", "-nan", "null", "none")
-
 _FORMAT_LOOK_ROWS = 20  # that show how numbers are written
 
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """Number format of a file's rows.
+    """Number format of a file's rows."""
 
-    Attributes:
-        separator: between cells.
-        decimal: "." or ",".
-    """
-
-    separator: str
-    decimal: str = "."
+    separator: str  # between cells
+    decimal: str = "."  # "." or ","
 
 
 class LineReader:
@@ -213,11 +208,7 @@ class LineReader:
         return taken
 
     def block(self, *, until_words: bool = False) -> str:
-        """Read a block of whole lines; "" at the end.
-
-        Args:
-            until_words: whether to stop before a line that begins with a letter.
-        """
+        """Read a block of whole lines; "" at the end."""
         self._fill()
         words = _WORDS.search(self._ahead, self._at) if until_words else None
         end = words.start() if words else len(self._ahead)
@@ -289,16 +280,7 @@ def unended(block: str) -> tuple[str, str]:
 def numbers_of(
     block: str, form: NumberFormat, columns: Sequence[int]
 ) -> tuple[NDArray[np.float64], int]:
-    """Parse cells of a block of lines; also count the lines that are malformed.
-
-    Args:
-        block: whole lines.
-        form: number format.
-        columns: to read, increasing.
-
-    Returns:
-        Numbers, NaN where a cell is empty or none, shape (T, len(columns)); and the count.
-    """
+    """Parse cells of a block of lines; also count the lines that are malformed."""
     lines = [line for line in block[: 64 * 1024].splitlines()[:_FORMAT_LOOK_ROWS] if line]
     width = max((line.count(form.separator) + 1 for line in lines), default=0)
     there = [column for column in columns if column < width]
@@ -346,7 +328,6 @@ def _parsed(
 
 # Above this the file is not damaged, but misread by us: it is refused.
 _MAX_UNREADABLE_FRACTION = 0.05
-
 # What to do about a cell or a row.
 NUMBER_REMEDY = "write numbers as 1050.25"
 TIME_REMEDY = "write times in seconds (0.008), or as 2026-11-21T10:00:00.008Z"
@@ -424,9 +405,7 @@ class Failures:
 
 LOOK_ROWS = 50  # looked at: what all of them share is no accident
 _MIN_ROWS = 3
-
 _OFF = 0.02  # by which a quaternion's norm or a rotation may differ from 1: files are rounded
-
 _TURN = tuple(f"orientation.{axis}" for axis in "xyzw")
 _POSE = ("x", "y", "z", *_TURN)
 _ROS_POSE = ("x (m)", "y (m)", "z (m)", *_TURN)
@@ -434,30 +413,21 @@ _COVARIANCE = tuple(f"covariance{at}" for at in range(36))
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 _TWIST = tuple(f"twist{at}" for at in range(6 + 36))
 _MATRIX = ("r11", "r12", "r13", "x", "r21", "r22", "r23", "y", "r31", "r32", "r33", "z")
-
 _ROW_SEPARATORS = (",", "\t", ";", None)  # in the order in which they are tried
 _MAX_COUNTED = 1000  # in a second column that counts, and holds no nanoseconds
 
 
 @dataclass(frozen=True)
 class KnownRows:
-    """Recognized format of headerless rows.
+    """Recognized format of headerless rows."""
 
-    Attributes:
-        what: in words.
-        separator: of cells; None is white space.
-        names: of the columns.
-        has_clock: whether rows have times; else a row is a frame.
-        remedy: what the user has to state, where the rows are ambiguous; "" where they are not.
-        texts: text columns, which are equal in every row.
-    """
-
-    what: str
-    separator: str | None
-    names: tuple[str, ...]
-    has_clock: bool = True
+    what: str  # in words
+    separator: str | None  # of cells; None is white space
+    names: tuple[str, ...]  # of the columns
+    has_clock: bool = True  # whether rows have times; else a row is a frame
+    # what the user has to state, where the rows are ambiguous; "" where they are not
     remedy: str = ""
-    texts: tuple[int, ...] = ()
+    texts: tuple[int, ...] = ()  # text columns, which are equal in every row
 
     @property
     def refusal(self) -> str:
@@ -556,12 +526,13 @@ def _echoed(
     places = zip("xyz"[: width if width < 4 else 3], range(3 + count, 6 + count), strict=False)
     said = ",".join(f"{axis}={at}" for axis, at in places) if width != 1 else f"z={3 + count}"
     remedy = f"where the numbers in columns {said} are a place, say so with --columns {said}"
-    names = (*_STAMP, *(f"text {at + 1}" for at in texts), *_numbered(2 + count, width))
+    first = 2 + count
+    names = (
+        *_STAMP,
+        *(f"text {at + 1}" for at in texts),
+        *tuple(f"column {at + 1}" for at in range(first, first + width)),
+    )
     return KnownRows(what + "a type that its rows do not tell", separator, names, True, remedy)
-
-
-def _numbered(first: int, count: int) -> tuple[str, ...]:
-    return tuple(f"column {at + 1}" for at in range(first, first + count))
 
 
 def _are_stamps(values: NDArray[np.float64]) -> bool:
@@ -603,31 +574,23 @@ def _number(cell: str) -> float:
 
 # What stands in a cell for no value, in small letters.
 _NUMBERLESS = frozenset(("", "-", "--", "null", "none", "na", "n/a", "<na>", "#n/a"))
-
 # A number with any marks between its digits.
 _MARKED_NUMBER = re.compile(r"[+-]?[\d.,]+(?:e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
-
 # Thousands in groups, beyond doubt: with a mark of decimals as well, or two groups and more.
 _IN_GROUPS = re.compile(
     r"[+-]?[1-9]\d{0,2}(?:(?:,\d{3})+\.\d*|(?:\.\d{3})+,\d*|(?:,\d{3}){2,}|(?:\.\d{3}){2,})",
     re.ASCII,
 )
-
 # What may be a thousand or more, or have three decimals.
 _ONE_GROUP = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """Number format of a table.
+    """Number format of a table."""
 
-    Attributes:
-        separator: of cells; None is white space.
-        decimal: decimal mark; "" where the first rows do not show it.
-    """
-
-    separator: str | None
-    decimal: str = ""
+    separator: str | None  # of cells; None is white space
+    decimal: str = ""  # decimal mark; "" where the first rows do not show it
 
     def plain(self, cell: str) -> str:
         """Normalize a number's text to a decimal point, without thousands separators.
@@ -658,7 +621,9 @@ class Numbers:
             ValueError: it is no number.
         """
         try:
-            value = float(cell if self.decimal != "," else _pointed(cell))
+            value = float(
+                cell if self.decimal != "," else (cell.replace(",", ".") if "." not in cell else "")
+            )
         except ValueError:
             value = _from_words(self.plain(cell))
         return value if isfinite(value) else float("nan")
@@ -678,17 +643,19 @@ class Thousands:
         self._groups: dict[int, str] = {}
         self._wholes: set[int] = set()
 
-    def look(self, cells: Sequence[str]) -> None:
-        """Examine one more row."""
+    def look(self, rows: Sequence[Sequence[str]]) -> None:
+        """Examine some more rows."""
         for at in tuple(self._undecided):
-            text = cells[at].strip()
-            if _ONE_GROUP.fullmatch(text):
-                self._groups.setdefault(at, text)
-            elif (digits := text.lstrip("+-")).isdecimal() and len(digits) < 4:
-                if digits.strip("0"):
-                    self._wholes.add(at)
-            elif any(map(str.isdecimal, text)):
-                self._undecided.discard(at)
+            for row in rows:
+                text = row[at].strip()
+                if _ONE_GROUP.fullmatch(text):
+                    self._groups.setdefault(at, text)
+                elif (digits := text.lstrip("+-")).isdecimal() and len(digits) < 4:
+                    if digits.strip("0"):
+                        self._wholes.add(at)
+                elif any(map(str.isdecimal, text)):
+                    self._undecided.discard(at)
+                    break
 
     def doubt(self, names: Sequence[str]) -> str:
         """Describe an ambiguous column; "" where there is none."""
@@ -702,9 +669,10 @@ class Thousands:
         )
 
 
-def _pointed(cell: str) -> str:
-    """Return a number with a decimal comma as one with a point; "" where it has a point too."""
-    return cell.replace(",", ".") if "." not in cell else ""
+def is_missing(cell: str) -> bool:
+    """Return whether a cell holds no value, or a mark of that."""
+    text = cell.strip().lower()
+    return text in _NUMBERLESS or text == "nan"
 
 
 def _from_words(text: str) -> float:
@@ -734,112 +702,113 @@ def _mark(text: str) -> str:
 
 # A number and its unit: "0.008 sec".
 _WITH_UNIT = re.compile(rf"(\S+)\s+({'|'.join(POWERS)})", re.ASCII | re.IGNORECASE)
-
 # A date: the year first, or last as people write it.
 _DAY = r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4})"
-
 # A time of the day, to the nanosecond.
 _HOURS = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d{1,9}))?)?(?:\s?([AaPp])[Mm])?"
-
 # A date and perhaps the time of that day, with or without a zone: ISO 8601 and its kin.
 _DATE = re.compile(rf"{_DAY}(?:[T ]\s?{_HOURS})?\s?(Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII)
-
 # A time of day alone, or minutes and seconds as spreadsheets show them without hours: 30:25.1.
 _OF_DAY = re.compile(rf"{_HOURS}|(\d{{1,4}}):(\d\d)[.,](\d{{1,9}})", re.ASCII)
-
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)  # what stamps count from
 _MAX_DIGITS = 60  # of a time's text; a longer one costs too much to read
-_MAX_NS = 2**62  # half of what int64 holds, so that differences fit as well: to the year 2116
+MAX_NS = 2**62  # half of what int64 holds, so that differences fit as well: to the year 2116
 _S_NS = 10**9
 _HOUR_NS, _DAY_NS = 3600 * _S_NS, 86_400 * _S_NS
-
 _NAMES = {_S_NS: "s", 10**6: "ms", 10**3: "us", 1: "ns"}  # units of times [ns]
 _SINCE_1970_S = (1e9, 4e9)  # 2001 to 2096
 _SHEET_DAYS = (20_000, 80_000)  # days of a spreadsheet, which count from 1900: 1954 to 2119
 _MAX_STEP_S = 2.0  # from row to row, for times since 1970 or days of a spreadsheet
 # Counts of frames or seconds begin below it; larger whole numbers that rise by 1 are ms.
 _COUNTS_TO = 1000.0
-
 # Least step of times in each unit [ns]: what moves is sampled at 2.5 Hz to 2 kHz.
 _STEPS = ((5e8, _S_NS), (4e5, 1), (400.0, 10**3), (2.0, 10**6))
-
 # Steps of times in s lie between these: larger ones may be another unit's, smaller ones no log has.
 _SLOW_STEP, _FAST_STEP = 0.5, 2e-5
 _KHZ_STEP = 0.8  # fractions with a larger step are ms of a fast sensor, not s of a slow one
 _FEW_RISES = 8  # from row to row: too few to tell a unit
-_UNIT_LOOK_ROWS = 100  # whose steps and size tell the unit of times that name none
+UNIT_ROWS = 100  # whose steps and size tell the unit of times that name none
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Time columns of a table's rows.
+    """Time columns of a table's rows."""
 
-    Attributes:
-        name: of its column, or of the first of two.
-        indices: of the columns: one, one of seconds and one of nanoseconds, or a date and a time.
-        power: the unit as a power of ten of a second; None to go by the numbers.
-        scope: the words before it in its name: what it is the time of.
-        counts_frames: whether it numbers frames, read as so many seconds.
-        has_date: whether the first of two columns is a date, which a time of day lacks.
-    """
-
-    name: str
+    name: str  # of its column, or of the first of two
+    # of the columns: one, one of seconds and one of nanoseconds, or a date and a time
     indices: tuple[int, ...]
-    power: int | None
-    scope: tuple[str, ...] = ()
-    counts_frames: bool = False
-    has_date: bool = False
-
-    def read(self, texts: Sequence[str], unit_ns: int) -> int:
-        """Parse the time of a row [ns].
-
-        Args:
-            texts: cells of its columns.
-            unit_ns: the unit of a plain number, where there is one column.
-
-        Raises:
-            ValueError: it is no time.
-        """
-        if len(texts) == 2 and not self.has_date:
-            return exact_ns(texts[0], 0) + exact_ns(texts[1], -9)
-        text = texts[-1]
-        if ":" not in text:
-            try:
-                return _units_ns(text, unit_ns)
-            except ValueError:
-                return _own_ns(text)
-        if self.has_date and is_of_day(text):
-            return _own_ns(texts[0]) + _own_ns(text)
-        return _own_ns(text)
+    power: int | None  # the unit as a power of ten of a second; None to go by the numbers
+    scope: tuple[str, ...] = ()  # the words before it in its name: what it is the time of
+    counts_frames: bool = False  # whether it numbers frames, read as so many seconds
+    has_date: bool = False  # whether the first of two columns is a date, which a time of day lacks
+    unit_ns: int = 0  # the unit, where it is no power of ten
 
 
 @dataclass(frozen=True)
 class TimeUnit:
-    """Unit of a time column.
+    """Unit of a time column."""
 
-    Attributes:
-        ns: its length [ns].
-        doubt: how it was inferred where no name and no date states it, in words; "" where these do.
-    """
-
-    ns: int
+    ns: int  # its length [ns]
+    # how it was inferred where no name and no date states it, in words; "" where these do
     doubt: str = ""
 
 
-class DayTurns:
-    """Unwrapping of times of day, in row order, across midnight.
+class TextClock:
+    """Reader of a clock's texts, row by row; times of day go on across midnight.
 
     Args:
-        text: the first of them; one without hours wraps every hour.
+        clock: meaning of the columns.
+        first: the texts of its columns in the first rows, which tell the unit of times.
+        is_sampled: see `unit_of_times`.
+
+    Raises:
+        ValueError: no unit of a log fits.
     """
 
-    def __init__(self, text: str) -> None:
-        self._turn_ns = _HOUR_NS if text.count(":") == 1 else _DAY_NS
-        self._last_ns = 0
-        self._turns_ns = 0
+    def __init__(
+        self, clock: Clock, first: Sequence[Sequence[str]], is_sampled: bool = True
+    ) -> None:
+        self._clock = clock
+        self._is_sum = len(clock.indices) > 1 and not clock.has_date
+        self._turn_ns = self._last_ns = self._turns_ns = 0
+        self.doubts: list[str] = []
+        texts = [row[-1 if clock.has_date else 0] for row in first]
+        if any(map(says_its_unit, texts)):
+            self._unit_ns = 10 ** (9 + (clock.power or 0))
+            if any(map(lacks_zone, texts)):
+                self.doubts.append(f"{clock.name!r} names no time zone and was taken as UTC")
+            of_day = next(filter(is_of_day, texts), "")
+            if of_day and not clock.has_date:  # without hours it begins anew every hour
+                self._turn_ns = _HOUR_NS if of_day.count(":") == 1 else _DAY_NS
+            return
+        power = 0 if self._is_sum or clock.counts_frames else clock.power
+        self._unit_ns = clock.unit_ns
+        if clock.unit_ns:
+            return
+        unit = unit_of_times(clock.name, texts, power, is_sampled=is_sampled)
+        self._unit_ns = unit.ns
+        self.doubts += [unit.doubt] if unit.doubt else []
 
-    def __call__(self, time_ns: int) -> int:
-        """Return the time since the first midnight [ns], from that since its own."""
+    def read(self, texts: Sequence[str]) -> int:
+        """Parse the time of a row [ns].
+
+        Raises:
+            ValueError: it is no time.
+        """
+        if self._is_sum:
+            return exact_ns(texts[0], 0) + exact_ns(texts[1], -9)
+        text = texts[-1]
+        if ":" not in text:
+            try:
+                return self._turned(_units_ns(text, self._unit_ns))
+            except ValueError:
+                return self._turned(_own_ns(text))
+        if self._clock.has_date and is_of_day(text):
+            return _own_ns(texts[0]) + _own_ns(text)
+        return self._turned(_own_ns(text))
+
+    def _turned(self, time_ns: int) -> int:
+        """Return the time since the first midnight, from that since its own."""
         if self._turn_ns // 2 < self._last_ns - time_ns < self._turn_ns:
             self._turns_ns += self._turn_ns
         self._last_ns = time_ns
@@ -865,7 +834,7 @@ def _units_ns(text: str, unit_ns: int) -> int:
         nanoseconds = int((number * unit_ns).to_integral_value())
     except ArithmeticError as error:
         raise ValueError(f"{text} is no number") from error
-    if abs(nanoseconds) > _MAX_NS:
+    if abs(nanoseconds) > MAX_NS:
         raise ValueError(f"{text} is no time")
     return nanoseconds
 
@@ -878,19 +847,13 @@ def unit_of_times(
     Stamps since 1970 show it by their size, others by their step: moving objects are sampled some 2
     to 2000 times a second, and a unit is a thousand times the next. A gap is a step among many.
 
-    Args:
-        name: of the column.
-        texts: its first rows, in their order.
-        power: the unit in its name, as a power of ten of a second; None where there is none.
-        is_sampled: whether rows follow at a rate; impacts do not, and their steps show nothing.
-
     Raises:
         ValueError: no unit of a log has such steps.
     """
     if power is not None:
         return TimeUnit(10 ** (9 + power))
     numbers: list[float] = []
-    for text in islice(texts, _UNIT_LOOK_ROWS):
+    for text in islice(texts, UNIT_ROWS):
         with suppress(TypeError, ValueError):
             numbers.append(float(text))  # type: ignore[arg-type]
     numbers = [number for number in numbers if isfinite(number)]
@@ -914,7 +877,9 @@ def unit_of_times(
     if not is_sampled or step < _SLOW_STEP:
         return TimeUnit(_S_NS)
     is_count = step < _STEPS[-1][0] and (
-        numbers[0] < _COUNTS_TO if _are_whole(numbers) else step < _KHZ_STEP
+        numbers[0] < _COUNTS_TO
+        if all(number.is_integer() for number in numbers)
+        else step < _KHZ_STEP
     )
     is_count |= len(rises) < _FEW_RISES
     found = next((unit for least, unit in _STEPS if step >= least), 10**6)
@@ -929,10 +894,6 @@ def _guessed(name: str, unit_ns: int, step: float) -> TimeUnit:
         f"{name!r} names no unit and was taken as {_NAMES[unit_ns]}: it rises by {step:g} from row "
         f"to row; if it is not, name it {others}",
     )
-
-
-def _are_whole(numbers: Sequence[float]) -> bool:
-    return all(number.is_integer() for number in numbers)
 
 
 def _usual(rises: Sequence[float]) -> float:
@@ -958,11 +919,7 @@ def lacks_zone(text: str) -> bool:
 
 
 def _own_ns(text: str) -> int:
-    """Parse a time with its unit: "0.008 sec", a date without a zone in UTC, "9:30:00".
-
-    Raises:
-        ValueError: it has none, or there is no such time.
-    """
+    """Parse a time with its unit: "0.008 sec", a date without a zone in UTC, "9:30:00"."""
     text = text.strip()
     if own := _WITH_UNIT.fullmatch(text):
         return exact_ns(own[1], POWERS[own[2].lower()])
@@ -978,7 +935,7 @@ def _own_ns(text: str) -> int:
     since = datetime.fromisoformat(f"{_iso_day(day)}T00:00:00{zone or 'Z'}") - _EPOCH
     nanoseconds = (since.days * 86400 + since.seconds) * _S_NS
     nanoseconds += _of_day_ns(*of_day) if of_day[0] else 0
-    if abs(nanoseconds) > _MAX_NS:
+    if abs(nanoseconds) > MAX_NS:
         raise ValueError(f"{text} is no time")
     return nanoseconds
 

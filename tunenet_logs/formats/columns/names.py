@@ -16,6 +16,13 @@ from enum import IntEnum
 from functools import lru_cache
 
 Words = tuple[str, ...]  # the words of a column's name, as `words_of` takes it apart
+
+
+def words_in(text: str) -> frozenset[str]:
+    """Return the words of a list."""
+    return frozenset(text.split())
+
+
 # Units of lengths [m].
 LENGTHS = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
@@ -25,7 +32,6 @@ LENGTHS = {
     **dict.fromkeys(("in", "inch", "inches"), 0.0254),
     **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
 }
-
 # Units of times, as powers of ten of a second.
 POWERS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 0),
@@ -38,19 +44,12 @@ POWERS = {
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """A time.
+    """A time."""
 
-    Attributes:
-        power: its unit as a power of ten of a second; None where the name states none.
-        scope: the words before it: what it is the time of.
-        is_header: whether it is a time of acquisition, not of arrival.
-        part: "sec" or "nanosec" where another column may hold the rest.
-    """
-
-    power: int | None
-    scope: Words = ()
-    is_header: bool = False
-    part: str = ""
+    power: int | None  # its unit as a power of ten of a second; None where the name states none
+    scope: Words = ()  # the words before it: what it is the time of
+    is_header: bool = False  # whether it is a time of acquisition, not of arrival
+    part: str = ""  # "sec" or "nanosec" where another column may hold the rest
 
 
 @dataclass(frozen=True)
@@ -60,41 +59,29 @@ class DateColumn:
 
 @dataclass(frozen=True)
 class CoordinateColumn:
-    """Coordinate of an object along an axis (0 to 2), in units of `scale` `unit`s.
-
-    Attributes:
-        unit: "m", "px", or "" where the name states none.
-        rank: kind of name: 0 an axis, 1 a height, 2 a bare position, 3 a bare distance; of
-            several for one axis the first is used.
-        is_doubtful: whether it counts only if the object has another, as in "x-ball", "y-ball".
-    """
+    """Coordinate of an object along an axis (0 to 2), in units of `scale` `unit`s."""
 
     thing: str
     axis: int
     scale: float
-    unit: str
+    unit: str  # "m", "px", or "" where the name states none
+    # kind of name: 0 an axis, 1 a height, 2 a bare position, 3 a bare distance; of several for one
+    # axis the first is used
     rank: int = 0
+    # whether it counts only if the object has another, as in "x-ball", "y-ball"
     is_doubtful: bool = False
 
 
 @dataclass(frozen=True)
 class JointColumn:
-    """One quantity of one joint, in units of `scale` rad, rad/s, N·m or A.
+    """One quantity of one joint, in units of `scale` rad, rad/s, N·m or A."""
 
-    Attributes:
-        group: the robot, or "joints".
-        label: the joint.
-        quantity: "effort", "position", "velocity" or "current".
-        number: the digits in the name where they alone identify the joint.
-        is_bare: whether the name identifies no joint.
-    """
-
-    group: str
-    label: str
-    quantity: str
+    group: str  # the robot, or "joints"
+    label: str  # the joint
+    quantity: str  # "effort", "position", "velocity" or "current"
     scale: float
-    number: str = ""
-    is_bare: bool = False
+    number: str = ""  # the digits in the name where they alone identify the joint
+    is_bare: bool = False  # whether the name identifies no joint
 
 
 @dataclass(frozen=True)
@@ -104,15 +91,10 @@ class FrameColumn:
 
 @dataclass(frozen=True)
 class ImpactColumn:
-    """Time of an impact in each row.
+    """Time of an impact in each row."""
 
-    Attributes:
-        power: see `TimeColumn`.
-        counts_frames: whether it numbers frames.
-    """
-
-    power: int | None
-    counts_frames: bool = False
+    power: int | None  # see `TimeColumn`
+    counts_frames: bool = False  # whether it numbers frames
 
 
 @dataclass(frozen=True)
@@ -154,7 +136,6 @@ Meaning = (
     | JointNameColumn
     | UnusedColumn
 )
-
 Reading = Callable[[int, str], Meaning]  # what the column at an index, of that name, means
 
 
@@ -177,64 +158,42 @@ def lowered(words: Words) -> Words:
 # ---- Words of names: of times, coordinates, row numbers and joints.
 
 # What a time is called, beside t and bare units.
-_TIMES = frozenset(
-    (
-        *("time", "times", "stamp", "timestamp", "timestamps", "elapsed", "rosbagtimestamp"),
-        *("datetime", "zeit", "zeitstempel", "uhrzeit", "temps", "tiempo", "tempo", "tijd"),
-    )
+_TIMES = words_in(
+    "time times stamp timestamp timestamps elapsed rosbagtimestamp datetime zeit zeitstempel "
+    "uhrzeit temps tiempo tempo tijd"
 )
-
 _DATES = frozenset(("date", "datum", "fecha"))  # what a date is called
 _NO_TIMES = frozenset(("delta", "diff", "step"))  # words that make it a time between two rows
 # What the whole seconds of a stamp are called, whose rest is in another column.
 _SECONDS = frozenset(("sec", "secs", "second", "seconds"))
-
 # What `rostopic echo -p` and its kin write in ns, however small.
 _IN_NS = frozenset((("rosbag", "timestamp"), ("rosbagtimestamp",), ("field", "header", "stamp")))
-
 # The meaning of every other name.
 UNKNOWN = UnusedColumn("its name says no time, position (x, y, z, height) or joint torque")
-
 _MAX_LENGTH = 200  # characters of a name that is interpreted
 _MAX_WORDS = 40  # of such a name
-
 _PIXELS = frozenset(("px", "pix", "pixel", "pixels"))  # units of pictures
 _AXES = {"x": 0, "y": 1, "z": 2}  # axes by their names
 # What z is called as well.
-_HEIGHTS = frozenset(
-    (
-        *("height", "altitude", "elevation"),
-        *("höhe", "hoehe", "hauteur", "altura", "altezza", "hoogte"),
-    )
-)
-
+_HEIGHTS = words_in("height altitude elevation höhe hoehe hauteur altura altezza hoogte")
 # Words beside an axis that only say that it is a position.
-_PLACES = frozenset(
-    (
-        *("pos", "position", "positions", "pose", "point", "translation", "transform"),
-        *("field", "location", "loc", "msg", "xyz", "coordinate", "coordinates"),
-    )
+_PLACES = words_in(
+    "pos position positions pose point translation transform field location loc msg xyz "
+    "coordinate coordinates"
 )
-
 # Words that make an axis one of another quantity than position.
-_OTHERS = frozenset(
-    (
-        *("orientation", "quaternion", "quat", "q", "rotation", "rot", "euler", "rpy"),
-        *("angle", "angles", "theta", "twist", "linear", "angular", "omega", "gyro"),
-        *("velocity", "vel", "speed", "v", "acceleration", "accel", "acc", "gravity"),
-        *("force", "wrench", "torque", "effort", "tau", "magnetic", "mag", "normal"),
-        *("covariance", "cov", "variance", "var", "std", "stddev", "sigma", "error", "err"),
-        *("scale", "size", "drop", "image", "picture", "frame"),
-    )
+_OTHERS = words_in(
+    "orientation quaternion quat q rotation rot euler rpy angle angles theta twist linear angular "
+    "omega gyro velocity vel speed v acceleration accel acc gravity force wrench torque effort "
+    "tau magnetic mag normal covariance cov variance var std stddev sigma error err scale size "
+    "drop image picture frame"
 )
-
 # What the one coordinate of a motion sensor is called, with a unit of length, and its rank.
 _LINES = {
     "h": 1,
     **dict.fromkeys(("position", "pos"), 2),
     **dict.fromkeys(("distance", "displacement", "dist", "s", "d", "weg", "abstand"), 3),
 }
-
 # Units of speeds and accelerations along a line, at the end of a name.
 _SPEEDS = frozenset(
     (
@@ -246,13 +205,10 @@ _SPEEDS = frozenset(
         *(("km", "h"), ("mph",), ("kmh",), ("ms", "1"), ("ms", "2"), ("ms⁻¹",), ("ms⁻²",)),
     )
 )
-
 # The meaning of a column in such a unit.
 SPEED = UnusedColumn("it is a speed or an acceleration along a line; positions are used")
-
 # Words beside what is numbered.
 _NUMBERS = frozenset(("number", "no", "nr", "num", "id", "index", "idx", "count"))
-
 # What runs are called, or the objects of a table that stacks them.
 _RUNS = {
     **dict.fromkeys(("run", "runs", "trial", "drop", "take", "episode", "throw", "rep"), "run"),
@@ -262,71 +218,55 @@ _RUNS = {
     **dict.fromkeys(("rigidbody", "asset", "thing", "item"), "object"),
     **dict.fromkeys(("id", "name", "label", "childframe"), "object"),
 }
-
+# Columns beside which coordinates without a unit are in pixels: SLEAP's analysis of a film.
+IN_PIXELS = frozenset(("instance.score",))
 # What frames are called.
 _FRAMES = frozenset(("frame", "frames", "framenumber", "frameno", "frameindex", "frameid"))
-
 # What impacts are called.
 _IMPACTS = frozenset(("bounce", "bounces", "impact", "impacts", "hit", "hits"))
-
 # Words behind an axis that name no object.
-_NO_THINGS = frozenset(
-    (
-        *("km", "dm", "yd", "mile", "miles", "deg", "rad", "g", "hz", "percent", "n", "v", "a"),
-        *("s", "ms", "field", "axis", "flag", "score", "value", "label", "count", "index"),
-    )
+_NO_THINGS = words_in(
+    "km dm yd mile miles deg rad g hz percent n v a s ms field axis flag score value label count "
+    "index"
 )
-
+# Quantities of joints, and the units of their signals.
+JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "A"}
 # What JointState calls them, and the current of a joint's motor.
-JOINT_QUANTITIES = {
+_QUANTITIES = {
     **dict.fromkeys(("effort", "torque", "tau"), "effort"),
     **dict.fromkeys(("position", "pos", "angle", "theta", "q"), "position"),
     **dict.fromkeys(("velocity", "vel", "qdot", "qd", "dq"), "velocity"),
     "current": "current",
 }
-
-# A quantity of a joint with the joint's number, perhaps: "effort3", "velocities", "q1".
-_QUANTITY = re.compile(rf"({'|'.join(sorted(JOINT_QUANTITIES, key=len, reverse=True))})s?(\d*)")
-
+# Of the numbered fields of a controller alone: elsewhere they are of other things.
+_OF_FIELDS = {"velocities": "velocity", "speed": "velocity", "moment": "effort"}
+# A quantity of a joint with the joint's number, perhaps: "effort3", "efforts", "q1".
+_QUANTITY = re.compile(rf"({'|'.join(sorted(_QUANTITIES, key=len, reverse=True))})s?(\d*)")
 _JOINT = ("joint", "j")  # words for any joint, beside its number
 # Words of commanded quantities.
-COMMANDED = frozenset(
-    (
-        *("target", "tgt", "desired", "des", "command", "commanded", "cmd", "setpoint", "goal"),
-        *("reference", "ref", "planned", "action"),
-    )
+COMMANDED = words_in(
+    "target tgt desired des command commanded cmd setpoint goal reference ref planned action"
 )
-
 # Words of a controller's estimates: a torque without the arm's own, or computed by its model.
-MODELLED = frozenset(
-    (
-        *("ext", "hat", "est", "estimated", "estimate", "external", "predicted", "pred"),
-        *("model", "modelled", "modeled", "computed", "calculated"),
-    )
+MODELLED = words_in(
+    "ext hat est estimated estimate external predicted pred model modelled modeled computed "
+    "calculated"
 )
-
 # Words of measured quantities.
 MEASURED = frozenset(("actual", "act", "measured", "meas", "msr", "feedback", "fb"))
-
 # Words that make a joint's quantity another one.
-_NO_JOINTS = frozenset(
-    (
-        *("deviation", "ratio", "error", "err", "limit", "limits", "percent", "percentage"),
-        *("std", "stddev", "var", "variance", "cov", "covariance", "noise", "scaling"),
-        *("temperature", "temp", "voltage", "max", "min", "mode", "status", "rpm", "hz", "lbf"),
-        *("volt", "volts", "counts", "ticks", "rev", "revs"),
-    )
+_NO_JOINTS = words_in(
+    "deviation ratio error err limit limits percent percentage std stddev var variance cov "
+    "covariance noise scaling temperature temp voltage max min mode status rpm hz lbf volt volts "
+    "counts ticks rev revs w quat quaternion"
 )
-
 _ANGULAR = ("ang", "angular")  # words that are no joint's name: "AngVel"
 # Quantities that a unit of angles may stand for: people write deg for deg/s too.
 _TURNS = ("position", "velocity")
-
 _RADIANS, _DEGREES = ("rad", "rads", "radian", "radians"), ("deg", "degs", "degree", "degrees")
 _SECOND = (("s",), ("sec",), ("second",), ("per", "s"), ("per", "sec"), ("per", "second"))
-
 # Units at the end of a name: which quantities have them, and their size in rad, rad/s, N·m, A.
-JOINT_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
+_ANGULAR_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
     **{(word,): (_TURNS, 1.0) for word in _RADIANS},
     **{(word,): (_TURNS, math.pi / 180) for word in _DEGREES},
     **{(word, *one): (("velocity",), 1.0) for word in _RADIANS for one in _SECOND},
@@ -337,7 +277,6 @@ JOINT_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
     ("a",): (("current",), 1.0),
     ("ma",): (("current",), 0.001),
 }
-
 _MAX_KNOWN = 1000  # names whose meaning is cached: a line is parsed in several ways
 
 
@@ -445,9 +384,7 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
     lower = lowered(words)
     if found := re.fullmatch(r"field name(\d+)", " ".join(lower)):
         return JointNameColumn(found[1])
-    count = next((n for n in (3, 2, 1) if len(lower) > n and lower[-n:] in JOINT_UNITS), 0)
-    known = ("effort", *_TURNS, "current")
-    quantities, scale = JOINT_UNITS[lower[-count:]] if count else (known, 1.0)
+    count, quantities, scale = _joint_unit(lower)
     words = words[: len(words) - count]
     matches = [_QUANTITY.fullmatch(word) for word in lowered(words)]
     at = max((n for n, match in enumerate(matches) if match), default=None)
@@ -455,7 +392,7 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
         return None
     match = matches[at]
     assert match is not None
-    quantity = JOINT_QUANTITIES[match[1]]
+    quantity = _QUANTITIES[match[1]]
     if quantity not in quantities or (not count and lower[-1] in LENGTHS):
         return UnusedColumn(
             f"its unit is not one of a joint's {quantity}; a height is called height_m"
@@ -470,6 +407,14 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
         return JointColumn(group, f"joint{digits}", quantity, scale, number=digits)
     label = "_".join(joint) + match[2]
     return JointColumn(group, label or "joint1", quantity, scale, is_bare=not label)
+
+
+def _joint_unit(lower: Words) -> tuple[int, Sequence[str], float]:
+    """Return how many words at the end are a joint's unit, which quantities have it, its size."""
+    for count in (3, 2, 1):
+        if len(lower) > count and lower[-count:] in _ANGULAR_UNITS:
+            return count, *_ANGULAR_UNITS[lower[-count:]]
+    return 0, tuple(JOINT_UNITS), 1.0
 
 
 def _no_joint(quantity: str, others: Words) -> UnusedColumn | None:
@@ -513,16 +458,6 @@ _ORIGINS = {
     **dict.fromkeys(COMMANDED, Origin.COMMANDED),
     **dict.fromkeys(MODELLED, Origin.MODELLED),
 }
-
-# Words of quantities.
-_QUANTITIES = {
-    **JOINT_QUANTITIES,
-    **{f"{word}s": quantity for word, quantity in JOINT_QUANTITIES.items()},
-    "velocities": "velocity",
-    "speed": "velocity",
-    "moment": "effort",
-}
-
 # Names that are understood as a whole: of Universal Robots' and KUKA's own recorders.
 _WHOLE: dict[Words, tuple[str, Origin]] = {
     ("actual", "current", "as", "torque"): ("effort", Origin.MEASURED),
@@ -532,12 +467,8 @@ _WHOLE: dict[Words, tuple[str, Origin]] = {
     ("ip",): ("position", Origin.COMMANDED),
     ("et",): ("effort", Origin.MODELLED),
 }
-
 # Words that only say that it is an arm's.
-_NEUTRAL = frozenset(
-    ("joint", "joints", "axis", "j", "arm", "robot", "state", "states", "filtered", "raw", "motor")
-)
-
+_NEUTRAL = words_in("joint joints axis j arm robot state states filtered raw motor")
 _SIDES = ("left", "right")  # of which arm a column is, where there are two
 _MAX_JOINTS = 99  # of an arm
 # What Universal Robots calls its joints, base to tool.
@@ -553,23 +484,14 @@ _UR_JOINTS = (
 
 @dataclass(frozen=True)
 class JointField:
-    """One quantity of all joints.
+    """One quantity of all joints."""
 
-    Attributes:
-        stem: common part of its columns' names: "actual_q".
-        side: "left" or "right" of two arms; "" of one.
-        quantity: "position", "velocity", "effort" or "current".
-        origin: where the values come from.
-        scale: of the values, to rad, rad/s, N·m or A.
-        columns: column index by joint number as in the names.
-    """
-
-    stem: str
-    side: str
-    quantity: str
-    origin: Origin
-    scale: float
-    columns: Mapping[int, int]
+    stem: str  # common part of its columns' names: "actual_q"
+    side: str  # "left" or "right" of two arms; "" of one
+    quantity: str  # "position", "velocity", "effort" or "current"
+    origin: Origin  # where the values come from
+    scale: float  # of the values, to rad, rad/s, N·m or A
+    columns: Mapping[int, int]  # column index by joint number as in the names
 
     @property
     def title(self) -> str:
@@ -580,17 +502,11 @@ class JointField:
 
 @dataclass(frozen=True)
 class JointChoice:
-    """Fields chosen among an arm's columns.
+    """Fields chosen among an arm's columns."""
 
-    Attributes:
-        used: the best of each quantity.
-        unused: the others, with the reason.
-        labels: the joints' names, by number.
-    """
-
-    used: tuple[JointField, ...]
-    unused: tuple[tuple[JointField, str], ...]
-    labels: Mapping[int, str]
+    used: tuple[JointField, ...]  # the best of each quantity
+    unused: tuple[tuple[JointField, str], ...]  # the others, with the reason
+    labels: Mapping[int, str]  # the joints' names, by number
 
 
 def joint_fields(names: Sequence[str]) -> tuple[JointField, ...]:
@@ -603,9 +519,22 @@ def joint_fields(names: Sequence[str]) -> tuple[JointField, ...]:
     return tuple(JointField(*key, columns=columns) for key, columns in found.items())
 
 
-def tells_origin(fields: Iterable[JointField]) -> bool:
-    """Return whether the names distinguish measured from other joint quantities."""
-    return any(field.origin != Origin.PLAIN for field in fields)
+def is_controllers(names: Sequence[str], fields: Iterable[JointField]) -> bool:
+    """Return whether a controller wrote these names: measured beside other values, or q[0], ..."""
+    several = [field for field in fields if len(field.columns) > 1]
+    return any(
+        field.origin != Origin.PLAIN or any("[" in names[at] for at in field.columns.values())
+        for field in several
+    )
+
+
+def with_franka_times(names: Sequence[str]) -> Sequence[str]:
+    """Add the unit to libfranka's times, which are in ms without saying so."""
+    words = [lowered(words_of(name, camel=False)) for name in names]
+    if ("success", "rate") not in words or not joint_fields(names):
+        return names
+    is_time = [word in (("duration",), ("time",)) for word in words]
+    return ["time (ms)" if one else name for one, name in zip(is_time, names, strict=True)]
 
 
 def choose_fields(fields: Sequence[JointField]) -> JointChoice:
@@ -659,12 +588,11 @@ def _parsed(name: str) -> tuple[tuple[str, str, str, Origin, float], int] | None
     words = [*written[: at[0]], *filter(None, [match[1]]), *written[at[0] + 1 :]]
     stem = "_".join(words)
     lower = lowered(tuple(words))
-    count = next((n for n in (3, 2, 1) if len(lower) > n and lower[-n:] in JOINT_UNITS), 0)
-    fitting, scale = JOINT_UNITS[lower[-count:]] if count else ((), 1.0)
+    count, fitting, scale = _joint_unit(lower)
     lower = lower[: len(lower) - count]
     side = next((word for word in lower if word in _SIDES), "")
     meaning = _meaning([word for word in lower if word not in _SIDES])
-    if meaning is None or (count and meaning[0] not in fitting) or number > _MAX_JOINTS:
+    if meaning is None or meaning[0] not in fitting or number > _MAX_JOINTS:
         return None
     return (stem, side, *meaning, scale), number
 
@@ -676,7 +604,9 @@ def _meaning(words: Sequence[str]) -> tuple[str, Origin] | None:
     rest = [word for word in words if word not in _NEUTRAL]
     is_desired = len(rest) > 1 and rest[-1] == "d"
     rest = rest[: len(rest) - is_desired]
-    quantities = [_QUANTITIES[word] for word in rest if word in _QUANTITIES]
+    known = {**_OF_FIELDS, **_QUANTITIES}
+    known |= {f"{word}s": quantity for word, quantity in known.items()}
+    quantities = [known[word] for word in rest if word in known]
     origins = [_ORIGINS[word] for word in rest if word in _ORIGINS]
     if len(quantities) + len(origins) != len(rest) or not quantities:
         return None
@@ -696,15 +626,12 @@ _BEFORE = re.compile(
     r":\s*(\S.*)",
     re.IGNORECASE,
 )
-
 # A run behind the name, and a unit behind it, perhaps: "Time (s) Run #1".
 _BEHIND = re.compile(
     r"(.*\S)[\s,_]+((?:run|trial|data ?set)\s*#?\s*\d{1,6})(\s*\([^()]*\))?\s*", re.IGNORECASE
 )
-
 # A number behind the name: "t1", "Height 2 (m)".
 _NUMBERED = re.compile(r"(.*[^\W\d_])[\s_]*#?(\d{1,6})(\s*\([^()]*\))?\s*")
-
 _MAX_NAME_WITH_RUN = 80  # characters
 
 
@@ -797,3 +724,273 @@ def _numbered(header: Sequence[str]) -> list[tuple[str, str]]:
 
 def _is_time(name: str) -> bool:
     return isinstance(meaning_of(name), TimeColumn)
+
+
+# ---- Units that a table states beside its names: in a row of them, or in its preamble.
+
+# Words of other units, also of those that are not read: a row of them is no row of numbers.
+_OTHER_UNITS = words_in(
+    "rad radian radians deg degree degrees n nm mnm kn px pix pixel pixels um km dm ma yd min "
+    "mins minute minutes h hr hour hours day days"
+)
+_NO_UNITS = frozenset(("", "-", "1"))  # cells of a row of units that say none
+# A preamble's "Length Units,Millimeters" or "units: mm".
+_SAID = re.compile(r"\b(length[ _])?units?\b\W{1,5}(\w+)", re.IGNORECASE)
+_REMEDY = "convert it to m, cm, mm, in or ft (times: s, ms, us or ns)"  # of a unit that is not read
+
+
+def with_row(
+    header: Sequence[str], cells: Sequence[str], reading: Reading = by_name
+) -> list[str] | None:
+    """Add the units of a row below a header to its names; None where it is no row of units.
+
+    Raises:
+        ValueError: a unit is unknown, or contradicts the one in the name.
+    """
+    if any(map(str.strip, cells[len(header) :])):
+        return None
+    names = [name for _, name in runs_of(header)]
+    said = {
+        at: unit
+        for at, (name, cell) in enumerate(zip(names, cells, strict=False))
+        if (unit := cell.strip(" \t()[]")) not in _NO_UNITS and _size(reading(at, name)) is not None
+    }
+    texts = said.values()
+    if any(map(str.isdecimal, "".join(texts))) or not any(map(_is_unit, texts)):
+        return None
+    return [
+        _units_named(name, names[at], said[at], lambda text, at=at: reading(at, text))
+        if at in said
+        else name
+        for at, name in enumerate(header)
+    ]
+
+
+def length_in(line: str) -> str:
+    """Return the length unit that a line of a preamble states; "" where it states none.
+
+    Raises:
+        ValueError: the unit is unknown.
+    """
+    for is_length, unit in _SAID.findall(line):
+        if unit.lower() in LENGTHS:
+            return unit
+        if is_length:
+            raise ValueError(f"lengths are in {unit[:40]!r}, which is not read; {_REMEDY}")
+    return ""
+
+
+def with_lengths(header: Sequence[str], unit: str, reading: Reading = by_name) -> list[str]:
+    """Add a length unit to the names of positions that state none."""
+    return [
+        f"{name} ({unit})"
+        if isinstance(reading(at, rest), CoordinateColumn) and _without_unit(rest) is None
+        else name
+        for at, (name, (_, rest)) in enumerate(zip(header, runs_of(header), strict=True))
+    ]
+
+
+def with_degrees(header: Sequence[str], reading: Reading = by_name) -> list[str]:
+    """Add degrees to the names of joint angles and velocities that state no unit."""
+    return [
+        f"{name} (deg{'/s' if meaning.quantity == 'velocity' else ''})"
+        if isinstance(meaning := reading(at, rest), JointColumn)
+        and meaning.quantity in ("position", "velocity")
+        and _without_unit(rest) is None
+        else name
+        for at, (name, (_, rest)) in enumerate(zip(header, runs_of(header), strict=True))
+    ]
+
+
+def unit_behind(name: str) -> str:
+    """Return the unit at the end of a name, in brackets or as last word; "" for none."""
+    found = re.search(r"[(\[]([^()\[\]]{1,40})[)\]]\s*$", name)
+    words = lowered(words_of(found[1] if found else name, camel=False))
+    if found:
+        return found[1] if any(map(_is_unit_word, words)) or words in (("a",), ("ma",)) else ""
+    return words[-1] if len(words) > 1 and _is_unit_word(words[-1]) else ""
+
+
+def unit_alone(text: str) -> str | None:
+    """Return the unit that a cell consists of, in brackets or not; None where it is no unit."""
+    stripped = text.strip(" \t()[]")
+    return stripped if stripped in _NO_UNITS or _is_unit(stripped) else None
+
+
+def _is_unit_word(word: str) -> bool:
+    return word in LENGTHS or word in POWERS or word in _OTHER_UNITS
+
+
+def _is_unit(text: str) -> bool:
+    words = lowered(words_of(text, camel=False))
+    return bool(words) and all(map(_is_unit_word, words))
+
+
+def _without_unit(name: str) -> str | None:
+    """Strip a name of its unit; None where it has none."""
+    words = words_of(name, camel=False)
+    rest = list(words)
+    while rest and _is_unit_word(rest[-1].lower()):
+        rest.pop()
+    return (" ".join(rest) or "time") if len(rest) < len(words) else None
+
+
+def _units_named(name: str, plain: str, unit: str, reading: Callable[[str], Meaning]) -> str:
+    """Return a column's name with its unit; `plain` is the name without its run."""
+    rest = _without_unit(plain)
+    meaning = reading(f"{rest or plain} ({unit})")
+    if meaning == UNKNOWN:
+        raise ValueError(f"{name[:60]!r} is in {unit[:40]!r}, which is not read; {_REMEDY}")
+    if rest is None:
+        return f"{name} ({unit})"
+    if _size(meaning) != _size(reading(plain)):
+        raise ValueError(f"{name[:60]!r} is said to be in {unit[:40]!r}; say one unit")
+    return name
+
+
+def _size(meaning: Meaning) -> float | None:
+    """Return the size of a meaning's unit; None where it has no values."""
+    if isinstance(meaning, TimeColumn):
+        return meaning.power or 0
+    return meaning.scale if isinstance(meaning, CoordinateColumn | JointColumn) else None
+
+
+# ---- Columns that the user names with `--columns`.
+
+CLOCKS = ("t", "frame", "times")  # targets that are times; one of them is enough
+_UNSAID = UnusedColumn("--columns does not name it")  # the meaning of all others
+
+
+def contradiction_of(columns: Mapping[str, str]) -> str:
+    """Return why `--columns` contradicts itself; "" where it does not."""
+    clocks = [one for one in CLOCKS if one in columns]
+    if len(clocks) > 1:
+        return f"--columns says {clocks[0]} and {clocks[1]}; say one of them"
+    if "times" in columns and len(columns) > 1:
+        return "--columns says times, which are impacts, and other columns; say times alone"
+    return ""
+
+
+def is_name(place: str, names: Sequence[str]) -> bool:
+    """Return whether a column has this name."""
+    return _index_of(place, names) is not None
+
+
+def places_of(columns: Mapping[str, str], names: Sequence[str]) -> tuple[dict[int, str], list[str]]:
+    """Find the user's columns in a table; return targets by index, and the missing ones."""
+    found: dict[int, str] = {}
+    missing: list[str] = []
+    for target, place in columns.items():
+        at = _index_of(place, names)
+        if at is None and re.fullmatch(r"[1-9]\d{0,3}", place, re.ASCII):
+            at = int(place) - 1 if int(place) <= len(names) else None
+        if at is None:
+            missing.append(place)
+        else:
+            found[at] = target
+    return found, missing
+
+
+def _index_of(place: str, names: Sequence[str]) -> int | None:
+    place = place.strip()
+    stripped = [name.strip() for name in names]
+    if place in stripped:
+        return stripped.index(place)
+    dotted = [_dotted(name) for name in stripped]  # the third column of a list: ball[2], ball.2
+    if dotted.count(_dotted(place)) == 1:
+        return dotted.index(_dotted(place))
+    folded, wanted = [name.casefold() for name in stripped], place.casefold()
+    if wanted in folded:
+        return folded.index(wanted)
+    without = [re.sub(r"(?<!\s)\s*[(\[][^()\[\]]*[)\]]$", "", name) for name in folded]
+    return without.index(wanted) if without.count(wanted) == 1 else None
+
+
+def _dotted(name: str) -> str:
+    return re.sub(r"[.\[(]\s*(\d+)\s*[\])]?$", r".\1", name).replace(" ", "").lower()
+
+
+def said_reading(places: Mapping[int, str]) -> Reading:
+    """Return the interpreter of columns that a user names, by index.
+
+    A clock that is named excludes all other clocks; values that are named, all other values. The
+    interpreter raises ValueError where a column's unit does not fit its target.
+    """
+    targets = set(places.values()) - {"object"}
+    has_clock = not targets.isdisjoint(CLOCKS)
+    has_values = "times" in targets or not targets.issubset(CLOCKS)
+
+    def read(at: int, name: str) -> Meaning:
+        if at in places:
+            return _meaning_as(places[at], name)
+        found = meaning_of(name)
+        if isinstance(found, RunColumn) and found.kind != "run" and "object" in places.values():
+            return _UNSAID
+        if isinstance(found, RunColumn | UnusedColumn):
+            return found
+        is_clock = isinstance(found, TimeColumn | FrameColumn)
+        return _UNSAID if (has_clock if is_clock else has_values) else found
+
+    return read
+
+
+def _meaning_as(target: str, name: str) -> Meaning:
+    """Return the meaning of a column named as a target; its name may state the unit."""
+    if target in ("frame", "object"):
+        return FrameColumn() if target == "frame" else RunColumn("object")
+    unit = unit_behind(name)
+    if target in _AXES:
+        found = meaning_of(f"{target} ({unit})" if unit else target)
+        if isinstance(found, CoordinateColumn):
+            return found
+    elif target in ("t", "times"):
+        found = meaning_of(f"t ({unit})" if unit else "t")
+        own = meaning_of(name)
+        if target == "times" and isinstance(own, FrameColumn):
+            return ImpactColumn(0, counts_frames=True)
+        if not unit and isinstance(own, TimeColumn):
+            found = TimeColumn(own.power)
+        if isinstance(found, TimeColumn):
+            return ImpactColumn(found.power) if target == "times" else found
+    else:
+        quantity, _, number = target.partition("_")
+        found = meaning_of(f"joint{number}_{quantity}" + (f" ({unit})" if unit else ""))
+        if isinstance(found, JointColumn):
+            return found
+    raise ValueError(
+        f"--columns says that {name[:60]!r} is {target}, but it is in {unit[:40]!r}, which is no "
+        "unit of that; name another column"
+    )
+
+
+MAX_SHOWN = 8  # columns in a message
+MAX_SHOWN_LENGTH = 30  # of a name in a message
+
+
+def short_list(names: Sequence[str]) -> str:
+    """List the first few names."""
+    shown = [repr(name.strip()[:MAX_SHOWN_LENGTH]) for name in names if name.strip()]
+    more = f", ... ({len(shown)} in all)" if len(shown) > MAX_SHOWN else ""
+    return ", ".join(shown[:MAX_SHOWN]) + more
+
+
+# ---- Lists: a column of two or three values is a place, others are joints.
+
+# What people call quantities of a ball: an array of two or three columns is no arm's.
+_OF_A_THING = {"pos", "position", "positions", "vel", "velocity", "velocities", "speed"}
+
+
+def spread_names(name: str, width: int) -> tuple[list[str], list[str]]:
+    """Name the columns of a list: their own names, and the names to interpret."""
+    own = [f"{name}[{at}]" for at in range(width)]
+    words = words_of(name, camel=False)
+    is_place = bool(_OF_A_THING.intersection(lowered(words)))
+    if width not in (2, 3) or (joint_fields(own) and not is_place):
+        return own, own
+    bare = name
+    unit = ""
+    if len(words) > 1 and words[-1].lower() in LENGTHS:
+        bare, unit = "_".join(words[:-1]), f" ({words[-1]})"
+    if isinstance(meaning_of(f"{bare.lower().removesuffix('s')} x"), UnusedColumn):
+        bare = bare.lower().removesuffix("s")  # "forces" are no more places than a force
+    return own, [f"{bare} {axis}{unit}" for axis in "xyz"[:width]]

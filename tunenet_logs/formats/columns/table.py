@@ -1,19 +1,21 @@
-"""Group the columns of a table into signals, and build an episode of their rows.
+"""Make an episode of a file's columns, whatever the file: the one engine of all tables.
 
-First what all readers of exports share: stamps, position signals, the episode. Then two kinds of
-export with fixed columns: markers side by side (motion capture), and objects below each other
-(trackers). Then tables of any columns: `table_layout_of` groups joints and coordinates by the names
-of a header, `rows_of_runs` splits stacked runs, and `SignalSamples` collects a group's rows.
+`episode_of_table` does all for named columns. A reader that has to know which columns to read
+before it reads them asks `plan_columns` what each is, by its name or by `--columns`, fills
+`ColumnRows` with those that are needed, and calls `episode_of_rows`. Layouts with fixed columns
+make their `ColumnPlan` themselves.
 """
 
 from __future__ import annotations
 
-import math
 import re
-from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from math import isclose
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,17 +34,16 @@ from tunenet_logs.episode import (
 )
 from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.columns.cells import (
-    NUMBER_REMEDY,
+    MAX_COLUMNS,
+    MAX_NS,
+    UNIT_ROWS,
     Clock,
-    LineReader,
-    NumberFormat,
-    Numbers,
-    format_of,
-    numbers_of,
-    unended,
-    unreadable,
+    TextClock,
+    unit_of_times,
 )
 from tunenet_logs.formats.columns.names import (
+    IN_PIXELS,
+    JOINT_UNITS,
     LENGTHS,
     CoordinateColumn,
     DateColumn,
@@ -50,6 +51,7 @@ from tunenet_logs.formats.columns.names import (
     ImpactColumn,
     ImpactNumberColumn,
     JointColumn,
+    JointField,
     JointNameColumn,
     Meaning,
     Reading,
@@ -58,15 +60,25 @@ from tunenet_logs.formats.columns.names import (
     UnusedColumn,
     Words,
     by_name,
+    choose_fields,
+    contradiction_of,
+    is_controllers,
+    joint_fields,
     lowered,
     meaning_of,
+    places_of,
     runs_of,
+    said_reading,
+    short_list,
+    spread_names,
+    with_franka_times,
     words_of,
 )
 from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.terminal import listed
 from tunenet_logs.timing.stamps import fill_holes, order_samples, sorted_stamps
 
-_MAX_S = 2.0**62 * 1e-9  # half of what int64 holds in ns, so that differences fit as well
+# ---- What all exports share: stamps, and the signal of a position.
 
 
 def time_stamps(seconds: ArrayLike) -> NDArray[np.int64]:
@@ -76,7 +88,7 @@ def time_stamps(seconds: ArrayLike) -> NDArray[np.int64]:
         ValueError: one is not finite, or out of range.
     """
     values = np.asarray(seconds, np.float64)
-    if not np.all(np.abs(values) < _MAX_S):  # NaN is not
+    if not np.all(np.abs(values) < MAX_NS * 1e-9):  # NaN is not
         raise ValueError("a time is none")
     return np.round(values * 1e9).astype(np.int64)
 
@@ -99,409 +111,10 @@ def frame_stamps(
     return time_stamps(np.asarray(frames, np.float64) * period_s), not rate
 
 
-def position_signal(
-    name: str,
-    stamps_ns: NDArray[np.int64],
-    values: ArrayLike,
-    unit: str,
-    options: ReadOptions,
-    *,
-    counts_frames: bool = False,
-) -> tuple[Signal, list[str]]:
-    """Build an object's position signal from the rows in which it was seen, and note repairs.
-
-    Args:
-        name: of the signal.
-        stamps_ns: shape (T,).
-        values: x, y, z in `unit`, z up where the file states the vertical; NaN where unseen,
-            shape (T, 3).
-        unit: one of `LENGTHS`, "px" or `UNSTATED`; `--length-unit` overrides the last two.
-        options: the user's.
-        counts_frames: see `Signal`.
-    """
-    rows = np.asarray(values, np.float64)
-    seen = np.isfinite(rows).all(axis=1)
-    keep, ordered, notes, left_out = sorted_stamps(stamps_ns[seen], (rows[seen],))
-    unit = unit if unit in LENGTHS else options.length_unit or unit
-    scale, unit = (LENGTHS[unit], "m") if unit in LENGTHS else (1.0, unit or UNSTATED)
-    signal = Signal(
-        name,
-        ordered,
-        rows[seen][keep] * scale,
-        ("x", "y", "z"),
-        unit,
-        counts_frames=counts_frames,
-        left_out=left_out,
-    )
-    return signal, [f"{name}: {note}" for note in notes]
-
-
-def export_episode(
-    path: Path,
-    what: str,
-    signals: Sequence[Signal],
-    *,
-    unused: Mapping[str, str] | None = None,
-    warnings: Sequence[str] = (),
-    losses: Sequence[str] = (),
-    notes: Mapping[str, str] | None = None,
-) -> Episode:
-    """Build the episode of an export.
-
-    Args:
-        path: of the file.
-        what: kind of file: "OptiTrack Motive export", ...
-        signals: that a task may use; each name once.
-        unused: what else it holds, by name: why that is not used.
-        warnings: what was repaired or is doubtful, in words.
-        losses: warnings that mean damage.
-        notes: of the episode's info.
-    """
-    channels = [
-        Channel(one.name, f"{_listed(one.columns)} [{one.unit or '?'}]", "export", one.stamps_ns)
-        for one in signals
-    ]
-    none: NDArray[np.int64] = np.empty(0, np.int64)
-    channels += [
-        Channel(name[:200], "", "export", none, skipped=why) for name, why in (unused or {}).items()
-    ]
-    info = EpisodeInfo(source=f"{what} {path.name}", notes=notes or {})
-    by_name = {one.name: one for one in signals if len(one.stamps_ns)}
-    return Episode(info, by_name, tuple(channels), (*losses, *warnings), tuple(losses))
-
-
-def _listed(columns: Sequence[str]) -> str:
-    return ", ".join(columns) if len(columns) <= 8 else f"{len(columns)} columns"
-
-
-# ---- Motion capture exports: three columns per body or marker, side by side.
-
-_UNLABELED = re.compile(r"(?:.*:)?(?:\*\d+|unlabell?ed.*|unidentified.*|new ?\d+)", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class MarkerTrack:
-    """One body or marker.
-
-    Attributes:
-        name: as the file has it, made unique.
-        columns: of x, y and z.
-        unit: of its coordinates, as in `position_signal`.
-        is_unlabeled: whether its name was generated; a file may have hundreds of these.
-    """
-
-    name: str
-    columns: tuple[int, int, int]
-    unit: str
-    is_unlabeled: bool = False
-
-
-@dataclass(frozen=True)
-class MarkerTracks:
-    """Tracks of a file, as its header describes them.
-
-    Attributes:
-        what: kind of file: "OptiTrack Motive export", ...
-        tracks: in display order.
-        frame: column of frame numbers; None: rows are counted.
-        time: column of times [s]; None where there is none.
-        sub_frame: column of parts of a frame.
-        rate_hz: frame rate; None where it is unstated.
-        frames: number of frames stated; None where it is unstated.
-        zero_is_unseen: whether an unseen marker is written as 0, 0, 0.
-        unused: what else it holds, by name: why that is not used.
-        warnings: what is doubtful, in words.
-    """
-
-    what: str
-    tracks: Sequence[MarkerTrack]
-    frame: int | None = None
-    time: int | None = None
-    sub_frame: int | None = None
-    rate_hz: float | None = None
-    frames: int | None = None
-    zero_is_unseen: bool = False
-    unused: Mapping[str, str] = field(default_factory=dict)
-    warnings: Sequence[str] = ()
-
-    @property
-    def named(self) -> str:
-        """Kind of file, with its article."""
-        return f"{'an' if self.what[:1] in 'AEIO' else 'a'} {self.what}"
-
-    @property
-    def columns(self) -> list[int]:
-        """Sorted indices of the columns to read."""
-        clocks = (self.frame, self.time, self.sub_frame)
-        used = {index for track in self.tracks for index in track.columns}
-        return sorted(used | {index for index in clocks if index is not None})
-
-
-def is_unlabeled(name: str) -> bool:
-    """Return whether a marker's name was generated by a program, not given by a user."""
-    return not name or _UNLABELED.fullmatch(name) is not None
-
-
-def unique(names: Iterable[str]) -> list[str]:
-    """Return the names, with " (2)", " (3)" appended to repeated ones."""
-    used: dict[str, int] = {}
-    found: list[str] = []
-    for name in names:
-        taken = name or "unnamed"
-        while taken in used:
-            used[name] = used.get(name, 1) + 1
-            taken = f"{name or 'unnamed'} ({used[name]})"
-        used.setdefault(taken, 1)
-        found.append(taken)
-    return found
-
-
-def unit_of(text: str) -> str:
-    """Parse a unit of length, one of `LENGTHS`; `UNSTATED` where it is none."""
-    unit = text.strip().lower()
-    return unit if unit in LENGTHS else UNSTATED
-
-
-def rate_of(text: str | None) -> float | None:
-    """Parse a rate [Hz]; None where it is none."""
-    try:
-        value = float((text or "").replace(",", "."))
-    except ValueError:
-        return None
-    return value if math.isfinite(value) and 0.01 < value < 1e6 else None
-
-
-def count_of(text: str | None) -> int | None:
-    """Parse a count; None where it is none."""
-    text = re.sub(r"\.0*$", "", (text or "").strip())
-    return int(text) if text.isascii() and text.isdecimal() and len(text) < 12 else None
-
-
-# ---- `TrackRows`: collect the rows of markers, each in the frames in which it was seen.
-
-MAX_UNLABELED = 100  # of the tracks that no one named: those that were seen most are used
-_MAX_VALUES = 20_000_000  # held of a file: 160 MB, and as much again while they are sorted
-# Held of any file; of a larger one, a number for each so many bytes: small files take little room.
-_FEWER_VALUES, _VALUE_BYTES = 8_000_000, 6
-_MAX_ROWS = 500_000  # of a file: 8 minutes at 1 kHz; tuning takes over 512 bytes for each
-_MAX_WRONG = 1000  # rows with cells that are no number; more may be no more than half of all
 _ROUNDING_S = 0.6e-3  # of a time in a file: some are written with three decimals
 
 
-class TrackRows:
-    """Rows read of a file of tracks, kept only where something was seen."""
-
-    def __init__(self, path: Path, tracks: MarkerTracks) -> None:
-        self.path = path
-        self.rows = 0
-        self.wrong = 0
-        self.is_cut = False
-        self.is_broken = False
-        self.tracks = tracks
-        self._clocks: dict[int, list[NDArray[np.float64]]] = {}
-        self._seen: list[list[tuple[NDArray[np.int64], NDArray[np.float64]]]] = [
-            [] for _ in tracks.tracks
-        ]
-        self._values = 0
-        self._most_values = min(
-            _MAX_VALUES, max(_FEWER_VALUES, path.stat().st_size // _VALUE_BYTES)
-        )
-
-    def add(self, columns: Sequence[int], values: NDArray[np.float64], wrong: int = 0) -> None:
-        """Add rows.
-
-        Args:
-            columns: that `values` holds.
-            values: shape (T, len(columns)).
-            wrong: number of malformed rows, whether kept or left out.
-
-        Raises:
-            LogError: there are too many rows or malformed cells.
-        """
-        self.wrong += wrong
-        place = {column: index for index, column in enumerate(columns)}
-        layout = self.tracks
-        clocks = [one for one in (layout.frame, layout.time, layout.sub_frame) if one is not None]
-        values = values[~np.isnan(values).all(axis=1)]
-        for clock in clocks:
-            self._clocks.setdefault(clock, []).append(values[:, place[clock]].copy())
-        for track, seen in zip(layout.tracks, self._seen, strict=True):
-            xyz = values[:, [place[column] for column in track.columns]]
-            is_seen = np.isfinite(xyz).all(axis=1)
-            if layout.zero_is_unseen:
-                is_seen &= (xyz != 0).any(axis=1)
-            at = np.flatnonzero(is_seen)
-            if len(at):
-                seen.append((at + self.rows, xyz[at]))
-                self._values += 3 * len(at)
-        self.rows += len(values)
-        if self._values > self._most_values or self.rows > _MAX_ROWS:
-            raise LogError(
-                f"{self.path}: is {self.tracks.named} with over "
-                f"{_MAX_ROWS} rows or {self._most_values // 10**6} million numbers; "
-                "export fewer markers or a part of the take"
-            )
-        if self.wrong > max(_MAX_WRONG, self.rows / 2):
-            raise LogError(
-                f"{self.path}: is {self.tracks.named}, but {self.wrong} of its "
-                f"first {self.rows} rows hold cells that are no number",
-                EXPORT_AGAIN,
-            )
-
-    def episode(self, options: ReadOptions) -> Episode:
-        """Build an episode of the rows.
-
-        Raises:
-            LogError: there are none, or their times are invalid.
-        """
-        layout = self.tracks
-        if not self.rows:
-            raise LogError(f"{self.path}: is {layout.named} without a row of numbers", EXPORT_AGAIN)
-        stamps, keep, counts_frames, notes = self._stamps(options)
-        signals, unused = [], {}
-        drop = self._left_out()
-        for index, track in enumerate(layout.tracks):
-            rows, xyz = _joined(self._seen[index])
-            self._seen[index] = []
-            if index in drop:
-                unused[track.name] = drop[index]
-                continue
-            if not len(rows):
-                unused[track.name] = "was never seen"
-                continue
-            inside = keep[rows]
-            signal, _ = position_signal(
-                track.name,
-                stamps[rows][inside],
-                xyz[inside],
-                track.unit,
-                options,
-                counts_frames=counts_frames,
-            )
-            untimed = {UNREADABLE: int(np.count_nonzero(~inside))}
-            signals.append(replace(signal, left_out=added(signal.left_out, untimed)))
-        unused.update(layout.unused)
-        return export_episode(
-            self.path,
-            layout.what,
-            signals,
-            unused=unused,
-            warnings=(*layout.warnings, *notes),
-            losses=self._losses(keep),
-        )
-
-    def _stamps(
-        self, options: ReadOptions
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], bool, list[str]]:
-        """Return the stamps of all rows, their mask, whether they count frames, and notes."""
-        layout = self.tracks
-        frames = self._clock(layout.frame)
-        frames = np.arange(self.rows, dtype=np.float64) if frames is None else frames
-        parts = self._clock(layout.sub_frame)
-        if parts is not None and np.nanmax(parts, initial=0) > 0:
-            frames = frames + parts / (np.nanmax(parts) + 1)
-        times = self._clock(layout.time)
-        keep = np.isfinite(frames if times is None or options.rate_hz else times)
-        if times is not None:
-            keep &= np.isfinite(frames)
-        if not keep.any():
-            raise LogError(f"{self.path}: no row of it has a time or a frame", EXPORT_AGAIN)
-        stamps = np.zeros(self.rows, np.int64)
-        try:
-            if times is None or options.rate_hz:
-                stamps[keep], counts_frames = frame_stamps(frames[keep], layout.rate_hz, options)
-            else:
-                exact = _exact(times[keep], frames[keep], layout.rate_hz)
-                stamps[keep], counts_frames = time_stamps(exact), False
-        except ValueError as error:
-            raise LogError(
-                f"{self.path}: times or frames reach beyond all bounds", EXPORT_AGAIN
-            ) from error
-        notes = sorted_stamps(stamps[keep]).notes
-        first_ns = int(stamps[keep].min())
-        if first_ns < 0:
-            stamps -= first_ns
-            notes.append(f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0")
-        return stamps, keep, counts_frames, notes
-
-    def _clock(self, column: int | None) -> NDArray[np.float64] | None:
-        return None if column is None else np.concatenate(self._clocks[column])
-
-    def _left_out(self) -> dict[int, str]:
-        """Return the unlabeled tracks beyond the limit, by index, with the reason."""
-        layout = self.tracks
-        counts = {
-            index: sum(len(rows) for rows, _ in self._seen[index])
-            for index, track in enumerate(layout.tracks)
-            if track.is_unlabeled
-        }
-        least_first = sorted(counts, key=lambda index: counts[index])
-        return {
-            index: f"unlabeled, seen in {counts[index]} of {self.rows} frames; of "
-            f"{len(counts)} unlabeled markers, the {MAX_UNLABELED} seen most are used"
-            for index in least_first[: max(0, len(counts) - MAX_UNLABELED)]
-        }
-
-    def _losses(self, keep: NDArray[np.bool_]) -> list[str]:
-        losses = []
-        stated = self.tracks.frames
-        if stated is not None and self.rows < stated:
-            losses.append(f"holds {self.rows} of the {stated} frames that it states: it is cut")
-        elif self.is_cut:
-            losses.append(f"its last line has no end and was left out, after {self.rows} frames")
-        if self.is_broken:
-            losses.append(f"a line that is no row ends it after {self.rows} frames")
-        if self.wrong:
-            losses.append(f"{self.wrong} of {self.rows} rows hold cells that are no number")
-        if lost := int(np.count_nonzero(~keep)):
-            losses.append(f"{lost} of {self.rows} rows without a time were left out")
-        return losses
-
-
-def read_tracks(
-    path: Path,
-    lines: LineReader,
-    separator: str,
-    tracks: MarkerTracks,
-    *,
-    first: str = "",
-    until_words: bool = False,
-) -> TrackRows:
-    """Read the rows below a header.
-
-    Args:
-        path: of the file.
-        lines: at the first row.
-        separator: between cells.
-        tracks: described by the header.
-        first: a row that was read before, or "".
-        until_words: see `LineReader.block`.
-
-    Raises:
-        LogError: there are too many rows or malformed cells.
-    """
-    found = TrackRows(path, tracks)
-    form: NumberFormat | None = None
-    columns = tracks.columns
-    for block, is_last in _with_last(_blocks(lines, first, until_words=until_words)):
-        whole, rest = unended(block) if is_last else (block, "")
-        form = form or format_of(whole or rest, separator)
-        found.add(columns, *numbers_of(whole, form, columns))
-        if rest and _is_whole(rest, whole, form, found.rows, tracks.frames):
-            found.add(columns, *numbers_of(rest, form, columns))
-        elif rest:
-            found.is_cut = True
-    return found
-
-
-def _is_whole(line: str, before: str, form: NumberFormat, rows: int, stated: int | None) -> bool:
-    """Return whether an unterminated last line is complete: the last frame that the file states."""
-    separator = form.separator
-    full = before.rstrip("\n").rpartition("\n")[2].count(separator)
-    return line.count(separator) >= full and stated is not None and rows + 1 >= stated
-
-
-def _exact(
+def exact_seconds(
     times: NDArray[np.float64], frames: NDArray[np.float64], rate_hz: float | None
 ) -> NDArray[np.float64]:
     """Return times [s] without rounding error, from frames and rate where these agree with them."""
@@ -519,552 +132,260 @@ def _exact(
     return by_frame
 
 
-def _joined(
-    parts: Sequence[tuple[NDArray[np.int64], NDArray[np.float64]]],
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    if not parts:
-        return np.empty(0, np.int64), np.empty((0, 3))
-    rows, values = zip(*parts, strict=True)
-    return np.concatenate(rows), np.concatenate(values)
+def in_metres(
+    values: NDArray[np.float64], unit: str, options: ReadOptions
+) -> tuple[NDArray[np.float64], str]:
+    """Convert positions to metres and say their unit: "m", "px" or `UNSTATED`.
 
-
-def _blocks(lines: LineReader, first: str, *, until_words: bool) -> Iterator[str]:
-    head = f"{first}\n" if first else ""
-    while block := head + lines.block(until_words=until_words):
-        yield block
-        head = ""
-
-
-def _with_last(blocks: Iterable[str]) -> Iterator[tuple[str, bool]]:
-    """Yield each block and whether it is the last."""
-    before: str | None = None
-    for block in blocks:
-        if before is not None:
-            yield before, False
-        before = block
-    if before is not None:
-        yield before, True
-
-
-# ---- `Tracks`: collect objects from rows that each give the position of one in an image.
-
-MAX_TEXT_BYTES = 256 * 1024**2  # an hour of images with a hundred objects in each is a tenth
-MAX_TRACKS = 1000  # that become signals, the longest; of cells there are many thousands
-_MAX_PLACES = 2_000_000  # of all tracks together
-_MAX_NAMES = 100_000  # of tracks
-
-
-@dataclass(frozen=True)
-class Place:
-    """Columns of one object's position; None where there is none.
-
-    Attributes:
-        axes: of x, y, z.
+    `--length-unit` stands in for a unit that the file does not state, or for pixels.
     """
+    unit = unit if unit in LENGTHS else options.length_unit or unit
+    return (values * LENGTHS[unit], "m") if unit in LENGTHS else (values, unit or UNSTATED)
 
-    name: str
-    axes: tuple[int | None, int | None, int | None]
 
+def position_signal(
+    name: str,
+    stamps_ns: NDArray[np.int64],
+    values: ArrayLike,
+    unit: str,
+    options: ReadOptions,
+    *,
+    counts_frames: bool = False,
+) -> tuple[Signal, list[str]]:
+    """Build an object's position signal from the rows in which it was seen, and note repairs.
 
-@dataclass(frozen=True)
-class TrackUnits:
-    """Units of a file's numbers.
-
-    Attributes:
-        length: as `position_signal` takes it.
-        second: unit of time [s]; None where rows count frames.
-        rate_hz: frame rate; None where it is unstated.
+    Args:
+        name: of the signal.
+        stamps_ns: shape (T,).
+        values: x, y, z in `unit`, z up where the file states the vertical; NaN where unseen,
+            shape (T, 3).
+        unit: one of `LENGTHS`, "px" or `UNSTATED`; see `in_metres`.
+        options: the user's.
+        counts_frames: see `Signal`.
     """
-
-    length: str
-    second: float | None
-    rate_hz: float | None = None
-
-
-@dataclass(eq=False)
-class _Track:
-    whens: array[float] = field(default_factory=lambda: array("d"))
-    places: array[float] = field(default_factory=lambda: array("d"))
-
-
-class Tracks:
-    """All tracks of a file, filled row by row."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._tracks: dict[str, _Track] = {}
-        self._count = 0
-
-    def __len__(self) -> int:
-        return len(self._tracks)
-
-    def add(self, name: str, when: float, place: tuple[float, float, float]) -> None:
-        """Add a position to a track.
-
-        Args:
-            name: of the track.
-            when: a time or a frame's number.
-            place: NaN where not seen.
-
-        Raises:
-            LogError: there are too many tracks or positions.
-        """
-        self._count += 1
-        if self._count > _MAX_PLACES:
-            raise LogError(
-                f"{self._path}: holds more than {_MAX_PLACES} places; export fewer tracks"
-            )
-        track = self._tracks.get(name)
-        if track is None:
-            if len(self._tracks) == _MAX_NAMES:
-                raise LogError(
-                    f"{self._path}: holds more than {_MAX_NAMES} tracks; filter them first"
-                )
-            track = self._tracks.setdefault(name, _Track())
-        track.whens.append(when)
-        track.places.extend(place)
-
-    def signals(
-        self, units: TrackUnits, options: ReadOptions
-    ) -> tuple[list[Signal], dict[str, str], list[str]]:
-        """Return the signals, unused tracks with the reason, and notes on repairs.
-
-        Raises:
-            LogError: a time is not finite.
-        """
-        names = sorted(self._tracks, key=lambda name: -len(self._tracks[name].whens))
-        unused: dict[str, str] = {}
-        if (rest := len(names) - MAX_TRACKS) > 0:
-            unused[f"{rest} more tracks"] = f"they are no longer than the {MAX_TRACKS} longest"
-        kept = set(names[:MAX_TRACKS])
-        signals: list[Signal] = []
-        notes: list[str] = []
-        for name, track in self._tracks.items():
-            if name not in kept:
-                continue
-            try:
-                stamps, counts = _stamps(np.frombuffer(track.whens), units, options)
-            except ValueError:
-                raise LogError(
-                    f"{self._path}: {name}: a time or frame is no number; mend it or leave it out"
-                ) from None
-            values = np.frombuffer(track.places).reshape(-1, 3)
-            signal, repairs = position_signal(
-                name, stamps, values, units.length, options, counts_frames=counts
-            )
-            if len(signal.stamps_ns):
-                signals.append(signal)
-                notes += repairs
-            else:
-                unused[name] = "it is seen in no row"
-        return signals, unused, notes
-
-
-def _stamps(
-    whens: NDArray[np.float64], units: TrackUnits, options: ReadOptions
-) -> tuple[NDArray[np.int64], bool]:
-    if units.second is None:
-        return frame_stamps(whens, units.rate_hz, options)
-    return time_stamps(whens * units.second), False
-
-
-def number_at(cells: Sequence[str], index: int, header: Sequence[str], numbers: Numbers) -> float:
-    """Parse a cell as a number; NaN for an empty one.
-
-    Raises:
-        UnreadableError: it holds no number.
-    """
-    try:
-        return numbers.read(cells[index])
-    except ValueError as why:
-        raise unreadable(header[index], cells[index], why, NUMBER_REMEDY) from None
-
-
-def place_at(
-    cells: Sequence[str], place: Place, header: Sequence[str], numbers: Numbers
-) -> tuple[float, float, float]:
-    """Parse an object's position in a row; 0 along an axis without a column.
-
-    Raises:
-        UnreadableError: a cell holds no number.
-    """
-    x, y, z = (
-        0.0 if index is None else number_at(cells, index, header, numbers) for index in place.axes
+    rows = np.asarray(values, np.float64)
+    seen = np.isfinite(rows).all(axis=1)
+    keep, ordered, notes, left_out = sorted_stamps(stamps_ns[seen], (rows[seen],))
+    places, unit = in_metres(rows[seen][keep], unit, options)
+    signal = Signal(
+        name, ordered, places, ("x", "y", "z"), unit, counts_frames=counts_frames, left_out=left_out
     )
-    return x, y, z
+    return signal, [f"{name}: {note}" for note in notes]
 
 
-def best_separator(line: str) -> str | None:
-    """Return the separator of a header's cells; None is white space."""
-    counts = {mark: line.count(mark) for mark in "\t;,"}
-    mark = max(counts, key=lambda one: counts[one])
-    return mark if counts[mark] else None
+def export_episode(
+    path: Path,
+    what: str,
+    signals: Sequence[Signal],
+    *,
+    channels: Sequence[Channel] | None = None,
+    unused: Mapping[str, str] | None = None,
+    warnings: Sequence[str] = (),
+    losses: Sequence[str] = (),
+    encoding: str = "export",
+) -> Episode:
+    """Build the episode of an export."""
+    none: NDArray[np.int64] = np.empty(0, np.int64)
+    made = [
+        Channel(one.name, _type_of(one.columns, one.unit), encoding, one.stamps_ns)
+        for one in (signals if channels is None else ())
+    ]
+    left = [
+        Channel(name[:200], "", encoding, none, skipped=why) for name, why in (unused or {}).items()
+    ]
+    by_signal = {one.name: one for one in signals if len(one.stamps_ns)}
+    every = (*(channels or ()), *made, *left)
+    info = EpisodeInfo(source=f"{what} {path.name}")
+    return Episode(info, by_signal, every, (*losses, *warnings), tuple(losses))
 
 
-def unique_names(names: Iterable[str]) -> list[str]:
+def _type_of(columns: Sequence[str], unit: str, note: str = "") -> str:
+    shown = ", ".join(columns) if len(columns) <= 8 else f"{len(columns)} columns"
+    return f"{shown} [{unit or '?'}]{f': {note}' if note else ''}"
+
+
+def unique_names(names: Iterable[str], form: str = "{} {}", longest: int = 60) -> list[str]:
     """Shorten names and make them unique: the second "a" is "a 2"."""
-    used: set[str] = set()
-    found: list[str] = []
+    counts: dict[str, int] = {}
+    found: dict[str, None] = {}
     for name in names:
-        short = " ".join("".join(filter(str.isprintable, name)).split())[:60] or "track"
-        number, chosen = 1, short
-        while chosen in used:
-            number += 1
-            chosen = f"{short} {number}"
-        used.add(chosen)
-        found.append(chosen)
-    return found
+        short = " ".join("".join(filter(str.isprintable, name)).split())[:longest] or "unnamed"
+        chosen = short
+        while chosen in found:
+            counts[short] = counts.get(short, 1) + 1
+            chosen = form.format(short, counts[short])
+        found[chosen] = None
+    return list(found)
 
 
-# ---- `Group`: columns of a table that make up one signal.
+# ---- A plan: which columns make up which signal.
 
 
-@dataclass(frozen=True)
-class Used:
-    """One column of values: `row` of the result, in its unit, is `scale` times the text."""
+class Used(NamedTuple):
+    """One column of values: `place` of the signal, in its unit, is `scale` times the column's."""
 
-    index: int
-    row: int
+    column: int
+    place: int
     scale: float
 
 
-@dataclass(frozen=True)
-class Group:
-    """Columns that make up one signal.
-
-    Attributes:
-        name: of the signal.
-        columns: of the signal; an axis may have no column in the table.
-        unit: of the signal.
-        needs_all: whether a row with only some of the values is damaged.
-        clock: time of arrival, or of acquisition, of a row.
-        stamp: time of acquisition, where the table states it beside that of arrival.
-        numbers: of the joints named by a number alone, by column.
-        note: for the user.
-        is_impacts: whether its samples are impacts: the clock's times, with the value 1.
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    unit: str
-    used: tuple[Used, ...]
-    needs_all: bool
-    clock: Clock
-    stamp: Clock | None = None
-    numbers: Mapping[str, str] = field(default_factory=dict)
-    note: str = ""
-    is_impacts: bool = False
-
-    def name_of_run(self, run: str) -> str:
-        """Return the name of a run's signal; a joint signal's ends with its quantity."""
-        return name_of_run(self.name, run, is_joints=not (self.needs_all or self.is_impacts))
-
-
-def name_of_run(name: str, run: str, *, is_joints: bool) -> str:
+def name_of_run(name: str, run: str) -> str:
     """Return the name of a run's signal; a joint signal's ends with its quantity."""
     if not run:
         return name
+    is_joints = name.rpartition(".")[2] in JOINT_UNITS
     robot, _, quantity = name.rpartition(".") if is_joints else (name, "", "")
     return ".".join(filter(None, (robot, run, quantity)))
 
 
-def stamp_for(words: Words, stamps: Sequence[Clock]) -> Clock | None:
-    """Return the stamp of the message that a column belongs to, by the longest common prefix."""
-    fitting = [clock for clock in stamps if words[: len(clock.scope)] == clock.scope]
-    return max(fitting, key=lambda clock: len(clock.scope), default=None)
+@dataclass(frozen=True)
+class Group:
+    """Columns that make up one signal."""
 
+    name: str  # of the signal
+    columns: tuple[str, ...]  # of the signal; an axis may have no column in the table
+    unit: str  # of the signal: of a position as in `in_metres`
+    used: tuple[Used, ...]  # the columns
+    clock: Clock  # time of arrival, or of acquisition, of a row
+    # time of acquisition, where the table states it beside that of arrival
+    stamp: Clock | None = None
+    is_track: bool = False  # whether it is a position, which a row holds whole or not at all
+    is_impacts: bool = False  # whether its samples are impacts: the clock's times, with the value 1
+    # of the joints named by a number alone, by column
+    numbers: Mapping[str, str] = field(default_factory=dict)
+    note: str = ""  # for the user
+    # the column that says how sure the place is, and the least that counts as seen
+    sure: tuple[int, float] | None = None
 
-def plain_words(name: str) -> Words:
-    """Split a name into lower-case words, not at capitals."""
-    return lowered(words_of(name, camel=False))
-
-
-# ---- Group joint columns into signals, one per robot and quantity.
-
-_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N·m", "current": "A"}  # of signals
-
-
-def joints_of(
-    header: Sequence[str],
-    meanings: Mapping[int, Meaning],
-    clock: Clock,
-    stamps: Sequence[Clock],
-    unused: dict[str, str],
-) -> list[Group]:
-    """Group joint columns by robot and quantity; all groups of one robot have the same joints.
-
-    Args:
-        header: the names of all columns.
-        meanings: of columns, by index.
-        clock: of the rows.
-        stamps: of messages.
-        unused: reasons by name; to be added to.
-    """
-    values = {at: meaning for at, meaning in meanings.items() if isinstance(meaning, JointColumn)}
-    if all(one.is_bare and one.quantity != "effort" for one in values.values()):
-        for at in values:
-            unused[header[at]] = "it says not of what; name it x, y, z, height_m or JOINT_position"
-        return []
-    tables = _tables(header, values, unused)
-    robots: dict[str, dict[str, int]] = {}
-    for (robot, _), labels in tables.items():
-        rows = robots.setdefault(robot, {})
-        for label in labels:
-            rows.setdefault(label, len(rows))
-    groups: list[Group] = []
-    for (robot, quantity), labels in tables.items():
-        if not labels:
-            continue
-        rows = robots[robot]
-        used = tuple(Used(at, rows[label], values[at].scale) for label, at in labels.items())
-        numbers = {one.label: one.number for one in values.values() if one.number}
-        stamp = stamp_for(plain_words(header[used[0].index]), stamps)
-        name, unit = f"{robot}.{quantity}", _UNITS[quantity]
-        groups.append(Group(name, tuple(rows), unit, used, False, clock, stamp, numbers))
-    return groups
-
-
-def _tables(
-    header: Sequence[str], values: Mapping[int, JointColumn], unused: dict[str, str]
-) -> dict[tuple[str, str], dict[str, int]]:
-    """Return the column of each joint, by robot and quantity, without ambiguous ones."""
-    tables: dict[tuple[str, str], dict[str, list[int]]] = {}
-    for at, meaning in values.items():
-        found = tables.setdefault((meaning.group, meaning.quantity), {})
-        found.setdefault(meaning.label, []).append(at)
-    for (_, quantity), labels in tables.items():
-        for label in [label for label, found in labels.items() if len(found) > 1]:
-            for at in labels.pop(label):
-                unused[header[at]] = f"several columns are the {quantity} of {label!r}"
-    return {key: {one: at for one, (at,) in labels.items()} for key, labels in tables.items()}
-
-
-def with_torques(groups: Sequence[Group], constants: Sequence[float]) -> list[Group]:
-    """Convert motor currents to torques where none are measured.
-
-    Args:
-        groups: of a table.
-        constants: N·m for each A, joint by joint; none leaves currents as they are.
-
-    Raises:
-        ValueError: there are fewer or more constants than joints with currents.
-    """
-    found: list[Group] = []
-    measured = {group.name for group in groups}
-    for group in groups:
-        name = f"{group.name.removesuffix('.current')}.effort"
-        if constants and group.name.endswith(".current") and name not in measured:
-            if len(constants) != len(group.used):
-                raise ValueError(
-                    f"has currents of {len(group.used)} joints, and --torque-constants gives "
-                    f"{len(constants)}; give one for each joint"
-                )
-            scaled = tuple(
-                replace(used, scale=used.scale * constant)
-                for used, constant in zip(group.used, constants, strict=True)
-            )
-            note = "currents times --torque-constants"
-            group = replace(group, name=name, unit=_UNITS["effort"], used=scaled, note=note)  # noqa: PLW2901
-        found.append(group)
-    return found
-
-
-# ---- Group coordinate columns into tracks of objects.
-
-_ALONG_A_LINE = "a distance along one line, up or down"  # a motion sensor's one coordinate
-_DISTANCE = 3  # rank of a bare distance: beside x and y it is that from the start, and no z
-# Why a coordinate is not used where there is one of a better name.
-_INSTEAD = ("there is a column z", "there is a column of heights", "there is a column of positions")
+    def seen(self, numbers: Mapping[int, NDArray[np.float64]]) -> NDArray[np.bool_]:
+        """Return which rows have a sample, by the numbers of columns: a place needs all axes."""
+        finite = [np.isfinite(numbers[one.column]) for one in self.used]
+        return (np.logical_and if self.is_track else np.logical_or).reduce(finite)
 
 
 @dataclass(frozen=True)
-class _Coordinate:
-    """A column that is a coordinate."""
+class ColumnPlan:
+    """What to read of a table, and what it means."""
 
-    at: int
-    meaning: CoordinateColumn
-
-
-def tracks_of(
-    header: Sequence[str],
-    meanings: Mapping[int, Meaning],
-    clock: Clock,
-    stamps: Sequence[Clock],
-    unused: dict[str, str],
-) -> list[Group]:
-    """Group coordinate columns by moving object.
-
-    Args:
-        header: the names of all columns.
-        meanings: of columns, by index.
-        clock: of the rows.
-        stamps: of messages.
-        unused: reasons by name; to be added to.
-    """
-    things: dict[str, list[_Coordinate]] = {}
-    for at, meaning in _with_pictures(header, meanings).items():
-        if isinstance(meaning, CoordinateColumn):
-            unused.pop(header[at], None)
-            things.setdefault(meaning.thing, []).append(_Coordinate(at, meaning))
-    groups: list[Group] = []
-    for thing, places in things.items():
-        if _is_doubtful(places):
-            for place in places:
-                unused[header[place.at]] = f"it is the one column of {thing!r}; name it {thing}_x"
-            continue
-        axes = _axes(header, _in_lengths(header, places, unused), unused)
-        chosen = [place for found in axes.values() for place in found]
-        if any(len(found) > 1 for found in axes.values()):
-            for place in chosen:
-                unused[header[place.at]] = f"several columns are a coordinate of {thing!r}"
-            continue
-        unit, default = _unit_of(chosen)
-        used = tuple(
-            Used(place.at, axis, place.meaning.scale if place.meaning.unit else default)
-            for axis, (place,) in axes.items()
-        )
-        stamp = stamp_for(plain_words(header[chosen[0].at]), stamps)
-        note = _ALONG_A_LINE if any(place.meaning.rank > 1 for place in chosen) else ""
-        groups.append(Group(thing, ("x", "y", "z"), unit, used, True, clock, stamp, note=note))
-    return groups
-
-
-def _is_doubtful(places: Sequence[_Coordinate]) -> bool:
-    """Return whether columns are hardly an object's: an axis named first, without another."""
-    axes = {place.meaning.axis for place in places}
-    return len(axes) < 2 and all(place.meaning.is_doubtful for place in places)
-
-
-def _with_pictures(header: Sequence[str], meanings: Mapping[int, Meaning]) -> dict[int, Meaning]:
-    """Interpret pairs (u, v) as image coordinates x and y; u alone is a control input."""
-    names = {plain_words(header[at]): at for at in meanings}
-    found = dict(meanings)
-    for words, at in names.items():
-        partner = names.get((*words[:-1], "v")) if words[-1:] == ("u",) else None
-        is_free = partner is not None and all(
-            isinstance(meanings[one], UnusedColumn) for one in (at, partner)
-        )
-        if partner is not None and is_free:
-            thing = "_".join(words[:-1]) or "track"
-            found[at] = CoordinateColumn(thing, 0, 1.0, "px")
-            found[partner] = CoordinateColumn(thing, 1, 1.0, "px")
-    return found
-
-
-def _in_lengths(
-    header: Sequence[str], places: list[_Coordinate], unused: dict[str, str]
-) -> list[_Coordinate]:
-    """Drop columns in pixels where others are in lengths."""
-    lengths = [place for place in places if place.meaning.unit != "px"]
-    if not lengths:
-        return places
-    for place in places:
-        if place.meaning.unit == "px":
-            unused[header[place.at]] = "there are columns in a unit of length"
-    return lengths
-
-
-def _axes(
-    header: Sequence[str], places: list[_Coordinate], unused: dict[str, str]
-) -> dict[int, list[_Coordinate]]:
-    """Return the columns of each axis, of the best kind of name."""
-    axes: dict[int, list[_Coordinate]] = {}
-    has_axes = {0, 1}.issubset(place.meaning.axis for place in places)
-    for place in places:
-        if has_axes and place.meaning.rank == _DISTANCE:
-            unused[header[place.at]] = "there are columns x and y"
-        else:
-            axes.setdefault(place.meaning.axis, []).append(place)
-    for axis, found in axes.items():
-        best = min(place.meaning.rank for place in found)
-        axes[axis] = [place for place in found if place.meaning.rank == best]
-        for place in found:
-            if place.meaning.rank > best:
-                unused[header[place.at]] = _INSTEAD[best]
-    return axes
-
-
-def _unit_of(chosen: Sequence[_Coordinate]) -> tuple[str, float]:
-    """Return a track's unit, and the scale of columns without a unit beside others with one."""
-    sizes = {place.meaning.scale for place in chosen if place.meaning.unit == "m"}
-    if sizes:
-        return "m", sizes.pop() if len(sizes) == 1 else 1.0
-    return chosen[0].meaning.unit, 1.0
-
-
-# ---- `TableLayout`: clocks, tracks, joints and unused columns of a header.
-
-MAX_COLUMNS = 5000  # motion capture of hundreds of markers has fewer; each name costs its reading
-
-
-@dataclass(frozen=True)
-class TableLayout:
-    """A table's columns.
-
-    Attributes:
-        separator: of cells; None is white space.
-        names: columns of joint names, by joint number.
-        runs: columns that identify run and object of a row, with the kind of each.
-        unused: why a column is not used, by its name.
-        header: the names of all columns, with their units.
-        reading: interpreter of the columns.
-    """
-
-    separator: str | None
+    names: tuple[str, ...]  # of all columns, with their units
     groups: tuple[Group, ...]
-    names: Mapping[str, int]
-    runs: tuple[tuple[int, str], ...]
-    unused: Mapping[str, str]
-    header: tuple[str, ...]
-    reading: Reading = by_name
+    # columns that identify run and object of a row, with the kind of each
+    runs: tuple[tuple[int, str], ...] = ()
+    unused: Mapping[str, str] = field(default_factory=dict)  # why a column is not used, by its name
+    # columns of joint names, by joint number
+    labels: Mapping[str, int] = field(default_factory=dict)
+    reading: Reading = by_name  # interpreter of the columns
+    kind: str = ""  # of table, where the names tell: "robot's table",
+    is_stacked: bool = False  # whether each object is a signal of its own name; see `ColumnRows`
+    # names the object of a row by the cells of its `runs`, "" for none
+    thing_of: Callable[[Sequence[str]], str] | None = None
+    remedy: str = ""  # where several objects share a time and nothing tells them apart
 
     @property
-    def width(self) -> int:
-        """Number of columns."""
-        return len(self.header)
+    def clocks(self) -> tuple[Clock, ...]:
+        """All clocks; those of acquisition last."""
+        stamps = [group.stamp for group in self.groups if group.stamp is not None]
+        return tuple(dict.fromkeys((*(group.clock for group in self.groups), *stamps)))
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Indices of the columns that hold values."""
+        used = [one.column for group in self.groups for one in group.used]
+        return tuple(
+            dict.fromkeys((*used, *(group.sure[0] for group in self.groups if group.sure)))
+        )
+
+    @property
+    def needed(self) -> tuple[int, ...]:
+        """Sorted indices of the columns to read."""
+        wanted = {at for clock in self.clocks for at in clock.indices}
+        return tuple(sorted(wanted.union(self.numbers, (at for at, _ in self.runs))))
+
+    def is_sampled(self, clock: Clock) -> bool:
+        """Whether a clock's rows follow at a rate; impacts do not."""
+        timed = [group for group in self.groups if clock in (group.clock, group.stamp)]
+        return not all(group.is_impacts for group in timed)
+
+    def named_by(self, row: Sequence[str]) -> ColumnPlan:
+        """Rename numbered joints by the names that stand in a row."""
+        groups: list[Group] = []
+        for group in self.groups:
+            names = {
+                column: row[self.labels[number]].strip()
+                for column, number in group.numbers.items()
+                if number in self.labels
+            }
+            named = tuple(names.get(column) or column for column in group.columns)
+            is_clear = len(set(named)) == len(named)
+            groups.append(replace(group, columns=named) if is_clear else group)
+        return replace(self, groups=tuple(groups))
 
 
-def table_layout_of(
-    header: Sequence[str], separator: str | None, reading: Reading = by_name
-) -> TableLayout | None:
-    """Parse a header line; None where it names no time, and so is no header."""
-    least = 2 if reading is by_name else 1
-    if not least <= len(header) <= MAX_COLUMNS:
+ROWS = Clock("row", (), 0, counts_frames=True)  # where a row is a frame
+
+
+def layout_of(
+    names: Sequence[str], reading: Reading = by_name, *, counts_rows: bool = False
+) -> ColumnPlan | None:
+    """Say what columns are; None where no name is a time, and so they are no header.
+
+    Args:
+        names: of all columns.
+        reading: interpreter of the columns.
+        counts_rows: whether a row is a frame where no column is a time.
+    """
+    least = 2 if reading is by_name and not counts_rows else 1
+    if not least <= len(names) <= MAX_COLUMNS:
         return None
-    columns = runs_of(header) if reading is by_name else [("", name) for name in header]
-    names = [name for _, name in columns]
-    meanings = {at: reading(at, name) for at, name in enumerate(names)}
+    names = with_franka_times(names)
+    columns = runs_of(names) if reading is by_name else [("", name) for name in names]
+    plain = [name for _, name in columns]
+    fields = joint_fields(names) if reading is by_name else ()
+    fields = fields if is_controllers(names, fields) else ()
+    taken = {at for one in fields for at in one.columns.values()}
+    taken |= {at for at, name in enumerate(names) if fields and joint_fields([name])}
+    meanings = {at: reading(at, name) for at, name in enumerate(plain)}
     unused = {
-        header[at]: meaning.reason
+        names[at]: meaning.reason
         for at, meaning in meanings.items()
-        if isinstance(meaning, UnusedColumn)
+        if isinstance(meaning, UnusedColumn) and at not in taken
     }
     groups: list[Group] = []
     clock: Clock | None = None
     for run in dict.fromkeys(sorted((run for run, _ in columns), key=bool)):
         part = {at: meanings[at] for at, (of, _) in enumerate(columns) if of == run}
-        clocks = _clocks(names, part)
-        stamps = [one for is_header, one in clocks if is_header]
-        shared = clock
-        clock = _arrival(clocks) or shared or _frames(names, part)
+        part = {at: meaning for at, meaning in part.items() if at not in taken}
+        clocks = _clocks(plain, part)
+        clock = _arrival(clocks) or clock or _frames(plain, part) or (ROWS if counts_rows else None)
         if clock is None:
             continue
+        stamps = [one for is_header, one in clocks if is_header]
+        arm = [] if run else _arms_of(fields, clock, unused)
         found = [
-            *tracks_of(names, part, clock, stamps, unused),
-            *joints_of(names, part, clock, stamps, unused),
-            *_impacts(part, clock),
+            *tracks_of(plain, part, clock, stamps, unused),
+            *joints_of(plain, part, clock, stamps, unused),
+            *(_impact_group(clock) for one in part.values() if isinstance(one, ImpactColumn)),
         ]
-        groups += [replace(one, name=one.name_of_run(run)) if run else one for one in found]
+        if IN_PIXELS.intersection(names):
+            found = [replace(one, unit=one.unit or "px") if one.is_track else one for one in found]
+        known = {one.name for one in arm}
+        for one in (one for one in found if one.name in known):
+            unused.update(
+                {names[used.column]: f"other columns are {one.name}" for used in one.used}
+            )
+        found = [*arm, *(one for one in found if one.name not in known)]
+        groups += [replace(one, name=name_of_run(one.name, run)) if run else one for one in found]
     if clock is None:
         return None
     if not groups and any(isinstance(one, ImpactNumberColumn) for one in meanings.values()):
-        groups = [_impact_group(clock.indices[0], clock)]
+        groups = [_impact_group(clock)]
     if not clock.counts_frames:
-        frames = (header[at] for at, one in meanings.items() if isinstance(one, FrameColumn))
+        frames = (names[at] for at, one in meanings.items() if isinstance(one, FrameColumn))
         unused.update(dict.fromkeys(frames, "there is a column of times"))
     texts = {one.number: at for at, one in meanings.items() if isinstance(one, JointNameColumn)}
-    return TableLayout(
-        separator, tuple(groups), texts, run_columns(meanings), unused, tuple(header), reading
+    kind = "robot's table" if fields else ""
+    return ColumnPlan(
+        tuple(names), tuple(groups), run_columns(meanings), unused, texts, reading, kind
     )
 
 
@@ -1076,9 +397,7 @@ def run_columns(meanings: Mapping[int, Meaning]) -> tuple[tuple[int, str], ...]:
     return (*runs[:1], *things[:1])
 
 
-def clock_of(header: Sequence[str]) -> Clock | None:
-    """Return the clock of the rows under a header; None where no name is a time."""
-    return _arrival(_clocks(header, dict(enumerate(map(meaning_of, header)))))
+# ---- Clocks of a header.
 
 
 def _arrival(clocks: Sequence[tuple[bool, Clock]]) -> Clock | None:
@@ -1088,7 +407,7 @@ def _arrival(clocks: Sequence[tuple[bool, Clock]]) -> Clock | None:
 
 
 def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tuple[bool, Clock]]:
-    """Return all clocks; seconds and nanoseconds of one name are one."""
+    """Return all clocks, and which are of acquisition; seconds and nanoseconds are one."""
     times = {at: meaning for at, meaning in meanings.items() if isinstance(meaning, TimeColumn)}
     rests = {
         plain_words(header[at])[:-1]: at
@@ -1113,10 +432,7 @@ def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tupl
     if dates and not times:
         clocks.append((False, Clock(header[dates[0]], (dates[0],), None)))
     clocks += [
-        (
-            False,
-            Clock(header[at], (at,), meaning.power, counts_frames=meaning.counts_frames),
-        )
+        (False, Clock(header[at], (at,), meaning.power, counts_frames=meaning.counts_frames))
         for at, meaning in meanings.items()
         if isinstance(meaning, ImpactColumn)
     ]
@@ -1129,26 +445,310 @@ def _frames(header: Sequence[str], meanings: Mapping[int, Meaning]) -> Clock | N
     return None if at is None else Clock(header[at], (at,), 0, counts_frames=True)
 
 
-def _impacts(meanings: Mapping[int, Meaning], clock: Clock) -> list[Group]:
-    return [
-        _impact_group(at, clock)
-        for at, meaning in meanings.items()
-        if isinstance(meaning, ImpactColumn)
-    ]
+def _impact_group(clock: Clock) -> Group:
+    return Group("impacts", ("impact",), "1", (), clock, is_impacts=True)
 
 
-def _impact_group(at: int, clock: Clock) -> Group:
-    return Group(
-        *("impacts", ("impact",), "1", (Used(at, 0, 1.0),)),
-        needs_all=True,
-        clock=clock,
-        is_impacts=True,
-    )
+def stamp_for(words: Words, stamps: Sequence[Clock]) -> Clock | None:
+    """Return the stamp of the message that a column belongs to, by the longest common prefix."""
+    fitting = [clock for clock in stamps if words[: len(clock.scope)] == clock.scope]
+    return max(fitting, key=lambda clock: len(clock.scope), default=None)
+
+
+def plain_words(name: str) -> Words:
+    """Split a name into lower-case words, not at capitals."""
+    return lowered(words_of(name, camel=False))
+
+
+# ---- Joints of a header: by their names, or the fields of a controller.
+
+
+def joints_of(
+    header: Sequence[str],
+    meanings: Mapping[int, Meaning],
+    clock: Clock,
+    stamps: Sequence[Clock],
+    unused: dict[str, str],
+) -> list[Group]:
+    """Group joint columns by robot and quantity; all groups of one robot have the same joints."""
+    values = {at: meaning for at, meaning in meanings.items() if isinstance(meaning, JointColumn)}
+    if all(one.is_bare and one.quantity != "effort" for one in values.values()):
+        for at in values:
+            unused[header[at]] = "it says not of what; name it x, y, z, height_m or JOINT_position"
+        return []
+    tables: dict[tuple[str, str], dict[str, list[int]]] = {}
+    for at, meaning in values.items():
+        found = tables.setdefault((meaning.group, meaning.quantity), {})
+        found.setdefault(meaning.label, []).append(at)
+    for (_, quantity), labels in tables.items():
+        for label in [label for label, found in labels.items() if len(found) > 1]:
+            for at in labels.pop(label):
+                unused[header[at]] = f"several columns are the {quantity} of {label!r}"
+    robots: dict[str, dict[str, int]] = {}
+    for (robot, _), labels in tables.items():
+        rows = robots.setdefault(robot, {})
+        for label in labels:
+            rows.setdefault(label, len(rows))
+    numbers = {one.label: one.number for one in values.values() if one.number}
+    groups: list[Group] = []
+    for (robot, quantity), labels in tables.items():
+        if labels:
+            rows = robots[robot]
+            used = tuple(Used(at, rows[one], values[at].scale) for one, (at,) in labels.items())
+            stamp = stamp_for(plain_words(header[used[0].column]), stamps)
+            name, unit = f"{robot}.{quantity}", JOINT_UNITS[quantity]
+            groups.append(Group(name, tuple(rows), unit, used, clock, stamp, numbers=numbers))
+    return groups
+
+
+def _arms_of(fields: Sequence[JointField], clock: Clock, unused: dict[str, str]) -> list[Group]:
+    """Group the measured fields of a controller, and say why the others are not used."""
+    choice = choose_fields(fields)
+    unused.update({one.title: why for one, why in choice.unused})
+    groups: list[Group] = []
+    for one in choice.used:
+        numbers = sorted(one.columns)
+        used = tuple(
+            Used(one.columns[number], row, one.scale) for row, number in enumerate(numbers)
+        )
+        labels = tuple(choice.labels[number] for number in numbers)
+        name = f"{one.side or 'joints'}.{one.quantity}"
+        unit = JOINT_UNITS[one.quantity]
+        groups.append(Group(name, labels, unit, used, clock, note=one.title))
+    return groups
+
+
+def _with_torques(path: Path, plan: ColumnPlan, options: ReadOptions) -> ColumnPlan:
+    """Make torques of motors' currents with the user's constants [N·m/A], joint by joint.
+
+    Currents of a controller without constants are not used, and say which option makes them useful.
+    """
+    constants, unused = options.torque_constants, dict(plan.unused)
+    names = {group.name for group in plan.groups}
+    has_joints = any(name.rpartition(".")[2] in JOINT_UNITS for name in names)
+    if constants and has_joints and not any(name.endswith(".current") for name in names):
+        there = listed([group.name for group in plan.groups])
+        raise LogError(
+            f"{path}: --torque-constants: there are no measured currents of joints (there are: "
+            f"{there})",
+            "leave it out, or name their columns: --columns current_1=...",
+        )
+    groups: list[Group] = []
+    for group in plan.groups:
+        robot, _, quantity = group.name.rpartition(".")
+        count, title = len(group.used), group.note or group.name
+        if quantity == "effort" and constants and f"{robot}.current" in names:
+            unused[title] = "the currents with --torque-constants are used"
+        elif quantity == "current" and constants:
+            if len(constants) != count:
+                raise LogError(
+                    f"{path}: --torque-constants has {len(constants)} numbers for the {count} "
+                    f"joints of {title}; give one for each joint"
+                )
+            used = tuple(
+                one._replace(scale=one.scale * constant)
+                for one, constant in zip(group.used, constants, strict=True)
+            )
+            note = "currents times --torque-constants"
+            unit = JOINT_UNITS["effort"]
+            groups.append(replace(group, name=f"{robot}.effort", unit=unit, used=used, note=note))
+        elif quantity == "current" and plan.kind:
+            shown = ",".join(f"K{number}" for number in range(1, min(count, 3) + 1))
+            shown += f",...,K{count}" if count > 3 else ""
+            unused[title] = (
+                "currents [A] are no torques; say each joint's torque for each A with "
+                f"--torque-constants {shown}"
+            )
+        else:
+            groups.append(replace(group, note="") if plan.kind and not group.is_track else group)
+    return replace(plan, groups=tuple(groups), unused=unused)
+
+
+# ---- Tracks of a header: coordinates, by moving object.
+
+_ALONG_A_LINE = "a distance along one line, up or down"  # a motion sensor's one coordinate
+_DISTANCE = 3  # rank of a bare distance: beside x and y it is that from the start, and no z
+# Why a coordinate is not used where there is one of a better name.
+_INSTEAD = ("there is a column z", "there is a column of heights", "there is a column of positions")
+
+
+def tracks_of(
+    header: Sequence[str],
+    meanings: Mapping[int, Meaning],
+    clock: Clock,
+    stamps: Sequence[Clock],
+    unused: dict[str, str],
+) -> list[Group]:
+    """Group coordinate columns by moving object; see `joints_of`."""
+    things: dict[str, dict[int, CoordinateColumn]] = {}
+    # Interpret pairs (u, v) as image coordinates x and y; u alone is a control input.
+    names = {plain_words(header[at]): at for at in meanings}
+    found = dict(meanings)
+    for words, at in names.items():
+        partner = names.get((*words[:-1], "v")) if words[-1:] == ("u",) else None
+        if partner is not None and all(
+            isinstance(meanings[one], UnusedColumn) for one in (at, partner)
+        ):
+            thing = "_".join(words[:-1]) or "track"
+            found[at] = CoordinateColumn(thing, 0, 1.0, "px")
+            found[partner] = CoordinateColumn(thing, 1, 1.0, "px")
+    for at, meaning in found.items():
+        if isinstance(meaning, CoordinateColumn):
+            unused.pop(header[at], None)
+            things.setdefault(meaning.thing, {})[at] = meaning
+    groups: list[Group] = []
+    for thing, places in things.items():
+        has_one_axis = len({one.axis for one in places.values()}) < 2
+        if has_one_axis and all(one.is_doubtful for one in places.values()):
+            why = f"it is the one column of {thing!r}; name it {thing}_x"
+            unused.update(dict.fromkeys((header[at] for at in places), why))
+            continue
+        has_lengths = any(one.unit != "px" for one in places.values())
+        in_pixels = {at for at, one in places.items() if has_lengths and one.unit == "px"}
+        why = "there are columns in a unit of length"
+        unused.update(dict.fromkeys((header[at] for at in in_pixels), why))
+        chosen = _best(header, {a: b for a, b in places.items() if a not in in_pixels}, unused)
+        if len({one.axis for one in chosen.values()}) < len(chosen):
+            why = f"several columns are a coordinate of {thing!r}"
+            unused.update(dict.fromkeys((header[at] for at in chosen), why))
+            continue
+        sizes = {one.scale for one in chosen.values() if one.unit == "m"}
+        # A column without a unit beside others with one is in theirs.
+        unit = "m" if sizes else next(iter(chosen.values())).unit
+        default = next(iter(sizes)) if len(sizes) == 1 else 1.0
+        used = tuple(
+            Used(at, one.axis, one.scale if one.unit else default) for at, one in chosen.items()
+        )
+        stamp = stamp_for(plain_words(header[next(iter(chosen))]), stamps)
+        note = _ALONG_A_LINE if any(one.rank > 1 for one in chosen.values()) else ""
+        xyz = ("x", "y", "z")
+        groups.append(Group(thing, xyz, unit, used, clock, stamp, is_track=True, note=note))
+    return groups
+
+
+def _best(
+    header: Sequence[str], places: Mapping[int, CoordinateColumn], unused: dict[str, str]
+) -> dict[int, CoordinateColumn]:
+    """Return the columns of the best kind of name for each axis."""
+    axes: dict[int, dict[int, CoordinateColumn]] = {}
+    has_axes = {0, 1}.issubset(one.axis for one in places.values())
+    for at, one in places.items():
+        if has_axes and one.rank == _DISTANCE:
+            unused[header[at]] = "there are columns x and y"
+        else:
+            axes.setdefault(one.axis, {})[at] = one
+    chosen: dict[int, CoordinateColumn] = {}
+    for found in axes.values():
+        best = min(one.rank for one in found.values())
+        chosen |= {at: one for at, one in found.items() if one.rank == best}
+        unused.update({header[at]: _INSTEAD[best] for at, one in found.items() if one.rank > best})
+    return chosen
+
+
+# ---- Plan which columns of a file to read: the user's, else by their names.
+
+
+def plan_columns(
+    path: Path,
+    names: Sequence[str],
+    options: ReadOptions,
+    meant: Sequence[str] | None = None,
+    left_out: Mapping[str, str] | None = None,
+    rate_hz: float | None = None,
+) -> ColumnPlan:
+    """Plan which columns to read of a file that may count its rows as frames.
+
+    Args:
+        path: of the file, for messages.
+        names: of the columns, as the file has them.
+        options: the user's.
+        meant: the names to interpret, where these differ from `names`.
+        left_out: what else the file holds, with the reason: for the refusal.
+        rate_hz: row rate stated by the file.
+
+    Raises:
+        LogError: there are too many, a column that was named is not there, the torque constants
+            fit no currents, or nothing is of use.
+    """
+    if len(names) > MAX_COLUMNS:
+        raise LogError(
+            f"{path}: has {len(names)} columns, over the limit of {MAX_COLUMNS}; leave out those "
+            "that are not needed"
+        )
+    try:
+        plan = layout_of(meant or names, said_by(options, names), counts_rows=True)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+    plan = plan or ColumnPlan(tuple(names), ())
+    own = dict(zip(meant or names, names, strict=True))
+    unused = _ranges({own.get(name, name): why for name, why in plan.unused.items()})
+    groups = plan.groups
+    if not (options.rate_hz or rate_hz):  # a joint's rows are no frames of a film
+        untimed = [one for one in groups if one.clock is ROWS and not one.is_track]
+        why = "nothing says when; say --columns t=NAME or --fps RATE"
+        unused.update({one.name: why for one in untimed})
+        groups = tuple(one for one in groups if one not in untimed)
+    plan = replace(plan, names=tuple(names), groups=groups, unused=unused)
+    if not groups:
+        others = {**(left_out or {}), **unused}
+        reasons = "; ".join(f"{name[:60]!r}: {why}" for name, why in list(others.items())[:4])
+        why = reasons or f"columns: {listed([name[:40] for name in names])}"
+        raise LogError(
+            f"{path}: no column is a place or a joint's ({why}); name them: --columns t=NAME,z=NAME"
+        )
+    return fitted(path, plan, options)
+
+
+def said_by(options: ReadOptions, names: Sequence[str]) -> Reading:
+    """Return the interpreter of columns by the user's names, if there are any.
+
+    Raises:
+        ValueError: they contradict themselves, or name what is not there.
+    """
+    if not options.columns:
+        return by_name
+    if why := contradiction_of(options.columns):
+        raise ValueError(why)
+    places, missing = places_of(options.columns, names)
+    if missing:
+        raise ValueError(
+            f"has no column {missing[0][:60]!r}; its columns are {short_list(names) or 'none'}; "
+            "name one of them"
+        )
+    return said_reading(places)
+
+
+def fitted(path: Path, plan: ColumnPlan, options: ReadOptions) -> ColumnPlan:
+    """Apply the user's torque constants and unit of length to a plan; LogError if they do not fit.
+
+    A unit that the table states is not overruled.
+    """
+    for group in plan.groups if options.length_unit else ():
+        for column in group.used if group.unit == "m" else ():
+            if options.length_m is None or not isclose(column.scale, options.length_m):
+                named = next(name for name, size in LENGTHS.items() if size == column.scale)
+                raise LogError(
+                    f"{path}: column {plan.names[column.column][:60]!r} is in {named}, and "
+                    f"--length-unit says {options.length_unit}; leave it out"
+                )
+    return _with_torques(path, plan, options)
+
+
+def _ranges(reasons: Mapping[str, str]) -> dict[str, str]:
+    """Join columns that differ in their number alone: "a[0] to a[5]"."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for name, why in reasons.items():
+        alike.setdefault((re.sub(r"(?<!\d)\d++(?=\W*$)", "#", name), why), []).append(name)
+    return {
+        found[0] if len(found) == 1 else f"{found[0]} to {found[-1]}": why
+        for (_, why), found in alike.items()
+    }
 
 
 # ---- Split stacked runs, by a column that numbers them or where the times restart.
 
 MAX_RUNS = 500  # of a table; each is a signal of its own
+MAX_TRACKS = 1000  # of a table of tracks, the longest; of cells there are many thousands
 _MAX_LENGTH = 40  # of a run's name
 _MAX_SHOWN = 4  # of the names of things in a message
 _MIN_ROWS = 5  # of a run that only its times show
@@ -1160,9 +760,8 @@ _RESTART_FRACTION = 0.8  # of a run's length: by more than that the next one's t
 # Local time is set by multiples of this, as at the end of summer time; the next row comes within
 # so many periods.
 _ZONE_NS, _ZONE_PERIODS = 900 * 10**9, 10
-
 _NEARBY = 128  # rows among which those of one run may have overtaken each other
-Rows = NDArray[np.intp] | slice  # which rows
+RowSet = NDArray[np.intp] | slice  # which rows
 
 
 class RunNames:
@@ -1196,11 +795,10 @@ class RunNames:
     def number(self, cells: Sequence[str]) -> int:
         """Return the index of a run in `names`, by the cells of its columns."""
         texts = tuple(cell.strip()[:_MAX_LENGTH] for cell in cells)
-        if (number := self._numbers.get(texts)) is not None:
-            return number
-        parts = tuple(map(_name_of, texts, self._kinds))
-        self._numbers[texts] = self._by_name.setdefault(parts, len(self._by_name))
-        return self._numbers[texts]
+        if (number := self._numbers.get(texts)) is None:
+            parts = tuple(map(_name_of, texts, self._kinds))
+            number = self._numbers[texts] = self._by_name.setdefault(parts, len(self._by_name))
+        return number
 
 
 def _name_of(text: str, kind: str) -> str:
@@ -1210,38 +808,41 @@ def _name_of(text: str, kind: str) -> str:
     return re.sub(r"\W+", "_", text).strip("_").lower() or f"no_{kind}"
 
 
-def telling_column(
-    stamps: Sequence[Sequence[str]], columns: Mapping[int, Sequence[str]]
-) -> int | None:
-    """Find the column that identifies objects, where several rows share a stamp.
+def told_apart(plan: ColumnPlan, rows: Sequence[Sequence[str]]) -> ColumnPlan:
+    """Find the column that identifies objects, where several of the first rows share a stamp.
 
-    Args:
-        stamps: the time of each row, as it is written.
-        columns: the cells of the columns with uninformative names.
-
-    Returns:
-        The index of one that makes all pairs of stamp and cell unique; None where all stamps
-        differ, or there is none. Names go before numbers, and few objects before many.
+    A column that merely counts the rows identifies none. Of those whose names say nothing one is
+    taken that makes all pairs of stamp and cell unique: names before numbers, few objects before
+    many.
     """
-    times = [tuple(cells) for cells in stamps]
+    is_few = len(rows) < _MIN_ROWS  # numbers that all differ may still be those of objects
+    runs = [one for one in plan.runs if is_few or len({row[one[0]] for row in rows}) < len(rows)]
+    plan = replace(plan, runs=tuple(runs))
+    if len(plan.clocks) != 1 or not plan.clocks[0].indices:
+        return plan
+    told = (*plan.clocks[0].indices, *(at for at, _ in runs))
+    times = [tuple(row[at] for at in told) for row in rows]
     if len(set(times)) == len(times):
-        return None
+        return plan
+    taken = {*plan.needed, *plan.labels.values()}
     found: list[tuple[bool, int, int]] = []
-    for at, cells in columns.items():
+    for at in (at for at in range(len(plan.names)) if at not in taken):
+        cells = [row[at] for row in rows]
         things = len(set(cells))
         is_told = 1 < things <= len(cells) // 3 and all(map(str.strip, cells))
         if is_told and len(set(zip(times, cells, strict=True))) == len(times):
-            found.append((any(map(_is_number, cells)), things, at))
-    return min(found)[2] if found else None
-
-
-def _is_number(text: str) -> bool:
-    return re.fullmatch(r"[+-]?[\d.,]+", text.strip()) is not None
+            has_numbers = any(re.fullmatch(r"[+-]?[\d.,]+", cell.strip()) for cell in cells)
+            found.append((has_numbers, things, at))
+    if not found:
+        return plan
+    at = min(found)[2]
+    name = re.sub(r"\W+", "_", plan.names[at].strip()).strip("_").lower()
+    return replace(plan, runs=(*runs, (at, name[:20] or "object")))
 
 
 def rows_of_runs(
     times_ns: NDArray[np.int64], runs: NDArray[np.int64], names: Sequence[str]
-) -> list[tuple[str, Rows]]:
+) -> list[tuple[str, RowSet]]:
     """Return name and rows of each run or object; the name is "" where there is only one.
 
     A column of run numbers separates runs where times restart with another number, or where
@@ -1263,79 +864,26 @@ def rows_of_runs(
         if 2 * len(numbers) <= len(runs):  # else each row has a number of its own
             _check_count(len(numbers))
             return [(str(names[one]), np.flatnonzero(runs == one)) for one in numbers.tolist()]
-    if not len(backwards):
-        return [("", slice(None))]
     starts = _restarts(times_ns, backwards)
     if len(starts) == 1:
         return [("", slice(None))]
     _check_count(len(starts))
-    ends = [*starts[1:], len(times_ns)]
-    pairs = enumerate(zip(starts, ends, strict=True), 1)
-    return [(f"run{number}", slice(start, end)) for number, (start, end) in pairs]
+    pairs = zip(starts, [*starts[1:], len(times_ns)], strict=True)
+    return [(f"run{number}", slice(*pair)) for number, pair in enumerate(pairs, 1)]
 
 
-def restarts_note(parts: Sequence[tuple[str, Rows]]) -> list[str]:
-    """Note that times restart without a column of run numbers: a clock may have been set back."""
-    if len(parts) < 2 or isinstance(parts[0][1], np.ndarray):
-        return []
-    return [
-        f"its times begin again {len(parts) - 1} times: runs, or a clock that was set back; each "
-        "is a signal by itself; see --topic"
-    ]
-
-
-def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-    """Refuse rows that are of several objects, or whose stamps are truncated.
-
-    In stacked rows of several objects, the second row of each stamp is near the second row of the
-    next; of one object with coarse stamps, it is near the first of its own.
-
-    Args:
-        times_ns: of T rows [ns], in the order of the file, shape (T,).
-        values: shape (T, C).
-
-    Raises:
-        ValueError: which of these it is, and the remedy.
-    """
-    order = np.argsort(times_ns, kind="stable")
-    times, rows = times_ns[order], values[order]
-    is_same = np.diff(times) == 0
-    if not np.any(is_same):
-        return
-    steps = _steps(rows)
-    shared = int(np.count_nonzero(is_same & (steps > 0)))
-    if shared <= _MAX_SHARED * len(times):
-        return
-    firsts = np.flatnonzero(np.concatenate([[True], ~is_same]))
-    rank = np.arange(len(times)) - np.repeat(firsts, np.diff(firsts, append=len(times)))
-    by_rank = np.argsort(rank, kind="stable")
-    alike = _steps(rows[by_rank])[np.diff(rank[by_rank]) == 0]
-    are_things = len(alike) > 0 and np.median(alike) < _ALIKE * np.median(steps[is_same])
-    if not are_things and len(firsts) > _MIN_STAMPS * len(times):
-        return
-    what = "the stamps have too few digits; "
-    if are_things:
-        what = (
-            "several things, or stamps of too few digits; say which column separates the objects: "
-            "--columns object=NAME, or "
-        )
-    raise ValueError(
-        f"{shared} of {len(times)} rows have the stamp of another row and other values: {what}"
-        "write times with all their digits"
-    )
-
-
-def _steps(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest change from each row to the next, shape (T - 1,); 0 where missing."""
-    return np.nan_to_num(np.abs(np.diff(rows, axis=0))).max(axis=1, initial=0.0)
+def _check_count(count: int) -> None:
+    if count > MAX_RUNS:
+        raise ValueError(f"holds {count} runs, over the limit of {MAX_RUNS}; split it")
 
 
 def _restarts(times_ns: NDArray[np.int64], backwards: NDArray[np.intp]) -> list[int]:
     """Return where runs begin; a few rows out of order begin none."""
     starts = [0]
-    rising = np.diff(
-        backwards, append=len(times_ns) - 1
-    )  # rows from there to the next that is back
+    if not len(backwards):
+        return starts
+    # Rows from there to the next that is back.
+    rising = np.diff(backwards, append=len(times_ns) - 1)
     for at in (backwards[rising >= _MIN_ROWS] + 1).tolist():
         begin = starts[-1]
         ahead = times_ns[at : at + _MIN_ROWS]
@@ -1355,144 +903,596 @@ def _restarts(times_ns: NDArray[np.int64], backwards: NDArray[np.intp]) -> list[
     return starts
 
 
-def _check_count(count: int) -> None:
-    if count > MAX_RUNS:
-        raise ValueError(f"holds {count} runs, over the limit of {MAX_RUNS}; split it")
+def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64], remedy: str) -> None:
+    """Refuse rows that are of several objects, or whose stamps are truncated.
 
+    In stacked rows of several objects, the second row of each stamp is near the second row of the
+    next; of one object with coarse stamps, it is near the first of its own.
 
-# ---- `SignalSamples`: collect the samples that rows give each signal.
-
-
-class SignalSamples:
-    """Samples of one group of columns, stored flat: a table of an hour must fit.
-
-    Attributes:
-        group: of columns.
-        columns: names of the signal's.
-        arrivals: times of the rows [ns]; counted frames are one second apart.
+    Raises:
+        ValueError: which of these it is, and the remedy.
     """
+    order = np.argsort(times_ns, kind="stable")
+    times, rows = times_ns[order], values[order]
+    is_same = np.diff(times) == 0
+    if not np.any(is_same):
+        return
+    steps = _steps(rows)
+    shared = int(np.count_nonzero(is_same & ((steps > 0) | bool(remedy))))
+    if shared <= _MAX_SHARED * len(times):
+        return
+    firsts = np.flatnonzero(np.concatenate([[True], ~is_same]))
+    rank = np.arange(len(times)) - np.repeat(firsts, np.diff(firsts, append=len(times)))
+    by_rank = np.argsort(rank, kind="stable")
+    alike = _steps(rows[by_rank])[np.diff(rank[by_rank]) == 0]
+    are_things = len(alike) > 0 and np.median(alike) < _ALIKE * np.median(steps[is_same])
+    if not are_things and len(firsts) > _MIN_STAMPS * len(times) and not remedy:
+        return
+    what = "the stamps have too few digits; write times with all their digits"
+    if are_things:
+        what = (
+            "several things, or stamps of too few digits; say which column separates the objects: "
+            "--columns object=NAME, or write times with all their digits"
+        )
+    raise ValueError(
+        f"{shared} of {len(times)} rows have the stamp of another row and other values: "
+        f"{remedy or what}"
+    )
 
-    def __init__(self, group: Group, header: Sequence[str], options: ReadOptions) -> None:
-        self.group = group
-        self.columns = group.columns
-        self.arrivals = array("q")
-        self._stamps = array("q")
-        self._runs = array("q")
-        self._header = header
-        self._options = options
-        self._incomplete = 0
-        self._values = array("d")
-        self._empty = [0.0 if group.needs_all else float("nan")] * len(group.columns)
 
-    def read(self, cells: Sequence[str], numbers: Numbers) -> list[float] | None:
-        """Return the values of a row; None where it has none, or lacks a coordinate.
+def _steps(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the largest change from each row to the next, shape (T - 1,); 0 where missing."""
+    return np.nan_to_num(np.abs(np.diff(rows, axis=0))).max(axis=1, initial=0.0)
 
-        Raises:
-            UnreadableError: a cell holds no number.
-        """
-        row = self._empty.copy()
-        missing = 0
-        for column in self.group.used:
-            try:
-                value = numbers.read(cells[column.index])
-            except ValueError as why:
-                name = self._header[column.index]
-                raise unreadable(name, cells[column.index], why, NUMBER_REMEDY) from None
-            row[column.row] = value * column.scale
-            missing += value != value  # noqa: PLR0124 (NaN)
-        if missing == len(self.group.used):
-            return None
-        if missing and self.group.needs_all:
-            self._incomplete += 1
-            return None
-        return row
 
-    def add(self, stamp_ns: int, arrival_ns: int, row: list[float]) -> None:
-        """Append a sample."""
-        self._stamps.append(stamp_ns)
-        self.arrivals.append(arrival_ns)
-        self._values.extend(row)
+# ---- Rows of a plan's columns, and the signals that they make.
 
-    def add_run(self, run: int) -> None:
-        """Set the run of the last sample, numbered in order of appearance."""
-        self._runs.append(run)
 
-    def signals(
-        self, offset_ns: int, run_names: Sequence[str]
-    ) -> tuple[list[Signal], list[Channel], list[str]]:
-        """Return one signal per run, their channels, and notes on what was left out or repaired.
+class Times(NamedTuple):
+    """What a clock says in each row."""
 
-        Args:
-            offset_ns: added to all times.
-            run_names: by the numbers of runs.
+    stamps_ns: NDArray[np.int64]  # shape (T,); of counted frames one second for each
+    known: NDArray[np.bool_]  # which rows have one, shape (T,)
+    doubts: Sequence[str] = ()  # about their unit or zone, in words
 
-        Raises:
-            ValueError: there are too many runs, or impacts out of order.
-        """
-        counts_frames = self.group.clock.counts_frames
-        arrivals = np.frombuffer(self.arrivals, np.int64) + offset_ns
-        if counts_frames:
-            arrivals, counts_frames = frame_stamps(arrivals * 1e-9, None, self._options)
-        stamps = np.frombuffer(self._stamps, np.int64)
-        values, unit = self._in_unit(np.frombuffer(self._values).reshape(-1, len(self.columns)))
-        if self.group.is_impacts:
-            return self._impacts(arrivals, counts_frames)
-        runs = np.frombuffer(self._runs, np.int64)
-        signals: list[Signal] = []
-        channels: list[Channel] = []
-        parts = rows_of_runs(arrivals, runs, run_names)
-        notes = [f"{self.group.name}: {note}" for note in restarts_note(parts)]
-        for run, rows in parts:
-            name = self.group.name_of_run(run) if run else self.group.name
-            own, of_run = arrivals[rows], stamps[rows]
-            check_one_thing(own, values[rows])
-            keep, ordered, repairs, left_out = order_samples(
-                of_run if len(own) > 1 else own, own, (values[rows],)
-            )
-            incomplete = in_proportion(len(own), self._incomplete, len(arrivals))
-            signals.append(
-                Signal(
-                    name,
-                    ordered,
-                    values[rows][keep],
-                    self.columns,
-                    unit,
-                    counts_frames=counts_frames,
-                    left_out=added(left_out, {INCOMPLETE: incomplete}),
-                )
-            )
-            channels.append(Channel(name, self._type(unit), "csv", own))
-            notes += [f"{name}: {repair}" for repair in repairs]
-        if self._incomplete:
-            lacking = f"{self._incomplete} samples without all coordinates were left out"
-            notes.append(f"{self.group.name}: {lacking}")
-        return signals, channels, notes
 
-    def _in_unit(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-        """Convert values to the user's length unit, where the table states none."""
-        unit, options = self.group.unit, self._options
-        if unit not in (UNSTATED, "px") or not options.length_unit:
-            return values, unit
-        return (values, "px") if options.length_m is None else (values * options.length_m, "m")
+@dataclass(frozen=True, eq=False)
+class ColumnRows:
+    """The columns that a plan needs."""
 
-    def _impacts(
-        self, arrivals: NDArray[np.int64], counts_frames: bool
-    ) -> tuple[list[Signal], list[Channel], list[str]]:
+    # values by the index of their column, NaN where there is none, shape (T,) each
+    numbers: Mapping[int, NDArray[np.float64]]
+    times: Mapping[Clock, Times]  # of each clock
+    # the index in `names` of each row's run or object, -1 for none, shape (T,); empty where the
+    # table numbers none
+    runs: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    names: Sequence[str] = ()  # of the runs or objects
+    note: str = ""  # about these, for the user
+
+
+class Made(NamedTuple):
+    """Signals of a table, their channels, what is unused besides, and notes on repairs."""
+
+    signals: list[Signal]
+    channels: list[Channel]
+    unused: dict[str, str]
+    notes: list[str]
+
+
+def signals_of(
+    path: Path,
+    plan: ColumnPlan,
+    rows: ColumnRows,
+    options: ReadOptions,
+    rate_hz: float | None = None,
+    encoding: str = "export",
+) -> Made:
+    """Make the signals of a plan: one for each group, run and object.
+
+    Raises:
+        LogError: there are too many runs, impacts out of order, or times beyond all bounds.
+    """
+    made = Made([], [], {}, [])
+    seen = {group.name: _seen(group, rows) for group in plan.groups}
+    unsure = 0
+    for group in (one for one in plan.groups if one.sure is not None):
+        column, least = group.sure or (0, 0.0)
+        is_seen, _ = seen[group.name]
+        unsure += int(np.count_nonzero(is_seen & (rows.numbers[column] < least)))
+        is_seen &= ~(rows.numbers[column] < least)
+    untimed = {}
+    starts = [0]
+    for group in plan.groups:
+        times, (is_seen, _) = rows.times[group.clock], seen[group.name]
+        untimed[group.clock] = untimed.get(group.clock, False) | (is_seen & ~times.known)
+        if (is_seen & times.known).any():
+            starts.append(int(times.stamps_ns[is_seen & times.known].min()))
+    made.notes.extend(
+        f"{count} rows without a time were left out"
+        for lost in untimed.values()
+        if (count := int(np.count_nonzero(lost)))
+    )
+    doubts = (doubt for times in rows.times.values() for doubt in times.doubts)
+    zone = [doubt for doubt in dict.fromkeys(doubts) if "time zone" in doubt]
+    made.notes.extend(zone)
+    if (first_ns := min(starts)) < 0:
+        text = f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0"
+        made.notes.append(text)
+    named = 0
+    for group in plan.groups:
+        is_seen, incomplete = seen[group.name]
+        try:
+            count = _add(made, group, plan, rows, options, is_seen, incomplete, first_ns, rate_hz)
+        except ValueError as error:
+            raise LogError(f"{path}: {error}") from error
+        named += count > 1
+    if named and rows.note and not plan.is_stacked:
+        made.notes.append(rows.note)
+    others = (doubt for times in rows.times.values() for doubt in times.doubts)
+    made.notes.extend(doubt for doubt in dict.fromkeys(others) if doubt not in zone)
+    if unsure:
+        least = min(group.sure[1] for group in plan.groups if group.sure)
+        made.notes.append(f"{unsure} places with a likelihood below {least} were left out")
+    made.channels[:] = [replace(one, encoding=encoding) for one in made.channels]
+    return made
+
+
+def _seen(group: Group, rows: ColumnRows) -> tuple[NDArray[np.bool_], int]:
+    """Return which rows have a sample of a group, and how many lack some coordinate."""
+    if group.is_impacts:
+        return rows.times[group.clock].known, 0
+    is_seen = group.seen(rows.numbers)
+    incomplete = 0
+    if group.is_track:
+        some = replace(group, is_track=False).seen(rows.numbers)
+        incomplete = int(np.count_nonzero(some & ~is_seen))
+    return is_seen, incomplete
+
+
+def _add(
+    made: Made,
+    group: Group,
+    plan: ColumnPlan,
+    rows: ColumnRows,
+    options: ReadOptions,
+    is_seen: NDArray[np.bool_],
+    incomplete: int,
+    first_ns: int,
+    rate_hz: float | None,
+) -> int:
+    """Add the signals of one group, and return how many they are."""
+    times = rows.times[group.clock]
+    at = np.flatnonzero(is_seen & times.known)
+    if plan.is_stacked:
+        at = at[rows.runs[at] >= 0]
+    arrivals = times.stamps_ns[at] - min(first_ns, 0)
+    counts_frames = group.clock.counts_frames
+    if counts_frames:
+        arrivals, counts_frames = frame_stamps(arrivals / 1e9, rate_hz, options)
+    if group.is_impacts:
         wrong = np.flatnonzero(np.diff(arrivals) <= 0)
         if len(wrong):
-            at = int(wrong[0])
+            last = int(wrong[0])
             raise ValueError(
-                f"times of impacts do not increase: {arrivals[at] * 1e-9:.13g} s is followed by "
-                f"{arrivals[at + 1] * 1e-9:.13g} s; give times since a start, not intervals"
+                f"times of impacts do not increase: {arrivals[last] * 1e-9:.13g} s is followed by "
+                f"{arrivals[last + 1] * 1e-9:.13g} s; give times since a start, not intervals"
             )
-        ones = np.ones((len(arrivals), 1))
-        signal = Signal(
-            self.group.name, arrivals, ones, self.columns, "1", counts_frames=counts_frames
+    values = np.ones((len(at), 1))
+    unit = group.unit
+    if not group.is_impacts:
+        values = np.full((len(at), len(group.columns)), 0.0 if group.is_track else np.nan)
+        for one in group.used:
+            values[:, one.place] = rows.numbers[one.column][at] * one.scale
+        values[~np.isfinite(values)] = np.nan
+    if group.is_track:
+        values, unit = in_metres(values, unit, options)
+    stamps = None if group.stamp is None else rows.times[group.stamp].stamps_ns[at]
+    runs = rows.runs[at] if len(rows.runs) else rows.runs
+    if plan.is_stacked:
+        parts = _tracks_in(runs, rows.names, made.unused)
+    elif group.is_impacts:
+        parts = [("", slice(None))]
+    else:
+        parts = rows_of_runs(arrivals, runs, rows.names)
+    if len(parts) > 1 and isinstance(parts[0][1], slice):
+        made.notes.append(
+            f"{group.name}: its times begin again {len(parts) - 1} times: runs, or a clock that "
+            "was set back; each is a signal by itself; see --topic"
         )
-        channel = Channel(self.group.name, self._type("1"), "csv", arrivals)
-        return [signal], [channel], []
+    lost = {UNREADABLE: int(np.count_nonzero(is_seen & ~times.known))}
+    for run, part in parts:
+        name = run if plan.is_stacked and run else name_of_run(group.name, run)
+        own = arrivals[part]
+        if not group.is_impacts and (plan.remedy or not plan.is_stacked):
+            check_one_thing(own, values[part], plan.remedy)
+        if stamps is not None and len(own) > 1:
+            keep, ordered, repairs, left_out = order_samples(stamps[part], own, (values[part],))
+        else:
+            keep, ordered, repairs, left_out = sorted_stamps(own, (values[part],))
+        lacking = {INCOMPLETE: in_proportion(len(own), incomplete, len(arrivals))}
+        signal = Signal(
+            name,
+            ordered,
+            values[part][keep],
+            group.columns,
+            unit,
+            counts_frames=counts_frames,
+            left_out=added(added(left_out, lacking), lost),
+        )
+        made.signals.append(signal)
+        kind = _type_of(group.columns, unit, group.note)
+        made.channels.append(Channel(name, kind, "export", own))
+        made.notes.extend(f"{name}: {repair}" for repair in repairs)
+    if incomplete:
+        lacking_words = f"{incomplete} samples without all coordinates were left out"
+        made.notes.append(f"{group.name}: {lacking_words}")
+    return len(parts)
 
-    def _type(self, unit: str) -> str:
-        columns = ", ".join(self.columns) if len(self.columns) <= 8 else "joints"
-        note = f": {self.group.note}" if self.group.note else ""
-        return f"{columns} [{unit or '?'}]{note}"
+
+def _tracks_in(
+    runs: NDArray[np.int64], names: Sequence[str], unused: dict[str, str]
+) -> list[tuple[str, RowSet]]:
+    """Return name and rows of each object, the longest ones where there are very many."""
+    order = np.argsort(runs, kind="stable")
+    found, starts, counts = np.unique(runs[order], return_index=True, return_counts=True)
+    longest = np.sort(np.argsort(-counts, kind="stable")[:MAX_TRACKS])
+    if (rest := len(found) - len(longest)) > 0:
+        unused[f"{rest} more tracks"] = f"they are no longer than the {MAX_TRACKS} longest"
+    for number in sorted(set(range(len(names))).difference(found.tolist()))[:MAX_TRACKS]:
+        unused[names[number]] = "it is seen in no row"
+    parts = np.split(order, starts[1:])
+    return [(names[int(found[one])], parts[one]) for one in longest.tolist()]
+
+
+def episode_of_rows(
+    path: Path,
+    what: str,
+    plan: ColumnPlan,
+    rows: ColumnRows,
+    options: ReadOptions,
+    *,
+    rate_hz: float | None = None,
+    unused: Mapping[str, str] | None = None,
+    warnings: Sequence[str] = (),
+    losses: Sequence[str] = (),
+    unread: tuple[int, int] = (0, 1),
+    encoding: str = "export",
+) -> Episode:
+    """Build the episode of a file's rows.
+
+    Args:
+        path: of the file.
+        what: kind of file, in words.
+        plan: meaning of its columns.
+        rows: the columns that the plan needs.
+        options: the user's.
+        rate_hz: row rate stated by the file; None where it is unstated.
+        unused: what else it holds, with the reason.
+        warnings: of reading it.
+        losses: damage found in it.
+        unread: number of rows that could not be read, and of those that could.
+        encoding: of its channels.
+
+    Raises:
+        LogError: no row has a time and a value, or see `signals_of`.
+    """
+    made = signals_of(path, plan, rows, options, rate_hz, encoding)
+    signals = [one for one in made.signals if len(one.stamps_ns)]
+    if not signals:
+        if sure := [group.sure[1] for group in plan.groups if group.sure]:
+            why = f"nothing is seen with a likelihood of {min(sure)}"
+            raise LogError(f"{path}: {why}", "label more frames, train and analyse again")
+        named = ", ".join(group.name for group in plan.groups)
+        raise LogError(f"{path}: no row has a time and a value of {named}", EXPORT_AGAIN)
+    if unread[0]:
+        signals = [
+            replace(one, left_out=added(one.left_out, {UNREADABLE: lost}))
+            for one in signals
+            for lost in [in_proportion(len(one.stamps_ns), *unread)]
+        ]
+    return export_episode(
+        path,
+        what,
+        signals,
+        channels=made.channels,
+        unused={**plan.unused, **(unused or {}), **made.unused},
+        warnings=[*warnings, *made.notes],
+        losses=losses,
+        encoding=encoding,
+    )
+
+
+# ---- Named arrays as a table.
+
+MAX_ARRAY_BYTES = 128 * 1024**2  # of all arrays of a file
+MAX_ROWS = 2_000_000  # of a file: an hour at 500 Hz
+MAX_PLACES = 500_000  # of a track: 8 minutes at 1 kHz; tuning takes over 512 bytes for each
+_MAX_VALUES = 16_000_000  # of all signals of a file
+MAX_WIDTH = 200  # columns of one array
+# Names of a scalar that is the rate of rows [Hz], or the time from row to row [s].
+_RATES = frozenset(("fps", "fs", "hz", "rate", "sampling_rate", "sample_rate", "frame_rate"))
+_PERIODS = frozenset(("dt", "ts", "timestep", "time_step", "sample_time", "period"))
+# Words behind a name that only say that there are many values.
+_LISTS = frozenset(("list", "arr", "array", "data", "vec", "hist", "history", "log", "values"))
+_PLURALS = {"ts": "t", "xs": "x", "ys": "y", "zs": "z"}  # what people call many of them
+Arrays = Mapping[str, NDArray[Any]]  # arrays by their names
+_NAME_THEM = "save a table of time and x, y, z, or say which is which with --columns t=..,z=.."
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """What a file holds, as named columns."""
+
+    what: str  # kind of file, in words
+    # numbers, texts or dates (datetime64), by name; of two dimensions with a row (or column) a
+    # time. Those as long as the times are used
+    columns: Arrays
+    # of columns, by name, where the file states them beside the names
+    units: Mapping[str, str] = field(default_factory=dict)
+    # what else the file holds, with the reason
+    unused: Mapping[str, str] = field(default_factory=dict)
+    rate_hz: float | None = None  # row rate stated by the file; None where it is unstated
+    warnings: Sequence[str] = ()  # of reading it
+    losses: Sequence[str] = ()  # damage found in it
+
+
+def episode_of_table(path: Path, table: Table, options: ReadOptions) -> Episode:
+    """Build an episode of a file's named columns.
+
+    Raises:
+        LogError: it is too large, or nothing is of use.
+    """
+    plain: dict[str, NDArray[Any]] = {}
+    for name, array in table.columns.items():
+        fields = array.dtype.names or ()  # of a structured array, each of which is a column
+        several = len(table.columns) > 1
+        plain |= {f"{name}.{one}" if several else one: array[one] for one in fields}
+        plain |= {} if fields else {name: array}
+    left_out = dict(table.unused)
+    count = _length(plain, options)
+    names: list[str] = []
+    meant: list[str] = []
+    columns: list[NDArray[Any]] = []
+    for name, array in plain.items():
+        rows = _rows(array, count)
+        if isinstance(rows, str):
+            if array.size > 1 or name not in (*_RATES, *_PERIODS):
+                left_out[name] = rows
+            continue
+        bare, unit = _bare(name), table.units.get(name, "").strip()
+        bare += f" ({unit})" if unit else ""
+        if rows.ndim == 2:
+            own, said = spread_names(name, rows.shape[1]), spread_names(bare, rows.shape[1])
+            names, meant, columns = names + own[0], meant + said[1], [*columns, *rows.T]
+        else:
+            names, meant, columns = [*names, name], [*meant, bare], [*columns, rows]
+    if not columns:
+        reasons = "; ".join(f"{name[:40]!r}: {why}" for name, why in list(left_out.items())[:4])
+        raise LogError(
+            f"{path}: holds no array of numbers that is a place over time ({reasons})", _NAME_THEM
+        )
+    rate = table.rate_hz or _rate(plain)
+    plan = plan_columns(path, names, options, meant, left_out, rate)
+    if not options.columns:
+        first = zip(*(_texts(column[:UNIT_ROWS]) for column in columns), strict=True)
+        plan = told_apart(plan, list(first))
+    return episode_of_columns(
+        path,
+        table.what,
+        plan,
+        {at: columns[at] for at in plan.needed},
+        options,
+        rate_hz=rate,
+        unused=left_out,
+        warnings=table.warnings,
+        losses=table.losses,
+    )
+
+
+def episode_of_columns(
+    path: Path,
+    what: str,
+    plan: ColumnPlan,
+    columns: Mapping[int, NDArray[Any]],
+    options: ReadOptions,
+    *,
+    rate_hz: float | None = None,
+    unused: Mapping[str, str] | None = None,
+    warnings: Sequence[str] = (),
+    losses: Sequence[str] = (),
+) -> Episode:
+    """Build an episode of the columns that a plan needs; see `episode_of_rows`."""
+    count = max(map(len, columns.values()), default=0)
+    check_rows(path, count, plan)
+    try:
+        times = {clock: column_times(clock, columns, count, plan) for clock in plan.clocks}
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+    runs = RunNames([kind for _, kind in plan.runs])
+    told = zip(*(_texts(columns[at]) for at, _ in plan.runs), strict=True)
+    numbers = np.array([runs.number(texts) for texts in told], np.int64)
+    values = {at: floats(columns[at]) for at in plan.numbers}
+    if any(group.clock is ROWS for group in plan.groups) and not (options.rate_hz or rate_hz):
+        counted = "nothing says when; rows were counted as frames (--fps, or --columns t=NAME)"
+        warnings = [*warnings, counted]
+    rows = ColumnRows(values, times, numbers, runs.names, runs.note)
+    return episode_of_rows(
+        path,
+        what,
+        plan,
+        rows,
+        options,
+        rate_hz=rate_hz,
+        unused=unused,
+        warnings=warnings,
+        losses=losses,
+    )
+
+
+def check_rows(path: Path, count: int, plan: ColumnPlan) -> None:
+    """Refuse a file of too many rows with a LogError."""
+    width = sum(len(group.columns) for group in plan.groups)
+    rows = MAX_PLACES if any(group.is_track for group in plan.groups) else MAX_ROWS
+    if count > rows or count * width > _MAX_VALUES:
+        most = min(rows, _MAX_VALUES // max(width, 1))
+        raise LogError(f"{path}: has over {most} rows, the limit; split it")
+
+
+def column_times(
+    clock: Clock, columns: Mapping[int, NDArray[Any]], count: int, plan: ColumnPlan
+) -> Times:
+    """Convert a clock's columns to stamps, as exact as the file's own numbers are.
+
+    Raises:
+        ValueError: they have no unit that a log has.
+    """
+    own = [columns[at] for at in clock.indices]
+    if not own:
+        return Times(np.arange(count) * 10**9, np.ones(count, np.bool_))
+    is_sampled = plan.is_sampled(clock)
+    if clock.has_date and own[1].dtype.kind in "iufbM":
+        own = own[1:]
+    if len(own) == 2 and not clock.has_date and all(one.dtype.kind in "iufb" for one in own):
+        seconds, rest = (
+            _numeric_times(one, power, clock) for one, power in zip(own, (0, -9), strict=True)
+        )
+        return Times(seconds.stamps_ns + rest.stamps_ns, seconds.known & rest.known)
+    if len(own) == 1 and own[0].dtype.kind in "iufbM":
+        power = 0 if clock.counts_frames else clock.power
+        return _numeric_times(own[0], power, clock, is_sampled)
+    texts = list(zip(*map(_texts, own), strict=True))
+    reader = TextClock(clock, texts[:UNIT_ROWS], is_sampled)
+    stamps, known = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    for row, cells in enumerate(texts):
+        with suppress(ValueError):
+            stamps[row], known[row] = reader.read(cells), True
+    return Times(stamps, known, reader.doubts)
+
+
+def _numeric_times(
+    values: NDArray[Any], power: int | None, clock: Clock, is_sampled: bool = True
+) -> Times:
+    if values.dtype.kind == "M":
+        known = ~np.isnat(values)
+        known &= np.abs(values.astype("M8[s]").astype(np.int64)) < MAX_NS // 10**9
+        return Times(np.where(known, values.astype("M8[ns]").astype(np.int64), 0), known)
+    first = values[:UNIT_ROWS].tolist()
+    unit = unit_of_times(clock.name, first, power, is_sampled=is_sampled)
+    doubts = [unit.doubt] if unit.doubt else []
+    if values.dtype.kind in "iub":
+        fits = np.abs(values.astype(np.float64)) * unit.ns < MAX_NS
+        return Times(np.where(fits, values, 0).astype(np.int64) * unit.ns, fits, doubts)
+    with np.errstate(over="ignore", invalid="ignore"):
+        nanoseconds = np.round(values.astype(np.float64) * unit.ns)
+        fits = np.abs(nanoseconds) < MAX_NS  # NaN does not
+    return Times(np.where(fits, nanoseconds, 0).astype(np.int64), fits, doubts)
+
+
+def floats(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return a column as floats, NaN where it is no number, shape (T,)."""
+    if values.dtype.kind in "iufb":
+        return values.astype(np.float64)
+    found = np.full(len(values), np.nan)
+    for row, value in enumerate(values.tolist()):
+        with suppress(TypeError, ValueError, OverflowError):
+            found[row] = float(value)
+    return found
+
+
+def _texts(values: NDArray[Any]) -> list[str]:
+    """Return a column as it would stand in a table of text."""
+    if values.dtype.kind == "M":
+        return np.datetime_as_string(values).tolist()
+    found: list[str] = []
+    for one in values.tolist():
+        if isinstance(one, bytes):
+            found.append(one.decode("utf-8", "replace").strip())
+        else:
+            is_whole = isinstance(one, float) and one.is_integer()
+            found.append("" if one is None else str(int(one) if is_whole else one).strip())
+    return found
+
+
+def _bare(name: str) -> str:
+    """Strip a name of its plural or container suffix: `t_list`, `zs`."""
+    words = name.split("_")
+    if len(words) > 1 and words[-1].lower() in _LISTS:
+        name = "_".join(words[:-1])
+    return _PLURALS.get(name, name)
+
+
+def _length(arrays: Arrays, options: ReadOptions) -> int:
+    """Return the number of rows: that of the times, else the most common length."""
+    said = [options.columns[one] for one in ("t", "frame", "times") if one in options.columns]
+    said = said or list(options.columns.values())[:1]
+    for name in said:
+        if (array := arrays.get(re.sub(r"(?:\[\d+\]|\.\d+)$", "", name))) is not None:
+            return max(array.shape, default=1)
+    lengths = {name: max(array.shape, default=1) for name, array in arrays.items()}
+    times = [
+        name
+        for name, length in lengths.items()
+        if length >= 3
+        and arrays[name].size == length
+        and isinstance(meaning_of(_bare(name)), TimeColumn)
+    ]
+    if times:
+        return lengths[min(times, key=lambda name: len(words_of(name, camel=True)))]
+    common = Counter(length for length in lengths.values() if length >= 3)
+    return max(common, key=lambda length: (common[length], length), default=0)
+
+
+def _rows(array: NDArray[Any], count: int) -> NDArray[Any] | str:
+    """Return an array with one row per time, shape (T,) or (T, K), or why it has none."""
+    if array.dtype.kind not in "biufMUS":
+        return "it holds no numbers"
+    if array.size == 1 and count != 1:
+        return "one number, no column"
+    if array.size == count:
+        return array.reshape(count)
+    if array.ndim == 2 and count in array.shape:
+        rows = array if array.shape[0] == count else array.T
+        if rows.shape[1] > MAX_WIDTH:
+            return f"its {rows.shape[1]} columns are more than an arm or a ball has"
+        return rows
+    shape = " x ".join(map(str, array.shape))
+    return f"its shape {shape} has not the {count} rows that there are times"
+
+
+def _rate(arrays: Arrays) -> float | None:
+    """Return the sampling rate [Hz] stated by a scalar of the file; None where there is none."""
+    for name, array in arrays.items():
+        word = "_".join(lowered(words_of(name, camel=False)))
+        if array.size != 1 or array.dtype.kind not in "iuf":
+            continue
+        value = float(array.reshape(()))
+        if word in _RATES and 0.01 < value < 1e6:
+            return value
+        if word in _PERIODS and 1e-6 < value < 100:
+            return 1 / value
+    return None
+
+
+def number_names(array: NDArray[Any], path: Path, options: ReadOptions) -> dict[str, NDArray[Any]]:
+    """Return the columns of an unnamed array by their numbers from 1.
+
+    Raises:
+        LogError: the user names no columns, or it is no table.
+    """
+    shape = " x ".join(map(str, array.shape)) or "one number"
+    if array.ndim == 1 and array.size:
+        array = array.reshape(-1, 1)
+    if array.ndim != 2 or not array.size or array.dtype.kind not in "biuf":
+        raise LogError(f"{path}: is an array ({shape}) that is no table of numbers", _NAME_THEM)
+    if array.shape[0] < array.shape[1]:
+        array = array.T
+    if array.shape[1] > MAX_WIDTH:
+        raise LogError(
+            f"{path}: is an array ({shape}), which is more than an arm or a ball has", _NAME_THEM
+        )
+    if not options.columns:
+        raise LogError(
+            f"{path}: is an array ({shape}) whose columns have no names; say which is which by "
+            "number from 1: --columns t=1,z=2"
+        )
+    return {str(at + 1): np.ascontiguousarray(column) for at, column in enumerate(array.T)}

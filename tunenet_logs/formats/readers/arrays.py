@@ -1,8 +1,7 @@
-"""Read named arrays and records: JSON, MATLAB (.mat) and NumPy (.npy, .npz) files.
+"""Read named arrays and records: JSON and NumPy (.npy, .npz) files.
 
 JSON holds one record per line, one array of records, or one list per column; its values are
-streamed. MAT-files of levels 4 and 5, also Octave's, are parsed here, after MathWorks' "MAT-File
-Format". NumPy arrays are checked before anything is allocated, and never unpickled.
+streamed. NumPy arrays are checked before anything is allocated, and never unpickled.
 """
 
 from __future__ import annotations
@@ -29,18 +28,19 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.files import open_regular, open_regular_text
-from tunenet_logs.formats.columns.arrays import (
+from tunenet_logs.formats.columns.cells import MAX_COLUMNS, UNIT_ROWS, text_encoding
+from tunenet_logs.formats.columns.names import spread_names
+from tunenet_logs.formats.columns.table import (
     MAX_ARRAY_BYTES,
     MAX_ROWS,
-    arrays_episode,
+    Table,
     check_rows,
-    columns_episode,
+    episode_of_columns,
+    episode_of_table,
     number_names,
     plan_columns,
-    spread_names,
+    told_apart,
 )
-from tunenet_logs.formats.columns.cells import text_encoding
-from tunenet_logs.formats.columns.table import MAX_COLUMNS
 from tunenet_logs.formats.kinds import Start
 from tunenet_logs.formats.options import ReadOptions
 
@@ -155,13 +155,10 @@ def _no_number(_name: str) -> float:
 # ---- JSON records.
 
 _SUFFIXES = (".json", ".jsonl", ".ndjson")
-
 # Begins JSON under another name: no other text begins so.
 _JSON = re.compile(r'\s*(?:\{\s*"|\[\s*[\[{])')
-
 _MAX_JSON_BYTES = 256 * 1024**2  # its values are read one by one, in Python
-_LOOK_RECORDS = 100  # whose names are the columns
-_MAX_DEPTH = 6  # of names within names, and of MATLAB's structs within structs
+_MAX_DEPTH = 6  # of names within names
 _MAX_LIST = 64  # values of a list whose places are columns, such as an arm's joints
 _MIN_ROWS = 3  # of a list that is a column
 _Path = tuple[str | int, ...]  # keys and indices that lead to a value
@@ -188,7 +185,7 @@ def read_json_lines(path: Path, options: ReadOptions) -> Episode:
         raise LogError(f"{path}: has {size} bytes, over the limit of 256 MiB of JSON; split it")
     losses: list[str] = []
     values = _until_damage(path, json_values(path), losses)
-    first = list(islice(values, _LOOK_RECORDS))
+    first = list(islice(values, UNIT_ROWS))
     if len(first) == 1 and isinstance(first[0], dict):
         return _read_document(path, first[0], options)
     return _read_records(path, chain(first, values), first, options, losses)
@@ -216,7 +213,7 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
     )
     if records is not None:
         rows = _unrolled(records)
-        return _read_records(path, iter(rows), rows[:_LOOK_RECORDS], options, [])
+        return _read_records(path, iter(rows), rows[:UNIT_ROWS], options, [])
     lists: dict[str, NDArray[Any]] = {}
     unused: dict[str, str] = {}
     for name, value in _columns_of(document, ""):
@@ -230,7 +227,7 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
             f"{', '.join(list(map(str, document))[:8])[:200]})",
             "write one list of numbers for time and each of x, y, z",
         )
-    return arrays_episode(path, "JSON", lists, options, unused)
+    return episode_of_table(path, Table("JSON", lists, unused=unused), options)
 
 
 def _unrolled(records: list[Any]) -> list[Any]:
@@ -295,17 +292,14 @@ def _number(value: object) -> float:
 
 
 def _read_records(
-    path: Path,
-    records: Iterator[Any],
-    first: list[Any],
-    options: ReadOptions,
-    losses: list[str],
+    path: Path, records: Iterator[Any], first: list[Any], options: ReadOptions, losses: list[str]
 ) -> Episode:
     paths = list(dict.fromkeys(one for record in first for one in _paths(record, (), 0)))
     names, meant = _names(paths)
     plan = plan_columns(path, names, options, meant)
-    clocks = [plan.clock, plan.impacts, *(signal.clock for signal in plan.signals)]
-    exact = {at for clock in clocks if clock is not None for at in clock.indices}
+    if not options.columns:
+        plan = told_apart(plan, [[_cell(_at(one, keys)) for keys in paths] for one in first])
+    exact = {at for clock in plan.clocks for at in clock.indices}
     exact.update(at for at, _ in plan.runs)
     texts: dict[int, list[Any]] = {at: [] for at in exact}
     numbers = {at: array("d") for at in plan.needed if at not in exact}
@@ -320,7 +314,7 @@ def _read_records(
             add(_at(record, keys))
     arrays: dict[int, NDArray[Any]] = {at: _times(values) for at, values in texts.items()}
     arrays |= {at: np.frombuffer(values, np.float64) for at, values in numbers.items()}
-    return columns_episode(path, "JSON records", plan, arrays, options, losses=losses)
+    return episode_of_columns(path, "JSON records", plan, arrays, options, losses=losses)
 
 
 def _adder(values: array[float]) -> Callable[[Any], None]:
@@ -335,8 +329,12 @@ def _times(values: list[Any]) -> NDArray[Any]:
     if all(type(one) is int and abs(one) < 2**62 for one in values):
         return np.array(values, np.int64)
     made = np.empty(len(values), object)
-    made[:] = ["" if isinstance(one, dict | list) else str(one)[:60] for one in values]
+    made[:] = list(map(_cell, values))
     return made
+
+
+def _cell(value: object) -> str:
+    return "" if value is None or isinstance(value, dict | list) else str(value)[:60]
 
 
 def _paths(value: object, above: _Path, depth: int) -> Iterator[_Path]:
@@ -387,270 +385,15 @@ def _at(record: Any, keys: _Path) -> Any:
     return record
 
 
-# ---- MAT-file elements of levels 4 and 5: numeric arrays, texts, and structs of these.
-# Nothing is executed, and every size is checked against the bytes that are there.
-
-_MAX_MATLAB_BYTES = 128 * 1024**2  # of a file, and of what is unpacked of it
-# NumPy types of the numbers of an element.
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8"}
-_TYPES |= {13: "u8", 16: "u1", 17: "u2", 18: "u4"}
-_MATRIX, _COMPRESSED = 14, 15  # elements that hold others
-_STRUCT = 2
-_NUMBERS = range(6, 16)  # classes of arrays that are read
-# All other classes.
-_CLASSES = {1: "a cell array", 3: "an object", 4: "text", 5: "a sparse matrix", 16: "a function"}
-_CLASSES |= {17: "a table, timetable or timeseries, which only MATLAB can read; save its columns"}
-_MAX_ARRAYS = 5000  # in a file
-_V4_TYPES = ("f8", "f4", "i4", "i2", "u2", "u1")
-_V4_HEADER = 20  # bytes before a name
-
-
-class DamagedMatlabError(ValueError):
-    """Not a MAT-file, or a damaged one."""
-
-
-class MatlabArrays:
-    """Arrays of one MAT-file.
-
-    Attributes:
-        arrays: numeric arrays by name; struct fields by their names joined by dots.
-        unused: other variables, with the reason.
-    """
-
-    def __init__(self) -> None:
-        self.arrays: dict[str, NDArray[Any]] = {}
-        self.unused: dict[str, str] = {}
-        self._unpacked = 0
-
-    def read_level5(self, data: bytes) -> None:
-        """Parse all elements of a level 5 file.
-
-        Raises:
-            DamagedMatlabError: it is damaged, or too large.
-        """
-        order = "<" if data[126:128] == b"IM" else ">"
-        for kind, content in _elements(memoryview(data)[128:], order):
-            if kind == _COMPRESSED:
-                for inner, unpacked in _elements(self._unpack(content), order):
-                    if inner == _MATRIX:
-                        self._matrix(unpacked, order, "", 0)
-            elif kind == _MATRIX:
-                self._matrix(content, order, "", 0)
-
-    def _unpack(self, content: memoryview) -> memoryview:
-        unpacker = zlib.decompressobj()
-        try:
-            data = unpacker.decompress(content, _MAX_MATLAB_BYTES - self._unpacked + 1)
-        except zlib.error as error:
-            raise DamagedMatlabError(f"a packed variable is damaged ({error})") from error
-        self._unpacked += len(data)
-        if self._unpacked > _MAX_MATLAB_BYTES:
-            raise DamagedMatlabError(
-                f"unpacked it is over the limit of {_MAX_MATLAB_BYTES >> 20} MiB"
-            )
-        return memoryview(data)
-
-    def _matrix(self, content: memoryview, order: str, above: str, depth: int) -> None:
-        """Parse one array; its own name is used unless it is a struct's field."""
-        if len(self.arrays) + len(self.unused) >= _MAX_ARRAYS:
-            raise DamagedMatlabError(f"it holds over {_MAX_ARRAYS} variables")
-        parts = _elements(content, order)
-        flags = _next(parts)
-        kind = _word(flags, 0, order) & 0xFF if len(flags) >= 4 else 0
-        if kind == 17:  # its name comes first
-            name = above or _text(_next(parts)) or "unnamed"
-            self.unused[name] = _CLASSES[kind]
-            return
-        shape = tuple(int(one) for one in np.frombuffer(_whole(_next(parts), 4), f"{order}i4"))
-        own = _text(_next(parts))  # empty in a struct
-        if not (name := above or own):  # MATLAB's own notes on objects
-            return
-        if kind == _STRUCT:
-            self._struct(parts, order, name, shape, depth)
-        elif kind in _NUMBERS:
-            stored, values = next(parts, (0, memoryview(b"")))
-            self.arrays[name] = _shaped(_numbers(stored, values, order), shape, name)
-        else:
-            self.unused[name] = _CLASSES.get(kind, "no array of numbers")
-
-    def _struct(
-        self,
-        parts: Iterator[tuple[int, memoryview]],
-        order: str,
-        name: str,
-        shape: tuple[int, ...],
-        depth: int,
-    ) -> None:
-        if prod(shape) != 1:
-            size = " x ".join(map(str, shape))
-            self.unused[name] = f"an array of structs ({size}); save one of them"
-            return
-        if depth == _MAX_DEPTH:
-            self.unused[name] = "structs within structs within structs; save the inner one"
-            return
-        length = _word(_next(parts), 0, order)
-        if not 1 <= length <= 256:
-            raise DamagedMatlabError(f"{name[:60]}: names of {length} characters")
-        texts = _next(parts)
-        fields = [_text(texts[at : at + length]) for at in range(0, len(texts), length)]
-        for field, (kind, content) in zip(fields, parts, strict=False):
-            if kind == _MATRIX and len(content):
-                self._matrix(content, order, f"{name}.{field}", depth + 1)
-
-    def read_level4(self, data: bytes) -> None:
-        """Parse all arrays of a level 4 file.
-
-        Raises:
-            DamagedMatlabError: it is damaged.
-        """
-        at = 0
-        while at < len(data):
-            if len(self.arrays) + len(self.unused) >= _MAX_ARRAYS:
-                raise DamagedMatlabError(f"it holds over {_MAX_ARRAYS} variables")
-            at = self._level4_array(data, at)
-
-    def _level4_array(self, data: bytes, at: int) -> int:
-        """Parse the array at a byte and return the byte behind it."""
-        if (found := level4_header(data, at)) is None:
-            raise DamagedMatlabError(f"byte {at} begins no variable")
-        order, stored, kind, (rows, columns, is_complex, length) = found
-        begin = at + _V4_HEADER + length
-        size = rows * columns * np.dtype(stored).itemsize
-        end = begin + size * (2 if is_complex else 1)
-        name = _text(memoryview(data)[at + _V4_HEADER : begin])
-        if end > len(data):
-            raise DamagedMatlabError(f"{name[:60]!r} claims {end - len(data)} bytes too many")
-        if kind:
-            self.unused[name] = _CLASSES[4] if kind == 1 else _CLASSES[5]
-        else:
-            flat = np.frombuffer(data[begin : begin + size], order + stored)
-            self.arrays[name] = flat.reshape((rows, columns), order="F")
-        return end
-
-
-def level4_header(data: bytes, at: int = 0) -> tuple[str, str, int, tuple[int, ...]] | None:
-    """Return byte order, type, kind and sizes of a level 4 array; None where none begins."""
-    for order in "<>":
-        if len(data) < at + _V4_HEADER:
-            return None
-        kind, *sizes = (int(one) for one in np.frombuffer(data[at : at + 20], f"{order}i4"))
-        machine, rest = divmod(kind, 1000)
-        fits = machine == (0 if order == "<" else 1) and rest < 100 and rest % 10 < 3
-        fits = fits and 1 < sizes[3] <= 256 and sizes[2] in (0, 1) and min(sizes) >= 0
-        if fits and rest // 10 < len(_V4_TYPES):
-            return order, _V4_TYPES[rest // 10], rest % 10, tuple(sizes)
-    return None
-
-
-def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Yield type and content of each element; raise where one overruns the data."""
-    at = 0
-    while at + 8 <= len(data):
-        kind = _word(data, at, order)
-        if kind >> 16:  # up to four bytes, in the tag
-            size = kind >> 16
-            if size > 4:
-                raise DamagedMatlabError(f"an element claims {size} bytes in four")
-            yield kind & 0xFFFF, data[at + 4 : at + 4 + size]
-            at += 8
-            continue
-        size = _word(data, at + 4, order)
-        if at + 8 + size > len(data):
-            raise DamagedMatlabError(
-                f"an element claims {size} bytes, {len(data) - at - 8} are there"
-            )
-        yield kind, data[at + 8 : at + 8 + size]
-        at += 8 + size + (-size % 8 if kind != _COMPRESSED else 0)
-
-
-def _word(data: memoryview, at: int, order: str) -> int:
-    return int.from_bytes(data[at : at + 4], "little" if order == "<" else "big")
-
-
-def _next(parts: Iterator[tuple[int, memoryview]]) -> memoryview:
-    found = next(parts, None)
-    if found is None:
-        raise DamagedMatlabError("a variable is cut short")
-    return found[1]
-
-
-def _text(data: memoryview) -> str:
-    return bytes(data).partition(b"\0")[0].decode("utf-8", "replace")
-
-
-def _whole(data: memoryview, size: int) -> memoryview:
-    return data[: len(data) // size * size]
-
-
-def _numbers(stored: int, data: memoryview, order: str) -> NDArray[Any]:
-    if stored not in _TYPES:
-        return np.zeros(0)
-    dtype = np.dtype(order + _TYPES[stored])
-    return np.frombuffer(_whole(data, dtype.itemsize), dtype)
-
-
-def _shaped(values: NDArray[Any], shape: tuple[int, ...], name: str) -> NDArray[Any]:
-    if min(shape, default=0) < 0 or prod(shape) != len(values):
-        size = " x ".join(map(str, shape[:8]))
-        raise DamagedMatlabError(f"{name[:60]!r} is {size}, with {len(values)} numbers")
-    return values.reshape([one for one in shape if one != 1] or [1], order="F")
-
-
-# ---- Variables saved by MATLAB or Octave (.mat).
-
-_LEVEL5 = b"MATLAB 5.0 MAT-file"
-_LEVEL73 = b"MATLAB 7.3 MAT-file"
-_HDF5 = b"\x89HDF\r\n"
-
-_REMEDY = "save it with `save('FILE.mat', '-v7')`"
-
-
-def is_matlab_file(start: Start) -> bool:
-    """Return whether a file holds MATLAB variables."""
-    return start.data.startswith((_LEVEL5, _LEVEL73)) or start.suffix == ".mat"
-
-
-def read_matlab_file(path: Path, options: ReadOptions) -> Episode:
-    """Read variables named like columns: t, z, ball (T x 3), q and tau (T x J), also in structs.
-
-    Raises:
-        LogError: it is of version 7.3, damaged, too large, or its names do not say what it holds.
-        OSError: it cannot be read.
-    """
-    if (size := path.stat().st_size) > _MAX_MATLAB_BYTES:
-        raise LogError(
-            f"{path}: has {size} bytes, over the limit of {_MAX_MATLAB_BYTES >> 20} MiB; save "
-            "fewer variables"
-        )
-    with open_regular(path) as file:
-        data = file.read()
-    if data.startswith((_LEVEL73, _HDF5)):
-        raise LogError(f"{path}: is a MATLAB file of version 7.3, which is not read; {_REMEDY}")
-    found = MatlabArrays()
-    try:
-        if data[124:128] and data[126:128] in (b"IM", b"MI") and not level4_header(data):
-            found.read_level5(data)
-        elif level4_header(data) is not None:
-            found.read_level4(data)
-        else:
-            raise LogError(f"{path}: is no MATLAB file, despite its name; {_REMEDY}")
-    except DamagedMatlabError as error:
-        raise LogError(
-            f"{path}: is a MATLAB file that cannot be read ({error}); {_REMEDY}"
-        ) from error
-    return arrays_episode(path, "MATLAB variables", found.arrays, options, found.unused)
-
-
 # ---- NumPy arrays (.npy, .npz).
 
 _NPY = b"\x93NUMPY"
 _ZIP = b"PK\x03\x04"
-
 _MAX_FILE_BYTES = 1024**3  # of an .npz; its arrays may have less
+_MAX_ARRAYS = 5000  # in a file
 _MAX_DIRECTORY_BYTES = 1024**2  # of an .npz, which `zipfile` reads at once: some 10,000 members
 # The record at a zip file's end: signature, ..., bytes and place of the list of members, ...
 _END = struct.Struct("<4s4H2LH")
-
 # What NumPy and `zipfile` raise at damaged files.
 _DAMAGED = (ValueError, EOFError, KeyError, OverflowError, zlib.error, zipfile.BadZipFile)
 _DAMAGED += (struct.error, SyntaxError, TypeError, RuntimeError, NotImplementedError, MemoryError)
@@ -687,7 +430,7 @@ def read_numpy_file(path: Path, options: ReadOptions) -> Episode:
         arrays = _members(path, unused)
     except _DAMAGED as error:
         raise _damaged(path, error) from error
-    return arrays_episode(path, "NumPy arrays", arrays, options, unused)
+    return episode_of_table(path, Table("NumPy arrays", arrays, unused=unused), options)
 
 
 def _damaged(path: Path, error: Exception) -> LogError:
@@ -705,7 +448,7 @@ def _read_single(path: Path, file: IO[bytes], options: ReadOptions) -> Episode:
     named = (
         {path.stem: array} if array.dtype.names is not None else number_names(array, path, options)
     )
-    return arrays_episode(path, "NumPy array", named, options, {})
+    return episode_of_table(path, Table("NumPy array", named), options)
 
 
 def _members(path: Path, unused: dict[str, str]) -> dict[str, NDArray[Any]]:

@@ -1,18 +1,17 @@
 """Read marker positions from C3D files (.c3d), as most motion capture systems write them.
 
-A damaged file makes the libraries for the format crash the process, so nothing but numpy reads it,
-after the C3D user guide, https://www.c3d.org/docs/C3D_User_Guide.pdf: header and parameters, then
-frames. Every size is checked before it is trusted.
+A damaged file makes the libraries for the format crash the process, and they have no wheels for
+every machine, so only numpy reads it, after the C3D user guide,
+https://www.c3d.org/docs/C3D_User_Guide.pdf: header and parameters, then frames. Every size is
+checked before it is trusted.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,9 @@ from tunenet_logs.episode import Episode
 from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.files import open_regular
 from tunenet_logs.formats.columns.cells import MAX_COLUMNS
-from tunenet_logs.formats.columns.table import (
+from tunenet_logs.formats.kinds import Start
+from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.formats.readers.mocap import (
     MarkerTrack,
     MarkerTracks,
     TrackRows,
@@ -30,79 +31,64 @@ from tunenet_logs.formats.columns.table import (
     unique,
     unit_of,
 )
-from tunenet_logs.formats.kinds import Start
-from tunenet_logs.formats.options import ReadOptions
 
+WHAT = "C3D file"  # in messages
 BLOCK_BYTES = 512  # unit of positions in a file, which count from 1
 KEY = 0x50  # the second byte of a file, and of its parameters
 _PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
+_HEADER_BYTES = 512 * BLOCK_BYTES  # read for header and parameters: at most 127 and 255 blocks
+_READ_BYTES = 8 * 1024**2  # of data, at once
 
-_MAX_PARAMETERS = 20_000
-_MAX_DIMENSIONS = 7
-
-# Types of parameters.
-_TEXT = -1
+_MAX_PARAMETERS, _MAX_DIMENSIONS = 20_000, 7
+_TEXT = -1  # type of a parameter; the others are sizes of numbers
 _SIZES = {_TEXT: 1, 1: 1, 2: 2, 4: 4}
+
+# Parameters of POINT that name the points that are no positions.
+_MODEL_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+_MAX_FRAMES = 65_535  # that the header can count: it states this where there are more
+_UNKNOWN_FRAMES = 2**31
+_MAX_ANALOGS = 100  # channels listed
 
 # Of a parameter: texts without the blanks behind them, or numbers.
 Value = tuple[str, ...] | tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class C3dNumbers:
-    """Number representation of a processor.
+class _Header:
+    """Header and parameters of a C3D file."""
 
-    Attributes:
-        processor: "intel", "dec" or "mips".
-    """
-
-    processor: str
+    processor: str  # "intel", "dec" or "mips", whose numbers are stored
+    points: int = 0  # in each frame
+    analogs: int = 0  # samples of other sensors in each frame
+    first_frame: int = 0  # its number
+    last_frame: int = 0  # as a 16-bit number, which may be too small
+    # units for each step of whole numbers; negative where data are floating point
+    scale: float = 0.0
+    data_block: int = 0  # first block of the data, or 0
+    rate_hz: float = 0.0  # frame rate, 0 where it is unstated
+    parameters: dict[tuple[str, str], Value] = field(default_factory=dict)  # by group and name
 
     @property
-    def order(self) -> Literal["<", ">"]:
+    def order(self) -> str:
         """Byte order, as numpy and struct name it."""
         return ">" if self.processor == "mips" else "<"
 
+    @property
+    def frame_bytes(self) -> int:
+        """Size of a frame, its analog samples included."""
+        return (4 * self.points + self.analogs) * (4 if self.scale < 0 else 2)
+
     def words(self, data: bytes) -> NDArray[np.int16]:
         """Decode signed 16-bit integers."""
-        return np.frombuffer(data, np.dtype(np.int16).newbyteorder(self.order))
+        return np.frombuffer(data, f"{self.order}i2")
 
     def floats(self, data: bytes) -> NDArray[np.float64]:
         """Decode 32-bit floats; DEC's are VAX F_floating, a quarter of the same IEEE 754 bits."""
-        if self.processor != "dec":
-            plain = np.frombuffer(data, np.dtype(np.float32).newbyteorder(self.order))
-            with np.errstate(invalid="ignore"):  # a damaged file's
-                return plain.astype(np.float64)
-        swapped = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1].copy()
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore"):  # a damaged file's
+            if self.processor != "dec":
+                return np.frombuffer(data, f"{self.order}f4").astype(np.float64)
+            swapped = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1].copy()
             return swapped.view("<f4").ravel().astype(np.float64) / 4
-
-
-@dataclass(frozen=True)
-class C3dHeader:
-    """Header and parameters of a C3D file.
-
-    Attributes:
-        numbers: number representation.
-        points: in each frame.
-        analogs: samples of other sensors in each frame.
-        first_frame: its number.
-        last_frame: as a 16-bit number, which may be too small.
-        scale: units for each step of whole numbers; negative where data are floating point.
-        data_block: first block of the data.
-        rate_hz: frame rate, 0 where it is unstated.
-        parameters: by group and name.
-    """
-
-    numbers: C3dNumbers
-    points: int
-    analogs: int
-    first_frame: int
-    last_frame: int
-    scale: float
-    data_block: int
-    rate_hz: float
-    parameters: dict[tuple[str, str], Value] = field(default_factory=dict)
 
     def texts(self, group: str, name: str) -> list[str]:
         """Return a text parameter with its continuations (LABELS, LABELS2, ...)."""
@@ -121,36 +107,63 @@ class C3dHeader:
         return [float(one) for one in value if not isinstance(one, str)]
 
 
-def is_header(data: bytes) -> bool:
-    """Return whether the first bytes of a file are a C3D header."""
+def is_c3d(start: Start) -> bool:
+    """Return whether a file is C3D, by its first bytes."""
+    data = start.data
     if len(data) < BLOCK_BYTES or data[0] == 0 or data[1] != KEY:
         return False
     at = (data[0] - 1) * BLOCK_BYTES
     return data[at + 3 : at + 4] == b"" or data[at + 3] in _PROCESSORS
 
 
-def header_of(data: bytes) -> C3dHeader:
-    """Parse the header from a file's first 128 KiB or more.
+def read_c3d(path: Path, options: ReadOptions) -> Episode:
+    """Read a C3D file, one signal per point.
 
     Raises:
-        ValueError: it is truncated.
+        LogError: it has no point, no frame, or its header is damaged.
+        OSError: it cannot be read.
     """
+    with open_regular(path) as file:
+        header = _header_of(path, file.read(_HEADER_BYTES))
+        if not 0 < header.points <= MAX_COLUMNS // 3:
+            raise LogError(
+                f"{path}: is a {WHAT} of {header.points} points (1 to {MAX_COLUMNS // 3} can be)",
+                "export the ball's marker alone",
+            )
+        stated = _frames(header)
+        tracks, used = _tracks(header, stated)
+        rows = TrackRows(path, tracks)
+        said = header.values("POINT", "DATA_START")
+        block = header.data_block or int(said[0] if said and said[0] == said[0] else 0)
+        start = (max(2, block) - 1) * BLOCK_BYTES
+        frames = min(stated, max(0, file.seek(0, 2) - start) // header.frame_bytes)
+        file.seek(start)
+        columns = list(range(1 + 3 * len(used)))
+        at_once = max(1, _READ_BYTES // header.frame_bytes)
+        for first in range(0, frames, at_once):
+            count = min(at_once, frames - first)
+            xyz = _points(file.read(count * header.frame_bytes), header)[:, used]
+            numbers = header.first_frame + np.arange(first, first + len(xyz), dtype=np.float64)
+            rows.add(columns, np.column_stack([numbers, xyz.reshape(len(xyz), 3 * len(used))]))
+        return rows.episode(options)
+
+
+def _header_of(path: Path, data: bytes) -> _Header:
+    """Parse the header and parameters; raise LogError where it is truncated."""
     at = (data[0] - 1) * BLOCK_BYTES
     if len(data) < at + 4 or data[at + 3] not in _PROCESSORS:
-        raise ValueError("ends before its parameters")
-    numbers = C3dNumbers(_PROCESSORS[data[at + 3]])
-    words = [int(one) & 0xFFFF for one in numbers.words(data[: 2 * 12])]
-    scale = float(numbers.floats(data[12:16])[0])
-    rate = float(numbers.floats(data[20:24])[0])
-    parameters = dict(_parameters(data, at, numbers))
-    return C3dHeader(
-        numbers, words[1], words[2], words[3], words[4], scale, words[8], rate, parameters
+        raise LogError(f"{path}: is a {WHAT} that ends before its parameters", EXPORT_AGAIN)
+    numbers = _Header(_PROCESSORS[data[at + 3]])
+    words = [int(one) & 0xFFFF for one in numbers.words(data[:24])]
+    scale, rate_hz = (float(numbers.floats(data[one : one + 4])[0]) for one in (12, 20))
+    parameters = _parameters(data, at, numbers)
+    points, analogs, first, last = words[1:5]
+    return _Header(
+        numbers.processor, points, analogs, first, last, scale, words[8], rate_hz, parameters
     )
 
 
-def _parameters(
-    data: bytes, start: int, numbers: C3dNumbers
-) -> Iterator[tuple[tuple[str, str], Value]]:
+def _parameters(data: bytes, start: int, numbers: _Header) -> dict[tuple[str, str], Value]:
     """Return all parameters of the section by group and name."""
     end = min(len(data), start + max(1, data[start + 2]) * BLOCK_BYTES)
     groups: dict[int, str] = {}
@@ -172,18 +185,16 @@ def _parameters(
         if offset == 0:
             break
         at = name_end + offset
-    return (((groups.get(group, ""), name), value) for group, name, value in found)
+    return {(groups.get(group, ""), name): value for group, name, value in found}
 
 
-def _value(data: bytes, numbers: C3dNumbers) -> Value | None:
+def _value(data: bytes, numbers: _Header) -> Value | None:
     """Decode a parameter; None where it is truncated or of an unknown type."""
     kind, dimensions = struct.unpack_from("<bB", data) if len(data) > 1 else (0, 0)
     if kind not in _SIZES or dimensions > _MAX_DIMENSIONS or len(data) < 2 + dimensions:
         return None
     shape = tuple(data[2 : 2 + dimensions])
-    count = 1
-    for size in shape:
-        count *= size
+    count = math.prod(shape)
     body = data[2 + dimensions : 2 + dimensions + count * _SIZES[kind]]
     if len(body) < count * _SIZES[kind]:
         return None
@@ -193,66 +204,10 @@ def _value(data: bytes, numbers: C3dNumbers) -> Value | None:
         return tuple(text.decode("utf-8", "replace").rstrip(" \0") for text in texts)
     if kind == 4:
         return tuple(numbers.floats(body).tolist())
-    if kind == 2:
-        return tuple(float(int(one) & 0xFFFF) for one in numbers.words(body))
-    return tuple(float(one) for one in body)
+    return tuple(float(int(one) & 0xFFFF) for one in (numbers.words(body) if kind == 2 else body))
 
 
-# ---- Frames of points.
-
-WHAT = "C3D file"  # in messages
-# Read for header and parameters: at most 127 and 255 blocks.
-_HEADER_BYTES = 512 * 512
-_READ_BYTES = 8 * 1024**2  # of data, at once
-# Parameters of POINT that name the points that are no positions.
-_MODEL_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
-
-_MAX_FRAMES = 65535  # that the header can count: it states this where there are more
-_UNKNOWN_FRAMES = 2**31
-_MAX_ANALOGS = 100  # channels listed
-
-
-def is_c3d(start: Start) -> bool:
-    """Return whether a file is C3D, by its first bytes."""
-    return is_header(start.data)
-
-
-def read_c3d(path: Path, options: ReadOptions) -> Episode:
-    """Read a C3D file, one signal per point.
-
-    Raises:
-        LogError: it has no point, no frame, or its header is damaged.
-        OSError: it cannot be read.
-    """
-    with open_regular(path) as file:
-        try:
-            header = header_of(file.read(_HEADER_BYTES))
-        except ValueError as error:
-            raise LogError(f"{path}: is a {WHAT} that {error}", EXPORT_AGAIN) from error
-        if not 0 < header.points <= MAX_COLUMNS // 3:
-            raise LogError(
-                f"{path}: is a {WHAT} of {header.points} points (1 to {MAX_COLUMNS // 3} can be)",
-                "export the ball's marker alone",
-            )
-        stated = _frames(header)
-        tracks, used = _tracks(header, stated)
-        rows = TrackRows(path, tracks)
-        file.seek(0, 2)
-        size = file.tell()
-        start = (_data_block(header) - 1) * BLOCK_BYTES
-        frame_bytes = _frame_bytes(header)
-        frames = min(stated, max(0, size - start) // frame_bytes)
-        file.seek(start)
-        columns = list(range(1 + 3 * len(used)))
-        for first, count in _parts(frames, max(1, _READ_BYTES // frame_bytes)):
-            xyz = _points(file.read(count * frame_bytes), header)[:, used]
-            numbers = header.first_frame + np.arange(first, first + len(xyz), dtype=np.float64)
-            flat = xyz.reshape(len(xyz), 3 * len(used))
-            rows.add(columns, np.column_stack([numbers, flat]))
-        return rows.episode(options)
-
-
-def _tracks(header: C3dHeader, frames: int) -> tuple[MarkerTracks, list[int]]:
+def _tracks(header: _Header, frames: int) -> tuple[MarkerTracks, list[int]]:
     """Return the header's description of the points, and the indices of measured positions."""
     labels = header.texts("POINT", "LABELS")[: header.points]
     labels += [f"point {at + 1}" for at in range(len(labels), header.points)]
@@ -271,7 +226,7 @@ def _tracks(header: C3dHeader, frames: int) -> tuple[MarkerTracks, list[int]]:
         unused.setdefault(f"analog {name}", f"an analog channel [{unit or '?'}]: no position")
     if len(analogs) > _MAX_ANALOGS:
         unused["other analog channels"] = f"{len(analogs) - _MAX_ANALOGS} more: no positions"
-    rate = (header.values("POINT", "RATE") or [header.rate_hz])[0]
+    rate_hz = (header.values("POINT", "RATE") or [header.rate_hz])[0]
     unit = unit_of("".join(header.texts("POINT", "UNITS")[:1]))
     found = [
         MarkerTrack(names[at], (first, first + 1, first + 2), unit, is_unlabeled(names[at]))
@@ -281,7 +236,7 @@ def _tracks(header: C3dHeader, frames: int) -> tuple[MarkerTracks, list[int]]:
         WHAT,
         found,
         frame=0,
-        rate_hz=rate_of(str(rate)),
+        rate_hz=rate_of(str(rate_hz)),
         frames=frames if frames < _UNKNOWN_FRAMES else None,
         zero_is_unseen=True,
         unused=unused,
@@ -289,12 +244,17 @@ def _tracks(header: C3dHeader, frames: int) -> tuple[MarkerTracks, list[int]]:
     return tracks, used
 
 
-def _frames(header: C3dHeader) -> int:
+def _frames(header: _Header) -> int:
     """Return the number of frames stated, in any of the places where a file states it."""
     by_header = max(0, header.last_frame - header.first_frame + 1)
     start, end = (header.values("TRIAL", f"ACTUAL_{one}_FIELD") for one in ("START", "END"))
-    if start and end and (count := int(_long(end) - _long(start) + 1)) > by_header:
-        return count
+    if start and end:  # each a 32-bit number in two words, or one word
+        ends = [one[0] + 65536 * one[1] if len(one) > 1 else one[0] for one in (start, end)]
+        first, last = (
+            one if math.isfinite(one) and 0 <= one < _UNKNOWN_FRAMES else 0.0 for one in ends
+        )
+        if last - first + 1 > by_header:
+            return int(last - first + 1)
     for name in ("LONG_FRAMES", "FRAMES"):
         value = (header.values("POINT", name) or [0.0])[0]
         if math.isfinite(value) and by_header < value < _UNKNOWN_FRAMES:
@@ -302,41 +262,14 @@ def _frames(header: C3dHeader) -> int:
     return by_header if header.last_frame < _MAX_FRAMES else _UNKNOWN_FRAMES
 
 
-def _long(words: list[float]) -> float:
-    """Combine two 16-bit words into a 32-bit number; one word stands for itself."""
-    value = words[0] + 65536 * words[1] if len(words) > 1 else words[0]
-    return value if math.isfinite(value) and 0 <= value < _UNKNOWN_FRAMES else 0.0
-
-
-def _data_block(header: C3dHeader) -> int:
-    said = header.values("POINT", "DATA_START")
-    block = header.data_block or int(said[0] if said and said[0] == said[0] else 0)
-    return max(2, block)
-
-
-def _frame_bytes(header: C3dHeader) -> int:
-    return (4 * header.points + header.analogs) * (4 if header.scale < 0 else 2)
-
-
-def _points(data: bytes, header: C3dHeader) -> NDArray[np.float64]:
+def _points(data: bytes, header: _Header) -> NDArray[np.float64]:
     """Decode the points of some frames, NaN where unseen, shape (T, points, 3)."""
-    size = _frame_bytes(header)
-    data = data[: len(data) // size * size]
+    data = data[: len(data) // header.frame_bytes * header.frame_bytes]
+    is_float = header.scale < 0
+    numbers = header.floats(data) if is_float else header.words(data)
     width = 4 * header.points
-    if header.scale < 0:
-        numbers = header.numbers.floats(data)
-        scale = 1.0
-    else:
-        numbers = header.numbers.words(data)
-        scale = header.scale
     cells = numbers.reshape(-1, width + header.analogs)[:, :width].reshape(-1, header.points, 4)
     with np.errstate(invalid="ignore", over="ignore"):
-        xyz = cells[:, :, :3].astype(np.float64) * scale
+        xyz = cells[:, :, :3].astype(np.float64) * (1.0 if is_float else header.scale)
         xyz[~(cells[:, :, 3] >= 0)] = np.nan
     return xyz
-
-
-def _parts(count: int, most: int) -> Iterator[tuple[int, int]]:
-    """Yield start and length of consecutive parts of at most `most`, up to `count`."""
-    for first in range(0, count, most):
-        yield first, min(most, count - first)

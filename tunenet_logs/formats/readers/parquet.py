@@ -1,22 +1,18 @@
 """Read Parquet tables: named columns, and episodes of LeRobot data sets.
 
-A resource-limited process reads the file; see `parquet_child`. Here its columns are chosen by their
-names and arrive as arrays.
+The file is read in the sandbox. Here its columns are chosen by their names and arrive as arrays.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
-from threading import Timer
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,39 +20,29 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import UNSTATED, Episode
 from tunenet_logs.errors import LogError
 from tunenet_logs.files import open_regular, real_path
-from tunenet_logs.formats.columns.arrays import (
-    ColumnPlan,
-    PlannedSignal,
-    columns_episode,
-    plan_columns,
-    spread_names,
-)
 from tunenet_logs.formats.columns.cells import Clock
-from tunenet_logs.formats.columns.names import TimeColumn, meaning_of
+from tunenet_logs.formats.columns.names import TimeColumn, meaning_of, spread_names
+from tunenet_logs.formats.columns.table import (
+    ColumnPlan,
+    Group,
+    Used,
+    episode_of_columns,
+    exact_seconds,
+    plan_columns,
+)
 from tunenet_logs.formats.kinds import Start
 from tunenet_logs.formats.options import ReadOptions
-from tunenet_logs.process import end_child
-
-_CHILD = Path(__file__).with_name("parquet_child.py")
-
-_MAX_LINE = 4 * 1024**2  # bytes that describe a file, or some rows
-_MAX_BYTES = 512 * 1024**2  # of one column; texts have 240 bytes each
-_MAX_S = 60.0  # the process may wait for its disk, beside its CPU time
+from tunenet_logs.formats.readers import sandboxed
+from tunenet_logs.formats.sandbox import Sandbox, SandboxError
 
 
 @dataclass(frozen=True)
 class ParquetColumn:
-    """One column, which may be nested in a struct.
+    """One column, which may be nested in a struct."""
 
-    Attributes:
-        name: nested names joined by dots.
-        kind: "n" of numbers, "t" of times, "s" of texts, "" of what is not read.
-        width: values in each row's list; 0 of a column of single values.
-    """
-
-    name: str
-    kind: str
-    width: int
+    name: str  # nested names joined by dots
+    kind: str  # "n" of numbers, "t" of times, "s" of texts, "" of what is not read
+    width: int  # values in each row's list; 0 of a column of single values
 
 
 Choose = Callable[[Sequence[ParquetColumn]], Sequence[str]]  # which columns to read
@@ -69,8 +55,15 @@ def parquet_columns(path: Path, choose: Choose) -> dict[str, NDArray[Any]]:
         LogError: `pyarrow` is not installed, or the file is damaged or too large; or `choose`
             says so.
     """
-    with _child(path) as (wishes, answers):
-        return _served(path, wishes, answers, choose)
+    with _sandbox(path) as sandbox, _said(path):
+        found, _ = sandbox.ask(sandboxed.table_columns, str(path.absolute()))
+        columns = [ParquetColumn(name, one["kind"], one["width"]) for name, one in found.items()]
+        wanted = list(dict.fromkeys(choose(columns)))
+        width = sum(found[name]["width"] or 1 for name in wanted)
+        arrays: dict[str, NDArray[Any]] = {}
+        for _, one in sandbox.answers(sandboxed.table_arrays, str(path.absolute()), wanted, width):
+            arrays |= one
+    return arrays
 
 
 def parquet_rows(path: Path, most_cells: int) -> Iterator[list[dict[str, Any]]]:
@@ -79,76 +72,31 @@ def parquet_rows(path: Path, most_cells: int) -> Iterator[list[dict[str, Any]]]:
     Raises:
         LogError: `pyarrow` is not installed, or the file is damaged, too large or another table.
     """
-    with _child(path, str(most_cells)) as (_, answers):
-        while said := _answer(path, answers).get("rows"):
+    with _sandbox(path) as sandbox, _said(path):
+        for said, _ in sandbox.answers(sandboxed.table_rows, str(path.absolute()), most_cells):
             yield [
                 dict(zip(said, cells, strict=True)) for cells in zip(*said.values(), strict=True)
             ]
 
 
-@contextmanager
-def _child(path: Path, *words: str) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
-    """Open the pipes to the process that reads a file; raise LogError without `pyarrow`."""
+def _sandbox(path: Path) -> Sandbox:
     if find_spec("pyarrow") is None:
-        raise LogError(f"{path}: Parquet needs pyarrow: pip install 'tunenet-logs[tables]'")
-    child = subprocess.Popen(  # noqa: S603 (our own script, without a shell)
-        [sys.executable, "-P", str(_CHILD), str(path.absolute()), *words],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    timer = Timer(_MAX_S, child.kill)
-    timer.start()
+        raise LogError(f"{path}: {_kind(path)} needs pyarrow: pip install 'tunenet-logs[tables]'")
+    return Sandbox("numpy", "pyarrow.parquet")
+
+
+@contextmanager
+def _said(path: Path) -> Iterator[None]:
     try:
-        assert child.stdin is not None
-        assert child.stdout is not None
-        yield child.stdin, child.stdout
-    finally:
-        timer.cancel()
-        end_child(child)
+        yield
+    except SandboxError as error:
+        remedy = "write it again" + (", in smaller files" if error.code else "")
+        raise LogError(f"{path}: {_kind(path)} file that is not read: {error}", remedy) from error
 
 
-def _served(
-    path: Path, wishes: IO[bytes], answers: IO[bytes], choose: Choose
-) -> dict[str, NDArray[Any]]:
-    said = _answer(path, answers)
-    columns = [
-        ParquetColumn(name, one["kind"], one["width"]) for name, one in said["columns"].items()
-    ]
-    wanted = list(dict.fromkeys(choose(columns)))
-    with suppress(BrokenPipeError):  # its answer says why
-        wishes.write(json.dumps(wanted).encode() + b"\n")
-        wishes.flush()
-    found: dict[str, NDArray[Any]] = {}
-    for name in wanted:
-        head = _answer(path, answers)
-        dtype, shape = np.dtype(head["dtype"]), tuple(head["shape"])
-        size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
-        if size > _MAX_BYTES:
-            raise LogError(f"{path}: Parquet column {name[:60]!r} has {size} bytes; split the file")
-        data = answers.read(size)
-        if len(data) < size:
-            raise _ended(path)
-        found[name] = np.frombuffer(data, dtype).reshape(shape)
-    return found
-
-
-def _answer(path: Path, answers: IO[bytes]) -> dict[str, Any]:
-    line = answers.readline(_MAX_LINE)
-    if not line.endswith(b"\n"):
-        raise _ended(path)
-    said = json.loads(line)
-    if "error" in said:
-        raise LogError(f"{path}: Parquet file that is not read: {said['error']}", "write it again")
-    return said
-
-
-def _ended(path: Path) -> LogError:
-    """Return the error of a child process that the system ended."""
-    return LogError(
-        f"{path}: Parquet file that is not read: it is damaged, or takes more memory or time than "
-        "any log; write it again, in smaller files"
-    )
+def _kind(path: Path) -> str:
+    with open_regular(path) as file:
+        return "Parquet" if file.read(4) == b"PAR1" else "Arrow"
 
 
 # ---- LeRobot data sets (versions 2, 3): joint states, usually without torques.
@@ -156,25 +104,18 @@ def _ended(path: Path) -> LogError:
 _MAX_INFO_BYTES = 1024**2  # of meta/info.json
 _MAX_SPEED_HZ = 10_000.0  # frame rate of any data set
 _MAX_LISTED = 1000  # chunks of a data set, and files of a chunk, that are looked at
-_SLACK_S = 0.002  # of a time from its frame's: times have single precision
 _COLUMNS = ("timestamp", "frame_index", "episode_index")  # of every data set, beside its features
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """Metadata of a LeRobot data set.
+    """Metadata of a LeRobot data set."""
 
-    Attributes:
-        robot: its type, or "".
-        rate_hz: frame rate; None where it is unstated.
-        labels: names of each feature's values.
-        warning: why the metadata is missing; "" where it is not.
-    """
-
-    robot: str = ""
-    rate_hz: float | None = None
+    robot: str = ""  # its type, or ""
+    rate_hz: float | None = None  # frame rate; None where it is unstated
+    # names of each feature's values
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    warning: str = ""
+    warning: str = ""  # why the metadata is missing; "" where it is not
 
 
 def is_lerobot(columns: Sequence[ParquetColumn]) -> bool:
@@ -258,9 +199,12 @@ def lerobot_episode(
         LogError: no row has a time and a state.
     """
     known = data_set_of(path)
-    flat: list[NDArray[Any]] = [_seconds(arrays, known.rate_hz), arrays["episode_index"]]
+    times, frames = (arrays[one].astype(np.float64) for one in ("timestamp", "frame_index"))
+    seconds = exact_seconds(times, frames, known.rate_hz) if len(times) else times
+    flat: list[NDArray[Any]] = [seconds, arrays["episode_index"]]
     names = ["timestamp", "episode_index"]
-    signals: list[PlannedSignal] = []
+    clock = Clock("timestamp", (0,), 0)
+    groups: list[Group] = []
     unused: dict[str, str] = {}
     for feature in _features(columns):
         if feature.name == "action":
@@ -271,8 +215,8 @@ def lerobot_episode(
         labels = known.labels.get(feature.name, ())
         if len(labels) != feature.width or len(set(labels)) < len(labels):
             labels = tuple(f"joint{number + 1}" for number in range(feature.width))
-        used = tuple((len(flat) + at, at, 1.0) for at in range(feature.width))
-        signals.append(PlannedSignal(feature.name, labels, UNSTATED, used))
+        used = tuple(Used(len(flat) + at, at, 1.0) for at in range(feature.width))
+        groups.append(Group(feature.name, labels, UNSTATED, used, clock))
         names += [f"{feature.name}[{at}]" for at in range(feature.width)]
         flat += list(arrays[feature.name].T)
     unused |= {
@@ -280,36 +224,21 @@ def lerobot_episode(
         for one in columns
         if one.name not in _COLUMNS and one not in _features(columns)
     }
-    plan = ColumnPlan(
-        tuple(names),
-        tuple(signals),
-        Clock("timestamp", (0,), 0),
-        runs=((1, "episode"),),
-        unused=unused,
-    )
+    plan = ColumnPlan(tuple(names), tuple(groups), ((1, "episode"),), unused)
     notes = [known.warning] if known.warning else []
     notes.append("the data set names no units of its states, which may be degrees or per cent")
     what = f"LeRobot data set{f' of {known.robot}' if known.robot else ''}"
-    return columns_episode(path, what, plan, dict(enumerate(flat)), options, warnings=notes)
-
-
-def _seconds(arrays: Mapping[str, NDArray[Any]], rate_hz: float | None) -> NDArray[np.float64]:
-    """Return times [s]: exact, from frame numbers, where the stated rate fits the timestamps."""
-    times = arrays["timestamp"].astype(np.float64)
-    if rate_hz is None:
-        return times
-    even = arrays["frame_index"].astype(np.float64) / rate_hz
-    return even if np.all(np.abs(even - times) <= _SLACK_S) else times
+    return episode_of_columns(path, what, plan, dict(enumerate(flat)), options, warnings=notes)
 
 
 # ---- Tables of any columns, and the choice between these two.
 
-_MAGIC = b"PAR1"
+_ARROW_STARTS = (b"ARROW1", b"\xff\xff\xff\xff")  # of a file (Feather), and of a stream
 
 
 def is_parquet(start: Start) -> bool:
-    """Return whether a file is Parquet."""
-    return start.data.startswith(_MAGIC)
+    """Return whether a file is Parquet, Feather, or Arrow's file or stream."""
+    return start.data.startswith((b"PAR1", *_ARROW_STARTS))
 
 
 def read_parquet(path: Path, options: ReadOptions) -> Episode:
@@ -328,7 +257,7 @@ def read_parquet(path: Path, options: ReadOptions) -> Episode:
         for at in reading.plan.needed
         for name, place in [reading.sources[at]]
     }
-    return columns_episode(path, "Parquet table", reading.plan, needed, options)
+    return episode_of_columns(path, f"{_kind(path)} table", reading.plan, needed, options)
 
 
 class _ParquetChoice:

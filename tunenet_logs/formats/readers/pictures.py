@@ -1,9 +1,7 @@
 """Read sequences of one-image files, from a folder or a zip, and animated WebP.
 
-`frame_of` decodes one image within bounds, `series_of` groups file names into sequences, and
-`taken` stamps them; `film_of` builds the episode. Files of laboratory cameras hold 10, 12 or 14
-bits in 16: the bit depth is inferred from the brightest pixels of a few images, else a ball would
-be lost in the dark.
+Files of laboratory cameras hold 10, 12 or 14 bits in 16: the bit depth is inferred from the
+brightest pixels of a few images, else a ball would be lost in the dark.
 """
 
 from __future__ import annotations
@@ -16,14 +14,14 @@ import zipfile
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, pairwise
 from lzma import LZMAError
 from math import gcd
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,20 +37,14 @@ MAX_BYTES = 120_000_000  # of one file: more than the largest image has, uncompr
 _MAX_PIXELS = MAX_PIXELS // 2  # of an image decoded here: it may have 16 bits a sample
 _FORGED_PIXELS_A_BYTE = 2000  # of a file, as in `images`: what claims more is forged
 _DEPTHS = (8, 10, 12, 14, 16)  # bits a sample of cameras
-_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_SAMPLES = 256, 257, 277
-_TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT = 322, 323
+_TIFF_TAGS = (256, 257, 277, 322, 323)  # width, height, samples, width and height of tiles
 _MAX_TAGS = 1000  # of a TIFF's picture
 # How a PGM or PPM begins, to its width and height.
 _PNM = re.compile(rb"P[2356]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s")
 
 
-def frame_of(stamp_ns: int, data: bytes, depth: int = 8) -> Frame:
+def _frame_of(stamp_ns: int, data: bytes, depth: int) -> Frame:
     """Return one image as a frame: 8-bit JPEG, WebP and PNG as they are, all else as pixels.
-
-    Args:
-        stamp_ns: of the frame.
-        data: of the file.
-        depth: bits per sample of images with more than 8.
 
     Raises:
         LogError: damaged, of an unsupported format, or of a size that no camera has.
@@ -64,20 +56,17 @@ def frame_of(stamp_ns: int, data: bytes, depth: int = 8) -> Frame:
     if pixels.dtype == np.uint16:
         np.right_shift(pixels, max(depth - 8, 0), out=pixels)
         pixels = np.minimum(pixels, 255, out=pixels).astype(np.uint8)
-    height, width = pixels.shape[:2]
-    return Frame(stamp_ns, "rgb8", pixels.tobytes(), (width, height))
+    return Frame(stamp_ns, "rgb8", pixels.tobytes(), (pixels.shape[1], pixels.shape[0]))
 
 
-def depth_of(samples: Iterable[bytes]) -> int:
+def _depth_of(samples: Iterable[bytes]) -> int:
     """Infer the bits per sample from the brightest pixel of a few files; skip damaged ones."""
     brightest = 0
     for data in samples:
         if image_format(data) is not None and not _is_deep_png(data):
             return 8
-        try:
+        with suppress(LogError):
             brightest = max(brightest, int(_pixels(data).max()))
-        except LogError:
-            continue
     return next(depth for depth in _DEPTHS if brightest < 1 << depth)
 
 
@@ -86,7 +75,7 @@ def _is_deep_png(data: bytes) -> bool:
 
 
 def _pixels(data: bytes) -> NDArray[Any]:
-    """Decode RGB as uint8 or uint16, as stored, shape (H, W, 3); raises as `frame_of` does."""
+    """Decode RGB as uint8 or uint16, as stored, shape (H, W, 3); raises as `_frame_of` does."""
     width, height = _stated_size(data)
     most = min(_MAX_PIXELS, _FORGED_PIXELS_A_BYTE * len(data))
     if not 0 < width * height <= most:
@@ -110,44 +99,39 @@ def _pixels(data: bytes) -> NDArray[Any]:
 
 
 def _stated_size(data: bytes) -> tuple[int, int]:
-    """Return (width, height) of a header; raise LogError if truncated or unsupported."""
+    """Return (width, height) of a header; a TIFF's tiles and samples are checked as well.
+
+    Raises:
+        LogError: it is truncated, unsupported, or claims more than any camera's.
+    """
     try:
         if data[:2] == b"BM":
             width, height = struct.unpack_from("<ii", data, 18)
             return width, abs(height)
-        if data[:4] in (b"II*\0", b"MM\0*"):
-            return _tiff_size(data)
         if match := _PNM.match(data[:4096]):
             return int(match[1]), int(match[2])
         if _is_deep_png(data):
             return image_size(data)
+        if data[:4] not in (b"II*\0", b"MM\0*"):
+            raise LogError(
+                "a picture is no JPEG, PNG, TIFF, BMP, WebP or PNM", "save it as one of these"
+            )
+        order = "<" if data[:2] == b"II" else ">"
+        (at,) = struct.unpack_from(f"{order}I", data, 4)
+        (count,) = struct.unpack_from(f"{order}H", data, at)
+        if count > _MAX_TAGS:
+            raise LogError("a TIFF has too many tags", "save it again, as PNG")
+        tags: dict[int, int] = {}
+        for place in range(at + 2, at + 2 + 12 * count, 12):
+            tag, kind, _ = struct.unpack_from(f"{order}HHI", data, place)
+            if kind in (3, 4):  # whole numbers of 16 and 32 bits
+                (tags[tag],) = struct.unpack_from(order + "HI"[kind - 3], data, place + 8)
     except struct.error as error:
         raise LogError("a picture is cut", COPY_AGAIN) from error
-    raise LogError("a picture is no JPEG, PNG, TIFF, BMP, WebP or PNM", "save it as one of these")
-
-
-def _tiff_size(data: bytes) -> tuple[int, int]:
-    """Return the size of a TIFF's first image; its tiles are checked as well.
-
-    Raises:
-        LogError: it claims more tags, samples or pixels in a tile than any camera's.
-        struct.error: it is truncated.
-    """
-    order = "<" if data[:2] == b"II" else ">"
-    (at,) = struct.unpack_from(f"{order}I", data, 4)
-    (count,) = struct.unpack_from(f"{order}H", data, at)
-    if count > _MAX_TAGS:
-        raise LogError("a TIFF has too many tags", "save it again, as PNG")
-    tags: dict[int, int] = {}
-    for place in range(at + 2, at + 2 + 12 * count, 12):
-        tag, kind, _ = struct.unpack_from(f"{order}HHI", data, place)
-        form = {3: "H", 4: "I"}.get(kind)
-        if form:
-            tags[tag] = struct.unpack_from(order + form, data, place + 8)[0]
-    tile = tags.get(_TIFF_TILE_WIDTH, 0) * tags.get(_TIFF_TILE_HEIGHT, 0)
-    if tile > MAX_PIXELS or tags.get(_TIFF_SAMPLES, 1) > 4:
+    width, height, samples, tile_width, tile_height = (tags.get(tag, 0) for tag in _TIFF_TAGS)
+    if tile_width * tile_height > MAX_PIXELS or samples > 4:
         raise LogError("a TIFF has tiles or samples beyond any camera's", "save it again, as PNG")
-    return tags.get(_TIFF_WIDTH, 0), tags.get(_TIFF_HEIGHT, 0)
+    return width, height
 
 
 # ---- Group image files into sequences by their names, in order, and stamp them.
@@ -171,38 +155,29 @@ _TIMES_NS = (10**18, 4 * 10**18)  # from 2001 to 2096
 
 
 @dataclass(frozen=True)
-class Series:
-    """One image sequence.
+class _Series:
+    """One image sequence."""
 
-    Attributes:
-        name: common part of the file names.
-        files: their names, in order.
-        numbers: counters in the names, shape (T,), strictly increasing; empty without one counter.
-    """
-
-    name: str
-    files: tuple[str, ...]
-    numbers: tuple[int, ...]
+    name: str  # common part of the file names
+    files: tuple[str, ...]  # their names, in order
+    # counters in the names, shape (T,), strictly increasing; empty without one counter
+    numbers: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class PictureTimes:
-    """Stamps of an image sequence.
+class _PictureTimes:
+    """Stamps of an image sequence, strictly increasing, the rate in words, and doubts.
 
-    Attributes:
-        stamps_ns: int64, shape (T,), strictly increasing.
-        rate: in words.
-        is_timed: whether the stamps are times; else they count frames, `FRAME_NS` each.
-        warnings: what is doubtful, in words.
+    Where they are no times they count frames, `FRAME_NS` each.
     """
 
     stamps_ns: NDArray[np.int64]
     rate: str
-    is_timed: bool
-    warnings: tuple[str, ...]
+    is_timed: bool = True
+    warnings: tuple[str, ...] = ()
 
 
-def series_of(names: Iterable[str]) -> list[Series]:
+def _series_of(names: Iterable[str]) -> list[_Series]:
     """Group file names into image sequences, the longest first."""
     alike: dict[str, list[str]] = defaultdict(list)
     for name in names:
@@ -210,7 +185,7 @@ def series_of(names: Iterable[str]) -> list[Series]:
     found = [one for group in alike.values() for one in _divided(group)]
     shared = Counter(one.name for one in found)
     found = [
-        Series(one.name + PurePosixPath(one.files[0]).suffix, one.files, one.numbers)
+        replace(one, name=one.name + PurePosixPath(one.files[0]).suffix)
         if shared[one.name] > 1
         else one
         for one in found
@@ -218,30 +193,12 @@ def series_of(names: Iterable[str]) -> list[Series]:
     return sorted(found, key=lambda one: (-len(one.files), one.name))
 
 
-def taken(series: Series, options: ReadOptions) -> PictureTimes:
-    """Stamp a sequence by `--fps`, else by the times in its names, else by counting frames."""
-    times_ns = _times_ns(series.files)
-    rate_hz = options.rate_hz
-    if rate_hz is None and times_ns is not None:
-        return PictureTimes(times_ns, "by the times in the names", is_timed=True, warnings=())
-    counts, warnings = _counts(series) if times_ns is None else (np.arange(len(series.files)), [])
-    if rate_hz is not None:
-        stamps_ns = np.round(counts * (1e9 / rate_hz)).astype(np.int64)
-        return PictureTimes(
-            stamps_ns, f"{rate_hz:g}, as said", is_timed=True, warnings=tuple(warnings)
-        )
-    warnings.append(
-        f"{series.name}: nothing says how many pictures a second there are; say it with --fps"
-    )
-    return PictureTimes(counts * FRAME_NS, "unknown", is_timed=False, warnings=tuple(warnings))
-
-
-def _divided(names: list[str]) -> list[Series]:
+def _divided(names: list[str]) -> list[_Series]:
     """Split names that differ in numbers alone by all of these but the counter."""
     texts = {name: _NUMBER.findall(name) for name in names}
     columns = list(zip(*texts.values(), strict=True))
     if not columns or max(len(text) for column in columns for text in column) > _MAX_NUMBER:
-        return [Series(name, (name,), ()) for name in names]
+        return [_Series(name, (name,)) for name in names]
     kinds = [len(set(column)) for column in columns]
     counter = max(range(len(kinds)), key=lambda at: (kinds[at], at))
     takes: dict[tuple[str, ...], list[str]] = defaultdict(list)
@@ -249,16 +206,15 @@ def _divided(names: list[str]) -> list[Series]:
         takes[(*numbers[:counter], *numbers[counter + 1 :])].append(name)
     if 2 * len(takes) > len(names):  # dates and times: all of them count together
         ordered = sorted(names, key=lambda name: ([int(text) for text in texts[name]], name))
-        return [Series(_label(ordered[0], -1), tuple(ordered), ())]
-    return [_counted(take, texts, counter) for take in takes.values()]
-
-
-def _counted(names: list[str], texts: dict[str, list[str]], counter: int) -> Series:
-    """Return the sequence of names that one number counts."""
-    ordered = sorted(names, key=lambda name: (int(texts[name][counter]), name))
-    numbers = [int(texts[name][counter]) for name in ordered]
-    is_strict = all(first < second for first, second in pairwise(numbers))
-    return Series(_label(ordered[0], counter), tuple(ordered), tuple(numbers) if is_strict else ())
+        return [_Series(_label(ordered[0], -1), tuple(ordered))]
+    found: list[_Series] = []
+    for take in takes.values():
+        ordered = sorted(take, key=lambda name: (int(texts[name][counter]), name))
+        counts = tuple(int(texts[name][counter]) for name in ordered)
+        is_strict = all(first < second for first, second in pairwise(counts))
+        label = _label(ordered[0], counter)
+        found.append(_Series(label, tuple(ordered), counts if is_strict else ()))
+    return found
 
 
 def _label(name: str, counter: int) -> str:
@@ -271,7 +227,25 @@ def _label(name: str, counter: int) -> str:
     return (stem[:begin] + stem[end:]).strip(" ._-/()") or "pictures"
 
 
-def _counts(series: Series) -> tuple[NDArray[np.int64], list[str]]:
+def _taken(series: _Series, options: ReadOptions) -> _PictureTimes:
+    """Stamp a sequence by `--fps`, else by the times in its names, else by counting frames."""
+    said_ns = [_time_ns(PurePosixPath(name).stem) for name in series.files]
+    times_ns = np.array([0 if one is None else one for one in said_ns], np.int64)
+    has_times = len(said_ns) > 1 and None not in said_ns and bool(np.all(np.diff(times_ns) > 0))
+    if options.rate_hz is None and has_times:
+        return _PictureTimes(times_ns, "by the times in the names")
+    counts, warnings = (np.arange(len(series.files)), []) if has_times else _counts(series)
+    if options.rate_hz is not None:
+        stamps_ns = np.round(counts * (1e9 / options.rate_hz)).astype(np.int64)
+        rate = f"{options.rate_hz:g}, as said"
+        return _PictureTimes(stamps_ns, rate, warnings=tuple(warnings))
+    warnings.append(
+        f"{series.name}: nothing says how many pictures a second there are; say it with --fps"
+    )
+    return _PictureTimes(counts * FRAME_NS, "unknown", is_timed=False, warnings=tuple(warnings))
+
+
+def _counts(series: _Series) -> tuple[NDArray[np.int64], list[str]]:
     """Return frame counts that keep the gaps in the numbers, shape (T,), and doubts."""
     ranks = np.arange(len(series.files))
     if len(series.numbers) < 3:
@@ -287,55 +261,38 @@ def _counts(series: Series) -> tuple[NDArray[np.int64], list[str]]:
     return counts, [said] if missing else []
 
 
-def _times_ns(names: tuple[str, ...]) -> NDArray[np.int64] | None:
-    """Return the times since 1970 in the names, shape (T,); None where they state none."""
-    found = [_time_ns(PurePosixPath(name).stem) for name in names]
-    if len(found) < 2 or None in found:
-        return None
-    stamps_ns = np.array(found, np.int64)
-    return stamps_ns if np.all(np.diff(stamps_ns) > 0) else None
-
-
 def _time_ns(stem: str) -> int | None:
+    """Return the time since 1970 in a name; None where it states none."""
     if match := _SECONDS.search(stem):
         return int(match[1]) * 10**9 + int(match[2].ljust(9, "0"))
-    for text in _NUMBER.findall(stem):
-        stamp_ns = int(text) * _TIME_DIGITS.get(len(text), 0)
-        if _TIMES_NS[0] <= stamp_ns < _TIMES_NS[1]:
-            return stamp_ns
-    return None
+    texts = [text for text in _NUMBER.findall(stem) if len(text) in _TIME_DIGITS]
+    stamps_ns = [int(text) * _TIME_DIGITS[len(text)] for text in texts]
+    return next((one for one in stamps_ns if _TIMES_NS[0] <= one < _TIMES_NS[1]), None)
 
 
 # ---- Animated WebP: frames, or patches of them, composited one over the other.
-# By https://developers.google.com/speed/webp/docs/riff_container.
+# By https://developers.google.com/speed/webp/docs/riff_container. OpenCV reads them too, but holds
+# all pictures of a film at once, and none of one that is cut.
 
 TOPIC = "video"  # of the frames, as a video's
 _ANIMATED = 0x02
-# Bits of a part's flags: it replaces what is below; it goes before the next one comes.
+# Bits of a patch's flags: it replaces what is below; it goes before the next one comes.
 _DO_NOT_BLEND, _DISPOSE = 0x02, 0x01
-
-_PART_HEADER = 16  # bytes
+_PATCH_HEADER = 16  # bytes
 # Pixels of all frames of a file: of any, and for each of its bytes.
 _FREE_PIXELS, _MAX_PIXELS_A_BYTE = 100_000_000, 50
 
 
-@dataclass(frozen=True)
-class _Chunk:
-    """One frame's patch.
-
-    Attributes:
-        at: where its chunks begin in the file.
-        size: of these [bytes].
-        left, top, width, height: in the canvas [px].
-        flags: `_DO_NOT_BLEND`, `_DISPOSE`.
-    """
+class _Patch(NamedTuple):
+    """Where a frame's chunks are in the file, its place in the canvas [px], and for how long."""
 
     at: int
-    size: int
+    size: int  # bytes
     left: int
     top: int
     width: int
     height: int
+    lasts_ms: int
     flags: int
 
 
@@ -353,148 +310,116 @@ def read_animated_webp(path: Path, options: ReadOptions) -> Episode:
         LogError: it is cut before the first picture, or claims what no camera makes.
         OSError: it cannot be read.
     """
-    canvas, parts, lasts_ms, is_cut = _scanned(path)
-    if not parts:
+    canvas, patches, is_cut = _patches(path)
+    if not patches:
         raise LogError(f"{path}: is an animated WebP without a picture; copy it again")
     limit = _FREE_PIXELS + _MAX_PIXELS_A_BYTE * path.stat().st_size
-    if canvas[0] * canvas[1] * len(parts) > limit:
+    if canvas[0] * canvas[1] * len(patches) > limit:
         raise LogError(
-            f"{path}: is an animated WebP of {len(parts)} pictures of {canvas[0]} x {canvas[1]} "
+            f"{path}: is an animated WebP of {len(patches)} pictures of {canvas[0]} x {canvas[1]} "
             "px, more than its size allows",
             COPY_AGAIN,
         )
-    warnings: list[str] = []
-    is_timed = True
-    counts = np.arange(len(parts))
+    warnings = ["is cut: its last pictures are missing"] if is_cut else []
+    losses = tuple(warnings)
+    lasts_ms = [patch.lasts_ms for patch in patches]
+    counts = np.arange(len(patches))
+    is_timed = options.rate_hz is not None or min(lasts_ms) > 0
     if options.rate_hz is not None:
         stamps_ns = np.round(counts * (1e9 / options.rate_hz)).astype(np.int64)
         rate = f"{options.rate_hz:g}, as said"
         warnings.append("the pictures' own times are not used: --fps was said")
-    elif min(lasts_ms) > 0:
+    elif is_timed:
         stamps_ns = np.concatenate([[0], np.cumsum(lasts_ms[:-1])]).astype(np.int64) * 1_000_000
         rate = f"stored {1000 / float(np.mean(lasts_ms)):.3f}"
     else:
-        stamps_ns, is_timed, rate = counts * FRAME_NS, False, "unknown"
+        stamps_ns, rate = counts * FRAME_NS, "unknown"
         warnings.append("the pictures state no times; say how many there are a second with --fps")
-    lost = ("is cut: its last pictures are missing",) if is_cut else ()
-    channel = Channel(TOPIC, "webp", "video", stamps_ns, pictures=True)
     notes = {"codec": "webp", "size_px": f"{canvas[0]}x{canvas[1]}", "rate_hz": rate}
-    info = EpisodeInfo(source=f"animated WebP {path.name}", notes=notes)
     return Episode(
-        info,
+        EpisodeInfo(source=f"animated WebP {path.name}", notes=notes),
         {},
-        (channel,),
-        (*lost, *warnings),
-        lost,
-        open_frames=partial(_webp_frames, path, canvas, parts, stamps_ns),
+        (Channel(TOPIC, "webp", "video", stamps_ns, pictures=True),),
+        tuple(warnings),
+        losses,
+        open_frames=partial(_webp_frames, path, canvas, patches, stamps_ns),
         frames_untimed=not is_timed,
     )
 
 
-def _scanned(path: Path) -> tuple[tuple[int, int], list[_Chunk], list[int], bool]:
-    """Return canvas size (width, height) [px], patches, durations [ms], and whether it is cut."""
-    parts: list[_Chunk] = []
-    lasts_ms: list[int] = []
+def _patches(path: Path) -> tuple[tuple[int, int], list[_Patch], bool]:
+    """Return canvas size (width, height) [px], patches, and whether the file is cut."""
+    found: list[_Patch] = []
     size = path.stat().st_size
     with open_regular(path) as file:
-        file.seek(24)
-        canvas = (1 + _number(file.read(3)), 1 + _number(file.read(3)))
-        if canvas[0] * canvas[1] > MAX_PIXELS:
-            raise LogError(f"{path}: claims pictures of {canvas[0]} x {canvas[1]} px", COPY_AGAIN)
-        for name, at, length in _chunks(file, 30, size):
-            if name != b"ANMF":
-                continue
-            if len(parts) >= MAX_PICTURES:
-                raise LogError(f"{path}: claims more than {MAX_PICTURES} pictures", COPY_AGAIN)
+        head = file.read(30)
+        stated = 8 + int.from_bytes(head[4:8], "little")
+        width, height = (1 + int.from_bytes(head[at : at + 3], "little") for at in (24, 27))
+        if width * height > MAX_PIXELS:
+            raise LogError(f"{path}: claims pictures of {width} x {height} px", COPY_AGAIN)
+        at = 30
+        while at + 8 <= size:
             file.seek(at)
-            head = file.read(_PART_HEADER)
-            if length <= _PART_HEADER or at + length > size:
-                return canvas, parts, lasts_ms, True
-            left, top, width, height, lasts = (_number(head[i : i + 3]) for i in range(0, 15, 3))
-            part = _Chunk(
-                at + _PART_HEADER,
-                min(length - _PART_HEADER, MAX_BYTES),
-                2 * left,
-                2 * top,
-                1 + width,
-                1 + height,
-                head[15],
-            )
-            if part.left + part.width > canvas[0] or part.top + part.height > canvas[1]:
-                raise LogError(f"{path}: claims a picture outside of its own size", COPY_AGAIN)
-            parts.append(part)
-            lasts_ms.append(lasts)
-        file.seek(4)
-        is_cut = size < 8 + int.from_bytes(file.read(4), "little")
-    return canvas, parts, lasts_ms, is_cut
-
-
-def _chunks(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield name, place and length of each chunk of a RIFF file."""
-    while at + 8 <= end:
-        file.seek(at)
-        head = file.read(8)
-        length = int.from_bytes(head[4:], "little")
-        yield head[:4], at + 8, length
-        at += 8 + length + length % 2
+            head = file.read(8 + _PATCH_HEADER)
+            at, length = at + 8, int.from_bytes(head[4:8], "little")
+            if head[:4] == b"ANMF":
+                if len(found) >= MAX_PICTURES:
+                    raise LogError(f"{path}: claims more than {MAX_PICTURES} pictures", COPY_AGAIN)
+                if length <= _PATCH_HEADER or at + length > size:
+                    return (width, height), found, True
+                place = [int.from_bytes(head[one : one + 3], "little") for one in range(8, 23, 3)]
+                left, top = 2 * place[0], 2 * place[1]
+                wide, high = 1 + place[2], 1 + place[3]
+                if left + wide > width or top + high > height:
+                    raise LogError(f"{path}: claims a picture outside of its own size", COPY_AGAIN)
+                begin, data_bytes = at + _PATCH_HEADER, min(length - _PATCH_HEADER, MAX_BYTES)
+                found.append(_Patch(begin, data_bytes, left, top, wide, high, place[4], head[23]))
+            at += length + length % 2
+    return (width, height), found, size < stated
 
 
 def _webp_frames(
     path: Path,
     canvas: tuple[int, int],
-    parts: list[_Chunk],
+    patches: list[_Patch],
     stamps_ns: NDArray[np.int64],
     _topic: str,
 ) -> Iterator[Frame]:
     """Yield the frames; raise LogError at a damaged one, after those before it."""
-    width, height = canvas
-    picture = np.zeros((height, width, 3), np.uint8)
+    picture = np.zeros((canvas[1], canvas[0], 3), np.uint8)
     with open_regular(path) as file:
-        for stamp_ns, part in zip(stamps_ns.tolist(), parts, strict=True):
-            file.seek(part.at)
-            place = (
-                slice(part.top, part.top + part.height),
-                slice(part.left, part.left + part.width),
-            )
-            _lay(picture[place], _decoded(path, file.read(part.size), part), part.flags)
+        for stamp_ns, patch in zip(stamps_ns.tolist(), patches, strict=True):
+            file.seek(patch.at)
+            above = _decoded(path, file.read(patch.size), patch)
+            rows = slice(patch.top, patch.top + patch.height)
+            below = picture[rows, patch.left : patch.left + patch.width]
+            if above.shape[2] == 3 or patch.flags & _DO_NOT_BLEND:
+                below[:] = above[:, :, :3]
+            else:
+                share = above[:, :, 3:].astype(np.float32) / 255
+                below[:] = np.round(share * above[:, :, :3] + (1 - share) * below)
             yield Frame(stamp_ns, "rgb8", picture.tobytes(), canvas)
-            if part.flags & _DISPOSE:
-                picture[place] = 0
+            if patch.flags & _DISPOSE:
+                below[:] = 0
 
 
-def _lay(below: NDArray[np.uint8], above: NDArray[np.uint8], flags: int) -> None:
-    """Composite RGB or RGBA onto a patch of the picture, in place."""
-    if above.shape[2] == 3:
-        below[:] = above
-    elif flags & _DO_NOT_BLEND:
-        below[:] = above[:, :, :3]
-    else:
-        share = above[:, :, 3:].astype(np.float32) / 255
-        below[:] = np.round(share * above[:, :, :3] + (1 - share) * below)
-
-
-def _decoded(path: Path, chunks: bytes, part: _Chunk) -> NDArray[np.uint8]:
-    """Decode a patch as RGB or RGBA, shape (H, W, 3 or 4)."""
+def _decoded(path: Path, chunks: bytes, patch: _Patch) -> NDArray[np.uint8]:
+    """Decode a patch, as a file of its own, as RGB or RGBA, shape (H, W, 3 or 4)."""
     import cv2
 
-    flags = b"\x10" if chunks[:4] == b"ALPH" else b""
-    sides = b"".join((side - 1).to_bytes(3, "little") for side in (part.width, part.height))
-    extra = b"VP8X\x0a\0\0\0" + flags + b"\0\0\0" + sides if flags else b""
-    data = b"WEBP" + extra + chunks
+    data = b"WEBP" + chunks
+    if chunks[:4] == b"ALPH":
+        sides = b"".join((side - 1).to_bytes(3, "little") for side in (patch.width, patch.height))
+        data = b"WEBPVP8X\x0a\0\0\0\x10\0\0\0" + sides + chunks
     data = b"RIFF" + len(data).to_bytes(4, "little") + data
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
-    wanted = (part.height, part.width)
-    if pixels is None or pixels.ndim != 3 or pixels.shape[:2] != wanted:
+    if pixels is None or pixels.ndim != 3 or pixels.shape[:2] != (patch.height, patch.width):
         raise LogError(f"{path}: a picture is damaged", COPY_AGAIN)
     turned = cv2.COLOR_BGRA2RGBA if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB
     return np.asarray(cv2.cvtColor(pixels, turned), np.uint8)
-
-
-def _number(data: bytes) -> int:
-    return int.from_bytes(data, "little")
 
 
 # ---- Build an episode of image files, wherever they are.
@@ -510,32 +435,20 @@ Read = Callable[[str], bytes]
 
 
 @dataclass(frozen=True, eq=False)
-class PictureStore:
-    """Source of image files.
+class _Store:
+    """Source of image files."""
 
-    Attributes:
-        path: of the folder or archive.
-        what: kind of source, in words.
-        opened: opens it; it is closed when the images have been read.
-        most_pixels: of all images of one sequence together; None where each is paid for by its
-            bytes, but for `_FREE_FRAME_PIXELS`.
-        others: files that are no image, by name: why they are not used.
-    """
-
-    path: Path
-    what: str
+    path: Path  # of the folder or archive
+    what: str  # kind of source, in words
+    # opens it; it is closed when the images have been read
     opened: Callable[[], AbstractContextManager[Read]]
+    # of all images of one sequence together; None where each is paid for by its bytes, but for
+    # `_FREE_FRAME_PIXELS`
     most_pixels: int | None = None
-    others: Mapping[str, str] = field(default_factory=dict)
 
 
-def film_of(store: PictureStore, names: Sequence[str], options: ReadOptions) -> Episode:
+def _film_of(store: _Store, names: Sequence[str], options: ReadOptions) -> Episode:
     """Group named images into sequences, each a topic of one episode.
-
-    Args:
-        store: where they are.
-        names: of the image files.
-        options: the user's.
 
     Raises:
         LogError: there are too many images, or too few.
@@ -545,56 +458,52 @@ def film_of(store: PictureStore, names: Sequence[str], options: ReadOptions) -> 
             f"{store.path}: holds {len(names)} pictures, over the limit of {MAX_PICTURES}; leave "
             "there only those of one drop"
         )
-    found = series_of(names)
-    films = [one for one in found if len(one.files) >= MIN_COUNT][:_MAX_FILMS]
+    found = _series_of(names)
+    films = {one.name: one for one in found if len(one.files) >= MIN_COUNT}
+    films = dict(islice(films.items(), _MAX_FILMS))
     if not films:
         raise LogError(
             f"{store.path}: is {store.what} without a film: no {MIN_COUNT} pictures in it whose "
             "names differ in a number alone; number them, or name a video of the drop"
         )
-    times = {one.name: taken(one, options) for one in films}
+    times = {name: _taken(one, options) for name, one in films.items()}
     with store.opened() as read:
-        depths = {one.name: depth_of(_samples(one, read)) for one in films}
+        depths = {name: _depth_of(_samples(one, read)) for name, one in films.items()}
     channels = [
         Channel(
-            topic=one.name,
+            topic=name,
             type_name=f"{store.what}, {one.files[0]} to {one.files[-1]}"[:200],
             encoding="pictures",
-            log_ns=times[one.name].stamps_ns,
+            log_ns=times[name].stamps_ns,
             pictures=True,
         )
-        for one in films
+        for name, one in films.items()
     ]
-    unused = {one.name: "too few pictures for a film" for one in found[len(films) :]}
-    none = np.empty(0, np.int64)
-    for name, why in list({**unused, **store.others}.items())[:_MAX_FILMS]:
-        channels.append(Channel(name[:200], "", "file", none, skipped=why))
+    why, none = "too few pictures for a film", np.empty(0, np.int64)
+    rest = dict.fromkeys(one.name[:200] for one in found[len(films) :])
+    channels += [Channel(name, "", "file", none, skipped=why) for name in islice(rest, _MAX_FILMS)]
     rates = ", ".join(dict.fromkeys(one.rate for one in times.values()))
-    info = EpisodeInfo(source=f"{store.what} {store.path.name}", notes={"rate_hz": rates})
-    by_name = {one.name: one for one in films}
     return Episode(
-        info,
+        EpisodeInfo(source=f"{store.what} {store.path.name}", notes={"rate_hz": rates}),
         {},
         tuple(channels),
         tuple(said for one in times.values() for said in one.warnings),
-        open_frames=partial(_series_frames, store, by_name, times, depths),
+        open_frames=partial(_series_frames, store, films, times, depths),
         frames_untimed=not all(one.is_timed for one in times.values()),
     )
 
 
-def _samples(series: Series, read: Read) -> Iterator[bytes]:
+def _samples(series: _Series, read: Read) -> Iterator[bytes]:
     """Yield the bytes of a few readable images, evenly spaced."""
     for at in np.linspace(0, len(series.files) - 1, _SAMPLES).round().astype(int).tolist():
-        try:
+        with suppress(LogError):
             yield read(series.files[at])
-        except LogError:
-            continue
 
 
 def _series_frames(
-    store: PictureStore,
-    films: Mapping[str, Series],
-    times: Mapping[str, PictureTimes],
+    store: _Store,
+    films: Mapping[str, _Series],
+    times: Mapping[str, _PictureTimes],
     depths: Mapping[str, int],
     topic: str,
 ) -> Iterator[Frame]:
@@ -605,7 +514,7 @@ def _series_frames(
         for stamp_ns, name in zip(stamps, films[topic].files, strict=True):
             try:
                 data = read(name)
-                frame = frame_of(stamp_ns, data, depths[topic])
+                frame = _frame_of(stamp_ns, data, depths[topic])
                 work = frame.work_px()
                 pixels += work
                 paid += min(_FRAME_PIXELS_A_BYTE * len(data), work)
@@ -663,13 +572,9 @@ def read_picture_archive(path: Path, options: ReadOptions) -> Episode:
             return read_animated_webp(path, options)
     size = path.stat().st_size
     names = _pictures_in_zip(path, size)
-    store = PictureStore(
-        path,
-        "a zip of pictures",
-        partial(_opened_zip, path),
-        most_pixels=_FREE_PIXELS + _MAX_PIXELS_A_BYTE * size,
-    )
-    return film_of(store, names, options)
+    most_pixels = _FREE_PIXELS + _MAX_PIXELS_A_BYTE * size
+    store = _Store(path, "a zip of pictures", partial(_opened_zip, path), most_pixels)
+    return _film_of(store, names, options)
 
 
 def _pictures_in_zip(path: Path, size: int) -> list[str]:
@@ -774,8 +679,10 @@ def read_picture_folder(path: Path, options: ReadOptions) -> Episode:
         LogError: there is no image sequence in it.
         OSError: it cannot be read.
     """
-    store = PictureStore(path, "a folder of pictures", partial(_opened_folder, path))
-    return film_of(store, _pictures_among(_files(path)), options)
+    store = _Store(
+        path, "a folder of pictures", lambda: nullcontext(partial(_bytes_in_folder, path))
+    )
+    return _film_of(store, _pictures_among(_files(path)), options)
 
 
 def _files(path: Path) -> list[str]:
@@ -791,11 +698,6 @@ def _files(path: Path) -> list[str]:
 
 def _pictures_among(names: list[str]) -> list[str]:
     return [name for name in names if PurePosixPath(name).suffix.lower() in SUFFIXES]
-
-
-@contextmanager
-def _opened_folder(folder: Path) -> Iterator[Read]:
-    yield partial(_bytes_in_folder, folder)
 
 
 def _bytes_in_folder(folder: Path, name: str) -> bytes:

@@ -1,18 +1,14 @@
 """Read spreadsheets (.xls, .xlsx, .xlsm, .xlsb, .ods), and exports of phyphox and sensor programs.
 
-Sheets are unpacked by a resource-limited process, `sheet_child`; each is then a table as any other,
-a tracking program's table that was pasted, or a list of impact times by the phone app phyphox.
+Sheets are unpacked in the sandbox; each is then a table as any other, a tracking program's table
+that was pasted, or a list of impact times by the phone app phyphox.
 """
 
 from __future__ import annotations
 
-import io
-import json
 import re
 import struct
-import subprocess
-import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from itertools import islice
@@ -23,24 +19,27 @@ from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.columns.cells import SEPARATORS, Numbers, cells_of, decimal_of, lines_of
+from tunenet_logs.formats.columns.cells import (
+    SEPARATORS,
+    Numbers,
+    best_separator,
+    cells_of,
+    decimal_of,
+    lines_of,
+)
 from tunenet_logs.formats.columns.names import (
     CoordinateColumn,
     JointColumn,
     TimeColumn,
     meaning_of,
+    short_list,
     without_run,
 )
-from tunenet_logs.formats.columns.table import (
-    best_separator,
-    export_episode,
-    time_stamps,
-    unique_names,
-)
+from tunenet_logs.formats.columns.table import export_episode, time_stamps, unique_names
 from tunenet_logs.formats.kinds import Start, start_of
 from tunenet_logs.formats.options import ReadOptions
-from tunenet_logs.formats.readers import sheet_child
-from tunenet_logs.formats.readers.csv import read_csv, read_lines, short_list
+from tunenet_logs.formats.readers import sandboxed
+from tunenet_logs.formats.readers.csv import read_csv, read_lines
 from tunenet_logs.formats.readers.trackers import (
     is_mtrack2,
     names_masses,
@@ -49,6 +48,7 @@ from tunenet_logs.formats.readers.trackers import (
     read_spots,
     spot_layout,
 )
+from tunenet_logs.formats.sandbox import Sandbox, SandboxError
 from tunenet_logs.timing.stamps import sorted_stamps
 
 # ---- Impact times heard by phyphox: its acoustic stopwatch and its collisions.
@@ -58,31 +58,23 @@ from tunenet_logs.timing.stamps import sorted_stamps
 NAME = "impacts"  # of the signal
 _EVENTS = "event time (s)"
 _INTERVALS = "interval (s)"
-
 # Impacts side by side, one experiment a row.
 _IN_A_ROW = (re.compile(r"(?:start|stop(?: \d)?) \(s\)"), re.compile(r"bounce \d \(s\)"))
 _GAPS_IN_A_ROW = re.compile(r"time \d \(s\)")  # times between impacts side by side
 # What phyphox computes from the times.
 _BESIDE = re.compile(r"(?:height \d \(c?m\)|energy \d(?: \(%\))?|difference \(s\)|interval \(s\))")
-
 MAX_ROWS = 100_000  # of impacts: a phone hears no more in a day
 
 
 @dataclass(frozen=True)
 class ImpactTimes:
-    """Impact times of a sheet.
+    """Impact times of a sheet."""
 
-    Attributes:
-        runs: times [s], each run shape (K,).
-        unused: other columns, with the reason.
-        is_first_unknown: whether the times are cumulated intervals, so that the first is 0.
-        is_list: whether all impacts stand in one column, however many there were.
-    """
-
-    runs: tuple[NDArray[np.float64], ...]
-    unused: dict[str, str] = field(default_factory=dict)
+    runs: tuple[NDArray[np.float64], ...]  # times [s], each run shape (K,)
+    unused: dict[str, str] = field(default_factory=dict)  # other columns, with the reason
+    # whether the times are cumulated intervals, so that the first is 0
     is_first_unknown: bool = False
-    is_list: bool = False
+    is_list: bool = False  # whether all impacts stand in one column, however many there were
 
     def signals(self, sheet: str) -> tuple[list[Signal], list[str]]:
         """Return one signal per run, and notes on repairs; `sheet` prefixes their names."""
@@ -227,28 +219,20 @@ def _names_of_runs(start: Start) -> Sequence[str]:
 
 # ---- The sheets of a workbook or of an archive of tables, through a process of their own.
 
-_MAX_WAIT_S = 60.0  # for the process, whose own CPU time is bounded to less
+_MAX_FILE_BYTES = 128 * 1024**2
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """One table.
-
-    Attributes:
-        lines: its rows, with tabs between cells; in an archive as they stand in the file.
-    """
+    """One table."""
 
     name: str
+    # its rows, with tabs between cells; in an archive as they stand in the file
     lines: list[str] = field(default_factory=list)
 
 
 def sheets_of(path: Path, what: str, *, is_archive: bool) -> list[Sheet]:
     """Read all sheets of a file.
-
-    Args:
-        path: of the file.
-        what: kind of file, for messages: "spreadsheet", ...
-        is_archive: whether it is a zip archive of CSV files, not a workbook.
 
     Raises:
         LogError: it is too large, damaged, or python-calamine is missing.
@@ -258,39 +242,24 @@ def sheets_of(path: Path, what: str, *, is_archive: bool) -> list[Sheet]:
         raise LogError(
             f"{path}: is a {what}, which needs python-calamine; pip install 'tunenet-logs[tables]'"
         )
-    if (size := path.stat().st_size) > sheet_child.MAX_FILE_BYTES:
-        limit = sheet_child.MAX_FILE_BYTES >> 20
+    if (size := path.stat().st_size) > _MAX_FILE_BYTES:
+        limit = _MAX_FILE_BYTES >> 20
         raise LogError(
             f"{path}: is a {what} of {size >> 20} MiB, over the limit of {limit} MiB; save the "
             "sheet alone, as CSV"
         )
-    kind = "archive" if is_archive else "book"
-    words = [sys.executable, "-P", sheet_child.__file__, str(path.resolve()), kind]
+    found: list[Sheet] = []
     try:
-        done = subprocess.run(  # noqa: S603
-            words, capture_output=True, timeout=_MAX_WAIT_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        done = None
-    sheets: list[Sheet] = []
-    if done is None or done.returncode:
-        raise LogError(
-            f"{path}: is a {what} that breaks what reads it: it is damaged, or claims more cells "
-            "than it has; save the sheet alone, as CSV"
-        )
-    for word, *texts in _said(done.stdout):
-        if word == "sheet":
-            sheets.append(Sheet(texts[0]))
-        elif word == "rows":
-            sheets[-1].lines.extend(texts)
-        else:
-            raise LogError(f"{path}: is a {what}, but {texts[0]}; {texts[1]}")
-    return sheets
-
-
-def _said(output: bytes) -> Iterator[list[str]]:
-    for line in io.BytesIO(output):
-        yield json.loads(line)
+        with Sandbox() as sandbox:
+            for said, _ in sandbox.answers(sandboxed.sheets, str(path.resolve()), is_archive):
+                if isinstance(said, str):
+                    found.append(Sheet(said))
+                else:
+                    found[-1].lines.extend(said)
+    except SandboxError as error:
+        remedy = error.remedy or "save the sheet alone, as CSV"
+        raise LogError(f"{path}: is a {what}, but {error}", remedy) from error
+    return found
 
 
 # ---- Read all sheets of a file as one episode.
@@ -300,10 +269,8 @@ _OLE2 = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 _ZIP = b"PK\x03\x04"
 # How the names of a workbook's parts begin.
 _IN_BOOKS = ("[Content_Types].xml", "_rels/", "xl/", "docProps/", "mimetype", "META-INF/")
-
 # Sheets in which phyphox describes the phone and the clock.
 _ABOUT = ("metadata device", "metadata time", "meta/device", "meta/time")
-
 _MAX_REASONS = 3  # sheets that are named where none is of use
 _MAX_REASON = 150  # characters about each
 
@@ -329,7 +296,16 @@ def read_sheets(path: Path, options: ReadOptions) -> Episode:
     """
     start = start_of(path)
     if not start.data.startswith((_OLE2, _ZIP)):
-        return _read_text(path, start, options)
+        # Read a text table: of phyphox, or one misnamed as a workbook.
+        if start.data.lstrip()[:1] == b"<":
+            raise LogError(
+                f"{path}: is a web page or XML that is called a spreadsheet; open it there, and "
+                "save it as .xlsx or .csv"
+            )
+        if options.columns or not names_impacts(next(iter(start.lines), "")):
+            return read_csv(path, options)
+        sheet = Sheet("", [line or "" for line in islice(lines_of(path), MAX_ROWS)])
+        return _Sheets(path, "phyphox export", [sheet], options).episode()
     is_archive = start.data.startswith(_ZIP) and start.suffix not in _BOOKS and not _is_book(start)
     what = "zip archive of tables" if is_archive else "spreadsheet"
     if start.suffix not in _BOOKS and not is_archive:
@@ -344,19 +320,6 @@ def read_sheets(path: Path, options: ReadOptions) -> Episode:
     if not sheets:
         raise LogError(f"{path}: is a {what} without any cell that is filled; save it again")
     return _Sheets(path, what, sheets, options).episode()
-
-
-def _read_text(path: Path, start: Start, options: ReadOptions) -> Episode:
-    """Read a text table: of phyphox, or one misnamed as a workbook."""
-    if start.data.lstrip()[:1] == b"<":
-        raise LogError(
-            f"{path}: is a web page or XML that is called a spreadsheet; open it there, and save "
-            "it as .xlsx or .csv"
-        )
-    if options.columns or not names_impacts(next(iter(start.lines), "")):
-        return read_csv(path, options)
-    sheet = Sheet("", [line or "" for line in islice(lines_of(path), MAX_ROWS)])
-    return _Sheets(path, "phyphox export", [sheet], options).episode()
 
 
 def _names(start: Start) -> list[str]:

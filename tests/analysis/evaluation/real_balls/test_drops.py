@@ -35,7 +35,7 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
     table_drops,
 )
 from tunenet_logs.analysis.evaluation.worlds.camera import NOISE_PX, SIZE_PX, filmed
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_episode
 
 IDEAL = RealBall(0.7, 0.0, 0.0, 1.0)
@@ -124,7 +124,7 @@ def test_the_airless_tunings_are_right_where_there_is_no_air():
 
 def test_an_ideal_ball_is_tuned_and_moves_alike():
     drop = recorded(IDEAL)
-    tuning = tune_episode(drop.episode(), Options())
+    tuning = tune_episode(drop.episode(), TuneOptions())
     found = found_by(tuning, drop)
     assert found.verdict == "ok"
     assert found.values[0] == pytest.approx(0.7, abs=1e-3)
@@ -133,7 +133,7 @@ def test_an_ideal_ball_is_tuned_and_moves_alike():
     assert off is not None
     assert np.abs(off).max() < 0.01
     seen = drop.until(SEEN * drop.last_bounce_s)
-    ahead = off_motion(tune_episode(seen.episode(), Options()), drop)
+    ahead = off_motion(tune_episode(seen.episode(), TuneOptions()), drop)
     assert ahead is not None
     assert len(ahead) == pytest.approx(drop.last_bounce_s * 120, abs=2)
     assert np.mean(np.abs(ahead)) < 2e-3
@@ -148,7 +148,7 @@ def test_an_ideal_ball_is_tuned_from_its_film():
     assert (places <= np.array(SIZE_PX)).all()
     held = track.places_px[drop.seconds < 0]
     assert np.std(held, axis=0) == pytest.approx([NOISE_PX] * 2, rel=0.4)
-    found = found_by(tune_track(track, Options()), drop)
+    found = found_by(tune_track(track, TuneOptions()), drop)
     assert found.values[0] == pytest.approx(0.7, abs=0.01)
     assert found.path < 0.02
 

@@ -23,8 +23,8 @@ from tunenet_logs.analysis.evaluation.worlds.ball import (
     take_shot,
 )
 from tunenet_logs.analysis.evaluation.worlds.clips import film_of, record_film, track_of
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.planning import KnownBall, plan_shot
-from tunenet_logs.analysis.selection import Options, Selection
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.recorders.simulators.ball import SpeedLaw
 from tunenet_logs.recorders.simulators.known import Ball
@@ -124,13 +124,13 @@ def test_a_film_of_the_hidden_world_is_tuned_to_its_truth(tmp_path: Path):
     film = film_of(drop, rng)
     path = tmp_path / "drop.mcap"
     record_film(film, path)
-    tuning = tune_log(path, Options())
+    tuning = tune_log(path, TuneOptions())
     assert tuning.verdict == "ok"
     assert tuning.estimate is not None
     truth = BALL.restitution_at(math.sqrt(2 * 9.81 * DROP_M))
     assert tuning.estimate[0] == pytest.approx(truth, abs=0.008)
-    selection = Selection(ball=Ball(0.06, 0.04))
-    by_track = tune_track(track_of(film), Options(selection=selection))
+    selection = TuneOptions(ball=Ball(0.06, 0.04))
+    by_track = tune_track(track_of(film), selection)
     assert by_track.estimate is not None
     assert by_track.estimate[0] == pytest.approx(float(tuning.estimate[0]), abs=0.004)
 

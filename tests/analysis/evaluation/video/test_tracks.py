@@ -36,7 +36,7 @@ from tunenet_logs.analysis.evaluation.worlds.camera import (
     film,
     upright,
 )
-from tunenet_logs.analysis.selection import Options
+from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tracking.track import Track
 from tunenet_logs.recorders.simulators.ball import Bounce
 from tunenet_logs.recorders.simulators.camera import PinholeCamera
@@ -211,7 +211,7 @@ def test_good_tracks_are_tuned_to_their_truth():
     errors = []
     for number in range(8):
         scene = draw_scene(B, BallRanges(NARROW), 0.3, SEED, number)
-        tuning = tune_track(film(scene), Options())
+        tuning = tune_track(film(scene), TuneOptions())
         assert tuning.estimate is not None, tuning.reason
         errors.append(tuning.estimate[0] - scene.ball.restitution)
     assert np.median(np.abs(errors)) < 0.005
