@@ -155,6 +155,16 @@ def test_topics_of_an_autopilot_keep_their_own_times(tmp_path: Path):
     assert {int(np.diff(one.stamps_ns)[0]) for one in signals.values()} == {10**7, 2 * 10**7}
 
 
+def test_an_autopilot_may_have_hundreds_of_other_topics(tmp_path: Path):
+    times = np.arange(100) * 10_000
+    others = {f"sensor{number}": {"timestamp": times[:2], "x": times[:2]} for number in range(220)}
+    place = {"timestamp": times, "x": times, "y": times, "z": -times}
+    write_ulog(tmp_path / "a.ulg", {**others, "vehicle_local_position": place})
+    episode = read_episode(tmp_path / "a.ulg")
+    assert list(episode.signals) == ["track.vehicle_local_position"]
+    assert sum(channel.skipped is not None for channel in episode.channels) == 220
+
+
 def test_a_review_of_ours_gives_what_was_observed(tmp_path: Path):
     DROPS["plain.h5"](tmp_path / "a.h5")
     tuning = tn.tune(tmp_path / "a.h5")
