@@ -19,7 +19,7 @@ from __future__ import annotations
 import inspect
 import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import MISSING, fields, replace
 from os import PathLike
 from pathlib import Path
@@ -293,8 +293,7 @@ def review_campaign(
     from tunenet_logs.analysis.review.campaign import write_campaign
 
     place = _rrd(path)
-    named = [places] if isinstance(places, str | PathLike) else list(places)
-    campaign = campaign_of(list(map(Path, named)), jobs, Progress(quiet=True), _warn)
+    campaign = campaign_of(_paths(places), jobs, Progress(quiet=True), _warn)
     knows = recording("campaign", subject_of(campaign.places))
     with _written(place, "review", knows, campaign.name, overwrite=overwrite) as unfinished:
         write_campaign(campaign, unfinished)
@@ -356,37 +355,24 @@ def report(
         UsageError: There is nothing to report, or a file in a place may not be replaced.
         LogError: A tuning cannot be read.
     """
-    from tunenet_logs.analysis.campaign import files_of
     from tunenet_logs.analysis.registry import needed
-    from tunenet_logs.analysis.report.page import (
-        PAGE,
-        FigureOrder,
-        read_reported,
-        report_page,
-        write_figures,
-    )
-    from tunenet_logs.analysis.result_files import check_place, in_words, logs_of, marked
-    from tunenet_logs.writing.owned_path import OutputPlace
 
     needed("matplotlib", "report")
     needed("jinja2", "report")
-    named = [places] if isinstance(places, str | PathLike) else list(places)
-    inputs = list(files_of(list(map(Path, named)), _warn))
-    if page is not None:
-        knows = marked("html", PAGE, {})
-        anybody = OutputPlace(Path(page), "page", knows, elsewhere=_ELSEWHERE, overwrite=True)
-        check_place(anybody, "page", (".html",), inputs)
-    reported = read_reported(list(map(Path, named)), jobs, Progress(quiet=True), _warn)
-    written: list[Path] = []
-    if page is not None:
-        logs = logs_of(one.record for one in reported.tunings)
-        knows, of = marked("html", PAGE, logs), in_words(logs)
-        with _written(Path(page), "page", knows, of, overwrite=overwrite) as unfinished:
-            unfinished.write_text(report_page(reported), "utf-8")
-        written.append(Path(page))
-    if figures is not None:
-        order = FigureOrder(Path(figures), kind, inputs, overwrite=overwrite)
-        written += write_figures(order, reported.tunings)
+    from tunenet_logs.analysis.report.page import write_report
+
+    written = write_report(
+        _paths(places),
+        None if page is None else Path(page),
+        {kind: None if figures is None else Path(figures)},
+        Progress(quiet=True),
+        _warn,
+        jobs=jobs,
+        overwrite=overwrite,
+        asked_by=_ASKED_BY,
+        option="page",
+        elsewhere=_ELSEWHERE,
+    )
     return tuple(written)
 
 
@@ -476,6 +462,10 @@ def _log_of(record: Record) -> tuple[Path, str]:
     return Path(record.log), record.provenance.log_sha256 if record.provenance else ""
 
 
+def _paths(places: AnyPath | Iterable[AnyPath]) -> list[Path]:
+    return [Path(places)] if isinstance(places, str | PathLike) else list(map(Path, places))
+
+
 def _rrd(path: AnyPath) -> Path:
     place = Path(path)
     if place.suffix != ".rrd":
@@ -544,7 +534,7 @@ def tune(
         UsageError: An option is invalid, or fits no log.
         WeightsError: The weights are damaged, or of another network.
     """
-    from tunenet_logs.analysis.result_files import log_sha256
+    from tunenet_logs.analysis.result_files import known_sha256
     from tunenet_logs.analysis.tuning import provenance_of, tune_episode, tune_log
 
     sha256 = ""
@@ -555,9 +545,7 @@ def tune(
         else:
             with _here(source) as path:
                 chosen = _with(simulator, options_of(options, [path]))
-                tuning = tune_log(path, chosen)
-                with suppress(OSError):  # the tuning says why
-                    sha256 = log_sha256(path)
+                tuning, sha256 = tune_log(path, chosen), known_sha256(path)
     for doubt in chosen.ball_doubts:
         warnings.warn(doubt, stacklevel=2)
     return replace(tuning, provenance=provenance_of(tuning, sha256, chosen))

@@ -8,6 +8,7 @@ Rates and restitutions summarise it. `read_tunings` reads tunings alone.
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -23,11 +24,11 @@ from tunenet_logs.analysis.checks import Verdict
 from tunenet_logs.analysis.compare import distinct
 from tunenet_logs.analysis.parallel import Piece, parallel_map
 from tunenet_logs.analysis.record import Curves, Estimate, Record, read_record
-from tunenet_logs.episode import Frame, Picture
+from tunenet_logs.episode import Picture
 from tunenet_logs.errors import LogError, TuneNetError
 from tunenet_logs.files import real_path
 from tunenet_logs.formats.registry import is_folder
-from tunenet_logs.images import decode_small
+from tunenet_logs.images import decode_image
 from tunenet_logs.outcomes import (
     BOUNCE_SHOT,
     Outcome,
@@ -43,9 +44,7 @@ from tunenet_logs.terminal import Progress, listed
 
 WIDTH_PX = 160  # of the longer side: what a view in a corner of a review shows
 RATE_HZ = 30.0  # pictures a second, at most: they play smoothly
-_QUALITY = 75  # of JPEG, 0 to 100: small files, in which the ball is still clear
 _SLACK_S = 0.25 / RATE_HZ  # Stamps jitter: a picture that is early by so little counts as due
-_STROBES = 24  # pictures in a strobe picture: with more, the ball would overlap itself
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,13 @@ def small_film(
             if at_s < due_s - slack_s or not first_s <= at_s <= last_s:
                 continue
             with suppress(LogError):  # a damaged picture
-                picture = _downsampled(frame)
+                is_bare = frame.size is not None
+                picture = (
+                    frame.decode()
+                    if is_bare
+                    else decode_image(frame.data, frame.encoding, WIDTH_PX)
+                )
+                picture = np.ascontiguousarray(reduced(picture, WIDTH_PX)[..., ::-1])  # BGR
                 if not small or picture.shape == small[0].shape:
                     due_s = max(due_s, at_s) + 1 / RATE_HZ
                     seconds.append(at_s)
@@ -96,17 +101,14 @@ def small_film(
     return SmallFilm(start_ns, tuple(seconds), pictures, _jpeg(strobe(small)), (width, height))
 
 
-def _downsampled(frame: Frame) -> Picture:
-    """Downsample an image; shape (H, W, 3), BGR."""
+def reduced(picture: Picture, most_px: int) -> Picture:
+    """Downsample an image to at most so many pixels on its longer side, shape (H, W, 3)."""
     import cv2
 
-    is_bare = frame.size is not None
-    picture = frame.decode() if is_bare else decode_small(frame.data, frame.encoding, WIDTH_PX)
     height, width = picture.shape[:2]
-    scale = min(1.0, WIDTH_PX / max(width, height))
+    scale = min(1.0, most_px / max(width, height))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2BGR), np.uint8)
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def strobe(pictures: list[Picture]) -> Picture:
@@ -114,7 +116,8 @@ def strobe(pictures: list[Picture]) -> Picture:
 
     Each pixel is taken from the image in which it is furthest from its median.
     """
-    chosen = np.linspace(0, len(pictures) - 1, min(len(pictures), _STROBES)).round().astype(int)
+    # With more than 24, the ball would overlap itself.
+    chosen = np.linspace(0, len(pictures) - 1, min(len(pictures), 24)).round().astype(int)
     stack = np.stack([pictures[index] for index in np.unique(chosen)])
     usual = np.median(stack, axis=0).astype(np.int16)
     off = np.abs(stack.astype(np.int16) - usual).sum(axis=3)
@@ -125,7 +128,8 @@ def strobe(pictures: list[Picture]) -> Picture:
 def _jpeg(picture: Picture) -> bytes:
     import cv2
 
-    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+    # Of quality 75: small files, in which the ball is still clear.
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()
 
 
 # ---- Tuned drop: one recorded drop, from the record of its tuning.
@@ -154,8 +158,7 @@ class TunedDrop:
     overlay: Curves | None  # the curves; None if no drop was found
     window_s: tuple[float, float] | None = None  # its first and last sample, since the log's first
     film: SmallFilm | None = None  # its images; None if it has none, or they were not read
-    # other scalar estimates: how the restitution falls with speed, drag
-    others: tuple[Estimate, ...] = ()
+    others: tuple[Estimate, ...] = ()  # other scalars: how the restitution falls with speed, drag
 
     @property
     def state(self) -> State:
@@ -188,10 +191,8 @@ def read_tuned_drop(tuning: Path) -> TunedDrop | None:
 def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
     """Build the drop of a record, with its log and its JSON if they exist."""
     restitution = record.estimate("restitution")
-    value, ends = (
-        (None, None) if restitution is None else (restitution.value, restitution.interval95)
-    )
-    window = record.window
+    value, ends = restitution and restitution.value, restitution and restitution.interval95
+    window, scalars = record.window, (one for one in record.estimates if one.name != "restitution")
     return TunedDrop(
         log=log,
         tuning=tuning,
@@ -203,11 +204,7 @@ def drop_of(record: Record, log: Path | None, tuning: Path | None) -> TunedDrop:
         interval95=ends,  # pyright: ignore[reportArgumentType] (one number has one interval)
         overlay=record.motion.curves,
         window_s=(window["start_s"], window["end_s"]) if window else None,
-        others=tuple(
-            known
-            for known in record.estimates
-            if known.name != "restitution" and isinstance(known.value, float)
-        ),
+        others=tuple(one for one in scalars if isinstance(one.value, float)),
     )
 
 
@@ -279,31 +276,21 @@ def material_of(places: Sequence[Path], warn: Warn) -> Material:
 
 
 def holds_campaign(places: Sequence[Path]) -> bool:
-    """Return whether outcomes are among these files; unreadable ones are skipped."""
+    """Return whether outcomes are among these files; unreadable ones are skipped.
 
-    def is_outcome(file: Path) -> bool:
-        try:
-            return bool(_outcomes(file, silent))
-        except (LogError, OSError):
-            return False
-
-    def silent(_: str) -> None:
-        """Ignore a warning: the next reader of these files reports it."""
-
-    return any(map(is_outcome, files_of(places, silent)))
+    The next reader of these files warns of what is odd in them.
+    """
+    for file in files_of(places, lambda _: None):
+        with suppress(LogError, OSError):
+            if _outcomes(file, lambda _: None):
+                return True
+    return False
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Return a natural sort key: drop_2 before drop_10."""
-    parts: list[tuple[int, int, str]] = []
-    text = ""
-    for letter in [*name, ""]:
-        if text and (not letter or letter.isdecimal() != text[-1].isdecimal()):
-            is_number = text.isdecimal()
-            parts.append((0, int(text), "") if is_number else (1, 0, text))
-            text = ""
-        text += letter
-    return tuple(parts)
+    parts = re.findall(r"\d+|\D+", name)
+    return tuple((0, int(one), "") if one.isdecimal() else (1, 0, one) for one in parts)
 
 
 def files_of(places: Iterable[Path], warn: Warn) -> Iterator[Path]:
@@ -561,15 +548,11 @@ def _linked(
 def _wall_ns(attempt: Attempt) -> int | None:
     """Return the latest time of its drops and outcome [ns since 1970], or None."""
     times = [drop.wall_ns for drop in attempt.drops]
-    if attempt.outcome is not None:
-        times.append(attempt.outcome.stamp_ns or None)
-    known = [time_ns for time_ns in times if time_ns is not None]
-    return max(known) if known else None
+    times += [attempt.outcome.stamp_ns or None] if attempt.outcome else []
+    return max((time_ns for time_ns in times if time_ns is not None), default=None)
 
 
 # ---- Campaign: build its attempts, with images of the drops, from its files.
-
-_AROUND_S = 0.3  # of pictures before and after the curves: what led to them, what followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -586,10 +569,7 @@ class Campaign:
 def campaign_of(
     places: Sequence[Path], jobs: int | None, progress: Progress, warn: Warn
 ) -> Campaign:
-    """Read the files of a campaign, and tune drops that have no tuning; nothing is written.
-
-    `jobs` (None for all cores).
-    """
+    """Read the files of a campaign, and tune drops that have no tuning; nothing is written."""
     material = material_of(places, warn)
     work: list[TunedDrop | Path] = [*material.drops, *material.untuned]
     pieces = [Piece(item, 1, item.name) for item in work]
@@ -615,10 +595,7 @@ def places_of(places: Sequence[Path]) -> tuple[str, ...]:
 
 
 def _read(item: TunedDrop | Path) -> TunedDrop | str | None:
-    """Read a drop with its images, in a worker process; why a log cannot be read; None for others.
-
-    A log without a tuning is tuned here and now.
-    """
+    """Read a drop with its images, or tune its log now; else why it cannot be, or None."""
     if isinstance(item, TunedDrop):
         drop = item
     else:
@@ -634,11 +611,9 @@ def _read(item: TunedDrop | Path) -> TunedDrop | str | None:
         drop = drop_of(record_of(tuning), item, None)
     if drop.log is None:
         return drop
-    overlay = drop.overlay
-    window_s = drop.window_s
-    if overlay is not None:
-        window_s = overlay.seconds[0] - _AROUND_S, overlay.seconds[-1] + _AROUND_S
-    start_ns = overlay.start_ns if overlay is not None else None
+    start_ns, window_s = None, drop.window_s
+    if (known := drop.overlay) is not None:  # with what led to them, and what followed
+        start_ns, window_s = known.start_ns, (known.seconds[0] - 0.3, known.seconds[-1] + 0.3)
     return replace(drop, film=small_film(drop.log, start_ns, window_s))
 
 
@@ -755,15 +730,12 @@ def restitutions_by_ball(attempts: Sequence[Attempt]) -> tuple[BallRestitutions,
     found: list[BallRestitutions] = []
     for ball in _balls_of(attempts):
         tuned = [
-            (attempt, attempt.value)
+            (attempt.value, attempt.number, attempt.interval95)
             for attempt in first.values()
             if attempt.ball == ball and attempt.value is not None
         ]
         if tuned:
-            values = tuple(value for _, value in tuned)
-            numbers = tuple(attempt.number for attempt, _ in tuned)
-            intervals95 = tuple(attempt.interval95 for attempt, _ in tuned)
-            found.append(BallRestitutions(ball, values, numbers, intervals95))
+            found.append(BallRestitutions(ball, *zip(*tuned, strict=True)))
     return tuple(found)
 
 
@@ -819,8 +791,3 @@ def read_tunings(places: Sequence[Path], warn: Warn) -> tuple[TuningFile, ...]:
     return tuple(
         TuningFile(path, record, label) for (path, record), label in zip(found, labels, strict=True)
     )
-
-
-def in_order(tunings: Sequence[TuningFile]) -> tuple[TuningFile, ...]:
-    """Sort by labels in natural order."""
-    return tuple(sorted(tunings, key=lambda tuning: natural(tuning.label)))

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 from tunenet_logs.analysis.statistics import TWO_SIDED
@@ -18,7 +19,6 @@ from tunenet_logs.episode import BY_CLOCK, MAX_LEFT_OUT, Episode, LeftOut
 Verdict = Literal["ok", "suspect", "rejected"]
 Sense = Literal["at most", "at least", "within", "true"]
 
-_MORE_DIGITS = 3  # added at most so that a figure and its limit differ in print
 _UNWRITTEN: Mapping[str, Any] = {"key": None}  # of a field that a record's JSON does not hold
 
 
@@ -66,27 +66,12 @@ class Limit(NamedTuple):
     sense: Sense
     value: float  # in `unit`; a check whose limit depends on the recording is given its own
     unit: str = ""
-    # format of the value and of the limit in a sentence; of both if there is one
-    shown: str = ".0f"
-    # value beyond which nothing can be reported; None if a failure is never fatal
-    fatal: float | None = None
+    shown: str = ".0f"  # format of value and limit in a sentence; two if they differ
+    fatal: float | None = None  # beyond it nothing can be reported; None if never
 
 
-def at_most(value: float, unit: str = "", shown: str = ".0f", fatal: float | None = None) -> Limit:
-    """Make an upper limit."""
-    return Limit("at most", value, unit, shown, fatal)
-
-
-def at_least(value: float, unit: str = "", shown: str = ".0f", fatal: float | None = None) -> Limit:
-    """Make a lower limit."""
-    return Limit("at least", value, unit, shown, fatal)
-
-
-def within(value: float, unit: str = "", shown: str = ".0f") -> Limit:
-    """Make a limit to either side of zero."""
-    return Limit("within", value, unit, shown)
-
-
+at_most, at_least = partial(Limit, "at most"), partial(Limit, "at least")
+within = partial(Limit, "within")  # to either side of zero
 TRUE = Limit("true", 1)  # of a check that has no number
 _WANTED = {
     "at most": "at most {limit}",
@@ -131,19 +116,10 @@ class CheckSpec:
         secondary: bool | None = None,
         **words: object,
     ) -> Check:
-        """Compare a value with the limit.
+        """Compare a value, in the limit's unit, with the limit; of `TRUE`, whether it passes.
 
-        Args:
-            value: In the limit's unit; of `TRUE`, whether it passes.
-            limit: Where it depends on the recording.
-            detail: The whole sentence in place of `seen`, `wanted` and `more`.
-            passed: Where it is not the comparison alone that says it.
-            fatal: Whether a failure is fatal where not the limit says it.
-            unit: In place of the limit's.
-            advice: In place of the check's own, as the next two.
-            invalidates_interval: See `Check`.
-            secondary: See `Check`.
-            words: That fill its texts.
+        `detail` stands in place of `seen`, `wanted` and `more`, and what else is given in place of
+        what the check or its limit says.
         """
         sense, usual_limit, usual_unit, shown, worst = self.limit
         limit = usual_limit if limit is None else float(limit)
@@ -162,20 +138,19 @@ class CheckSpec:
             brackets = f" ({wanted})" if wanted else ""
             detail = self.seen.format(**known) + brackets + self.more.format(**known)
         has_numbers = sense != "true"
+        doubts = self.invalidates_interval if invalidates_interval is None else invalidates_interval
         return Check(
             self.name,
             passed,
             detail,
-            fatal=bool(fatal),
-            advice=self.advice if advice is None else advice,
-            invalidates_interval=self.invalidates_interval
-            if invalidates_interval is None
-            else invalidates_interval,
-            secondary=self.secondary if secondary is None else secondary,
-            value=float(value) if has_numbers and math.isfinite(value) else None,
-            limit=limit if has_numbers and math.isfinite(limit) else None,
-            unit=unit,
-            wanted=wanted,
+            bool(fatal),
+            self.advice if advice is None else advice,
+            doubts,
+            self.secondary if secondary is None else secondary,
+            float(value) if has_numbers and math.isfinite(value) else None,
+            limit if has_numbers and math.isfinite(limit) else None,
+            unit,
+            wanted,
         )
 
 
@@ -191,7 +166,7 @@ def _figures(value: float, limit: float, shown: str) -> tuple[str, str]:
     """Format a value and its limit, with more digits where they would print alike."""
     value_format, _, limit_format = shown.partition(" ")
     pairs: list[tuple[str, str]] = []
-    for more in range(_MORE_DIGITS + 1):
+    for more in range(4):
         formats = [
             re.sub(r"\.(\d+)", lambda digits, more=more: f".{int(digits[1]) + more}", one)
             for one in (value_format, limit_format or value_format)
@@ -232,16 +207,7 @@ class CrossCheck:
         sd: float | None,
         advice: str,
     ) -> CrossCheck:
-        """Compare a second estimate with the first.
-
-        Args:
-            method: In words.
-            value: The second estimate.
-            estimate: The first estimate.
-            tolerance: Allowed difference.
-            sd: Standard deviation of the second by its noise alone; None if unknown.
-            advice: See `CrossCheck`.
-        """
+        """Compare a second estimate with the first; `sd` is the second's by its noise alone."""
         agrees = bool(abs(value - estimate) < tolerance)
         return cls(method, value, agrees, tolerance, None if sd is None else TWO_SIDED * sd, advice)
 
@@ -287,13 +253,7 @@ def log_checks(episode: Episode, lacking: Sequence[LeftOut]) -> tuple[Check, ...
 def judge(
     checks: Sequence[Check], cross_check: CrossCheck | None, occasion: str
 ) -> tuple[Verdict, str | None]:
-    """Return the verdict, and its reason in one line, causes first, with the remedy of the first.
-
-    Args:
-        checks: All of them.
-        cross_check: None if the log allows none.
-        occasion: What a user would do again, e.g. "drop".
-    """
+    """Return the verdict, and the reason in one line, causes first, with the first one's remedy."""
     failed = sorted((check for check in checks if not check.passed), key=lambda one: one.secondary)
     fatal = [check for check in failed if check.fatal]
     named = failed

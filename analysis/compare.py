@@ -52,23 +52,17 @@ def restitution_value(value: ComparedValue, record: Record) -> ComparedValue:
     of the same ball before and after it.
     """
     value = replace(value, is_restitution=True)
-    rebounds = record.rebounds
-    if rebounds:
+    if rebounds := record.rebounds:
         at_s = (record.window or {}).get("impact_s", rebounds[0].impact_s)
-        own = min(rebounds, key=lambda rebound: abs(rebound.impact_s - at_s))
-        known = [one.impact_speed_m_s for one in rebounds if (one.impact_speed_m_s or 0) > 0]
-        if own.impact_speed_m_s is not None and own.impact_speed_m_s > 0:
-            slowest_m_s = min(speed_m_s for speed_m_s in known if speed_m_s is not None)
-            value = replace(value, speed_m_s=own.impact_speed_m_s, slowest_m_s=slowest_m_s)
+        own = min(rebounds, key=lambda rebound: abs(rebound.impact_s - at_s)).impact_speed_m_s or 0
+        known = [speed for one in rebounds if (speed := one.impact_speed_m_s or 0) > 0]
+        if own > 0:
+            value = replace(value, speed_m_s=own, slowest_m_s=min(known))
     slope = record.estimate("restitution_slope")
     if slope is not None and isinstance(slope.value, float) and abs(slope.value) <= 1:
         value = replace(value, slope=slope.value)
-        if slope.interval95 is not None:
-            low, high = slope.interval95
-            assert isinstance(low, float)
-            assert isinstance(high, float)
-            half = max(slope.value - low, high - slope.value)
-            value = replace(value, slope_half=half)
+        if (ends := slope.components[0].interval95) is not None:
+            value = replace(value, slope_half=max(slope.value - ends[0], ends[1] - slope.value))
     return value
 
 
@@ -94,11 +88,7 @@ def moved(value: ComparedValue, speed_m_s: float) -> ComparedValue:
 def at_one_speed(
     first: ComparedValue, second: ComparedValue
 ) -> tuple[ComparedValue, ComparedValue, float | None, str]:
-    """Convert two restitutions to the lower of their speeds, which the faster ball also reaches.
-
-    Returns:
-        Both, the common speed if there is one, and a caution.
-    """
+    """Convert two restitutions to the lower of their speeds, which the faster ball also reaches."""
     if first.speed_m_s is None or second.speed_m_s is None:
         return first, second, None, "no impact speed is known: a difference may be the speed's"
     speed_m_s = min(first.speed_m_s, second.speed_m_s)
@@ -122,8 +112,6 @@ def at_one_speed(
 # normal and independent, so that they add in quadrature.
 
 LEVEL = 0.05  # probability, after the correction, under which values count as different
-_NOTHING = 1e-300  # of an error: where both intervals have no width, any difference is one
-_BOUNDS = (0.0, 1.0)  # physical ones of a restitution; the lower also of a drag and a mass
 # The test, for readers.
 TEST_WORDS = (
     "Two values differ where their difference is more than the logs' own 95 % intervals explain "
@@ -166,8 +154,9 @@ def pair_tests(values: Sequence[ComparedValue]) -> list[PairTest]:
         if first.sha256 and first.sha256 == second.sha256:
             caution = "the same recording: not compared"
         else:
-            toward_zero = below if difference > 0 else above
-            deviations = abs(difference) * TWO_SIDED / max(toward_zero, _NOTHING)
+            # Where both intervals have no width, any difference is one.
+            toward_zero = max(below if difference > 0 else above, 1e-300)
+            deviations = abs(difference) * TWO_SIDED / toward_zero
             probability = math.erfc(min(deviations, 1e6) / math.sqrt(2))
         ends, labels = (difference - below, difference + above), (first.label, second.label)
         tests.append(PairTest(*labels, difference, ends, probability, None, speed_m_s, caution))
@@ -182,7 +171,7 @@ def _errors(value: ComparedValue) -> Interval:
     assert value.interval95 is not None
     low, high = value.interval95
     down, up = max(value.value - low, 0.0), max(high - value.value, 0.0)
-    is_cut = low in _BOUNDS or high in _BOUNDS
+    is_cut = not {low, high}.isdisjoint((0.0, 1.0))  # of a restitution; 0 of a drag and a mass
     return (max(down, up), max(down, up)) if is_cut else (down, up)
 
 
@@ -255,32 +244,23 @@ class Comparison:
         """
         import pandas as pd
 
-        records = dict(zip(self.labels, self.records, strict=True))
-
-        def row(label: str, *more: Any) -> tuple[Any, ...]:
-            """Order what is known of a log as `COLUMNS` are, with "more" from the parameter on."""
-            record = records[label]
-            preset = (record.simulator or {}).get("preset")
+        known: dict[str, dict[str, Any]] = {}
+        for label, record in zip(self.labels, self.records, strict=True):
             sha256 = record.provenance.log_sha256 if record.provenance else ""
-            reason = None if more else record.reason
-            known = (label, record.task, preset, record.verdict, reason)
-            return (*known, *(more or [None] * (len(COLUMNS) - len(known) - 1)), sha256)
-
-        rows = [
-            row(
-                value.label,
-                quantity.name,
-                quantity.unit,
-                value.value,
-                *(value.interval95 or (None, None)),
-                value.speed_m_s,
-                "; ".join(told_apart(quantity, value.label)),
-            )
-            for group in self.groups
-            for quantity in group.quantities
-            for value in quantity.values
-        ]
-        rows += [row(label) for label, _ in self.without_values]
+            known[label] = {"log": label, "task": record.task, "log_sha256": sha256}
+            preset = (record.simulator or {}).get("preset")
+            known[label] |= {"preset": preset, "verdict": record.verdict, "reason": None}
+        rows: list[dict[str, Any]] = []
+        for quantity in (quantity for group in self.groups for quantity in group.quantities):
+            for value in quantity.values:
+                low, high = value.interval95 or (None, None)
+                own = {"parameter": quantity.name, "unit": quantity.unit, "value": value.value}
+                own |= {"low": low, "high": high, "impact_speed_m_s": value.speed_m_s}
+                own["differs_from"] = "; ".join(told_apart(quantity, value.label))
+                rows.append(known[value.label] | own)
+        bare = dict.fromkeys(("parameter", "unit", "value", "low", "high", "differs_from"))
+        for label, record in self.without_values:
+            rows.append(known[label] | bare | {"reason": record.reason, "impact_speed_m_s": None})
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
     def pairs_frame(self) -> pd.DataFrame:
@@ -314,15 +294,7 @@ class Comparison:
 
 
 def compare(records: Sequence[Record], names: Sequence[str] | None = None) -> Comparison:
-    """Compare the tunings of several logs.
-
-    Args:
-        records: One per log.
-        names: Label of each log; None for the logs' own names. Equal ones are numbered.
-
-    Raises:
-        UsageError: There are more than `MAX_LOGS`, or not one name per record.
-    """
+    """Compare the tunings of several logs."""
     labels = distinct([record.log for record in records] if names is None else names)
     if len(labels) != len(records):
         raise UsageError(f"{len(records)} tunings and {len(labels)} names: give one each")
@@ -356,10 +328,8 @@ def distinct(names: Sequence[str]) -> list[str]:
 def _kind(record: Record) -> tuple[str, ...]:
     """Return the key that records of comparable values share."""
     simulator = record.simulator or {}
-    preset = str(simulator.get("preset", "no preset"))
-    if record.physical:
-        return record.task or "unknown task", preset
-    return record.task or "unknown task", preset, f"numbers of {simulator.get('engine', 'unknown')}"
+    kind = record.task or "unknown task", str(simulator.get("preset", "no preset"))
+    return kind if record.physical else (*kind, f"numbers of {simulator.get('engine', 'unknown')}")
 
 
 def _group(kind: Sequence[str], labels: list[str], records: list[Record]) -> ComparedGroup:
@@ -389,9 +359,7 @@ def _group(kind: Sequence[str], labels: list[str], records: list[Record]) -> Com
 
 def told_apart(quantity: ComparedQuantity, label: str) -> list[str]:
     """Return the labels of the logs whose value differs significantly from this one's."""
-    different = [test for test in quantity.tests if test.differs]
+    pairs = [(test.first, test.second) for test in quantity.tests if test.differs]
     return [
-        test.second if test.first == label else test.first
-        for test in different
-        if label in (test.first, test.second)
+        second if first == label else first for first, second in pairs if label in (first, second)
     ]

@@ -41,30 +41,11 @@ class Claim(IntEnum):
 class Detection(Protocol):
     """What an experiment found in an episode, as far as others need to know."""
 
-    @property
-    def topic(self) -> str:
-        """Topic that shows it."""
-        ...
-
-    @property
-    def window(self) -> Mapping[str, float]:
-        """Times of its events by name [s since the log's first sample]."""
-        ...
-
-    @property
-    def extent(self) -> tuple[str, str]:
-        """A measure of it for a table, e.g. ("drop", "1.100 m")."""
-        ...
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings for the user."""
-        ...
-
-    @property
-    def left_out(self) -> tuple[LeftOut, ...]:
-        """Samples that are missing from each of its signals."""
-        ...
+    topic: str  # that shows it
+    window: Mapping[str, float]  # times of its events by name [s since the log's first sample]
+    extent: tuple[str, str]  # a measure of it for a table, e.g. ("drop", "1.100 m")
+    warnings: tuple[str, ...]  # for the user
+    left_out: tuple[LeftOut, ...]  # samples that are missing from each of its signals
 
 
 @dataclass(frozen=True)
@@ -85,10 +66,8 @@ class Preset:
     physical: bool  # whether its value is the object's own, or a number of one engine's settings
     parameters: tuple[Parameter, ...]  # that are estimated
     method: str  # default; see `registry.METHODS`
-    # of its network; None for an experiment without one, or whose problems train their own
-    training: Training | None = None
-    # whether every method starts from the parameters' own initial values
-    starts_as_given: bool = False
+    training: Training | None = None  # None without a network, or where problems train their own
+    starts_as_given: bool = False  # whether every method starts from the parameters' own values
 
 
 def presets_of(
@@ -106,25 +85,10 @@ def presets_of(
 class Experiment(Protocol):
     """A kind of experiment, observed in one way; only it reads what its `detect` returns."""
 
-    @property
-    def name(self) -> str:
-        """Name in `tunenet-train` and in weights."""
-        ...
-
-    @property
-    def kind(self) -> str:
-        """Name in logs, results and `--task`: one kind may be observed in several ways."""
-        ...
-
-    @property
-    def occasion(self) -> str:
-        """What a user repeats if a log does not suffice, e.g. "drop"."""
-        ...
-
-    @property
-    def observed(self) -> str:
-        """What it looks at in a log, e.g. "pictures of a ball"."""
-        ...
+    name: str  # in `tunenet-train` and in weights
+    kind: str  # in logs, results and `--task`: one kind may be observed in several ways
+    occasion: str  # what a user repeats if a log does not suffice, e.g. "drop"
+    observed: str  # what it looks at in a log, e.g. "pictures of a ball"
 
     @property
     def accepted_options(self) -> frozenset[Subject]:
@@ -141,19 +105,13 @@ class Experiment(Protocol):
         ...
 
     def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> Any:
-        """Detect it in an episode, as a `Detection`; nothing is estimated here.
-
-        Raises:
-            NotFoundError: The selection does not show the experiment; the message says why.
-        """
+        """Detect it in an episode, as a `Detection`; NotFoundError says why it is not there."""
         ...
 
     def problem(self, detection: Any, initial: Array) -> Problem:
         """Pose the estimation problem of a detection; `initial` has the shape (P,).
 
-        Raises:
-            NotFoundError: The detection is no such experiment, or cannot be simulated.
-            UsageError: The initial value is out of bounds.
+        NotFoundError if it cannot be simulated, UsageError if `initial` is out of bounds.
         """
         ...
 
@@ -184,7 +142,6 @@ class Experiment(Protocol):
 # ---- Plausible values: remove those that nothing measures, so that no sum overflows later.
 
 _MAX_SIZE = 1e12  # of anything in any unit: squares and their sums stay finite
-_MIN_SIZE = 1e-60  # apart from 0: below, a ratio could be infinite
 
 
 def drop_invalid_samples(episode: Episode) -> Episode:
@@ -193,7 +150,8 @@ def drop_invalid_samples(episode: Episode) -> Episode:
     warnings: list[str] = []
     for name, signal in episode.signals.items():
         size = np.abs(signal.values)
-        is_huge, is_tiny = size > _MAX_SIZE, (size > 0) & (size < _MIN_SIZE)
+        # Of what is smaller, a ratio could be infinite.
+        is_huge, is_tiny = size > _MAX_SIZE, (size > 0) & (size < 1e-60)
         if not is_huge.any() and not is_tiny.any():
             continue
         values = np.where(is_huge, np.nan, np.where(is_tiny, 0.0, signal.values))
@@ -307,21 +265,15 @@ def record_of(tuning: Tuning) -> Record:
                 estimates.append(Estimate(extra.name, extra.unit, values, ends))
         # What has no known unit has no value.
         estimates = [one for one in estimates if one.name not in motion.unknown]
+        named = [zip(names, step.values.tolist(), strict=True) for step in trace.steps]
         iterations = tuple(
-            {
-                name: value
-                for name, value in zip(names, step.values.tolist(), strict=True)
-                if name not in motion.unknown
-            }
-            for step in trace.steps
+            {name: value for name, value in step if name not in motion.unknown} for step in named
         )
         if estimates and tuning.physical:
             rebounds = experiment.rebounds(detection, trace)
         if intervals is None:
             rebounds = tuple(replace(bounce, interval95=None) for bounce in rebounds)
-    window = None
-    if detection is not None:
-        window = {name: float(at_s) for name, at_s in detection.window.items()}
+    times_s = {} if detection is None else detection.window
     return Record(
         log=tuning.log.name,
         task=tuning.task,
@@ -341,7 +293,7 @@ def record_of(tuning: Tuning) -> Record:
         weights={"preset": tuning.preset, "sha256": tuning.digest} if tuning.digest else None,
         ball=tuning.episode and tuning.episode.info.notes.get("ball"),
         topic=None if detection is None else detection.topic,
-        window=window,
+        window=None if detection is None else {name: float(at) for name, at in times_s.items()},
         seconds=tuning.seconds,
         provenance=tuning.provenance,
         motion=motion,

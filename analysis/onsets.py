@@ -114,8 +114,7 @@ class Onsets:
     times_s: Array  # on the sound's clock, 0 at its first sample, shape (N,) [s]
     sds_s: Array  # of them, shape (N,) [s]
     rises_db: Array  # mean rise over all bands, shape (N,)
-    # Of each, over the background before it taken off, re full scale, shape (N,).
-    loudness_db: Array
+    loudness_db: Array  # less the background before it, re full scale, shape (N,)
     colours_db: Array  # of its bands less their mean, shape (N, B)
     peaks: Array  # largest sample of each, full scale 1, shape (N,)
 

@@ -83,11 +83,7 @@ def _effort_unit(text: str) -> str:
 
 
 def parse_mapping(texts: Sequence[str]) -> dict[str, str]:
-    """Parse `--map` options, SIGNAL=TARGET.
-
-    Raises:
-        UsageError: One of them is no pair, or two are of one signal.
-    """
+    """Parse `--map` options, SIGNAL=TARGET."""
     mapping: dict[str, str] = {}
     for text in texts:
         key, sign, target = text.partition("=")
@@ -268,31 +264,25 @@ class TuneOptions(Hints, ReadOptions):
             object.__setattr__(self, "mapping", parse_mapping(self.mapping))
         super().__post_init__()
         if self.initial is not None:
-            object.__setattr__(self, "initial", _finite(self.initial))
+            given = self.initial
+            values = (given,) if isinstance(given, int | float) else tuple(given)
+            if not all(isinstance(value, int | float) and math.isfinite(value) for value in values):
+                raise UsageError(f"initial {given!r} are no numbers")
+            object.__setattr__(self, "initial", tuple(map(float, values)))
         if self.start_s is not None and self.end_s is not None and self.start_s >= self.end_s:
             raise UsageError(f"--start {self.start_s:g} is not before --end {self.end_s:g}")
         if self.hsv is not None and self.ball_at is not None:
             raise UsageError("--hsv does not go with --ball-at; leave one out")
         if self.effort_unit == "A" and not self.torque_constants:
-            raise UsageError(
-                "--effort-unit A needs each joint's torque for each A; "
-                "add --torque-constants K1,K2,..."
-            )
-        _ = self.told_ball  # there is such a ball
-        if isinstance(arm := self.told_arm, str):
+            what = "--effort-unit A needs each joint's torque for each A"
+            raise UsageError(what, "add --torque-constants K1,K2,...")
+        _ = self.given_ball  # there is such a ball
+        if isinstance(arm := self.given_arm, str):
             object.__setattr__(self, "arm", arm)  # as it is spelled here
-        self._check_tares()
-        self._check_model()
-
-    def _check_tares(self) -> None:
-        found: set[Path] = set()
-        for run in self.tares:
-            if isinstance(run, Path):
-                if real_path(run) in found:
-                    raise UsageError(f"--tare {run} is named twice; name each empty run once")
-                found.add(real_path(run))
-
-    def _check_model(self) -> None:
+        runs = [run for run in self.tares if isinstance(run, Path)]
+        for at, run in enumerate(runs):
+            if real_path(run) in map(real_path, runs[:at]):
+                raise UsageError(f"--tare {run} is named twice; name each empty run once")
         if self.model is None:
             for name, flag in (("parameters", "--tune"), ("mapping", "--map")):
                 if getattr(self, name):
@@ -317,12 +307,8 @@ class TuneOptions(Hints, ReadOptions):
         return self.torque_constants if self.effort_unit == "A" else ()
 
     @property
-    def told_ball(self) -> Ball:
-        """The ball, by name and measure: what is measured overrides the table.
-
-        Raises:
-            UsageError: There is no such ball.
-        """
+    def given_ball(self) -> Ball:
+        """The ball, by name and measure: what is measured overrides the table."""
         named = UNKNOWN_BALL if self.ball is None else self.ball
         ball = named if isinstance(named, Ball) else ball_named(named)
         diameter_m, mass_kg = self.ball_diameter_m, self.ball_mass_kg
@@ -331,18 +317,13 @@ class TuneOptions(Hints, ReadOptions):
         if mass_kg is None:
             return ball
         if ball.diameter_m is None:
-            raise UsageError(
-                "--ball-mass says nothing without the ball's size; add --ball-diameter"
-            )
+            what = "--ball-mass says nothing without the ball's size"
+            raise UsageError(what, "add --ball-diameter")
         return replace(ball, mass_kg=mass_kg)
 
     @property
-    def told_arm(self) -> str | tuple[Path, str] | None:
-        """The arm's name, or its URDF and the link that holds the payload; None: by the log.
-
-        Raises:
-            UsageError: One of these is without the other.
-        """
+    def given_arm(self) -> str | tuple[Path, str] | None:
+        """The arm's name, or its URDF and the link that holds the payload; None: by the log."""
         urdf, link = self.urdf, self.tool_link
         if self.arm is not None:
             return name_alone(self.arm, urdf, link)
@@ -355,7 +336,7 @@ class TuneOptions(Hints, ReadOptions):
     def ball_doubts(self) -> tuple[str, ...]:
         """What is odd about the stated ball, which is not refused for it."""
         doubts: list[str] = []
-        measured, ball = Ball(self.ball_diameter_m, self.ball_mass_kg), self.told_ball
+        measured, ball = Ball(self.ball_diameter_m, self.ball_mass_kg), self.given_ball
         if isinstance(self.ball, str) and contradict(measured, ball_named(self.ball)):
             known = ball_named(self.ball).words
             doubts.append(f"the ball {self.ball} has {known}; what was measured is used")
@@ -369,17 +350,9 @@ class TuneOptions(Hints, ReadOptions):
     @property
     def provenance(self) -> dict[str, Any]:
         """Options with another value than usual, as JSON values; files by their names."""
-        found = {
-            name: _as_json(getattr(self, name)) for name in self.given().values() if name != "tares"
-        }
+        names = [name for name in self.given().values() if name != "tares"]
+        found = {name: _as_json(getattr(self, name)) for name in names}
         return found if self.source is None else {**found, **self.source.told_as()}
-
-
-def _finite(given: float | Sequence[float]) -> tuple[float, ...]:
-    values = (given,) if isinstance(given, int | float) else tuple(given)
-    if not all(isinstance(value, int | float) and math.isfinite(value) for value in values):
-        raise UsageError(f"initial {given!r} are no numbers")
-    return tuple(map(float, values))
 
 
 def _as_json(value: Any) -> Any:
@@ -393,15 +366,7 @@ def _as_json(value: Any) -> Any:
 
 
 def options_of(given: Mapping[str, Any], logs: Sequence[Path] = ()) -> TuneOptions:
-    """Check named options, and read the files that they name.
-
-    Args:
-        given: By name; missing ones and None are the defaults.
-        logs: That will be tuned, which the arm card must not be from already.
-
-    Raises:
-        UsageError: There is no such option, or a value is invalid.
-    """
+    """Check named options, and read the files that they name."""
     options = made_of(TuneOptions, given)
     if options.model is not None:
         from tunenet_logs.analysis.sysid.source import ModelSource, listed_parameters

@@ -34,9 +34,6 @@ Result = TypeVar("Result")
 
 # ---- Ray cluster: one actor per core, libraries loaded once.
 
-_AT_A_TIME = 16  # items of a task: each task costs Ray some milliseconds
-_TASKS_AN_ACTOR = 4  # at least: a task has fewer items where there are few
-_ANSWERS_S = 10  # within which a cluster's head takes a call
 HERE = "local"  # the address of a cluster that is started on this machine for the work
 _LOOPBACK = "127.0.0.1"
 # Where such a cluster listens: Ray takes an address of the network in its place, and listens on
@@ -58,15 +55,11 @@ def on_cluster(
     items: Sequence[Item],
     lost: Callable[[Item], Result],
 ) -> Iterator[tuple[int, Result]]:
-    """Map `work` over items on a cluster, in the order they are done; see `streamed`.
-
-    Raises:
-        UsageError: Ray is not installed, or nobody answers at the address.
-        Exception: Raised by `work`.
-    """
+    """Map `work` over items on a cluster, in the order they are done; see `streamed`."""
     left = set(range(len(items)))
     with _connected(cluster) as actors:
-        at_a_time = max(1, min(_AT_A_TIME, len(items) // (actors * _TASKS_AN_ACTOR)))
+        # Each task costs Ray some milliseconds; each actor has four tasks or more.
+        at_a_time = max(1, min(16, len(items) // (actors * 4)))
         for many in (at_a_time, 1):
             rows = [{"number": at, "item": items[at]} for at in sorted(left)]
             for at, result in _done(work, rows, min(actors, max(1, len(rows))), many):
@@ -126,11 +119,7 @@ class _Worker:
 
 @contextmanager
 def _connected(cluster: Cluster) -> Iterator[int]:
-    """Connect to a cluster, and yield the number of actors that its cores allow.
-
-    Raises:
-        UsageError: There is none.
-    """
+    """Connect to a cluster, and yield the number of actors that its cores allow."""
     address, jobs = cluster.address, cluster.jobs
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     os.environ.setdefault("RAY_DEDUP_LOGS", "0")
@@ -162,7 +151,8 @@ def _connected(cluster: Cluster) -> Iterator[int]:
     try:
         if ":" in address:  # Ray itself tries for minutes, and then ends the process
             host, _, port = address.removeprefix("ray://").rpartition(":")
-            socket.create_connection((host, int(port)), _ANSWERS_S).close()
+            # A cluster's head takes a call within 10 s.
+            socket.create_connection((host, int(port)), 10).close()
         if address == HERE:
             cores = jobs or len(os.sched_getaffinity(0))
             begin(address=HERE, num_cpus=cores, _node_ip_address=_LOOPBACK)
@@ -187,9 +177,6 @@ def _connected(cluster: Cluster) -> Iterator[int]:
 
 
 # ---- Processes of this machine: results and their order are deterministic.
-
-_AHEAD = 2  # items given out for each process: the next is there when one is done
-_TRIES = 2  # of an item alone, after a process died: one may have been killed for another's memory
 
 
 @dataclass(frozen=True)
@@ -233,21 +220,10 @@ def streamed(
 ) -> Iterator[tuple[int, Result]]:
     """Map `work` over items in `jobs` processes, and yield results as they are done.
 
-    A process that dies takes with it what all of them had under way: each is retried alone.
-
-    Args:
-        work: A function of a module, so that a process can import it.
-        items: Items to map.
-        jobs: None for all cores.
-        may_stay: Whether one job runs in this process, with as many threads as that has.
-        lost: Builds the result of an item whose process died alone, too, at each try; without it a
-            process that dies is an error.
-
-    Yields:
-        The index of an item, and its result.
-
-    Raises:
-        BrokenProcessPool: A process died, and there is no `lost`.
+    A process that dies takes with it what all of them had under way: each is retried alone. `lost`
+    builds the result of an item whose process died at each of these tries, too; without it a
+    process that dies is an error (BrokenProcessPool). `jobs` is None for all cores; with `may_stay`
+    one job runs in this process, with as many threads as that has.
     """
     jobs = min(jobs or len(os.sched_getaffinity(0)), max(1, len(items)))
     if jobs == 1 and may_stay:
@@ -257,48 +233,34 @@ def streamed(
     while waiting:
         under_way: set[int] = set()
         try:
-            yield from _pooled(work, items, waiting, under_way, jobs)
+            with _pool(jobs) as pool:
+                futures: dict[Future[Result], int] = {}
+                while waiting or futures:
+                    with signals_held(), heard():  # this process ends its workers, quietly
+                        # Two for each process, so that results never pile up.
+                        while waiting and len(futures) < 2 * jobs:
+                            at = waiting.popleft()
+                            under_way.add(at)
+                            futures[pool.submit(work, items[at])] = at
+                    for future in wait(futures, return_when=FIRST_COMPLETED).done:
+                        result = future.result()
+                        at = futures.pop(future)
+                        under_way.discard(at)
+                        yield at, result
         except BrokenProcessPool:
             if lost is None:
                 raise
         for at in sorted(under_way):
-            yield at, _alone(work, items[at], lost)
-
-
-def _alone(
-    work: Callable[[Item], Result], item: Item, lost: Callable[[Item], Result] | None
-) -> Result:
-    """Run one item in a process of its own, up to `_TRIES` times."""
-    for _ in range(_TRIES):
-        with suppress(BrokenProcessPool), _pool(1) as pool:
-            with signals_held(), heard():
-                future = pool.submit(work, item)
-            return future.result()
-    assert lost is not None
-    return lost(item)
-
-
-def _pooled(
-    work: Callable[[Item], Result],
-    items: Sequence[Item],
-    waiting: deque[int],
-    under_way: set[int],
-    jobs: int,
-) -> Iterator[tuple[int, Result]]:
-    """Run waiting items, few ahead at a time, so that results never pile up."""
-    with _pool(jobs) as pool:
-        futures: dict[Future[Result], int] = {}
-        while waiting or futures:
-            with signals_held(), heard():  # this process ends its workers, quietly
-                while waiting and len(futures) < _AHEAD * jobs:
-                    at = waiting.popleft()
-                    under_way.add(at)
-                    futures[pool.submit(work, items[at])] = at
-            for future in wait(futures, return_when=FIRST_COMPLETED).done:
-                result = future.result()
-                at = futures.pop(future)
-                under_way.discard(at)
-                yield at, result
+            assert lost is not None
+            for _ in range(2):  # one may have been killed for another's memory
+                with suppress(BrokenProcessPool), _pool(1) as pool:
+                    with signals_held(), heard():
+                        future = pool.submit(work, items[at])
+                    result = future.result()
+                    break
+            else:
+                result = lost(items[at])
+            yield at, result
 
 
 @contextmanager

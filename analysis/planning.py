@@ -52,11 +52,8 @@ _DRAG_SD_1_M = 0.02
 _SAME_DRAG = 0.2
 
 SLOPE, DRAG = "restitution_slope", "drag"  # the names of a tuning's estimates
-_MAX_DRAG_1_M = 10.0  # no ball that falls has more
 # Where a slope comes from: the tuning, its bounces, the user, nowhere (it is then 0).
 SlopeSource = Literal["tuned", "bounces", "told", "assumed"]
-
-_MAX_SPEED_M_S = 1e4  # of an impact; nothing that people drop is faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +65,7 @@ class KnownBall:
     bounces: int = 0  # number seen
     remarks: tuple[str, ...] = ()  # for the user
     slope_source: SlopeSource = "told"  # where the law's slope comes from
-    # Deceleration by the air over speed squared; None for that of the rig's ball
-    drag_1_m: float | None = None
+    drag_1_m: float | None = None  # deceleration over speed squared; None: the rig's ball's
     drag_sd_1_m: float = 0.0  # its standard deviation; 0 if the user states the drag
     name: str = ""  # of the ball, as it was recorded
     logs: Logs = field(default_factory=dict)  # that it was tuned from; see `logs_of`
@@ -87,33 +83,15 @@ class KnownBall:
 
 
 def told_ball(
-    restitution: float,
-    slope: float = 0.0,
-    sd: float = TOLD_SD,
-    drag_1_m: float | None = None,
+    restitution: float, slope: float = 0.0, sd: float = TOLD_SD, drag_1_m: float | None = None
 ) -> KnownBall:
-    """Build a ball whose restitution the user states.
-
-    Args:
-        restitution: At 3 m/s if there is a slope, else at the shot's own impact.
-        slope: Its exponent over speed; see `SpeedLaw`.
-        sd: Of the restitution.
-        drag_1_m: Of the air; None for that of the rig's ball.
-
-    Raises:
-        UsageError: No ball has it.
-    """
+    """Build a ball whose restitution the user states."""
     covariance = _covariance(restitution, sd)
     return KnownBall(SpeedLaw(restitution, slope), covariance, drag_1_m=drag_1_m)
 
 
 def read_tuning(path: Path) -> KnownBall:
-    """Read the ball of a tuning's JSON.
-
-    Raises:
-        LogError: It cannot be read, or is no tuning of a ball.
-        NotFoundError: The tuning was rejected; the message says why.
-    """
+    """Read the ball of a tuning's JSON."""
     record = read_record(path)
     if record.verdict == "rejected":
         raise NotFoundError(
@@ -136,13 +114,7 @@ def read_tuning(path: Path) -> KnownBall:
 
 
 def contradiction(ball: KnownBall, rig_ball: ShotBall, *, is_told: bool) -> str | None:
-    """Describe how the rig's ball contradicts that of the tuning; None if it does not.
-
-    Args:
-        ball: Of the tuning.
-        rig_ball: Of the rig.
-        is_told: Whether the user gave the rig; the default one can contradict in size only.
-    """
+    """Describe how the rig's ball contradicts that of the tuning; None if it does not."""
     named = BALLS.get(ball.name)
     if named is not None and contradict(rig_ball.body, named):
         return (
@@ -161,11 +133,7 @@ def contradiction(ball: KnownBall, rig_ball: ShotBall, *, is_told: bool) -> str 
 
 
 def _ball_of(record: Record) -> KnownBall:
-    """Build the ball by what was tuned; of a record without a slope, by its bounces.
-
-    Raises:
-        ValueError: It holds a value that no ball has.
-    """
+    """Build the ball by what was tuned; of a record without a slope, by its bounces."""
     first = _tuned(record, RESTITUTION.name, 0.0, 1.0)
     if first is None:
         raise ValueError("holds no restitution; give the tuning of a dropped ball")
@@ -174,12 +142,13 @@ def _ball_of(record: Record) -> KnownBall:
         speed, value, interval95 = bounce.impact_speed_m_s, bounce.restitution, bounce.interval95
         if speed is None:
             continue
-        if not 0 < speed < _MAX_SPEED_M_S:
+        if not 0 < speed < 1e4:  # of an impact; nothing that people drop is faster
             raise ValueError(f"impact_speed {speed} is none")
-        seen.append((speed, value, _told_sd(_sd(interval95))))
+        own_sd = _sd(interval95)
+        seen.append((speed, value, TOLD_SD if own_sd is None else own_sd))
         _check("restitution", value, 0.0, 1.0)
     slope = _tuned(record, SLOPE, -1.0, 1.0) if record.physical else None
-    value, sd = first.value, _told_sd(first.sd)
+    value, sd = first.value, TOLD_SD if first.sd is None else first.sd
     if not seen:
         remark = (
             "the tuning knows no impact speeds: the restitution is taken as the same at all speeds"
@@ -192,7 +161,8 @@ def _ball_of(record: Record) -> KnownBall:
         ball = KnownBall(law, covariance, len(seen), slope_source="tuned")
     else:
         ball = _fitted(np.array(seen, dtype=float))
-    drag = _tuned(record, DRAG, 0.0, _MAX_DRAG_1_M) if record.physical else None
+    # No ball that falls has a drag of more than 10 /m.
+    drag = _tuned(record, DRAG, 0.0, 10.0) if record.physical else None
     if drag is None:
         return ball
     sd_1_m = max(drag.value / 2, _DRAG_SD_1_M) if drag.sd is None else drag.sd
@@ -224,10 +194,6 @@ def _sd(interval95: Interval | None) -> float | None:
     return None if interval95 is None else abs(interval95[1] - interval95[0]) / 2 / TWO_SIDED
 
 
-def _told_sd(sd: float | None) -> float:
-    return TOLD_SD if sd is None else sd
-
-
 def _covariance(value: float, sd: float, slope_sd: float = 0.0, more: float = 0.0) -> Array:
     """Return a law's covariance, shape (2, 2); `more` adds to the sd of ln(restitution)."""
     level = (max(sd, _MIN_RESTITUTION_SD) / max(value, TOLD_SD)) ** 2
@@ -237,8 +203,7 @@ def _covariance(value: float, sd: float, slope_sd: float = 0.0, more: float = 0.
 def _fitted(seen: Array) -> KnownBall:
     """Fit ln e = a - p ln(v / v_1) by Bayesian linear regression, with the prior p ~ N(0, 0.1).
 
-    Args:
-        seen: Speed [m/s], restitution and its standard deviation of each bounce, shape (N, 3).
+    `seen` has the speed [m/s], restitution and its standard deviation of each bounce, (N, 3).
     """
     speeds, values, sds = seen.T
     sds = np.maximum(sds, _MIN_RESTITUTION_SD)
@@ -268,7 +233,6 @@ Range = tuple[float, float]  # lower and upper end
 # Searched beyond the reach: 30 mm, or more standard deviations of a height than a shot is ever off.
 _ROOM_M, _ROOM_SDS = 0.03, 5
 
-_MAX_ROOM_M = 1.0  # likewise: a shot that passes even from there is reported so far
 
 # Heights that are tried at a time beyond either end of the reach, as dense as those within it:
 # enough to find an end, and not too many for a user who waits.
@@ -295,22 +259,13 @@ def height_ends(
     """Find, around each given height, the least and greatest [m] from which the ball passes.
 
     The search goes beyond the reach too: by five standard deviations of a height or 30 mm, and
-    on until the ball does not pass, or for 1 m.
-
-    Args:
-        rig: Plane, hoop and reach.
-        ball: With its uncertainty.
-        heights_m: Ascending, shape (N,).
-        gaps_m: Signed, at these, shape (N,).
-        which: Indices of heights from which it passes, shape (M,).
-
-    Returns:
-        M ranges.
+    on until the ball does not pass, or for 1 m. Heights ascend, shape (N,), with their signed
+    gaps; `which` are indices of those from which it passes, shape (M,).
     """
     wide, gaps, before = heights_m, gaps_m, 0
     pitch_m = (heights_m[-1] - heights_m[0]) / (len(heights_m) - 1)
     room_m = max(_ROOM_M, _ROOM_SDS * rig.release.height_sd_m)
-    most_m = max(_MAX_ROOM_M, room_m)
+    most_m = max(1.0, room_m)  # likewise: a shot that passes even from there is reported so far
     while True:
         count = int(np.clip(np.ceil(room_m / pitch_m), _MIN_HEIGHTS, _MAX_HEIGHTS))
         lowest, highest = max(wide[0] - room_m, _MIN_HEIGHT_M), wide[-1] + room_m
@@ -329,17 +284,7 @@ def height_ends(
 
 
 def restitution_ends(rig: ShotRig, ball: KnownBall, heights_m: Array, values: Array) -> list[Range]:
-    """Find how far each shot's restitution may be off, down and up, while the ball still passes.
-
-    Args:
-        rig: Plane, hoop and reach.
-        ball: With its uncertainty.
-        heights_m: From which it passes, shape (N,).
-        values: Its restitutions there, shape (N,); ends beyond 0 and 1 are not searched.
-
-    Returns:
-        N ranges of differences from `values`.
-    """
+    """Find how far each shot's restitution may be off, down and up, while the ball still passes."""
     shifts = np.linspace(-_FIRST_SHIFT, _FIRST_SHIFT, 2 * _SHIFTS + 1)
     gaps = _shifted_gaps_m(rig, ball, heights_m, shifts)
     while True:
@@ -358,18 +303,7 @@ def restitution_ends(rig: ShotRig, ball: KnownBall, heights_m: Array, values: Ar
 
 
 def drag_ends(rig: ShotRig, ball: KnownBall, heights_m: Array) -> list[Range]:
-    """Find, around the ball's drag, the least and greatest [1/m] with which it passes.
-
-    The search goes from zero to 0.5 /m more.
-
-    Args:
-        rig: Plane, hoop and reach; its ball's drag is the middle.
-        ball: With its uncertainty.
-        heights_m: From which it passes, shape (N,).
-
-    Returns:
-        N ranges.
-    """
+    """Find, around the ball's drag, the least and greatest [1/m] with which it passes."""
     middle_1_m = rig.ball.air_drag_1_m
     away = np.linspace(0.0, 1.0, _DRAGS + 1)[1:] ** 2
     below = middle_1_m * (1 - away[::-1]) if middle_1_m else np.zeros(0)
@@ -406,14 +340,6 @@ def _ends(values: Array, gaps: Array, index: int) -> Range:
 # ---- Plan: simulate a range of release heights, and choose the most tolerant.
 
 SHOTS = 100  # heights that are tried: the paper's number
-_ENOUGH_SDS = 30.0  # of shots with a larger margin, the best passes nearest to the centre
-
-# Heights whose margins are searched, those nearest to the centre: each costs many rollouts.
-_MAX_JUDGED_HEIGHTS = 40
-
-# No robot lets go more precisely; keeps the margin finite where the rig gives 0.
-_MIN_HEIGHT_SD_M = 1e-4
-_MIN_DRAG_SD_1_M = 1e-5  # likewise of a drag
 
 
 @dataclass(frozen=True)
@@ -429,8 +355,7 @@ class BestShot:
     restitution_sd: float  # its standard deviation
     restitutions: Range  # least and greatest with which the ball passes without touching the rim
     heights_m: Range  # least and greatest height from which it does
-    # Least and greatest drag with which it does; None if the user states it
-    drags_1_m: Range | None
+    drags_1_m: Range | None  # least and greatest drag; None if the user states it
     margin: float  # to the nearest of these ends, in standard deviations
 
 
@@ -441,8 +366,7 @@ class Plan:
     rig: ShotRig  # plane, hoop and reach; its ball has the tuned drag, if any
     ball: KnownBall  # with its uncertainty
     heights_m: Array  # that were tried, ascending, shape (N,)
-    # Where each would pass the hoop's plane, forward and left of its centre, (N, 2); NaN for one
-    # that never comes down there
+    # Where each passes the hoop's plane, forward and left of its centre, (N, 2); NaN if nowhere
     offset_m: Array
     clearance_m: Array  # see `signed_gap_m`, shape (N,)
     flights: Flights  # with the rim in the way, and the paths
@@ -477,18 +401,15 @@ class Plan:
                 f"{self.heights_m[self.nearest]:.3f} m: move the hoop, or reach farther"
             )
         elif best.margin < 2:
+            drag, sd = self.ball.drag_1_m, self.ball.drag_sd_1_m
+            also = f" and a drag of {drag:.3g} ± {sd:.2g} /m" if drag is not None and sd else ""
             found.append(
                 f"restitution {best.restitution:.3f} ± {best.restitution_sd:.3f} and a height kept "
-                f"to {1000 * reach.height_sd_m:.1f} mm{self._drag_words} leave {best.margin:.1f} "
+                f"to {1000 * reach.height_sd_m:.1f} mm{also} leave {best.margin:.1f} "
                 "standard deviations to the rim: drop the ball again for a surer restitution, or "
                 "widen the hoop"
             )
         return tuple(found)
-
-    @property
-    def _drag_words(self) -> str:
-        drag, sd = self.ball.drag_1_m, self.ball.drag_sd_1_m
-        return f" and a drag of {drag:.3g} ± {sd:.2g} /m" if drag is not None and sd else ""
 
 
 def plan_shot(rig: ShotRig, ball: KnownBall, shots: int = SHOTS) -> Plan:
@@ -521,8 +442,8 @@ def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> Best
     if not len(candidates):
         return None
     misses = np.hypot(*tried.offset_m.T)
-    if len(candidates) > _MAX_JUDGED_HEIGHTS:
-        candidates = candidates[np.argsort(misses[candidates])[:_MAX_JUDGED_HEIGHTS]]
+    if len(candidates) > 40:  # the margin of each costs many rollouts
+        candidates = candidates[np.argsort(misses[candidates])[:40]]
     values = ball.law.at(tried.impact_m_s[candidates])
     drags: list[Range | None] = [None] * len(candidates)
     if ball.drag_sd_1_m:
@@ -539,11 +460,12 @@ def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> Best
         height, speed = float(heights[index]), float(tried.impact_m_s[index])
         sd = ball.sd_at(speed)
         room_m = min(height - ends[0], ends[1] - height)
-        margins = (
-            min(-shifts[0], shifts[1]) / sd,
-            room_m / max(rig.release.height_sd_m, _MIN_HEIGHT_SD_M),
-            _drag_margin(ball, drag),
-        )
+        # No robot lets go more precisely than a tenth of a millimetre, though a rig may say 0.
+        margins = [min(-shifts[0], shifts[1]) / sd, room_m / max(rig.release.height_sd_m, 1e-4)]
+        if drag is not None and ball.drag_1_m is not None:  # no ball has less drag than none
+            below_1_m = ball.drag_1_m - drag[0] if drag[0] > 0 else math.inf
+            room_1_m = min(below_1_m, drag[1] - ball.drag_1_m)
+            margins.append(room_1_m / max(ball.drag_sd_1_m, 1e-5))
         judged.append(
             BestShot(
                 index=index,
@@ -553,25 +475,14 @@ def _best(rig: ShotRig, ball: KnownBall, heights: Array, tried: Flights) -> Best
                 impact_m_s=speed,
                 restitution=restitution,
                 restitution_sd=sd,
-                restitutions=(
-                    max(restitution + shifts[0], 0.0),
-                    min(restitution + shifts[1], 1.0),
-                ),
+                restitutions=(max(restitution + shifts[0], 0.0), min(restitution + shifts[1], 1.0)),
                 heights_m=ends,
                 drags_1_m=drag,
                 margin=float(min(margins)),
             )
         )
-    return max(judged, key=lambda shot: (min(shot.margin, _ENOUGH_SDS), -shot.miss_m))
-
-
-def _drag_margin(ball: KnownBall, drags_1_m: Range | None) -> float:
-    """Return the margin to the nearer drag [sd]; no ball has less drag than none."""
-    if drags_1_m is None or ball.drag_1_m is None:
-        return math.inf
-    low, high = drags_1_m
-    room_1_m = min(ball.drag_1_m - low if low > 0 else math.inf, high - ball.drag_1_m)
-    return room_1_m / max(ball.drag_sd_1_m, _MIN_DRAG_SD_1_M)
+    # Of shots with a margin over 30 standard deviations, the best passes nearest to the centre.
+    return max(judged, key=lambda shot: (min(shot.margin, 30.0), -shot.miss_m))
 
 
 # ---- Replay: the chosen shot in a physics engine that solves its impacts.
@@ -612,16 +523,14 @@ _SLOPE_SOURCES: Mapping[SlopeSource, str] = {
     "assumed": "not known, taken as none",
 }
 
-_EVERY = 10  # of the heights that do not score, one in ten is in the table: all fill a screen
-
 
 def plan_json(plan: Plan, replay: Replay | None) -> str:
     """Format the plan as one JSON object; its keys are a contract, new ones may be added."""
-    best = plan.best
+    best, law, known = plan.best, plan.ball.law, plan.ball
     shots = [
         {
             "height": height,
-            "miss": _or_none(miss),
+            "miss": None if math.isnan(miss) else miss,
             "clearance": clearance if clearance > -1 else None,
             "passes": clearance > 0,
             "scores": through,
@@ -637,26 +546,40 @@ def plan_json(plan: Plan, replay: Replay | None) -> str:
         )
     ]
     content: dict[str, Any] = {
-        "made": mark("plan", plan.ball.logs),
+        "made": mark("plan", known.logs),
         "task": "bounce-shot",
         "unit": "m",
         "ball": {
-            "restitution": plan.ball.law.restitution,
-            "slope": plan.ball.law.slope,
-            "at_speed": plan.ball.law.at_m_s,
-            "bounces": plan.ball.bounces,
-            "slope_sd": plan.ball.slope_sd,
-            "slope_from": plan.ball.slope_source,
+            "restitution": law.restitution,
+            "slope": law.slope,
+            "at_speed": law.at_m_s,
+            "bounces": known.bounces,
+            "slope_sd": known.slope_sd,
+            "slope_from": known.slope_source,
             "drag": plan.rig.ball.air_drag_1_m,
-            "drag_sd": plan.ball.drag_sd_1_m,
-            "drag_from": drag_source(plan.ball),
+            "drag_sd": known.drag_sd_1_m,
+            "drag_from": drag_source(known),
         },
-        "best": None if best is None else _best_fields(best),
+        "best": best
+        and {
+            "height": best.height_m,
+            "miss": best.miss_m,
+            "clearance": best.clearance_m,
+            "impact_speed": best.impact_m_s,
+            "restitution": best.restitution,
+            "restitution_sd": best.restitution_sd,
+            "tolerance": {
+                "restitution": best.restitutions,
+                "height": best.heights_m,
+                "drag": best.drags_1_m,
+            },
+            "margin_sd": best.margin,
+        },
         "replay": replay
         and {
             "engine": replay.engine,
             "through": replay.is_through,
-            "miss": _or_none(replay.miss_m),
+            "miss": None if math.isnan(replay.miss_m) else replay.miss_m,
         },
         "warnings": list(plan.warnings),
         "shots": shots,
@@ -666,36 +589,20 @@ def plan_json(plan: Plan, replay: Replay | None) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _best_fields(best: BestShot) -> dict[str, Any]:
-    return {
-        "height": best.height_m,
-        "miss": best.miss_m,
-        "clearance": best.clearance_m,
-        "impact_speed": best.impact_m_s,
-        "restitution": best.restitution,
-        "restitution_sd": best.restitution_sd,
-        "tolerance": {
-            "restitution": list(best.restitutions),
-            "height": list(best.heights_m),
-            "drag": best.drags_1_m and list(best.drags_1_m),
-        },
-        "margin_sd": best.margin,
-    }
-
-
 def plan_table(plan: Plan, replay: Replay | None) -> str:
     """Format the heights that pass and every tenth of the others, then the best in words."""
-    head = f"{'height':>10}  {'miss':>8}  {'to the rim':>10}  outcome"
-    lines = [head]
+    lines = [f"{'height':>10}  {'miss':>8}  {'to the rim':>10}  outcome"]
     for index, height in enumerate(plan.heights_m.tolist()):
-        passes = plan.clearance_m[index] > 0
-        if passes or index % _EVERY == 0 or index == len(plan.heights_m) - 1:
+        passes, miss_m = plan.clearance_m[index] > 0, float(plan.miss_m[index])
+        # One in ten of those that do not score, so that all fill a screen.
+        if passes or index % 10 == 0 or index == len(plan.heights_m) - 1:
             room = f"{1000 * plan.clearance_m[index]:.1f} mm" if passes else "-"
+            miss = "-" if math.isnan(miss_m) else f"{1000 * miss_m:.0f} mm"
+            said = "passes" if passes else "misses"
+            if not passes and plan.flights.has_touched[index]:
+                said = "off the rim, in" if plan.flights.is_through[index] else "off the rim"
             mark = "  <- best" if plan.best is not None and index == plan.best.index else ""
-            lines.append(
-                f"{height:8.4f} m  {_miss(float(plan.miss_m[index])):>8}  {room:>10}  "
-                f"{outcome_words(plan, index)}{mark}"
-            )
+            lines.append(f"{height:8.4f} m  {miss:>8}  {room:>10}  {said}{mark}")
     again = [replay.words] if replay else []
     return "\n".join([*lines, "", *best_lines(plan), *again, *ball_lines(plan)])
 
@@ -721,28 +628,19 @@ def best_lines(plan: Plan) -> list[str]:
 
 def ball_lines(plan: Plan) -> list[str]:
     """Describe the ball's slope and drag, with their sources."""
-    ball, law = plan.ball, plan.ball.law
+    ball, law, own = plan.ball, plan.ball.law, plan.rig.ball
     slope_sd = f" ± {ball.slope_sd:.3f}" if ball.slope_sd else ""
     drag_sd = f" ± {ball.drag_sd_1_m:.4f}" if ball.drag_sd_1_m else ""
-    at = (
-        ""
-        if ball.slope_source in ("assumed", "told") and not law.slope
-        else (f" of {law.restitution:.4f} at {law.at_m_s:.2f} m/s")
-    )
+    is_flat = ball.slope_source in ("assumed", "told") and not law.slope
+    at = "" if is_flat else f" of {law.restitution:.4f} at {law.at_m_s:.2f} m/s"
+    source = drag_source(ball)
+    if source == "rig":
+        source = "no air" if own.mass_kg is None else f"the rig's ball: {own.body.words}"
+        source = source if own.drag_1_m is None else "the rig's"
     return [
         f"slope {law.slope:.3f}{slope_sd}{at} ({_SLOPE_SOURCES[ball.slope_source]})",
-        f"drag {plan.rig.ball.air_drag_1_m:.4f}{drag_sd} /m ({drag_words(plan)})",
+        f"drag {own.air_drag_1_m:.4f}{drag_sd} /m ({source})",
     ]
-
-
-def drag_words(plan: Plan) -> str:
-    """Describe where the drag of a plan comes from."""
-    ball = plan.rig.ball
-    if drag_source(plan.ball) != "rig":
-        return drag_source(plan.ball)
-    if ball.drag_1_m is not None:
-        return "the rig's"
-    return "no air" if ball.mass_kg is None else f"the rig's ball: {ball.body.words}"
 
 
 def drag_source(ball: KnownBall) -> str:
@@ -750,20 +648,3 @@ def drag_source(ball: KnownBall) -> str:
     if ball.drag_1_m is None:
         return "rig"
     return "told" if ball.slope_source == "told" else "tuned"
-
-
-def outcome_words(plan: Plan, index: int) -> str:
-    """Describe the simulated outcome of one height."""
-    if plan.clearance_m[index] > 0:
-        return "passes"
-    if plan.flights.has_touched[index]:
-        return "off the rim, in" if plan.flights.is_through[index] else "off the rim"
-    return "misses"
-
-
-def _miss(miss_m: float) -> str:
-    return "-" if math.isnan(miss_m) else f"{1000 * miss_m:.0f} mm"
-
-
-def _or_none(value: float) -> float | None:
-    return None if math.isnan(value) else value

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tunenet_logs.addresses import Address
-from tunenet_logs.analysis.checks import CrossCheck
 from tunenet_logs.analysis.compare import (
     TEST_WORDS,
     ComparedGroup,
@@ -28,7 +28,7 @@ from tunenet_logs.analysis.compare import (
     restitution_value,
 )
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.record import Estimate, Record
+from tunenet_logs.analysis.record import Estimate, Interval, Record
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 from tunenet_logs.terminal import one_line, short_name
 
@@ -73,8 +73,7 @@ class TextTable:
     notes: Sequence[Sequence[str]] = ()  # lines below each row; none for no row
     title: str = ""  # what it is, in a word or two; also the name of its style on a page
     anchors: Sequence[str] = ()  # where the second cell of each row leads on a page; "" for nowhere
-    # what a page shows of it until a reader opens it; "" for all. No terminal shows it
-    folded: str = ""
+    folded: str = ""  # what a page shows until a reader opens it; no terminal shows such a table
 
 
 Block = Heading | Paragraph | Items | TextTable
@@ -227,9 +226,7 @@ def _width(columns: Columns) -> int:
 
 # ---- Phrases: numbers, intervals and second estimates.
 
-_MIN_DECIMALS, _MAX_DECIMALS = 4, 6  # of an interval's ends
 _MAX_WRITTEN_OUT = 1e9  # no quantity is larger, but a stranger's file may say so
-_SAME = 0.001  # of a restitution: with a ball that differs by less, a simulator needs no air
 
 
 def number_words(value: float) -> str:
@@ -237,16 +234,19 @@ def number_words(value: float) -> str:
     return f"{value:.4g}" if abs(value) > _MAX_WRITTEN_OUT else f"{round(value, 4) + 0.0:.4f}"
 
 
-def interval_words(low: float, high: float) -> str:
+def interval_words(ends: Interval | None, none: str = "-") -> str:
     """Format an interval with enough decimals: equal ends would read as certainty.
 
     The last digits differ by two or more. If six decimals do not show that, the ends are rounded
     away from each other.
     """
+    if ends is None:
+        return none
+    low, high = ends
     if max(abs(low), abs(high)) > _MAX_WRITTEN_OUT:
         return f"{low:.4g} to {high:.4g}"
-    decimals = _MIN_DECIMALS
-    while decimals < _MAX_DECIMALS and round(high * 10**decimals) - round(low * 10**decimals) < 2:
+    decimals = 4
+    while decimals < 6 and round(high * 10**decimals) - round(low * 10**decimals) < 2:
         decimals += 1
     unit = 10**decimals
     first, last = round(low * unit), round(high * unit)
@@ -260,17 +260,13 @@ def quantity(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} [{unit}]"
 
 
-def interval_mark(record: Record) -> str:
+def interval_mark(verdict: str) -> str:
     """Return a mark for the interval of a verdict that is not ok."""
-    return "" if record.verdict == "ok" else f" ({record.verdict})"
-
-
-def extra_words(known: Estimate) -> str:
-    """Format a quantity of several numbers, each with half its interval if it has one."""
-    return f"{quantity(known.name, known.unit)} {_numbers(known)}"
+    return "" if verdict == "ok" else f" ({verdict})"
 
 
 def _numbers(known: Estimate) -> str:
+    """Format one or several numbers, each with half its interval if it has one."""
     values = np.atleast_1d(known.value)
     halves = [""] * len(values)
     if known.interval95 is not None:
@@ -279,22 +275,14 @@ def _numbers(known: Estimate) -> str:
     return ", ".join(f"{value:.4f}{half}" for value, half in zip(values, halves, strict=True))
 
 
-def cross_words(cross: CrossCheck) -> str:
-    """Format a second estimate with its noise, its method, and its tolerance."""
-    noise = "" if cross.noise95 is None else f" ± {cross.noise95:.4f} by its noise alone"
-    allowed = (
-        "" if cross.tolerance is None else f"; up to {cross.tolerance:.4f} off counts as agreed"
-    )
-    return f"{cross.value:.4f}{noise}, by {cross.method}{allowed}"
-
-
 def equivalent_words(record: Record) -> str:
     """Describe the ball for a simulator without air; "" if it is the same there."""
     known = record.motion.equivalents
     if known is None or not record.estimates:
         return ""
     value = float(np.atleast_1d(record.estimates[0].value)[0])
-    if max(abs(one.restitution - value) for one in (known.first, known.all)) < _SAME:
+    # With a restitution that differs by less, a simulator needs no air.
+    if max(abs(one.restitution - value) for one in (known.first, known.all)) < 0.001:
         return ""
     return (
         f"without air: {known.first.restitution:.3f} for the first rebound "
@@ -311,25 +299,21 @@ def sound_words(record: Record) -> str:
     if sound.offset_s is None:
         return f"sound: not used: {sound.reason}"
     side = "after" if sound.offset_s >= 0 else "before"
-    ends = record.estimates[0].interval95 if record.estimates else None
-    now = "" if ends is None else f", {interval_words(*map(float, np.ravel(ends)))} with it"
+    ends = record.estimates[0].components[0].interval95 if record.estimates else None
+    now = "" if ends is None else f", {interval_words(ends)} with it"
     return (
         f"sound: {sound.heard} of {sound.impacts} impacts heard, {1000 * abs(sound.offset_s):.1f} "
-        f"ms {side} the pictures; interval {interval_words(*sound.interval95)} without it{now}"
+        f"ms {side} the pictures; interval {interval_words(sound.interval95)} without it{now}"
     )
 
 
 def value_words(value: ComparedValue) -> str:
     """Format a value with its interval, and a verdict that is not ok."""
-    mark = "" if value.verdict == "ok" else f" ({value.verdict})"
-    if value.interval95 is None:
-        return f"{number_words(value.value)} (no interval){mark}"
-    return f"{number_words(value.value)} ({interval_words(*value.interval95)}){mark}"
+    ends = interval_words(value.interval95, "no interval")
+    return f"{number_words(value.value)} ({ends}){interval_mark(value.verdict)}"
 
 
 # ---- Tunings for the terminal: one table.
-
-_SHORT = {"restitution_slope": "slope"}  # what a table calls a parameter whose name is long
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,9 +333,7 @@ def row_of(tuning: Tuning, record: Record) -> Row:
     """Build the row of a tuning and its record."""
     presets = tuning.experiment.presets if tuning.experiment else {}
     parameter = presets[tuning.preset].parameters[0] if tuning.preset in presets else None
-    truth = None
-    if tuning.episode is not None and parameter is not None:
-        truth = tuning.episode.info.truth.get(parameter.name)
+    truth = tuning.episode.info.truth if tuning.episode else {}
     return Row(
         log=tuning.log,
         record=record,
@@ -359,7 +341,7 @@ def row_of(tuning: Tuning, record: Record) -> Row:
         parameter=quantity(parameter.name, parameter.unit) if parameter else "",
         extent=tuning.detection.extent if tuning.detection else None,
         preset=tuning.preset,
-        truth=truth,
+        truth=truth.get(parameter.name) if parameter else None,
     )
 
 
@@ -375,79 +357,65 @@ def table(rows: Sequence[Row], most: int | None = None) -> str:
 
 
 def _tunings(parameter: str, rows: Sequence[Row]) -> TextTable:
-    """Build the table of logs with the same first parameter."""
-    records = [row.record for row in rows]
-    firsts = [one.estimates[0].components[0] if one.estimates else None for one in records]
-    extents = [row.extent[0] for row in rows if row.extent is not None]
-    others = dict.fromkeys(
+    """Build the table of logs with the same first parameter; notes are what it has no room for."""
+    scalars = [
         (known.name, known.unit)
-        for record in records
-        for known in record.estimates[1:]
+        for row in rows
+        for known in row.record.estimates[1:]
         if isinstance(known.value, float)
-    )
-    columns = {
-        "log": [one_line(row.log) for row in rows],
-        "verdict": [record.verdict for record in records],
-        parameter: ["-" if one is None else f"{one.value:.4f}" for one in firsts],
-        "95 % interval": [
-            "-"
-            if one is None or one.interval95 is None
-            else interval_words(*one.interval95) + interval_mark(record)
-            for one, record in zip(firsts, records, strict=True)
-        ],
-        **{
-            quantity(_SHORT.get(name, name), unit): [
-                "-" if (known := record.estimate(name)) is None else _numbers(known)
-                for record in records
-            ]
-            for name, unit in others
-        },
-        "cross-check (tolerance)": [
-            "-"
-            if one is None
-            else f"{one.value:.4f}" + ("" if one.tolerance is None else f" ({one.tolerance:.4f})")
-            for one in (record.cross_check for record in records)
-        ],
-        (extents or [""])[0]: ["-" if row.extent is None else row.extent[1] for row in rows],
-        "fits": [
-            "-"
-            if one.motion.fit is None or not one.estimates
-            else f"{one.motion.fit.excess_percent:.2f} %"
-            for one in records
-        ],
-        "rollouts": [str(record.rollouts) for record in records],
-        "time": [f"{record.seconds.get('total', 0.0):.2f} s" for record in records],
-        "truth": ["-" if row.truth is None else f"{row.truth:.4f}" for row in rows],
-    }
-    for optional in ("truth", "95 % interval", "fits"):
-        if set(columns[optional]) == {"-"}:
-            del columns[optional]
-    columns.pop("", None)
-    cells = tuple(zip(*columns.values(), strict=True))
-    return TextTable(tuple(columns), cells, [_lines_below(row) for row in rows])
-
-
-def _lines_below(row: Row) -> list[str]:
-    """List what a table's line has no room for."""
-    record = row.record
-    lines = [extra_words(known) for known in record.estimates[1:] if isinstance(known.value, tuple)]
-    if record.estimates:
-        lines += [*filter(None, [equivalent_words(record)]), *record.motion.unidentifiable]
-        lines += filter(None, [sound_words(record)])
-    if record.reason:
-        lines.append(one_line(f"{record.verdict}: {record.reason}"))
-    if record.estimates and not record.physical:
-        lines.append(f"{row.preset}: the engine's number under the paper's settings")
-    return lines
+    ]
+    extent = next((row.extent[0] for row in rows if row.extent is not None), "")
+    lines: list[dict[str, str]] = []
+    notes: list[list[str]] = []
+    for row in rows:
+        record, cross, fit = row.record, row.record.cross_check, row.record.motion.fit
+        first = record.estimates[0].components[0] if record.estimates else None
+        ends = interval_words(first and first.interval95)
+        second = "-" if cross is None else f"{cross.value:.4f}"
+        if cross is not None and cross.tolerance is not None:
+            second += f" ({cross.tolerance:.4f})"
+        cells = {
+            "log": one_line(row.log),
+            "verdict": record.verdict,
+            parameter: "-" if first is None else f"{first.value:.4f}",
+            "95 % interval": ends if ends == "-" else ends + interval_mark(record.verdict),
+        }
+        for name, unit in scalars:
+            title = quantity("slope" if name == "restitution_slope" else name, unit)
+            known = record.estimate(name)
+            cells[title] = "-" if known is None else _numbers(known)
+        cells["cross-check (tolerance)"] = second
+        cells[extent] = "-" if row.extent is None else row.extent[1]
+        cells["fits"] = "-" if fit is None or first is None else f"{fit.excess_percent:.2f} %"
+        cells["rollouts"] = str(record.rollouts)
+        cells["time"] = f"{record.seconds.get('total', 0.0):.2f} s"
+        cells["truth"] = "-" if row.truth is None else f"{row.truth:.4f}"
+        below = [
+            f"{quantity(known.name, known.unit)} {_numbers(known)}"
+            for known in record.estimates[1:]
+            if isinstance(known.value, tuple)
+        ]
+        if record.estimates:
+            below += [equivalent_words(record), *record.motion.unidentifiable, sound_words(record)]
+        if record.reason:
+            below.append(one_line(f"{record.verdict}: {record.reason}"))
+        if record.estimates and not record.physical:
+            below.append(f"{row.preset}: the engine's number under the paper's settings")
+        lines.append(cells)
+        notes.append(list(filter(None, below)))
+    empty = [
+        name
+        for name in ("", "truth", "95 % interval", "fits")
+        if all(cells.get(name, "-") == "-" for cells in lines) or not name
+    ]
+    heads = tuple(name for name in lines[0] if name not in empty)
+    return TextTable(heads, [tuple(cells[name] for name in heads) for cells in lines], notes)
 
 
 # ---- Comparison: the blocks of each group, on a page as in a terminal.
 
 _MAX_PAIRS = 10  # tests that are shown with their figures: of more, a terminal only names them
 _MAX_NAMED = 40  # pairs that are named
-_MAX_TESTS = 300  # of one group on a page, those that differ first; the CSV has all
-_PROSE_CHARACTERS = 100  # of a line of prose
-_CELL_CHARACTERS = 48  # of a cell of a table: a value with its interval, or a log's name
 _MIN_PROBABILITY = 1e-4  # nobody needs to know how far under it one is
 _TEST_HEADS = ("parameter", "pair", "difference", "95 % interval", "at [m/s]", "p", "")
 _TEST_HEADS += ("to bear in mind",)
@@ -462,14 +430,14 @@ def comparison_text(comparison: Comparison) -> str:
                 parts.append(one_line(block.text))
                 continue
             case Paragraph():
-                parts.append(fill(block.text, _PROSE_CHARACTERS))
+                parts.append(fill(block.text, 100))  # of a line of prose
                 continue
             case Items():
                 text = "\n".join(map(one_line, block.lines))
             case TextTable(folded="", rows=rows):
+                # A value with its interval, or a log's name, fits.
                 cells = [
-                    (*(short_name(one, _CELL_CHARACTERS) for one in row[:-1]), one_line(row[-1]))
-                    for row in rows
+                    (*(short_name(one, 48) for one in row[:-1]), one_line(row[-1])) for row in rows
                 ]
                 text = laid_out(TextTable(tuple(map(one_line, block.heads)), cells))
             case _:
@@ -483,9 +451,8 @@ def comparison_blocks(comparison: Comparison) -> list[Block]:
     numbers = {label: str(number) for number, label in enumerate(comparison.labels, 1)}
     pairs = zip(comparison.labels, comparison.records, strict=True)
     verdicts = {label: record.verdict for label, record in pairs}
-    blocks: list[Block] = []
-    for group in comparison.groups:
-        blocks += _group_blocks(group, numbers, verdicts)
+    grouped = [_group_blocks(group, numbers, verdicts) for group in comparison.groups]
+    blocks = [block for one in grouped for block in one]
     if without := comparison.without_values:
         rows = [
             (numbers[label], label, record.verdict, record.reason or "no reason is given")
@@ -526,7 +493,7 @@ def _group_blocks(
         tests += [(one.name, test) for test in one.tests]
     if not are_few:
         tests.sort(key=lambda pair: not pair[1].differs)
-    shown = tests[:_MAX_TESTS]
+    shown = tests[:300]  # of one group on a page, those that differ first; the CSV has all
     blocks = [
         Heading(group.title),
         TextTable(tuple(heads), [tuple(row) for row in rows.values()], title=group.title),
@@ -552,7 +519,7 @@ def _test_row(name: str, test: PairTest, numbers: Mapping[str, str]) -> Cells:
         name,
         _pair(test, numbers),
         f"{round(test.difference, 4) + 0.0:+.4f}",
-        interval_words(*test.interval95),
+        interval_words(test.interval95),
         "-" if test.speed_m_s is None else f"{test.speed_m_s:.2f}",
         chance,
         "not compared" if test.corrected is None else said,
@@ -674,10 +641,7 @@ def parameters_table(record: Record, names: Mapping[str, str] | None = None) -> 
     notes: list[Cells] = []
     for known in record.estimates[:_MAX_ROWS]:
         parts = known.components
-        ends = [
-            "no reliable interval" if one.interval95 is None else interval_words(*one.interval95)
-            for one in parts
-        ]
+        ends = [interval_words(one.interval95, "no reliable interval") for one in parts]
         name = (names or {}).get(known.name, known.name)
         values = ", ".join(number_words(one.value) for one in parts)
         said = ends[0] if known.interval95 is None else "; ".join(ends)
@@ -687,7 +651,7 @@ def parameters_table(record: Record, names: Mapping[str, str] | None = None) -> 
     for name in record.motion.unknown[:_MAX_ROWS] if rows else ():
         rows.append((name, "not known", "-"))
         notes.append(("needs units that the log does not state",))
-    heads = ("parameter", "value", f"95 % interval{interval_mark(record)}")
+    heads = ("parameter", "value", f"95 % interval{interval_mark(record.verdict)}")
     return TextTable(heads, rows, notes, title="parameters")
 
 
@@ -701,8 +665,12 @@ def remarks(record: Record) -> Items:
     lines += record.motion.unidentifiable
     cross, fit, same = record.cross_check, record.motion.fit, record.motion.equivalents
     if cross is not None:
-        agrees = "agrees" if cross.agrees else "disagrees"
-        lines.append(f"A second estimate {agrees}: {cross_words(cross)}.")
+        said = f"A second estimate {'agrees' if cross.agrees else 'disagrees'}: {cross.value:.4f}"
+        said += "" if cross.noise95 is None else f" ± {cross.noise95:.4f} by its noise alone"
+        said += f", by {cross.method}"
+        if cross.tolerance is not None:
+            said += f"; up to {cross.tolerance:.4f} off counts as agreed"
+        lines.append(f"{said}.")
     if fit is not None:
         left = f", {fit.left_out} left out" if fit.left_out else ""
         lines.append(
@@ -724,14 +692,16 @@ def remarks(record: Record) -> Items:
 def bounces_table(record: Record) -> TextTable:
     """Build a row per impact."""
     heads = ("bounce", "time [s]", "restitution", "95 % interval", "at [m/s]")
-    rows: list[Cells] = []
-    for number, bounce in enumerate(record.rebounds[:_MAX_ROWS], 1):
-        ends = "-" if bounce.interval95 is None else interval_words(*bounce.interval95)
-        speed_m_s = bounce.impact_speed_m_s
-        speed = "not known" if speed_m_s is None else f"{speed_m_s:.3f}"
-        rows.append(
-            (str(number), f"{bounce.impact_s:.4f}", f"{bounce.restitution:.4f}", ends, speed)
+    rows = [
+        (
+            str(number),
+            f"{one.impact_s:.4f}",
+            f"{one.restitution:.4f}",
+            interval_words(one.interval95),
+            "not known" if one.impact_speed_m_s is None else f"{one.impact_speed_m_s:.3f}",
         )
+        for number, one in enumerate(record.rebounds[:_MAX_ROWS], 1)
+    ]
     return TextTable(heads, rows, title="bounces")
 
 
@@ -845,8 +815,7 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
     """Format a review's text: verdict, failures with remedies, values, iterations, checks."""
     failed = failures(record, occasion)
     blocks: list[Block] = [Heading(record.verdict, 1), *([failed] if failed.lines else [])]
-    said = said_names(known.name for known in record.estimates)
-    shown = parameters_table(record, said)
+    shown = parameters_table(record, said_names(known.name for known in record.estimates))
     if any(len(name) > _LONG_NAME_CHARACTERS for name, *_ in shown.rows):  # a list's lines wrap
         blocks.append(Items([f"{name}: {value}, 95 %: {ends}" for name, value, ends in shown.rows]))
     elif shown.rows:
@@ -865,7 +834,21 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
         more = len(record.rebounds) - _MAX_BOUNCES
         blocks += [Paragraph(f"{more} more in the JSON")] if more > 0 else []
     if record.iterations:
-        blocks += _iteration_blocks(record, preset)
+        # The last iterates as columns: a review is narrow, and parameters may be many.
+        said = f"{record.method}, preset {preset}, {record.rollouts} rollouts"
+        if not record.physical:
+            said += "; the engine's number under the paper's settings"
+        whole = iterations_table(record)
+        names = said_names(whole.heads[1:])
+        units = {known.name: known.unit for known in record.estimates}
+        titles = [quantity(names[name], units.get(name, "1")) for name in whole.heads[1:]]
+        last = whole.rows[-_SHOWN:]
+        if any(len(title) > _LONG_NAME_CHARACTERS for title in titles):  # units are listed above
+            titles = [short_name(names[name], _MAX_NAME_CHARACTERS) for name in whole.heads[1:]]
+            last = whole.rows[-_FEW_SHOWN:]
+        heads, *columns = zip(*last, strict=True)
+        rows = [(title, *cells) for title, cells in zip(titles, columns, strict=True)]
+        blocks += [Paragraph(said), TextTable(("k", *heads), rows)]
     passed = [f"{check.name}: {check.detail}" for check in record.checks if check.passed]
     blocks += [Paragraph("passed checks:"), Items(passed)] if passed else []
     warnings = list(record.warnings[:_MAX_WARNINGS])
@@ -875,44 +858,14 @@ def result_words(record: Record, preset: str, occasion: str | None) -> str:
     return markdown(blocks)
 
 
-def _iteration_blocks(record: Record, preset: str) -> list[Block]:
-    """Turn the last iterates into columns: a review is narrow, and parameters may be many."""
-    said = f"{record.method}, preset {preset}, {record.rollouts} rollouts"
-    if not record.physical:
-        said += "; the engine's number under the paper's settings"
-    whole = iterations_table(record)
-    names = said_names(whole.heads[1:])
-    units = {known.name: known.unit for known in record.estimates}
-    titles = [quantity(names[name], units.get(name, "1")) for name in whole.heads[1:]]
-    shown = whole.rows[-_SHOWN:]
-    if any(len(title) > _LONG_NAME_CHARACTERS for title in titles):  # the list above has the units
-        titles = [short_name(names[name], _MAX_NAME_CHARACTERS) for name in whole.heads[1:]]
-        shown = whole.rows[-_FEW_SHOWN:]
-    heads, *columns = zip(*shown, strict=True)
-    rows = [(title, *cells) for title, cells in zip(titles, columns, strict=True)]
-    return [Paragraph(said), TextTable(("k", *heads), rows)]
-
-
 # ---- Short names: of parameters in a review, as long as they stay distinct.
 
 
 def said_names(names: Iterable[str]) -> Mapping[str, str]:
-    """Shorten each parameter's name: "restitution slope", "elbow.damping".
-
-    Args:
-        names: Of all parameters; addresses such as `joint/elbow.damping` lose the kind if no other
-            one ends the same.
-    """
-    every = list(dict.fromkeys(names))
-    ends = [_end(name) for name in every]
-    return {
-        name: end if ends.count(end) == 1 else name for name, end in zip(every, ends, strict=True)
-    }
-
-
-def _end(name: str) -> str:
-    """Return an address without its kind, or another name in words."""
-    _, kind, rest = name.partition("/")
-    if kind:
-        return rest if "." in rest else name
-    return name.replace("_", " ")
+    """Shorten each parameter's name: "restitution slope", "elbow.damping"."""
+    ends: dict[str, str] = {}
+    for name in names:
+        _, kind, rest = name.partition("/")  # an address loses its kind; others are put in words
+        ends[name] = (rest if "." in rest else name) if kind else name.replace("_", " ")
+    counts = Counter(ends.values())
+    return {name: end if counts[end] == 1 else name for name, end in ends.items()}

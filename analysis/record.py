@@ -360,10 +360,9 @@ class Record:
 
 # ---- Codec: dataclasses by their fields.
 
-_TIME_DECIMALS, _HEIGHT_DECIMALS = 5, 4  # of [s] and [m]: 0.1 mm, and the time to fall so far
 MAX_RECORD_BYTES = 4_000_000  # of a file that may be one: several times that of the longest curves
 _MAX_REASON_CHARACTERS = 200  # of what is wrong with a file, in the message
-_FARTHEST = 1e6  # [m] and [s] from zero: no curve of an experiment goes farther
+_HEIGHTS = ("observed_m", "simulated_m")  # of the curves
 
 # What is written beside, or in place of, what the fields say; `...` for nothing.
 _WRITTEN: Mapping[type, Callable[[Any], dict[str, Any]]] = {
@@ -422,16 +421,7 @@ def encode(value: Any) -> Any:
 
 
 def decode(kind: Any, value: Any, name: str) -> Any:
-    """Return a JSON's value as an annotation says it.
-
-    Args:
-        kind: A class, or what is made of classes by `|`, tuples, mappings and `Literal`.
-        value: Of a stranger.
-        name: Of what it is, for the message.
-
-    Raises:
-        ValueError, TypeError, LookupError, AttributeError: It is something else.
-    """
+    """Return a JSON's value as an annotation says it."""
     origin, kinds = get_origin(kind), get_args(kind)
     found = value
     if origin is UnionType:  # the first of several that it fits
@@ -511,58 +501,41 @@ def record_fields(record: Record) -> dict[str, Any]:
 def to_json(record: Record) -> str:
     """Format the record as one JSON object."""
     text = json.dumps(record_fields(record), indent=1, ensure_ascii=False, allow_nan=False)
-    if record.motion.curves is not None:  # on one line: it is for programs
-        curves = {
-            "start_ns": record.motion.curves.start_ns,
-            "seconds": np.round(record.motion.curves.seconds, _TIME_DECIMALS).tolist(),
-            "observed_m": _rounded(record.motion.curves.observed_m),
-            "simulated_m": _rounded(record.motion.curves.simulated_m),
-        }
-        line = json.dumps(curves, allow_nan=False)
+    if (curves := record.motion.curves) is not None:  # on one line: it is for programs
+        # To 0.1 mm, and the time to fall so far; null where there is no height.
+        columns = {"seconds": np.round(curves.seconds, 5)}
+        columns |= {name: np.round(getattr(curves, name), 4) for name in _HEIGHTS}
+        known: dict[str, Any] = {"start_ns": curves.start_ns}
+        for name, column in columns.items():
+            known[name] = [one if math.isfinite(one) else None for one in column.tolist()]
+        line = json.dumps(known, allow_nan=False)
         text = f'{text.removesuffix("}").rstrip()},\n "curves": {line}\n}}'
     return text + "\n"
 
 
-def _rounded(heights_m: Array) -> list[float | None]:
-    """Round heights [m] for JSON; null where there is none."""
-    rounded = np.round(heights_m, _HEIGHT_DECIMALS).tolist()
-    return [height_m if math.isfinite(height_m) else None for height_m in rounded]
-
-
 def read_record(path: Path) -> Record:
-    """Read the record in a JSON that `to_json` wrote.
-
-    Raises:
-        LogError: It cannot be read, is something else, or has an invalid value.
-    """
+    """Read the record in a JSON that `to_json` wrote."""
     try:
         known = parse_json(read_small_file(path, MAX_RECORD_BYTES))
     except OSError as error:
-        raise LogError(
-            f"{path}: cannot be read ({error.strerror}); give a tuning's .json"
-        ) from error
+        what = f"{path}: cannot be read ({error.strerror})"
+        raise LogError(what, "give a tuning's .json") from error
     except ValueError as error:
-        why = short_name(error, _MAX_REASON_CHARACTERS)
-        message = f"{path}: is no JSON of a tuning ({why}); give the .json that tunenet-tune wrote"
-        raise LogError(message) from error
+        what = f"{path}: is no JSON of a tuning ({short_name(error, _MAX_REASON_CHARACTERS)})"
+        raise LogError(what, "give the .json that tunenet-tune wrote") from error
     if not isinstance(known, dict) or not {"verdict", "parameters"} <= known.keys():
-        raise LogError(f"{path}: is no tuning; give the .json that tunenet-tune wrote")
+        raise LogError(f"{path}: is no tuning", "give the .json that tunenet-tune wrote")
     try:
         return record_from(known)
-    except LookupError as error:
-        why = f"{short_name(error)} is missing in it"
-        raise LogError(f"{path}: {why}; tune the log again") from error
-    except (ValueError, TypeError, AttributeError, ArithmeticError) as error:
-        why = short_name(error, _MAX_REASON_CHARACTERS)
-        raise LogError(f"{path}: {why}; tune the log again") from error
+    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
+        is_missing = isinstance(error, LookupError)
+        why = f"{short_name(error)} is missing in it" if is_missing else ""
+        why = why or short_name(error, _MAX_REASON_CHARACTERS)
+        raise LogError(f"{path}: {why}", "tune the log again") from error
 
 
 def record_in(data: bytes) -> Record:
-    """Parse a record from a file's bytes.
-
-    Raises:
-        ValueError: They are no tuning.
-    """
+    """Parse a record from a file's bytes."""
     try:
         return record_from(parse_json(data))
     except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
@@ -570,11 +543,7 @@ def record_in(data: bytes) -> Record:
 
 
 def record_from(known: Mapping[str, Any]) -> Record:
-    """Parse a record from a JSON's object; missing keys have their defaults.
-
-    Raises:
-        ValueError, TypeError, LookupError, AttributeError: A value is invalid.
-    """
+    """Parse a record from a JSON's object; missing keys have their defaults."""
     ours = {"log": "", **known, "parameters": None, "iterations": None}
     record: Record = decode(Record, ours, "a tuning")
     parameters = known["parameters"] or {}
@@ -593,27 +562,22 @@ def record_from(known: Mapping[str, Any]) -> Record:
         {name: _number(name, value) for name, value in step.items() if name not in of_steps}
         for step in steps
     )
-    curves = known.get("curves")
-    motion = replace(
-        record.motion, unknown=unknown, curves=None if curves is None else _curves(curves)
-    )
-    return replace(
-        record,
-        estimates=estimates,
-        iterations=iterations,
-        is_fitted=bool(steps and steps[-1].get("refined")),
-        motion=motion,
-    )
+    is_fitted = bool(steps and steps[-1].get("refined"))
+    found = known.get("curves")
+    curves = None if found is None else _curves(found)
+    motion = replace(record.motion, unknown=unknown, curves=curves)
+    ours = {"estimates": estimates, "iterations": iterations, "is_fitted": is_fitted}
+    return replace(record, **ours, motion=motion)
 
 
 def _curves(known: Mapping[str, Any]) -> Curves:
     """Parse the curves that `to_json` wrote."""
-    names = ("seconds", "observed_m", "simulated_m")
-    seconds, observed_m, simulated_m = (np.array(known[name], np.float64) for name in names)
-    shapes = {seconds.shape, observed_m.shape, simulated_m.shape}
-    if shapes != {(len(seconds),)} or not 2 <= len(seconds) <= MAX_SAMPLES:
+    curves = [np.array(known[name], np.float64) for name in ("seconds", *_HEIGHTS)]
+    count = len(curves[0])
+    if {curve.shape for curve in curves} != {(count,)} or not 2 <= count <= MAX_SAMPLES:
         raise ValueError("its curves have different lengths")
-    far = [np.nanmax(np.abs(curve)) for curve in (seconds, observed_m, simulated_m)]
-    if not all(reach < _FARTHEST for reach in far) or np.any(np.diff(seconds) <= 0):
+    # No curve of an experiment goes farther than 1e6 m or s.
+    is_near = all(np.nanmax(np.abs(curve)) < 1e6 for curve in curves)
+    if not is_near or np.any(np.diff(curves[0]) <= 0):
         raise ValueError("its curves make no sense")
-    return Curves(int(known["start_ns"]), seconds, observed_m, simulated_m)
+    return Curves(int(known["start_ns"]), *curves)

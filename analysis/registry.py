@@ -22,15 +22,7 @@ if TYPE_CHECKING:
 
 
 def needed(module: str, extra: str = "eval") -> ModuleType:
-    """Import an optional library, or say how to install it.
-
-    Args:
-        module: Its name, with dots for a submodule ("sklearn.gaussian_process").
-        extra: Of this project, which installs it.
-
-    Raises:
-        UsageError: It is not installed.
-    """
+    """Import an optional library, or say how to install it."""
     top = module.split(".", maxsplit=1)[0]
     try:
         return import_module(module)
@@ -76,11 +68,7 @@ def experiment_named(name: str) -> Experiment:
 
 
 def method_named(name: str) -> type[Estimator]:
-    """Import the method of that name.
-
-    Raises:
-        UsageError: There is none; the message lists those that exist.
-    """
+    """Import the method of that name."""
     if name not in METHODS:
         raise UsageError(f"there is no method {name!r}; choose one of: {', '.join(METHODS)}")
     return _loaded(METHODS[name])

@@ -28,12 +28,9 @@ from tunenet_logs.writing.owned_path import Knows, OutputPlace
 
 _BLOCK_BYTES = 2**20
 
-_OWN_DIGITS = 32  # of a log's SHA-256 where a result names it: enough to tell any two logs apart
-_MAX_MARKED = 1000  # logs that a mark names; by those one page is told from another
 # Of a file, in which its mark stands: one with the most logs, and what is around it.
 _MARK_BYTES = 2**17
 
-_HEADER_BYTES = 4096  # of a recording for Rerun, in which its names stand
 _MARK = rb"tunenet-logs ([a-z-]+) of((?: [\w.%]{0,80}@\w{0,32}){0,1000})"
 
 # How a marked file begins; of a PDF the end, where a pattern finds its last creator.
@@ -87,7 +84,8 @@ def in_words(logs: Logs) -> str:
 def mark(kind: str, logs: Logs) -> str:
     """Return the mark of our own files of these logs, in characters that no format escapes."""
     named: list[str] = []
-    for known_by, name in list(logs.items())[:_MAX_MARKED]:
+    # By a thousand logs one page is told from another.
+    for known_by, name in list(logs.items())[:1000]:
         plain = re.sub(
             "[-~]", lambda one: f"%{ord(one.group()):02X}", quote(name, safe="", errors="replace")
         )
@@ -132,11 +130,17 @@ def exported_file(record: Record) -> Knows:
 
 
 def recording(kind: str, subject: str) -> Knows:
-    """Recognise Rerun recordings of one kind whose identity begins with `subject`."""
+    """Recognise Rerun recordings of one kind whose identity begins with `subject`.
+
+    The kind "log" is that of all reviews of one log.
+    """
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
-        found = _RECORDING.match(file.read(_HEADER_BYTES))
-        if found is None or found[2] != kind.encode():
+        found = _RECORDING.match(file.read(4096))
+        if found is None:
+            return None
+        own = "log" if found[2] not in _OTHER_RECORDINGS else found[2].decode()
+        if own != kind:
             return None
         return () if found[1].startswith(subject.encode()) else (f"another {kind}",)
 
@@ -145,14 +149,7 @@ def recording(kind: str, subject: str) -> Knows:
 
 def review_of(sha256: str) -> Knows:
     """Recognise reviews of logs."""
-
-    def knows(file: BinaryIO) -> Sequence[str] | None:
-        found = _RECORDING.match(file.read(_HEADER_BYTES))
-        if found is None or found[2] in _OTHER_RECORDINGS:
-            return None
-        return () if sha256 and found[1] == review_name(sha256).encode() else ("another log",)
-
-    return knows
+    return recording("log", review_name(sha256) if sha256 else "-")  # no identity has a dash
 
 
 def tuning_of(log: Path, sha256: str) -> Knows:
@@ -173,12 +170,7 @@ def tuning_of(log: Path, sha256: str) -> Knows:
 
 
 def table(columns: Sequence[str], lost: Callable[[Mapping[str, str]], str | None]) -> Knows:
-    """Recognise CSV tables by their first columns.
-
-    Args:
-        columns: Of every such table.
-        lost: Returns the subject of a row that the new table would lose, or None.
-    """
+    """Recognise CSV tables by their first columns."""
     begins = ",".join(columns)
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
@@ -199,11 +191,7 @@ def table(columns: Sequence[str], lost: Callable[[Mapping[str, str]], str | None
 def check_place(
     place: OutputPlace, option: str, suffixes: Sequence[str], inputs: Iterable[Path]
 ) -> None:
-    """Check before the work that its result can be written, and replaces none of the inputs.
-
-    Raises:
-        UsageError: It cannot be written, or the name has none of the suffixes.
-    """
+    """Check before the work that its result can be written, and replaces none of the inputs."""
     path = place.path
     if path.suffix.lower() not in suffixes:
         raise UsageError(f"{path}: give {option} a name that ends {' or '.join(suffixes)}")
@@ -214,11 +202,7 @@ def check_place(
 
 @contextmanager
 def writable(path: Path, remedy: str) -> Iterator[None]:
-    """Convert an OSError to one line with the file and the remedy.
-
-    Raises:
-        LogError: The block raised an OSError.
-    """
+    """Convert an OSError to one line with the file and the remedy."""
     try:
         yield
     except OSError as error:
@@ -227,12 +211,7 @@ def writable(path: Path, remedy: str) -> Iterator[None]:
 
 
 def write_json(place: OutputPlace, text: str) -> None:
-    """Write a JSON to a file as it is or, for `-`, to standard output as one line of ASCII.
-
-    Raises:
-        LogError: A file there may not be replaced.
-        OSError: It cannot be written; names the file.
-    """
+    """Write a JSON to a file as it is or, for `-`, to standard output as one line of ASCII."""
     if is_stdout(place.path):
         print(json_line(json.loads(text)), flush=True)
         return
@@ -241,11 +220,7 @@ def write_json(place: OutputPlace, text: str) -> None:
 
 
 def log_sha256(log: Path) -> str:
-    """Hash a log; of a folder, the names and contents of its files.
-
-    Raises:
-        OSError: It cannot be read, or is neither file nor folder.
-    """
+    """Hash a log; of a folder, the names and contents of its files."""
     if not log.is_dir():
         try:
             with open_regular(log) as file:
@@ -264,6 +239,15 @@ def log_sha256(log: Path) -> str:
     return state.hexdigest()
 
 
+def known_sha256(log: Path) -> str:
+    """Hash a log; "" where it cannot be read, which reading says in our own words."""
+    try:
+        return log_sha256(log)
+    except OSError:
+        return ""
+
+
 def review_name(sha256: str) -> str:
     """Shorten a SHA-256 to the identity of a log in its results."""
-    return sha256[:_OWN_DIGITS]
+    # Digits enough to tell any two logs apart.
+    return sha256[:32]

@@ -13,12 +13,12 @@ from typing import Any, get_args
 import numpy as np
 
 from tunenet_logs.analysis.checks import judge, log_checks
-from tunenet_logs.analysis.estimators.base import Estimator, Problem, Setup, Step, Trace
+from tunenet_logs.analysis.estimators.base import Estimator, Step
 from tunenet_logs.analysis.experiment import Experiment, Preset, Tuning, drop_invalid_samples
 from tunenet_logs.analysis.options import Subject, TuneOptions
 from tunenet_logs.analysis.record import Provenance
 from tunenet_logs.analysis.registry import experiments_of, kinds, kinds_in, method_named
-from tunenet_logs.analysis.result_files import log_sha256
+from tunenet_logs.analysis.result_files import known_sha256
 from tunenet_logs.analysis.tunenet.weights import load_model, shipped_model
 from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import LogError, NotFoundError, TuneNetError, UsageError
@@ -35,18 +35,14 @@ def provenance_of(tuning: Tuning, sha256: str, options: TuneOptions) -> Provenan
         version=version("tunenet-logs"),
         log_sha256=sha256,
         options=options.provenance,
-        tares=tuple(_named(tare) for tare in options.tares if isinstance(tare, Path)),
+        tares=tuple(
+            {"log": tare.name, "sha256": known_sha256(tare)}
+            for tare in options.tares
+            if isinstance(tare, Path)
+        ),
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         engine=None if tuning.simulator is None else tuning.simulator["engine"],
     )
-
-
-def _named(tare: Path) -> dict[str, str]:
-    """Return a tare's name and SHA-256."""
-    try:
-        return {"log": tare.name, "sha256": log_sha256(tare)}
-    except OSError:  # the tuning was rejected for it
-        return {"log": tare.name, "sha256": ""}
 
 
 # ---- Unused options: those that have no effect on a log.
@@ -59,19 +55,10 @@ def unused_options(
     episode: Episode | None,
     detection: Any,
 ) -> list[str]:
-    """List options without effect, one line each with the reason.
-
-    Args:
-        options: Of the user.
-        experiment: That was looked for.
-        method: That estimates.
-        episode: The log as read; None for a detection that was made without one.
-        detection: Of it; None if nothing was found.
-    """
+    """List options without effect, one line each with the reason."""
     found: list[str] = []
-    of_its_kind = {
-        about for way in experiments_of(experiment.kind) for about in way.accepted_options
-    }
+    ways = experiments_of(experiment.kind)
+    of_its_kind = {about for way in ways for about in way.accepted_options}
     said = episode.warnings if episode else ()
     of_methods: Mapping[Subject, tuple[bool, str]] = {
         "network": (method.uses_network, "has no network"),
@@ -88,14 +75,10 @@ def unused_options(
         elif about == "pictures" and episode and episode.picture_topics:
             why += f" (to use its pictures: --topic {episode.picture_topics[0]})"
         found.append(f"{', '.join(names)} not used: {why}")
-    ball = options.told_ball
+    ball = options.given_ball
     only_size = ball.diameter_m is not None and ball.mass_kg is None
-    if (
-        detection
-        and only_size
-        and "ball" in experiment.accepted_options
-        and not detection.uses_ball
-    ):
+    takes_ball = "ball" in experiment.accepted_options
+    if detection and only_size and takes_ball and not detection.uses_ball:
         found.append(
             "--ball-diameter not used: without --ball-mass it does not say what the air does"
         )
@@ -124,18 +107,13 @@ class Stopwatch:
 
 
 def tune_log(path: Path, options: TuneOptions) -> Tuning:
-    """Tune from one log; one that cannot be tuned is returned as "rejected", with the reason.
-
-    Raises:
-        UsageError, WeightsError: The options fit no log: preset, initial value or weights.
-    """
+    """Tune from one log; one that cannot be tuned is returned as "rejected", with the reason."""
     watch = Stopwatch()
     try:
         episode = read_episode(path, options.reading)
-        # What a simulator is driven by is what others must not take for a motion.
-        episode = drop_invalid_samples(
-            episode if options.source is not None else without_commands(episode)
-        )
+        if options.source is None:  # what drives a simulator, others must not take for a motion
+            episode = without_commands(episode)
+        episode = drop_invalid_samples(episode)
     except TuneNetError as error:
         watch.lap("read")
         reason = str(error).removeprefix(f"{path}: ")
@@ -151,44 +129,31 @@ def tune_episode(
     if options.source is not None:
         from tunenet_logs.analysis.sysid.experiment import SimulatorExperiment
 
-        experiment = SimulatorExperiment(options.source)
-        return _tuned_as(experiment, trim_clock_jumps(episode), options, path, watch)
-    episode = trim_clock_jumps(without_commands(episode))
-    topic = options.topic
-    kind = options.task or episode.info.kind
-    if not kind:
-        shown = kinds_in(episode, topic)
-        if len(shown) > 1:
-            choices = " or ".join(f"--task {name}" for name in shown)
-            raise UsageError(f"{path}: holds what may be a {' or a '.join(shown)}; say {choices}")
-        kind = next(iter(shown or kinds()))
-    ways = experiments_of(kind)
-    if not ways:
-        known = " or ".join(f"--task {name}" for name in sorted(kinds()))
-        reason = f"holds a {short_name(kind)!r}, which is not tuned; say what it shows: {known}"
-        seconds = watch.seconds if watch else {}
-        return Tuning(path, options.task, options.preset, "rejected", reason, seconds=seconds)
-    # The first way that finds what it looks at; else the first, to say what it misses.
-    experiment = next((way for way in ways if way.claim(episode, topic)), ways[0])
-    return _tuned_as(experiment, episode, options, path, watch)
+        experiment, episode = SimulatorExperiment(options.source), trim_clock_jumps(episode)
+    else:
+        episode = trim_clock_jumps(without_commands(episode))
+        topic = options.topic
+        kind = options.task or episode.info.kind
+        if not kind:
+            shown = kinds_in(episode, topic)
+            if len(shown) > 1:
+                choices = " or ".join(f"--task {name}" for name in shown)
+                what = f"holds what may be a {' or a '.join(shown)}"
+                raise UsageError(f"{path}: {what}; say {choices}")
+            kind = next(iter(shown or kinds()))
+        ways = experiments_of(kind)
+        if not ways:
+            known = " or ".join(f"--task {name}" for name in sorted(kinds()))
+            reason = f"holds a {short_name(kind)!r}, which is not tuned; say what it shows: {known}"
+            seconds = watch.seconds if watch else {}
+            return Tuning(path, options.task, options.preset, "rejected", reason, seconds=seconds)
+        # The first way that finds what it looks at; else the first, to say what it misses.
+        experiment = next((way for way in ways if way.claim(episode, topic)), ways[0])
 
+    def detect() -> Any:
+        return experiment.detect(episode, options, options.preset)
 
-def _tuned_as(
-    experiment: Experiment,
-    episode: Episode,
-    options: TuneOptions,
-    path: Path,
-    watch: Stopwatch | None,
-) -> Tuning:
-    """Tune to what an experiment finds in an episode."""
-    return tune_detected(
-        experiment,
-        lambda: experiment.detect(episode, options, options.preset),
-        options,
-        watch or Stopwatch(),
-        path,
-        episode,
-    )
+    return tune_detected(experiment, detect, options, watch or Stopwatch(), path, episode)
 
 
 def tune_detected(
@@ -199,33 +164,16 @@ def tune_detected(
     path: Path = Path(),
     episode: Episode | None = None,
 ) -> Tuning:
-    """Tune to a detection: pose the problem, estimate, evaluate, check, judge.
-
-    Args:
-        experiment: That detects.
-        detect: Returns its detection.
-        options: Of the user.
-        watch: Started when the log was opened.
-        path: Of the log.
-        episode: The log as read; None for a detection that was made without one.
-    """
+    """Tune to a detection: pose the problem, estimate, evaluate, check, judge."""
     if options.preset not in experiment.presets:
         known = ", ".join(experiment.presets)
-        message = f"{experiment.name} has no preset {options.preset!r}; there is: {known}"
-        raise UsageError(message)
+        raise UsageError(f"{experiment.name} has no preset {options.preset!r}; there is: {known}")
     preset = experiment.presets[options.preset]
     method = method_named(options.method or preset.method)
-    setup = _setup(preset, method, options)
+    estimator = _built(preset, method, options)
     said = episode.warnings if episode else ()
     rejected = Tuning(
-        path,
-        experiment.kind,
-        options.preset,
-        "rejected",
-        None,
-        experiment,
-        episode,
-        warnings=said,
+        path, experiment.kind, options.preset, "rejected", None, experiment, episode, warnings=said
     )
     initial = _initial(preset, method, options)
     detection = None
@@ -233,16 +181,22 @@ def tune_detected(
         detection = detect()
         problem = experiment.problem(detection, initial)
         watch.lap("observe")
-        trace = _evaluated(method.build(setup).estimate(problem, options.iterations), problem)
+        trace = estimator.estimate(problem, options.iterations)
+        # Iterates without a rollout get one: what is checked was simulated and counted.
+        steps = [
+            step
+            if step.evaluation is not None
+            else Step(step.values, step.rollouts, problem.evaluate(step.values))
+            for step in trace.steps
+        ]
+        trace = replace(trace, steps=tuple(steps))
     except (NotFoundError, LogError) as error:
         watch.lap("observe")
-        reason = str(error).removeprefix(f"{path}: ")
-        unused = unused_options(options, experiment, method, episode, None)
         return replace(
             rejected,
-            reason=reason,
+            reason=str(error).removeprefix(f"{path}: "),
             refused=detection,
-            warnings=(*said, *unused),
+            warnings=(*said, *unused_options(options, experiment, method, episode, None)),
             seconds=watch.seconds,
         )
     checks = experiment.checks(detection, trace.steps[-1], trace.fit)
@@ -250,6 +204,7 @@ def tune_detected(
     cross_check = experiment.cross_check(detection, trace.estimate)
     watch.lap("tune")
     verdict, reason = judge(checks, cross_check, experiment.occasion)
+    unused = unused_options(options, experiment, method, episode, detection)
     return replace(
         rejected,
         verdict=verdict,
@@ -260,18 +215,14 @@ def tune_detected(
         rollouts=problem.rollouts,
         cross_check=cross_check,
         checks=checks,
-        warnings=(
-            *said,
-            *detection.warnings,
-            *unused_options(options, experiment, method, episode, detection),
-        ),
+        warnings=(*said, *detection.warnings, *unused),
         simulator={
             "engine": problem.simulator.engine,
             "preset": options.preset,
             "step_hz": round(problem.simulator.step_hz, 3),
         },
         method=trace.method or method.name,
-        digest=setup.model.digest if setup.model else "",
+        digest=estimator.model.digest if estimator.model else "",
         seconds=watch.seconds,
     )
 
@@ -283,35 +234,18 @@ def _initial(preset: Preset, method: type[Estimator], options: TuneOptions) -> A
     if len(given) > len(parameters):
         names = ", ".join(parameter.name for parameter in parameters)
         raise UsageError(f"{len(given)} initial values; at most one for each of: {names}")
-    usual = [
-        parameter.initial
-        if method.uses_network or preset.starts_as_given
-        else sum(parameter.training_range) / 2
-        for parameter in parameters
-    ]
+    as_given = method.uses_network or preset.starts_as_given
+    usual = [one.initial if as_given else sum(one.training_range) / 2 for one in parameters]
     return np.array([*given, *usual[len(given) :]])
 
 
-def _setup(preset: Preset, method: type[Estimator], options: TuneOptions) -> Setup:
-    """Build the method's setup; weights are read only if it uses them."""
-    if not method.uses_network:
-        return Setup()
-    if preset.training is None and preset.starts_as_given:
-        return Setup()  # the problem trains its own
+def _built(preset: Preset, method: type[Estimator], options: TuneOptions) -> Estimator:
+    """Build the method; weights are read only if it uses them."""
+    if not method.uses_network or (preset.training is None and preset.starts_as_given):
+        return method()  # without a network, or the problem trains its own
     if preset.training is None:
         raise UsageError(f"method {method.name} needs a network, which this task has not")
     purpose = preset.training.purpose
     if options.weights is not None:
-        return Setup(load_model(options.weights, purpose))
-    return Setup(shipped_model(purpose))
-
-
-def _evaluated(trace: Trace, problem: Problem) -> Trace:
-    """Roll out iterates that have no rollout: what is checked was simulated and counted."""
-    steps = [
-        step
-        if step.evaluation is not None
-        else Step(step.values, step.rollouts, problem.evaluate(step.values))
-        for step in trace.steps
-    ]
-    return replace(trace, steps=tuple(steps))
+        return method(load_model(options.weights, purpose))
+    return method(shipped_model(purpose))

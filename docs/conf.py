@@ -18,8 +18,8 @@ extensions = ["myst_parser"]
 root_doc = "docs/index"
 include_patterns = ["*.md", "docs/*.md", "sample_logs/README.md"]
 include_patterns += ["recorders/simulators/arm/known/*.md"]
+# Folders that are not even looked into.
 exclude_patterns = [".*", "**/__pycache__", "build", "dist", "demo", "env", "*.egg-info"]
-"""Folders that are not even looked into."""
 
 html_theme = "furo"
 html_title = "tunenet-logs"
@@ -30,8 +30,8 @@ html_copy_source = False
 myst_heading_anchors = 4
 smartquotes = False
 nitpicky = True
+# JSON in the documents leaves out what repeats, with three dots: no lexer takes that.
 suppress_warnings = ["misc.highlighting_failure"]
-"""JSON in the documents leaves out what repeats, with three dots: no lexer takes that."""
 
 _SECTION = re.compile(r"^## (.+)\n((?:.*\n)+?)(?=^## |\Z)", re.MULTILINE)
 _PAGE = re.compile(r"^- \[[^]]+\]\(([^)#]+)\.md\)", re.MULTILINE)

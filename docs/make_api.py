@@ -22,12 +22,13 @@ from tunenet_logs.analysis.drop.checks import DROP, FILM, PAPER, POSITIONS, TIME
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.checks import PAYLOAD
 from tunenet_logs.analysis.sysid.checks import SYSID
-from tunenet_logs.console import Option, Parser, options_in
+from tunenet_logs.console import Parser, options_in
 from tunenet_logs.recorders.orders import DropOrder, FilmOrder, PayloadOrder, ShotOrder
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, OPTIONS, CHECKS = (ROOT / "docs" / f"{name}.md" for name in ("api", "options", "checks"))
 
+# Tables of checks, by the section of docs/checks.md.
 SECTIONS = {
     "Any log": LOG,
     "A drop from positions or a film": DROP,
@@ -38,15 +39,11 @@ SECTIONS = {
     "A simulator of your own": SYSID,
     "A payload": PAYLOAD,
 }
-"""Tables of checks, by the section of docs/checks.md."""
 
 _PARSING = {"returns_multiple_items": False, "returns_named_value": False}
 
-_LISTS = {"parameters": "Arguments", "raises": "Raises"}
-"""Sections of a docstring that list things, and what the page calls them."""
-
+_LISTS = {"parameters": "Arguments", "raises": "Raises"}  # of a docstring: on the page
 _GROUPS = ("What one calls", "What comes out", "What goes in", "Errors")
-_IN = ("Ball", "BALLS", "Reviewed")
 
 _HEAD = """\
 # Python
@@ -64,17 +61,16 @@ def page() -> str:
         resolve_aliases=True,
         resolve_external=True,
     )
-    parts = [_HEAD, _text(package.docstring)]
+    assert package.docstring is not None
+    assert package.exports is not None
+    parts = [_HEAD, package.docstring.value]
     groups: dict[str, list[str]] = {title: [] for title in _GROUPS}
-    for name in sorted(_public(package), key=str.lower):
+    names = (str(name).strip("'\"") for name in package.exports)
+    for name in sorted(names, key=str.lower):
         groups[_group(name, package[name])] += _entry(name, package[name])
     for title, entries in groups.items():
         parts += [f"## {title}", *entries]
     return "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
-
-
-def _public(package: Any) -> list[str]:
-    return [str(name).strip("'\"") for name in package.exports]
 
 
 def _group(name: str, entry: Any) -> str:
@@ -83,7 +79,7 @@ def _group(name: str, entry: Any) -> str:
         return "What one calls"
     if name.endswith("Error"):
         return "Errors"
-    is_given = name.endswith(("Order", "Options")) or name in _IN
+    is_given = name.endswith(("Order", "Options")) or name in ("Ball", "BALLS", "Reviewed")
     return "What goes in" if is_given else "What comes out"
 
 
@@ -109,14 +105,12 @@ def _entry(name: str, entry: Any) -> Iterator[str]:
 def _signature(name: str, function: Any) -> str:
     """As one would write it, an argument a line where it is long."""
     shown: list[str] = []
-    star = False
     for one in function.parameters:
         if one.name == "self":
             continue
         kind = one.kind.value if one.kind else ""
-        if kind == "keyword-only" and not star:
+        if kind == "keyword-only" and "*" not in shown:
             shown.append("*")
-            star = True
         mark = {"variadic keyword": "**", "variadic positional": "*"}.get(kind, "")
         text = f"{mark}{one.name}: {one.annotation}" if one.annotation else mark + one.name
         has_default = one.default is not None and not mark
@@ -146,50 +140,23 @@ def _sections(entry: Any) -> Iterator[str]:
             yield f"{_LISTS[kind]}:\n\n" + "\n".join(rows)
         elif kind == "returns":
             yield "Returns: " + " ".join(_one_line(one.description) for one in section.value)
-    if entry.is_class:
-        known = (
-            _inherited(entry) | known | {name: one.words for name, one in _declared(entry).items()}
-        )
-        rows = [_field(name, str(kind), known.get(name, "")) for name, kind in _fields(entry)]
-        yield "\n".join(rows)
-
-
-def _declared(entry: Any) -> dict[str, Option]:
-    """The options that a class's fields are."""
+    if not entry.is_class:
+        return
     kind = getattr(import_module("tunenet_logs"), entry.name, None)
-    return dict(options_in(kind)) if isinstance(kind, type) and is_dataclass(kind) else {}
-
-
-def _inherited(entry: Any) -> dict[str, str]:
-    """What the docstrings of a class's bases say of its fields."""
-    docstrings = [base.docstring for base in entry.resolved_bases if base.docstring is not None]
-    return {
-        one.name: _one_line(one.description)
-        for docstring in docstrings
-        for section in docstring.parse("google", **_PARSING)
-        if section.kind.value == "attributes"
-        for one in section.value
-    }
-
-
-def _fields(entry: Any) -> Iterator[tuple[str, Any]]:
-    """Fields of a dataclass or keys of a TypedDict, with those that it inherits."""
+    options = options_in(kind) if isinstance(kind, type) and is_dataclass(kind) else {}
+    known |= {name: one.words for name, one in options.items()}
+    # Fields of a dataclass or keys of a TypedDict, with those that it inherits.
+    rows: list[str] = []
     for name, member in {**entry.inherited_members, **entry.members}.items():
         is_method = member.is_function or "property" in member.labels
         if member.is_attribute and not is_method and not name.startswith("_"):
-            yield name, member.annotation
-
-
-def _field(name: str, annotation: str, text: str) -> str:
-    return f"- `{name}` (`{annotation}`)" + (f": {text}" if text else "")
+            text = known.get(name, "")
+            rows.append(f"- `{name}` (`{member.annotation}`)" + (f": {text}" if text else ""))
+    yield "\n".join(rows)
 
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())
-
-
-def _text(docstring: Any) -> str:
-    return "" if docstring is None else str(docstring.value)
 
 
 # ---- The options of the commands that have many, by the topics of their help
@@ -246,7 +213,7 @@ def checks_page(text: str) -> str:
 
 
 def _check_row(spec: CheckSpec) -> str:
-    """One check: name, what it measures, what passes, what if not, usual cause, what to do."""
+    """Format a check: name, what it measures, what passes, if not, usual cause, what to do."""
     sense, value, unit, _, worst = spec.limit
     limit = f"{value:g} {unit}".rstrip()
     usual = {"at least": "{} or more", "within": "at most {} either way"}.get(sense, "at most {}")

@@ -17,8 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,75 +28,52 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 GALLERY = ROOT / "docs" / "gallery.md"
 BIN = Path(sys.executable).parent
-_SECTION = re.compile(
+SECTION = re.compile(
     r"```sh\n(?P<commands>(?:.*\n)*?)rerun (?P<review>\S+)\n```\n(?:.*\n)*?"
     r"!\[[^]]*\]\((?P<picture>\S+)\)(?: <!-- at (?P<moment>[\d.]+) -->)?"
 )
 SIZE_PX = (1280, 720)
-BAR_PX = 37
-"""The viewer's own, with words about the machine that draws."""
-
+BAR_PX = 37  # the viewer's own, with words about the machine that draws
+# Until a viewer shows all; after which its notices are gone; between two looks.
 _MAX_S, _NOTICES_S, _EVERY_S = 90.0, 9.0, 1.5
-"""Until a viewer shows all; after which its notices are gone; between two looks."""
-
-
-@dataclass(frozen=True)
-class Section:
-    """One of the gallery.
-
-    Attributes:
-        commands: lines for a shell.
-        review: what the viewer opens, from the folder where the commands run.
-        picture: where it is kept.
-        moment: shown, as a fraction of the active timeline; None: where the review begins.
-    """
-
-    commands: str
-    review: str
-    picture: Path
-    moment: float | None
-
-
-def sections() -> Iterator[Section]:
-    """All of the gallery."""
-    for match in _SECTION.finditer(GALLERY.read_text()):
-        moment = match["moment"]
-        yield Section(
-            match["commands"],
-            match["review"],
-            GALLERY.parent / match["picture"],
-            None if moment is None else float(moment),
-        )
 
 
 def main() -> int:
     """Draw those that are named, else all."""
     names = set(sys.argv[1:])
-    for section in sections():
-        if not names or section.picture.stem in names:
+    for section in SECTION.finditer(GALLERY.read_text()):
+        picture = GALLERY.parent / section["picture"]
+        if not names or picture.stem in names:
             with tempfile.TemporaryDirectory() as folder:
-                draw(section, Path(folder))
-            size_kb = section.picture.stat().st_size / 1000
-            print(f"{section.picture.relative_to(ROOT)}: {size_kb:.0f} kB", flush=True)
+                review = reviewed(section["commands"], section["review"], Path(folder))
+                moment = None if section["moment"] is None else float(section["moment"])
+                picture.parent.mkdir(exist_ok=True)
+                picture.write_bytes(reduced(screenshot(review, moment)))
+            size_kb = picture.stat().st_size / 1000
+            print(f"{picture.relative_to(ROOT)}: {size_kb:.0f} kB", flush=True)
     return 0
 
 
-def draw(section: Section, folder: Path) -> None:
-    """Run the commands and keep the picture of what they made."""
+def reviewed(commands: str, name: str, folder: Path) -> Path:
+    """Run a section's commands in a folder; return the review that they made."""
     shutil.copytree(ROOT / "sample_logs", folder / "sample_logs")
     environment = {**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
-    subprocess.run(["bash", "-c", section.commands], cwd=folder, env=environment, check=False)
-    if not (folder / section.review).is_file():
-        raise FileNotFoundError(f"{section.review}: its commands have not made it")
-    section.picture.parent.mkdir(exist_ok=True)
-    section.picture.write_bytes(reduced(screenshot(folder / section.review, section.moment)))
+    subprocess.run(["bash", "-c", commands], cwd=folder, env=environment, check=False)
+    if not (folder / name).is_file():
+        raise FileNotFoundError(f"{name}: its commands have not made it")
+    return folder / name
 
 
 def screenshot(review: Path, moment: float | None) -> bytes:
-    """A PNG of the whole viewer, when nothing in it moves any more."""
+    """Return a PNG of the whole viewer, when nothing in it moves any more.
+
+    It stops at `moment`, a fraction of the active timeline; None: where the review begins.
+    """
     from rerun.experimental import ViewerClient
 
-    port = _free_port()
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port = one.getsockname()[1]
     words = [str(BIN / "rerun"), str(review), "--headless", "--port", str(port)]
     words += ["--window-size", "{}x{}".format(*SIZE_PX), "--hide-welcome-screen"]
     nowhere = subprocess.DEVNULL
@@ -153,12 +128,6 @@ def reduced(png: bytes) -> bytes:
     out = io.BytesIO()
     small.save(out, "PNG", optimize=True)
     return out.getvalue()
-
-
-def _free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 if __name__ == "__main__":

@@ -16,25 +16,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tunenet_logs.console import (
-    Parser,
-    Topic,
-    add_options,
-    given,
-    number,
-    options_in,
-    run,
-    whole,
-)
+from tunenet_logs.console import Parser, Topic, add_options, given, number, options_in, run, whole
 from tunenet_logs.errors import UsageError
-from tunenet_logs.recorders.camera.options import CameraOptions, record_camera_as_asked
-from tunenet_logs.recorders.orders import (
-    DropOrder,
-    FilmOrder,
-    JointOrder,
-    PayloadOrder,
-    ShotOrder,
-)
+from tunenet_logs.recorders.camera.options import CameraOptions
+from tunenet_logs.recorders.orders import DropOrder, FilmOrder, JointOrder, PayloadOrder, ShotOrder
 from tunenet_logs.recorders.outcome import OutcomeOptions, record_outcome_as_asked
 from tunenet_logs.recorders.ros2 import checked_topic
 from tunenet_logs.recorders.simulators.known import engine_option, in_engine
@@ -73,6 +58,12 @@ _SOURCES = {
 # ---- What a simulation or ROS 2 is asked for; each returns the summary for the last line
 
 
+def _record_camera(arguments: argparse.Namespace, path: Path) -> str:
+    from tunenet_logs.recorders.camera.recording import record_camera_as_asked
+
+    return record_camera_as_asked(arguments, path)
+
+
 def _record_drop(arguments: argparse.Namespace, path: Path) -> str:
     from tunenet_logs.recorders.simulated import film_drop, simulate_drop
 
@@ -86,16 +77,10 @@ def _record_drop(arguments: argparse.Namespace, path: Path) -> str:
     else:
         episode = simulate_drop(order)
     written = _written(episode, path, arguments, "frames" if arguments.render else "samples")
-    truth, rig = episode.info.truth, episode.info.rig
-    more = "".join(
-        f"{words} {truth[name]:g}{unit}, "
-        for name, words, unit in (("restitution_slope", "slope", ""), ("drag", "drag", " /m"))
-        if truth.get(name)
-    )
-    return (
-        f"restitution {truth['restitution']:.4f}, {more}"
-        f"drop height {rig['drop_height_m']:.3f} m, {written}"
-    )
+    truth, height_m = episode.info.truth, episode.info.rig["drop_height_m"]
+    more = f"slope {truth['restitution_slope']:g}, " if truth.get("restitution_slope") else ""
+    more += f"drag {truth['drag']:g} /m, " if truth.get("drag") else ""
+    return f"restitution {truth['restitution']:.4f}, {more}drop height {height_m:.3f} m, {written}"
 
 
 def _record_payload(arguments: argparse.Namespace, path: Path) -> str:
@@ -134,26 +119,19 @@ def _payload_order(arguments: argparse.Namespace) -> PayloadOrder:
     return PayloadOrder(**given(arguments, PayloadOrder))
 
 
-# A flight between two impacts lasts some tenths of a second; a lower rate leaves few samples.
-_MIN_SHOT_RATE_HZ = 50.0
-
-
 def _record_shot(arguments: argparse.Namespace, path: Path) -> str:
     from tunenet_logs.recorders.simulated import simulate_shot
 
     order = ShotOrder(**given(arguments, ShotOrder))
     if order.preset == "paper":
         raise UsageError("--preset paper is for drop and payload; leave it out")
-    if order.rate_hz < _MIN_SHOT_RATE_HZ:
+    if order.rate_hz < 50.0:  # a flight between two impacts lasts some tenths of a second
         raise UsageError(f"--rate {order.rate_hz:g} is too slow for a shot; 50 Hz or more")
     episode = simulate_shot(order)
     written = _written(episode, path, arguments, "samples")
-    truth, rig = episode.info.truth, episode.info.rig
+    truth, height_m = episode.info.truth, episode.info.rig["shot_height_m"]
     outcome = "through the hoop" if truth["success"] else "not through the hoop"
-    return (
-        f"restitution {truth['restitution']:.4f}, from {rig['shot_height_m']:.3f} m, {outcome}, "
-        f"{written}"
-    )
+    return f"restitution {truth['restitution']:.4f}, from {height_m:.3f} m, {outcome}, {written}"
 
 
 def _written(episode: Episode, path: Path, arguments: argparse.Namespace, what: str) -> str:
@@ -170,15 +148,12 @@ def _written(episode: Episode, path: Path, arguments: argparse.Namespace, what: 
     return f"by {episode.info.source}; {summary.in_words(what)}"
 
 
-_MAX_TOPICS = 16  # more than any robot has: what is longer is a mistake in the command
-
-
 def _record_joints(arguments: argparse.Namespace, path: Path) -> str:
     # Topics are given once or several times, with commas or without.
     named = [part for one in arguments.joint_states for part in one.split(",") if part.strip()]
     topics = tuple(dict.fromkeys(checked_topic(part) for part in named))
-    if not 0 < len(topics) <= _MAX_TOPICS:
-        raise UsageError(f"--joint-states: {len(topics)} topics; name 1 to {_MAX_TOPICS}")
+    if not 0 < len(topics) <= 16:  # more than any robot has
+        raise UsageError(f"--joint-states: {len(topics)} topics; name 1 to 16")
     asked = given(arguments, JointOrder)
     if "domain" not in asked:
         text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
@@ -214,12 +189,10 @@ _DESCRIPTION = """\
 Record an episode to an MCAP log: a ball dropped before a camera or in a video, an arm's
 joints and torques live from ROS 2, a simulated drop, payload or bounce shot; or what the
 hardware did with a shot. Ctrl-C ends a recording cleanly."""
-
 _EXAMPLES = """\
   tunenet-record --camera                              (the first webcam, until Ctrl-C)
   tunenet-record --simulate drop --seed 7              (draws restitution and height)
   tunenet-record --joint-states /joint_states --seconds 10 -o held.mcap"""
-
 TOPICS = {
     "camera": Topic(
         "a ball before a camera, in a network or a video file",
@@ -303,8 +276,7 @@ def build_parser() -> Parser:
     source.add_argument(
         "--outcome", choices=["success", "failure"], help="how an attempt of the hardware ended"
     )
-    add = parser.add_argument
-    add(
+    parser.add_argument(
         "-o",
         "--output",
         type=Path,
@@ -338,15 +310,9 @@ def build_parser() -> Parser:
         help="end any recording, with a whole log, before the disk has less left [MB] (default: "
         "100; 0: never)",
     )
-    add("--overwrite", action="store_true", help="replace an existing log")
-    add("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing log")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser
-
-
-def _source_of(arguments: argparse.Namespace) -> str:
-    if arguments.camera is not None:
-        return "camera"
-    return arguments.simulate or ("outcome" if arguments.outcome else "joints")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -354,7 +320,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = build_parser()
 
     def record(arguments: argparse.Namespace) -> int:
-        source, path = _source_of(arguments), arguments.output
+        path, source = arguments.output, arguments.simulate or "joints"
+        if arguments.camera is not None or arguments.outcome:
+            source = "outcome" if arguments.outcome else "camera"
         # Refuse options that the source does not have.
         own = _SOURCES[source].names | {"drop": {"render"}, "payload": {"save_path"}}.get(
             source, set()
@@ -374,7 +342,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(one_line(f"{arguments.save_path}: {_save_path(arguments)}"))
             return 0
         record_as_asked = {
-            "camera": record_camera_as_asked,
+            "camera": _record_camera,
             "drop": _record_drop,
             "payload": _record_payload,
             "bounce-shot": _record_shot,

@@ -34,9 +34,6 @@ from tunenet_logs.video import Packet, decoded
 
 # ---- Preview video: a few pictures per second, in a thread of its own
 
-# Of compressed pictures; where more wait, what waits is skipped up to the next key frame.
-_MAX_WAITING_BYTES = 8 * 1024 * 1024
-
 
 class PreviewVideo(threading.Thread):
     """A thread that decodes video and shows some of its frames as JPEGs."""
@@ -53,7 +50,8 @@ class PreviewVideo(threading.Thread):
     def offer(self, frame: Frame) -> None:
         """Queue the video's next picture, without blocking."""
         with self._changed:
-            if self._bytes > _MAX_WAITING_BYTES:
+            # What waits is skipped up to the next key frame.
+            if self._bytes > 8 * 1024 * 1024:
                 self._forget()
             self._waiting.append(frame)
             self._bytes += len(frame.data)
@@ -103,10 +101,7 @@ class PreviewVideo(threading.Thread):
 
 # ---- Loopback page: a server of any site on 127.0.0.1, its address a secret
 
-# Read of a body that is too long: with less read, the sender might not hear the answer.
-
 _MAX_REQUEST_S = 10.0  # for all of a request, and for a viewer to take what it is sent
-
 # Headers of every answer: nothing is kept, and no other page can show, load or feed this one.
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -224,11 +219,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send((None if body is None else self.site.post(path, body)) or nothing)
 
     def _path(self) -> str | None:
-        """Return the path after the secret; None for what was refused.
-
-        Refused are requests from another site's page, be it under a host name of its own, and those
-        without the secret.
-        """
+        """Return the path after the secret; None where refused, as another site's requests are."""
         origins = [f"http://{host}" for host in self.hosts]
         origin = self.headers.get("Origin")
         if self.headers.get("Host") in self.hosts and origin in (None, *origins):

@@ -7,7 +7,6 @@ aligned to our clock by the times that the device reports. `LiveSound` writes th
 from __future__ import annotations
 
 import math
-import os
 import threading
 import time
 from collections import deque
@@ -72,11 +71,7 @@ class SoundSource(Protocol):
         ...
 
     def start(self, take: Take) -> None:
-        """Begin to deliver blocks; call it once.
-
-        Raises:
-            MicrophoneError: it does not start.
-        """
+        """Begin to deliver blocks, once; MicrophoneError if it does not start."""
         ...
 
     def close(self) -> None:
@@ -233,10 +228,7 @@ _SILENT_S = 3.0  # a microphone that delivers nothing for so long is reported
 
 
 class LiveSound:
-    """Takes blocks from a source, stamps them, and writes them as they come.
-
-    What ends the sound never ends the recording: it is reported at once, and noted in the log.
-    """
+    """Takes blocks from a source, stamps them, and writes them as they come."""
 
     def __init__(self, source: SoundSource, say: Callable[[str], None]) -> None:
         self.written = 0  # number of messages
@@ -256,10 +248,11 @@ class LiveSound:
         self._why_ended = ""
         self._is_said_silent = False
 
-    def notes(self) -> dict[str, str]:
-        """Return the log's initial notes on the sound."""
+    def notes(self, measured_hz: float | None = None) -> dict[str, str]:
+        """Return the log's notes on the sound; at first its rate is not measured."""
         rate_hz = self._source.rate_hz
-        return rate_notes(f"{self._source.name}, {rate_hz:g} Hz, mono", rate_hz, rate_hz)
+        about = f"{self._source.name}, {rate_hz:g} Hz, mono"
+        return rate_notes(about, measured_hz or rate_hz, rate_hz)
 
     def start(self) -> None:
         """Start the source."""
@@ -303,8 +296,7 @@ class LiveSound:
             self._pass_on(writer, piece, until_ns)
         self._write_block(writer)
         if rate_hz := self._clock.measured_hz():
-            about = f"{self._source.name}, {self._source.rate_hz:g} Hz, mono"
-            for name, text in rate_notes(about, rate_hz, self._source.rate_hz).items():
+            for name, text in self.notes(rate_hz).items():
                 writer.note(name, text)
         if warnings := self.warnings():
             writer.note(WARNINGS_NOTE, "; ".join(warnings))
@@ -408,9 +400,8 @@ def opened_microphone(
 
 
 def _source(wanted: str) -> SoundSource:
-    path = Path(wanted)
-    if wanted and path.is_file():
-        return PlayedFile(path)
+    if wanted and Path(wanted).is_file():
+        return PlayedFile(Path(wanted))
     shown = f"--microphone {wanted!r}" if wanted else "--microphone"
     try:
         return opened_within(
@@ -427,11 +418,7 @@ def _source(wanted: str) -> SoundSource:
 
 
 class PlayedFile:
-    """A sound file played in real time, as if recorded by a microphone.
-
-    It plays from when it is started, to rehearse a recording and check its sound without a
-    microphone.
-    """
+    """A sound file played in real time, to rehearse a recording without a microphone."""
 
     def __init__(self, path: Path) -> None:
         sound = read_sound(path).sounds(AUDIO_TOPIC)
@@ -534,17 +521,16 @@ class PortAudioMicrophone:
         why = ""
         for channels in sorted({1, min(2, device.channels), min(8, device.channels)}):
             try:
-                with _silent_libraries():
-                    return self._library.InputStream(
-                        device=device.number,
-                        samplerate=device.rate_hz,
-                        blocksize=round(_PIECE_S * device.rate_hz),
-                        channels=channels,
-                        dtype="int16",
-                        latency="high",
-                        callback=self._hear,
-                        finished_callback=self._has_finished,
-                    )
+                return self._library.InputStream(
+                    device=device.number,
+                    samplerate=device.rate_hz,
+                    blocksize=round(_PIECE_S * device.rate_hz),
+                    channels=channels,
+                    dtype="int16",
+                    latency="high",
+                    callback=self._hear,
+                    finished_callback=self._has_finished,
+                )
             except self._library.PortAudioError as error:
                 why = why or _short(error)
         raise MicrophoneError(
@@ -576,15 +562,13 @@ def chosen(wanted: str, devices: Sequence[InputDevice], default: int) -> InputDe
             "--microphone: no microphone is plugged in (PortAudio finds no input)",
             "plug one in, or leave --microphone out",
         )
-    if wanted.isascii() and wanted.isdecimal():
-        found = [one for one in devices if one.number == int(wanted[:9])]
-    elif wanted:
-        names = [one.name.casefold() for one in devices]
-        whole = [one for one in devices if one.name.casefold() == wanted.casefold()]
-        part = [one for one, name in zip(devices, names, strict=True) if wanted.casefold() in name]
-        found = whole or part
+    if wanted and not (wanted.isascii() and wanted.isdecimal()):
+        name = wanted.casefold()
+        found = [one for one in devices if one.name.casefold() == name]
+        found = found or [one for one in devices if name in one.name.casefold()]
     else:
-        found = [one for one in devices if one.number == default]
+        number = int(wanted[:9]) if wanted else default
+        found = [one for one in devices if one.number == number]
     if len(found) == 1:
         return found[0]
     if len(found) > 1:
@@ -623,16 +607,11 @@ def _inputs(library: ModuleType) -> tuple[list[InputDevice], int]:
             f"--microphone: the system's devices cannot be listed ({_short(error)})",
             "plug a microphone in again",
         ) from error
-    found = [
-        InputDevice(
-            number,
-            str(one["name"]),
-            int(one["max_input_channels"]),
-            float(one["default_samplerate"]),
-        )
-        for number, one in enumerate(devices)
-        if one["max_input_channels"] > 0
-    ]
+    found: list[InputDevice] = []
+    for number, one in enumerate(devices):
+        if channels := int(one["max_input_channels"]):
+            rate_hz = float(one["default_samplerate"])
+            found.append(InputDevice(number, str(one["name"]), channels, rate_hz))
     with suppress(TypeError, ValueError):
         return found, int(library.default.device[0])
     return found, -1
@@ -640,16 +619,3 @@ def _inputs(library: ModuleType) -> tuple[list[InputDevice], int]:
 
 def _short(error: Exception) -> str:
     return str(error.args[0]) if error.args else type(error).__name__
-
-
-@contextmanager
-def _silent_libraries() -> Iterator[None]:
-    """Silence what ALSA and PortAudio print to the process's standard error."""
-    kept = os.dup(2)
-    try:
-        with open(os.devnull, "wb") as nothing:
-            os.dup2(nothing.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)

@@ -21,18 +21,14 @@ if TYPE_CHECKING:
     from tunenet_logs.recorders.simulators.camera import PinholeCamera
     from tunenet_logs.recorders.simulators.shot import ShotRig
 
-_MAX_NAME = 100  # characters of a ball's or surface's name: it is one line of a log's notes
 _LAST_DOMAIN = 232  # of DDS: the ports of a higher domain's discovery would be over 65535
-_MAX_JOINTS = 100  # more than any robot has: what is longer is a mistake in the command
-
-
 _place = numbers(3, -1e4, 1e4, "a point X,Y,Z in meters, such as 1,-2,1")
-_com = numbers(3, -1, 1, "X,Y,Z in meters, each within 1, such as 0.02,0,0.01")
 
 
 def _joint_names(text: str) -> tuple[str, ...]:
     names = tuple(part.strip() for part in text.split(","))
-    if not all(name and name.isprintable() for name in names) or len(names) > _MAX_JOINTS:
+    # No robot has over 100: what is longer is a mistake in the command.
+    if not all(name and name.isprintable() for name in names) or len(names) > 100:
         raise argparse.ArgumentTypeError(
             f"{short_name(text)!r} is not a list of joints, such as joint_1,joint_2"
         )
@@ -42,7 +38,6 @@ def _joint_names(text: str) -> tuple[str, ...]:
 
 
 # ---- Options that several sources have
-
 
 _simulated = partial(option, group="simulate")
 _filmed = partial(option, group="simulate:the same drop filmed")
@@ -92,7 +87,7 @@ class OfBall:
         f"{', '.join(BALLS)}",
         group="camera",
         metavar="NAME",
-        parse=printable(_MAX_NAME, "a name"),
+        parse=printable(100, "a name"),  # it is one line of a log's notes
     )
 
 
@@ -224,7 +219,7 @@ class PayloadOrder(Simulated, Sampled, Lasting):
         (0.0, 0.0, 0.0),
         flag="--com",
         metavar="X,Y,Z",
-        parse=_com,
+        parse=numbers(3, -1, 1, "X,Y,Z in meters, each within 1, such as 0.02,0,0.01"),
     )
     is_empty: bool = _of_arm(
         "hold nothing: the tare of the run with the same --seed and options", False

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tunenet_logs.console import given, option, printable
 from tunenet_logs.errors import LogError, UsageError
@@ -24,11 +24,6 @@ if TYPE_CHECKING:
 
 _TASK = "bounce-shot"  # of an outcome whose task is not given: the one task that is simulated here
 _MAX_LETTERS = 1000  # of a text or path: it is one line of a table later
-_MAX_TUNING_BYTES = 4_000_000  # far more than a tuning's JSON has; what is larger is another file
-_MAX_LOCK_S = 10.0  # for other recorders to write their outcomes: each takes a moment
-_LOOK_S = 0.02  # between two tries to be the one that writes
-
-
 _text = printable(_MAX_LETTERS, "a line")
 
 
@@ -89,12 +84,8 @@ class OutcomeOptions(OfBall):
 
 
 def record_outcome_as_asked(arguments: argparse.Namespace) -> str:
-    """Record the outcome of a shot; return the summary line.
-
-    Raises:
-        TuneNetError: something is missing or wrong, or it cannot be written.
-    """
-    from tunenet_logs.outcomes import write_outcome
+    """Record the outcome of a shot; return the summary line."""
+    from tunenet_logs.outcomes import MAX_ATTEMPTS, write_outcome
     from tunenet_logs.timing.stamps import now_ns
 
     asked = OutcomeOptions(**given(arguments, OutcomeOptions))
@@ -123,18 +114,17 @@ def record_outcome_as_asked(arguments: argparse.Namespace) -> str:
             outcome = replace(outcome, stamp_ns=now_ns())
         earlier = _earlier(folder, outcome)
         if asked.attempt is None:
-            outcome = replace(outcome, attempt=_next(outcome.ball, earlier))
+            number = 1 + max((other.attempt for other in earlier), default=0)
+            if number > MAX_ATTEMPTS:
+                raise UsageError(
+                    f"{outcome.ball}: has an attempt {MAX_ATTEMPTS}, the last; say --attempt N"
+                )
+            outcome = replace(outcome, attempt=number)
         path = write_outcome(folder, outcome)
     # Of an attempt's outcomes that of the latest time counts in reviews.
-    times = [
-        other.stamp_ns
-        for other in earlier
-        if other.attempt == outcome.attempt and not other.is_counted
-    ]
-    which = ""
-    if times and outcome.stamp_ns >= max(times):
-        which = "; it had an outcome, and the later one counts"
-    elif times:
+    same = [one for one in earlier if one.attempt == outcome.attempt and not one.is_counted]
+    which = "; it had an outcome, and the later one counts" if same else ""
+    if any(one.stamp_ns > outcome.stamp_ns for one in same):
         which = (
             "; it has an outcome of a later time, and that counts: say a later --at to correct it"
         )
@@ -167,15 +157,6 @@ def _outcome(asked: OutcomeOptions, folder: Path, *, success: bool) -> Outcome:
         raise UsageError(f"{error}; an outcome cannot hold that") from error
 
 
-def _next(ball: str, earlier: list[Outcome]) -> int:
-    from tunenet_logs.outcomes import MAX_ATTEMPTS
-
-    number = 1 + max((other.attempt for other in earlier), default=0)
-    if number > MAX_ATTEMPTS:
-        raise UsageError(f"{ball}: has an attempt {MAX_ATTEMPTS}, the last; say --attempt N")
-    return number
-
-
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
     """Lock the folder against other recorders, where the file system has locks."""
@@ -183,22 +164,21 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
     opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        end = time.monotonic() + _MAX_LOCK_S
-        is_waiting = True
-        while is_waiting:
-            is_waiting = False
+        end = time.monotonic() + 10.0  # [s]; others take a moment to write their outcomes
+        while True:
             try:
                 fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 if time.monotonic() > end:
                     raise LogError(
-                        f"{folder}: another program has locked it for over {_MAX_LOCK_S:g} s; "
-                        "end that, or choose another folder with -o"
+                        f"{folder}: another program has locked it for over 10 s; end that, or "
+                        "choose another folder with -o"
                     ) from error
-                time.sleep(_LOOK_S)
-                is_waiting = True
+                time.sleep(0.02)
+                continue
             except OSError:  # a file system without locks
                 pass
+            break
         yield
     finally:
         os.close(opened)
@@ -235,31 +215,23 @@ def _told_by(tuning: Path | None) -> tuple[float | None, Path | None]:
         return None, None
     remedy = "name a JSON that tunenet-tune wrote, or leave --tuning out"
     try:
-        told = parse_json(read_small_file(tuning, _MAX_TUNING_BYTES))
+        told = parse_json(read_small_file(tuning, 4_000_000))  # far more than a tuning has
         log = tuning.parent / Path(told["log"]).name
-        return _restitution(told["parameters"]), (log if _is_there(log) else None)
+        # None where it was rejected or is of something else than a drop.
+        parameters = told["parameters"]
+        value = None
+        if not isinstance(parameters, dict | None):
+            raise ValueError("no parameters")
+        if parameters and "restitution" in parameters:
+            value = parameters["restitution"]["value"]
+            is_number = isinstance(value, float | int) and not isinstance(value, bool)
+            if not is_number or not 0 <= value <= 1:
+                raise ValueError("no restitution")
+        return (None if value is None else float(value)), (log if _is_there(log) else None)
     except OSError as error:
         raise UsageError(f"{tuning}: cannot be read ({error.strerror}); {remedy}") from error
     except (ValueError, TypeError, LookupError) as error:
         raise UsageError(f"{tuning}: is no tuning; {remedy}") from error
-
-
-def _restitution(parameters: Any) -> float | None:
-    """Read a tuning's restitution; None if it was rejected or is of something else.
-
-    Raises:
-        ValueError: it is no tuning.
-    """
-    if parameters is None:
-        return None
-    if not isinstance(parameters, dict):
-        raise ValueError("no parameters")
-    if "restitution" not in parameters:
-        return None
-    value = parameters["restitution"]["value"]
-    if not isinstance(value, float | int) or isinstance(value, bool) or not 0 <= value <= 1:
-        raise ValueError("no restitution")
-    return float(value)
 
 
 def _place(path: Path | None, folder: Path) -> str:

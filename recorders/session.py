@@ -35,9 +35,7 @@ from tunenet_logs.writing.writer import EpisodeWriter
 class Closable(Protocol):
     """What can be closed."""
 
-    def close(self) -> None:
-        """Close it."""
-        ...
+    def close(self) -> None: ...  # noqa: D102
 
 
 @contextmanager
@@ -109,6 +107,7 @@ def record_episode(
     """Record positions, joints and pictures of a simulated episode as if from sensors."""
     samples = list(_samples(episode))
     total = len(samples) + sum(channel.messages for channel in episode.channels)
+    write_frame = partial(EpisodeWriter.write_frame, topic=CAMERA_TOPIC)
     with (
         stop_flag() as stop,
         EpisodeWriter(
@@ -116,10 +115,7 @@ def record_episode(
         ) as writer,
         progress.bar(total, "recording", "sample") as bar,
     ):
-        frames = (
-            partial(EpisodeWriter.write_frame, topic=CAMERA_TOPIC, frame=frame)
-            for frame in episode.frames()
-        )
+        frames = (partial(write_frame, frame=frame) for frame in episode.frames())
         for write in chain(samples, frames):
             if stop.is_set():
                 break
@@ -136,34 +132,28 @@ def _samples(episode: Episode) -> Iterator[Callable[[EpisodeWriter], None]]:
     of_joints = {id(part) for parts in joints.values() for part in parts.values()}
     for topic, positions in episode.signals.items():
         if id(positions) not in of_joints:
-            for stamp_ns, position_m in zip(
-                positions.stamps_ns.tolist(), positions.values, strict=True
-            ):
-                yield partial(
-                    EpisodeWriter.write_pose, topic=topic, stamp_ns=stamp_ns, position_m=position_m
-                )
+            write = partial(EpisodeWriter.write_pose, topic=topic)
+            for stamp_ns, at_m in zip(positions.stamps_ns.tolist(), positions.values, strict=True):
+                yield partial(write, stamp_ns=stamp_ns, position_m=at_m)
     for topic, parts in joints.items():
-        position, velocity, effort = (parts.get(part) for part in JOINT_PARTS)
         first = next(iter(parts.values()))
+        write = partial(EpisodeWriter.write_joints, topic=topic, names=first.columns)
         for row, stamp_ns in enumerate(first.stamps_ns.tolist()):
+            position, velocity, effort = (
+                parts[part].values[row] if part in parts else () for part in JOINT_PARTS
+            )
             yield partial(
-                EpisodeWriter.write_joints,
-                topic=topic,
+                write,
                 stamp_ns=stamp_ns,
-                names=first.columns,
-                position_rad=() if position is None else position.values[row],
-                velocity_rad_s=() if velocity is None else velocity.values[row],
-                effort_nm=() if effort is None else effort.values[row],
+                position_rad=position,
+                velocity_rad_s=velocity,
+                effort_nm=effort,
             )
 
 
 # ---- Queue: from the receiving threads to the writing one
 
 Payload = TypeVar("Payload")
-
-# For messages to gather before they are written in one go: a small part of the 0.25 s that may be
-# lost with the process, and long enough that waking up costs nothing.
-_PAUSE_S = 0.03
 
 
 class Item(NamedTuple, Generic[Payload]):
@@ -259,16 +249,15 @@ class TopicQueue(Generic[Payload]):
     def pause(self) -> None:
         """Let messages gather for a moment; return at once when the queue is closed."""
         # Messages do not end it: at a thousand a second, waking up for each is most of the work.
+        # It is a small part of the 0.25 s that may be lost with the process.
         with self._changed:
-            self._changed.wait_for(lambda: self._closed, _PAUSE_S)
+            self._changed.wait_for(lambda: self._closed, 0.03)
 
     def start(self) -> None:
         """Discard the queued messages, and count from here on."""
         with self._changed:
-            self._items.clear()
-            self._held_bytes = 0
             self._counts = True
-            self._changed.notify_all()
+            self._forget()
 
     def close(self) -> None:
         """Accept no more messages; those inside can still be taken."""
@@ -281,10 +270,8 @@ class TopicQueue(Generic[Payload]):
         with self._changed:
             if topic in self._tallies:
                 self._tallies[topic].captured -= len(self._items) + taken
-            self._items.clear()
-            self._held_bytes = 0
             self._closed = True
-            self._changed.notify_all()
+            self._forget()
 
     def tally(self, topic: str) -> Tally:
         """Return the counts of a topic so far."""
@@ -315,13 +302,16 @@ class TopicQueue(Generic[Payload]):
         with self._changed:
             return self._closed and not self._items
 
+    def _forget(self) -> None:
+        self._items.clear()
+        self._held_bytes = 0
+        self._changed.notify_all()
+
     def _is_full(self, size_bytes: int) -> bool:
         return bool(self._items) and self._held_bytes + size_bytes > self._limit_bytes
 
 
 # ---- Live recording: several streams, from several threads, to one log
-
-_Encoded = tuple[str, bytes]  # type name, CDR
 
 
 class LiveRecording:
@@ -351,7 +341,8 @@ class LiveRecording:
         self.summary = Summary(0, 0, 0)  # counts, once it is over
         self._writer = EpisodeWriter(path, info, overwrite=overwrite, min_free_bytes=min_free_bytes)
         self._writer.tally = self._count
-        self._queue: TopicQueue[_Encoded] = TopicQueue(queue_bytes, drops=True)
+        # Type name and CDR.
+        self._queue: TopicQueue[tuple[str, bytes]] = TopicQueue(queue_bytes, drops=True)
         # Ends the recording once it is set, as `stop_flag` does.
         self._stop = stop or threading.Event()
         self._types: dict[str, str] = {}
@@ -448,8 +439,7 @@ class LiveRecording:
                     if not ended and self._stop.is_set():
                         ended = "stopped by a signal"
                         queue.close()
-                    item = queue.take()
-                    if item is None:
+                    if (item := queue.take()) is None:
                         writer.tick()
                         queue.pause()
                     else:
@@ -459,9 +449,9 @@ class LiveRecording:
                         )
                 ended = ended or self._ended
                 if self._is_discarded:
-                    self._writer.discard()
+                    writer.discard()
                 else:
-                    self._writer.close(ended)
+                    writer.close(ended)
         except LogError as error:
             self.error = error
         except Exception as error:  # noqa: BLE001 (in a thread, else nobody would hear of it)
@@ -470,12 +460,9 @@ class LiveRecording:
         finally:
             self._queue.close()
             counts = self._writer.info.counts
-            self.summary = Summary(
-                counts.get("captured", 0),
-                counts.get("written", 0),
-                counts.get("dropped", 0),
-                ended if self.error is None else str(self.error),
-            )
+            captured, written, dropped = map(counts.get, ("captured", "written", "dropped"))
+            why = ended if self.error is None else str(self.error)
+            self.summary = Summary(captured or 0, written or 0, dropped or 0, why)
             self._is_over.set()
 
     def _count(self) -> dict[str, int]:

@@ -53,29 +53,23 @@ from tunenet_logs.recorders.simulators.shot import BounceShot, ShotRig, read_rig
 
 # ---- Drop
 
-_PAPER_RATE_HZ, _PAPER_SAMPLES = 60.0, 400  # the paper's recordings of a drop
-_RADIUS_M = {"default": 0.05, "paper": 0.5}  # of the ball, by preset; the paper's is its authors'
-# Ranges of what is not ordered: several impacts are then in the usual 6.7 s.
-_DROP_RESTITUTION, _DROP_HEIGHT_M = (0.1, 0.95), (0.3, 5.0)
+_PAPER_RATE_HZ = 60.0  # of the paper's recordings of a drop
 
 
 def simulate_drop(order: DropOrder) -> Episode:
-    """Simulate one drop; the same order gives the same bits.
-
-    Raises:
-        UsageError: a value is out of range.
-    """
+    """Simulate one drop; the same order gives the same bits."""
     rng = np.random.default_rng(order.seed)
-    restitution, height_m = rng.uniform(*_DROP_RESTITUTION), rng.uniform(*_DROP_HEIGHT_M)
+    # What is not ordered; several impacts are then in the usual 6.7 s.
+    restitution, height_m = rng.uniform(0.1, 0.95), rng.uniform(0.3, 5.0)
     rate_hz = order.rate_hz or _PAPER_RATE_HZ
     if order.preset == "paper" and rate_hz != _PAPER_RATE_HZ:
         raise UsageError(f"preset paper is simulated at 60 Hz by definition, not at {rate_hz:g} Hz")
     if order.preset == "paper" and (order.slope or order.drag_1_m):
         raise UsageError("preset paper has neither slope nor drag: leave them out")
-    seconds = order.seconds or _PAPER_SAMPLES / _PAPER_RATE_HZ
+    seconds = order.seconds or 400 / _PAPER_RATE_HZ
     rig = DropRig(
         gap_m=height_m if order.height_m is None else order.height_m,
-        radius_m=order.radius_m or _RADIUS_M[order.preset],
+        radius_m=order.radius_m or (0.5 if order.preset == "paper" else 0.05),
         rate_hz=rate_hz,
         samples=round((seconds + order.hold_s) * rate_hz),
         hold_s=order.hold_s,
@@ -95,22 +89,16 @@ def simulate_drop(order: DropOrder) -> Episode:
 
 # ---- Filmed drop
 
-# The camera is drawn from a stream of its own: a seed gives one drop, filmed or not.
-_FILMED_HEIGHT_M = (0.4, 2.0)  # range of drop heights before a camera: those of a table or a person
-_JPEG_QUALITY = 92  # of 100; webcams are near it: artefacts as in a real recording
 _SUBFRAMES = 8  # positions of the ball while the shutter is open, whose mean is its blur
 
 
 def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
-    """Simulate and film one drop; the same orders give the same bits.
-
-    Raises:
-        UsageError: a value is out of range, or no random camera sees the whole drop.
-    """
+    """Simulate and film one drop; the same orders give the same bits."""
+    # The camera is drawn from a stream of its own: a seed gives one drop, filmed or not.
     rng = np.random.default_rng([order.seed, 0xCA3E])
     camera = _placed_camera(order, film)
-    if order.height_m is None:
-        order = replace(order, height_m=float(rng.uniform(*_FILMED_HEIGHT_M)))
+    if order.height_m is None:  # from a table, or from a person's hand
+        order = replace(order, height_m=float(rng.uniform(0.4, 2.0)))
     drop = simulate_drop(order)
     rig = drop.info.rig
     radius_m = rig["ball_diameter_m"] / 2
@@ -137,13 +125,7 @@ def film_drop(order: DropOrder, film: FilmOrder) -> Episode:
         _frames, camera, radius_m, stamps_ns[kept], centers_m[kept], film.noise, scene_seed
     )
     info = replace(drop.info, source=f"{drop.info.source}, rendered", notes=notes)
-    channel = Channel(
-        topic=CAMERA_TOPIC,
-        type_name=COMPRESSED_IMAGE,
-        encoding="cdr",
-        log_ns=stamps_ns[kept],
-        pictures=True,
-    )
+    channel = Channel(CAMERA_TOPIC, COMPRESSED_IMAGE, "cdr", stamps_ns[kept], pictures=True)
     return Episode(info, {}, (channel,), open_frames=frames)
 
 
@@ -196,7 +178,7 @@ def _frames(
         picture = scene.picture(centers)
         noisy = picture + rng.normal(0.0, 1.0, picture.shape) * noise
         pixels = np.clip(np.round(noisy), 0, 255).astype(np.uint8)
-        quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+        quality = [cv2.IMWRITE_JPEG_QUALITY, 92]  # a webcam's: artefacts as in a real recording
         _, data = cv2.imencode(".jpg", pixels[:, :, ::-1], quality)
         yield Frame(stamp_ns, "jpeg", data.tobytes())
 
@@ -204,22 +186,14 @@ def _frames(
 # ---- Payload: an arm that holds it moves along a path
 
 _CIRCLE, _RANDOM = "circle", "random"
-
-_PAYLOAD_MASS_KG = (0.1, 1.5)  # range of a payload that is not ordered: what a Jaco can lift
-_IDEAL_RATE_HZ = 60.0  # of an ideal log: the paper's
-_DRIVER_RATE_HZ = 65.0  # messages of a Kinova driver, as measured in a log of one
 _FINE_RATE_HZ = 240.0  # of the motion that a driver's messages sample by interpolation
 _MOTION_S = 5.0  # of a motion: about one turn of the circle, 5.2 s
 
 
 def simulate_payload(order: PayloadOrder) -> Episode:
-    """Simulate one run; the same order gives the same bits.
-
-    Raises:
-        UsageError: a value, file or combination is invalid.
-    """
+    """Simulate one run; the same order gives the same bits."""
     arm = ordered_arm(order)
-    drawn_kg = float(np.random.default_rng(order.seed).uniform(*_PAYLOAD_MASS_KG))
+    drawn_kg = float(np.random.default_rng(order.seed).uniform(0.1, 1.5))  # what a Jaco can lift
     mass_kg = drawn_kg if order.mass_kg is None else order.mass_kg
     payload = Payload(0.0 if order.is_empty else PAYLOAD_MASS.checked(mass_kg), order.com_m)
     notes = {"seed": str(order.seed), "arm": arm.name, "path": _wanted_path(order)}
@@ -273,17 +247,18 @@ def ordered_arm(order: PayloadOrder) -> Arm:
     return read_arm(order.urdf, order.tool_link)
 
 
-def _wanted_path(order: PayloadOrder) -> str:
-    return order.path or (_CIRCLE if _is_on_circle(order) else _RANDOM)
-
-
 def _is_on_circle(order: PayloadOrder) -> bool:
     """Return whether the arm is a Jaco with 7 joints, which the paper's circle is for."""
     return order.urdf is None and (order.arm or DEFAULT).lower().startswith("jaco7")
 
 
+def _wanted_path(order: PayloadOrder) -> str:
+    return order.path or (_CIRCLE if _is_on_circle(order) else _RANDOM)
+
+
 def _rate_hz(order: PayloadOrder) -> float:
-    return order.rate_hz or (_DRIVER_RATE_HZ if order.is_driver else _IDEAL_RATE_HZ)
+    # Of an ideal log as in the paper; of a Kinova driver as measured in a log of one.
+    return order.rate_hz or (65.0 if order.is_driver else 60.0)
 
 
 def _path(arm: Arm, order: PayloadOrder, rate_hz: float, seconds: float | None) -> JointPath:
@@ -310,14 +285,9 @@ def _path(arm: Arm, order: PayloadOrder, rate_hz: float, seconds: float | None) 
 
 def _disturbances(arm: Arm, order: PayloadOrder) -> Disturbances:
     base = REAL_ARM if order.is_driver else NO_ERRORS
-    sizes = {
-        "torque_noise_nm": order.torque_noise_nm,
-        "friction_nm": order.friction_nm,
-        "offset_nm": order.offset_nm,
-        "gain_error": order.gain_error,
-    }
-    base = replace(base, **{name: size for name, size in sizes.items() if size is not None})
-    disturbances = drawn(order.seed, arm, base)
+    names = ("torque_noise_nm", "friction_nm", "offset_nm", "gain_error")
+    sizes = {name: size for name in names if (size := getattr(order, name)) is not None}
+    disturbances = drawn(order.seed, arm, replace(base, **sizes))
     if order.lag_s is not None:
         disturbances = replace(disturbances, lag_s=order.lag_s)
     if order.is_driver:
@@ -327,28 +297,17 @@ def _disturbances(arm: Arm, order: PayloadOrder) -> Disturbances:
 
 # ---- Bounce shot
 
-# Range of what is not ordered, of balls that bounce well: table tennis, squash, tennis, golf.
-_SHOT_RESTITUTION = (0.5, 0.85)
-
 
 def simulate_shot(order: ShotOrder) -> Episode:
-    """Simulate one shot; the same order gives the same bits.
-
-    Raises:
-        UsageError: a value is out of range.
-    """
+    """Simulate one shot; the same order gives the same bits."""
     rng = np.random.default_rng(order.seed)
     rig = read_rig(order.rig) if isinstance(order.rig, Path) else order.rig or ShotRig()
     rig = rig if order.drag_1_m is None else rig.with_drag(order.drag_1_m)
     reach = rig.release
-    restitution = float(rng.uniform(*_SHOT_RESTITUTION))
+    restitution = float(rng.uniform(0.5, 0.85))  # table tennis, squash, tennis, golf
     height_m = float(rng.uniform(reach.lowest_m, reach.highest_m))
-    simulator = BounceShot(
-        rig=rig,
-        height_m=height_m if order.height_m is None else order.height_m,
-        slope=order.slope,
-        rate_hz=order.rate_hz,
-    )
+    height_m = height_m if order.height_m is None else order.height_m
+    simulator = BounceShot(rig=rig, height_m=height_m, slope=order.slope, rate_hz=order.rate_hz)
     wanted = restitution if order.restitution is None else order.restitution
     episode = simulator.rollout({RESTITUTION.name: wanted})
     notes = {"seed": str(order.seed), "slope": repr(order.slope)}

@@ -31,13 +31,14 @@ from tunenet_logs.formats import registry as formats
 from tunenet_logs.formats.base import AnyType, Plain, RawChannel, RawMessage, Record, Structure
 from tunenet_logs.formats.compressed import COMPRESSIONS, Compression
 from tunenet_logs.formats.kinds import Start
-from tunenet_logs.formats.message_types import TYPES, PositionType
+from tunenet_logs.formats.message_types import TYPES, MessageType
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.recorders import cli as recording
 from tunenet_logs.recorders.camera import sources
 from tunenet_logs.recorders.camera.base import CapturedFrame, Source
 from tunenet_logs.recorders.camera.device import VideoFile
-from tunenet_logs.recorders.camera.sources import SourceOptions
+from tunenet_logs.recorders.camera.network import NetworkOptions
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.orders import DropOrder, FilmOrder
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
@@ -108,7 +109,7 @@ def read_height(message) -> list[tuple]:
 @pytest.fixture
 def toy_type(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = Structure("", {"up": Plain.NUMBER})
-    monkeypatch.setitem(TYPES, TOY_TYPE, PositionType(read_height, wanted))
+    monkeypatch.setitem(TYPES, TOY_TYPE, MessageType("positions", read_height, wanted))
 
 
 @pytest.mark.usefixtures("toy_type")
@@ -322,8 +323,8 @@ class Looped(VideoFile):
         yield from list(super().frames())[:5]
 
 
-def open_loop(text: str, wishes: SourceOptions) -> Source:
-    return Looped(Path(text.removeprefix("loop:/")), wishes.filmed_hz)
+def open_loop(text: str, asked: CameraOptions, _network: NetworkOptions) -> Source:
+    return Looped(Path(text.removeprefix("loop:/")), asked.fps)
 
 
 def test_a_cameras_scheme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -14,7 +14,6 @@ itself costs nothing: every command passes here. What a log is lies behind it.
 """
 
 __version__ = "0.1.0"
-
 TYPE_CHECKING = False  # `typing` costs a tenth of a command's start
 if TYPE_CHECKING:
     from tunenet_logs.analysis.api import (

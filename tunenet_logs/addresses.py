@@ -15,20 +15,15 @@ from tunenet_logs.errors import UsageError
 
 # What an address begins with, by RFC 3986; a device or a file has none.
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
-
 # Schemes of addresses whose path is a key: any character may stand in it.
 _OBJECT_STORES = ("s3", "gs", "gcs", "az", "abfs")
-
 _AT_ACCOUNTS = ("az", "abfs")  # of these, those that are written container@account: no login
 # User and password before a host, as RFC 3986 has them.
 _LOGIN = re.compile(r"[^\s/?#]*@")
-
 # The same with a `/`, `?` or `#` left in the password.
 _UNQUOTED_LOGIN = re.compile(r"[^\s/?#@:\[]*:(?!\d{1,5}(?:[/?#]|$))[^\s@]*@")
-
 # A host of one word, a port and an @ behind: it may as well be a password that begins so.
 _LIKE_A_LOGIN = re.compile(r"(?!localhost\b)[^\s/?#@:\[.]+:\d{1,5}[/?#]\S*@")
-
 _LOGIN_IN_TEXT = re.compile(
     r"(\b\w{1,10}:/{1,3})(?!@)"
     r"([^\s/?#]{0,400}@|[^\s/?#@:\[]{0,100}:(?!\d{1,5}(?:[/?#]|$))\S{0,400}@)(?=[^\s@])"
@@ -37,9 +32,7 @@ _LOGIN_IN_TEXT = re.compile(
 _BARE_LOGIN = re.compile(
     r"(?<![^\s'\"(])[^/@\s:'\"]{0,100}:[^/@\s]{1,400}@(?=\[|\d+\.\d+\.\d+\.|[\w.-]+(?:/|:\d))"
 )
-
 _VALUE_IN_TEXT = re.compile(r"(?<=[?&;#])([\w.%-]+)=([^\s&;,#'\"<>()\[\]]+)")
-
 _TOKEN_IN_TEXT = re.compile(r"(?<=\?)[^\s=&?'\"<>()\[\]]{12,}")  # a query without a name
 # In the name of a query's parameter: it is, or belongs to, what proves a right.
 _SECRET_PARTS = re.compile(
@@ -47,37 +40,25 @@ _SECRET_PARTS = re.compile(
     r"private-?key|subscription-?key|key-?pair|oauth|authori[sz]|authent|hmac|jwt|rl-?key|"
     r"session-?id|access-?id|bearer|temp-?auth|temp-?url|expire|login|hdnea|hdnts|hdntl|cookie"
 )
-
 # The same as a whole word of such a name.
 _SECRET_WORDS = re.compile(r"sig|sign|sas|pass|pwd|pw|psw|pswd|auth|gda|cred|creds|verify")
-
 # Of names that belong to the signatures of object stores.
 _SECRET_STARTS = ("x-amz-", "x-goog-", "x-oss-", "x-cos-", "x-obs-", "x-tos-", "x-ms-", "q-")
-
 # Names beside `sig` in a shared access signature.
 _AZURE = re.compile(
     r"sv|ss|srt|sp|se|st|spr|sr|si|sip|sdd|ses|skoid|sktid|skt|ske|sks|skv|saoid|suoid|scid|"
     r"rscc|rscd|rsce|rscl|rsct"
 )
-
 # Names that go with a signature where there is one; alone they may pick what is sent.
 _BESIDE = re.compile(
     r"user|username|usr|u|policy|key|kid|ak|algorithm|hash-algorithm|alg|md5|hash|h|s|e|t|st|et|"
     r"ts|exp|deadline|timestamp|nonce|tid"
 )
-
 # Names that may be a password's, or may pick what is sent.
 _GUESSABLE = re.compile(r"user|username|usr|key|code|pin|ticket|session|sid|u|p|k|s|h")
-
 # Names whose values are long, and no secrets.
 _PICKS = re.compile(r"version-id|version|generation|snapshot|ref|rev|revision|commit|sha")
-
 _FILE = re.compile(r"(?:.*/)?[^/]+\.([A-Za-z]\w{1,6})", re.DOTALL)  # what names a file; its ending
-# Endings of what a server runs to send a file that the query names.
-_PROGRAMS = re.compile(r"php|cgi|asp|aspx|jsp")
-
-# Letters and digits in a row of what people write, and where both are mixed.
-_MAX_WORD, _MAX_MIXED = 20, 12
 
 
 def scheme_of(text: str) -> str:
@@ -150,7 +131,9 @@ class Address:
         """Name of the log: the last part of the path, or the file name in the query."""
         place, _, query = self.identity.partition("?")
         name = PurePosixPath(place).name
-        if (found := _FILE.fullmatch(name)) and not _PROGRAMS.fullmatch(found[1].lower()):
+        # Not what a server runs to send a file that the query names.
+        programs = ("php", "cgi", "asp", "aspx", "jsp")
+        if (found := _FILE.fullmatch(name)) and found[1].lower() not in programs:
             return name
         named = (re.split(r"/|=|%2F|%3D", one)[-1] for _, one in _parameters(query))
         return next((one for one in named if _FILE.fullmatch(one)), name)
@@ -256,11 +239,8 @@ def _is_file(value: str) -> bool:
 
 def _is_plain(value: str) -> bool:
     """Check whether a value is what people write (words, numbers, paths) and not a token."""
-    for word in re.findall(r"[A-Za-z0-9]+", unquote(value)):
-        is_mixed = not word.isdecimal() and not word.isalpha()
-        if len(word) >= (_MAX_MIXED if is_mixed else _MAX_WORD):
-            return False
-    return True
+    words = re.findall(r"[A-Za-z0-9]+", unquote(value))  # shorter where letters and digits mix
+    return all(len(one) < (20 if one.isdecimal() or one.isalpha() else 12) for one in words)
 
 
 def _without_login(found: re.Match[str]) -> str:

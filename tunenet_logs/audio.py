@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,16 +31,9 @@ if TYPE_CHECKING:
 
 
 MAX_S = 600.0  # [s] of sound that is used
-_MAX_VALUES = 240_000_000  # read of all channels: ten minutes of eight at 48 kHz
 _KEPT_HZ = 48_000  # a higher sample rate is divided by a whole number, to this at most
 # Slowest and fastest sample rate; speech by telephone has 8,000, a bat detector 500,000.
 RATES_HZ = (1_000.0, 2_000_000.0)
-
-# Between where a packet should begin and where it says: files round it to ms, or to a packet.
-_SAME_S = 0.03
-
-_MAX_SIZE = 8.0  # of a sample; decoders give a little more than 1 where a sound was clipped
-_MAX_PIECES = 1_000_000  # packets that are joined
 # Full scale of integer samples, by NumPy's name of their type.
 _FULL_SCALE = {"u1": 2.0**7, "i2": 2.0**15, "i4": 2.0**31, "i8": 2.0**63}
 
@@ -90,14 +84,21 @@ class SoundGatherer:
         """
         self._calls += 1
         self._values += piece.size
-        if self._values > _MAX_VALUES or self._calls > _MAX_PIECES:
+        # Ten minutes of eight channels at 48 kHz.
+        if self._values > 240_000_000 or self._calls > 1_000_000:
             self._why_full = self._why_full or "the rest is too much"
         if self.is_full or not piece.size:
             return
         if at_s is not None:
             self._place(at_s)
-        mono = _mono(piece)
-        is_bad = ~np.isfinite(mono) | (np.abs(mono) > _MAX_SIZE)
+        # The mean of the channels, full scale 1; what is no number is dealt with below.
+        with np.errstate(all="ignore"):
+            mean = piece.mean(axis=1, dtype=np.float64)
+            kind = piece.dtype.str[1:]
+            mean -= 128.0 if kind == "u1" else 0.0
+            mono = np.asarray(mean / _FULL_SCALE.get(kind, 1.0), np.float32)
+        # Decoders give a little more than 1 where a sound was clipped.
+        is_bad = ~np.isfinite(mono) | (np.abs(mono) > 8.0)
         if is_bad.any():
             self._bad += int(is_bad.sum())
             mono[is_bad] = 0.0
@@ -110,9 +111,6 @@ class SoundGatherer:
         start_s = float(np.median(self._offsets_s)) if self._offsets_s else 0.0
         middle_s = (self._every - 1) / 2 / self._file_hz  # of the samples that became one
         rate_hz = self._file_hz / self._every
-        return GatheredSound(samples, start_s + middle_s, rate_hz, tuple(self._said(samples)))
-
-    def _said(self, samples: NDArray[np.float32]) -> list[str]:
         said: list[str] = []
         if not len(samples):
             said.append("the sound track holds no sound")
@@ -122,8 +120,7 @@ class SoundGatherer:
             used_s = len(samples) * self._every / self._file_hz
             said.append(f"only the first {used_s:.1f} s of the sound are used: {self._why_full}")
         if self._every > 1:
-            kept_hz = self._file_hz / self._every
-            said.append(f"the sound was reduced from {self._file_hz:g} to {kept_hz:g} Hz")
+            said.append(f"the sound was reduced from {self._file_hz:g} to {rate_hz:g} Hz")
         if self._bad:
             said.append(f"{self._bad} samples that are no numbers, or far too loud, became silence")
         if self._holes:
@@ -131,7 +128,7 @@ class SoundGatherer:
             said.append(f"{holes} in the sound, {self._hole_s:.2f} s in all")
         if self._backwards:
             said.append(f"the times of the sound run backwards {self._backwards} times")
-        return said
+        return GatheredSound(samples, start_s + middle_s, rate_hz, tuple(said))
 
     def _place(self, at_s: float) -> None:
         """Fill a gap before a packet with silence, or count a step backwards."""
@@ -140,7 +137,7 @@ class SoundGatherer:
         if not self._offsets_s:
             self._base_s, self._base_count = at_s, self._count
         late_s = at_s - self._base_s - (self._count - self._base_count) / self._file_hz
-        if abs(late_s) <= _SAME_S:
+        if abs(late_s) <= 0.03:  # files round it to ms, or to a packet
             if not self._holes and not self._backwards:
                 self._offsets_s.append(at_s - self._count / self._file_hz)
             return
@@ -178,23 +175,9 @@ def reduced_hz(rate_hz: float) -> float:
     return rate_hz / max(1, math.ceil(rate_hz / _KEPT_HZ))
 
 
-def _mono(piece: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the mean of the channels, full scale 1, shape (N,)."""
-    kind = piece.dtype.str[1:]
-    if kind not in _FULL_SCALE:
-        with np.errstate(all="ignore"):  # what is no number is dealt with by the caller
-            return np.asarray(piece.mean(axis=1, dtype=np.float64), np.float32)
-    middle = 128.0 if kind == "u1" else 0.0
-    return np.asarray(
-        (piece.mean(axis=1, dtype=np.float64) - middle) / _FULL_SCALE[kind], np.float32
-    )
-
-
 # ---- Sound track of a file: packet times at once, samples on demand
 
 _MAX_PACKETS = 250_000  # whose times are listed: an hour and a half of AAC
-_MAX_FRAME = 262_144  # samples of a decoded packet: the largest of any lossless codec
-_MAX_DAMAGED = 1000  # packets that cannot be decoded, after which a track is given up
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,44 +192,37 @@ class SoundTrack:
     rate_hz: float  # stated by the file, which need not be what its decoder gives
     packets_s: NDArray[np.float64]  # begin of each packet, on the file's clock, shape (P,) [s]
     lasts_s: float  # to the end of the last packet [s]
+    start_ns: int = 0  # the log's stamp of `origin_s`
+    origin_s: float | None = None  # on the file's clock [s]; None for the first sample
+    # Seconds of the log's clock in one of the file's: below 1 for sound that was slowed down with
+    # its video.
+    slow: float = 1.0
+    warnings: tuple[str, ...] = ()  # what is doubtful, in words
 
-    def sound(
-        self,
-        start_ns: int,
-        origin_s: float | None = None,
-        slow: float = 1.0,
-        warnings: tuple[str, ...] = (),
-    ) -> Sound:
-        """Decode the samples; a damaged track ends at the damage.
-
-        `start_ns` is the log's stamp of the file's time `origin_s` [s], the first sample's if None;
-        `slow` the seconds of the log's clock in one of the file's.
-        """
+    def sound(self, _topic: str = AUDIO_TOPIC) -> Sound:
+        """Decode the samples; a damaged track ends at the damage."""
         said: list[str] = []
         gathered, file_hz, channels = self._decoded(said)
-        begins_s = gathered.start_s if len(gathered.samples) else origin_s
-        after_s = 0.0 if origin_s is None or begins_s is None else (begins_s - origin_s) * slow
+        after_s = 0.0
+        if self.origin_s is not None and len(gathered.samples):
+            after_s = (gathered.start_s - self.origin_s) * self.slow
         return Sound(
             name=AUDIO_TOPIC,
-            start_ns=start_ns + round(after_s * 1e9),
-            rate_hz=gathered.rate_hz / slow,
+            start_ns=self.start_ns + round(after_s * 1e9),
+            rate_hz=gathered.rate_hz / self.slow,
             samples=gathered.samples,
             file_rate_hz=file_hz,
             channels=channels,
             codec=self.codec,
-            warnings=(*warnings, *gathered.warnings, *said),
+            warnings=(*self.warnings, *gathered.warnings, *said),
         )
 
-    def channel(self, start_ns: int, origin_s: float, slow: float = 1.0) -> Channel:
-        """Return the sound as a channel, each packet a message; the arguments as of `sound`."""
-        after_s = (self.packets_s - origin_s) * slow
-        return Channel(
-            topic=AUDIO_TOPIC,
-            type_name=self.codec,
-            encoding="audio",
-            log_ns=start_ns + np.round(after_s * 1e9).astype(np.int64),
-            sounds=True,
-        )
+    def channel(self) -> Channel:
+        """Return the sound as a channel, each packet a message."""
+        origin_s = self.packets_s[0] if self.origin_s is None else self.origin_s
+        after_s = (self.packets_s - origin_s) * self.slow
+        log_ns = self.start_ns + np.round(after_s * 1e9).astype(np.int64)
+        return Channel(AUDIO_TOPIC, self.codec, "audio", log_ns, sounds=True)
 
     def _decoded(self, said: list[str]) -> tuple[GatheredSound, float, int]:
         """Return the samples, their rate in the file [Hz], and the number of channels."""
@@ -281,13 +257,14 @@ class SoundTrack:
         damaged = 0
         with opened_media(self.path, self.formats, "sound") as container:
             stream = container.streams.audio[self.index]
-            stream.codec_context.options = {"max_samples": str(_MAX_FRAME)}
+            # Samples of a decoded packet: the largest of any lossless codec.
+            stream.codec_context.options = {"max_samples": "262144"}
             for packet in container.demux(stream):
                 try:
                     yield from packet.decode()
                 except (FFmpegError, ValueError, OverflowError, MemoryError):
                     damaged += 1
-                    if damaged > _MAX_DAMAGED:
+                    if damaged > 1000:  # the track is given up
                         break
         if damaged:
             said.append(f"{damaged} damaged packets of sound were left out")
@@ -337,10 +314,7 @@ class PacketTimes:
 
 def sound_stream(container: InputContainer) -> Any | None:
     """Return the first sound stream that can be decoded; None where there is none."""
-    for stream in container.streams.audio:
-        if stream.codec_context is not None:
-            return stream
-    return None
+    return next((one for one in container.streams.audio if one.codec_context is not None), None)
 
 
 def film_streams(container: InputContainer) -> list[Any]:
@@ -353,37 +327,11 @@ def film_streams(container: InputContainer) -> list[Any]:
 
 # ---- Sound of a video: on the clock of its frames, whether or not it was slowed down with them
 
-_SAME_RATE = 1.05  # a film that is slowed down less is not called slow motion
-
-
-@dataclass(frozen=True, eq=False)
-class FilmSound:
-    """Sound of a video on the clock of its frames."""
-
-    track: SoundTrack  # in its file
-    start_ns: int  # stamp of the first frame shown
-    origin_s: float  # time of that frame in the file [s]
-    # seconds of the log's clock in one of the file's: below 1 for sound that was slowed down with
-    # its video, 1 for sound that was not
-    slow: float
-    warnings: tuple[str, ...]  # what is doubtful, in words
-
-    def channel(self) -> Channel:
-        """Return the sound as a channel of the video."""
-        return self.track.channel(self.start_ns, self.origin_s, self.slow)
-
-    def sound(self, _topic: str = AUDIO_TOPIC) -> Sound:
-        """Decode the samples."""
-        return self.track.sound(self.start_ns, self.origin_s, self.slow, self.warnings)
-
 
 def film_sound(
     track: SoundTrack, ticks: Sequence[int] | None, base_s: Fraction, clock: VideoClock
-) -> FilmSound:
-    """Align a sound with its video's frames: their increasing `ticks`, of `base_s` [s] each.
-
-    Sound as long as the video was slowed down with it; sound as long as the filming was not.
-    """
+) -> SoundTrack:
+    """Align a sound with its video's frames: their increasing `ticks`, of `base_s` [s] each."""
     log_s = (clock.stamps_ns - clock.stamps_ns[0]) * 1e-9
     if ticks is None:
         file_s = np.arange(len(log_s)) / (clock.stored_hz or 1.0)
@@ -395,17 +343,16 @@ def film_sound(
     slow = 1.0 if abs(slow - 1) < 1e-6 else slow  # stamps are in whole ns
     warnings: list[str] = []
     sound_s, film_s = track.lasts_s, float(file_s[-1])
-    is_slowed = max(slow, 1 / slow) >= _SAME_RATE
+    is_slowed = max(slow, 1 / slow) >= 1.05  # less is not called slow motion
     is_long = min(sound_s, film_s, film_s * slow) >= 0.2  # enough to compare them
     # As long as the filming, rather than as the film: the sound kept its speed.
-    if (
-        is_slowed
-        and is_long
-        and abs(math.log(sound_s / (film_s * slow))) < abs(math.log(sound_s / film_s))
-    ):
+    is_filmed = is_long and abs(math.log(sound_s / (film_s * slow))) < abs(
+        math.log(sound_s / film_s)
+    )
+    if is_slowed and is_filmed:
         warnings.append(
             f"the film was slowed down {1 / slow:.3g} times, its sound was not: it lasts "
-            f"{track.lasts_s:.2f} s, the film {file_s[-1]:.2f} s"
+            f"{sound_s:.2f} s, the film {film_s:.2f} s"
         )
         slow = 1.0
     elif is_slowed:
@@ -415,14 +362,14 @@ def film_sound(
         warnings.append(
             f"the pictures' stamps are up to {off_s * 1e3:.0f} ms off the times of the sound"
         )
-    return FilmSound(track, int(clock.stamps_ns[0]), origin_s, slow, tuple(warnings))
+    start_ns = int(clock.stamps_ns[0])
+    return replace(track, start_ns=start_ns, origin_s=origin_s, slow=slow, warnings=tuple(warnings))
 
 
 # ---- Sound files, as voice recorders write them: .wav, .m4a, .mp3, .flac, .ogg
 
 # How such files are mostly called; their contents tell what they are.
 SUFFIXES = (".wav", ".m4a", ".mp3", ".flac", ".ogg", ".opus", ".aac", ".aiff", ".aif", ".caf")
-
 _SAVE_AS_WAV = "save it as WAV of 16 bits a sample"  # the remedy for sound of a rare kind
 
 
@@ -462,21 +409,12 @@ def _read(path: Path) -> Episode:
             times.add(packet)
             if times.is_enough:
                 break
-        track = times.track(path, SOUNDS)
+        track = replace(times.track(path, SOUNDS), start_ns=start_ns)
     if not len(track.packets_s):
         raise LogError(f"{path}: holds no sound", COPY_AGAIN)
-    channel = track.channel(start_ns, track.packets_s[0])
-    info = EpisodeInfo(source=f"sound file {path.name}", notes=sound_notes(track))
-
-    def opened(_topic: str) -> Sound:
-        return track.sound(start_ns)
-
-    return Episode(info, {}, (channel,), open_sound=opened)
-
-
-def sound_notes(track: SoundTrack) -> dict[str, str]:
-    """Describe a sound track for the notes of a log."""
-    return {"sound": _about(track.codec, track.rate_hz, track.channels)}
+    notes = {_ABOUT: _about(track.codec, track.rate_hz, track.channels)}
+    info = EpisodeInfo(source=f"sound file {path.name}", notes=notes)
+    return Episode(info, {}, (track.channel(),), open_sound=track.sound)
 
 
 def _about(codec: str, file_hz: float, channels: int) -> str:
@@ -489,7 +427,6 @@ def _about(codec: str, file_hz: float, channels: int) -> str:
 # Names of the notes.
 _RATE, _FILE_RATE, _ABOUT = "sound_rate_hz", "sound_file_rate_hz", "sound"
 WARNINGS_NOTE = "sound_warnings"
-
 BLOCK_S = 0.1  # of the log's clock, in each message
 
 
@@ -517,15 +454,12 @@ def why_not_kept(sound: Sound) -> str:
 
 def noted_rates(notes: Mapping[str, str]) -> tuple[float, float]:
     """Return the noted rates of a log's sound, on its clock and in its file; 0 if unknown."""
-    return _positive(notes.get(_RATE, "")), _positive(notes.get(_FILE_RATE, ""))
-
-
-def _positive(text: str) -> float:
-    try:
-        rate_hz = float(text)
-    except ValueError:
-        return 0.0
-    return rate_hz if math.isfinite(rate_hz) and rate_hz > 0 else 0.0
+    rates = [0.0, 0.0]
+    for at, name in enumerate((_RATE, _FILE_RATE)):
+        with suppress(ValueError):
+            rate_hz = float(notes.get(name, ""))
+            rates[at] = rate_hz if 0 < rate_hz < math.inf else 0.0
+    return rates[0], rates[1]
 
 
 def sound_blocks(sound: Sound) -> Iterator[tuple[int, NDArray[np.int16]]]:

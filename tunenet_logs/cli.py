@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tunenet_logs.console import Parser, run
 from tunenet_logs.errors import TuneNetError
@@ -14,12 +14,8 @@ from tunenet_logs.files import real_path
 from tunenet_logs.formats.options import read_options_of, reading_options
 from tunenet_logs.terminal import Progress, one_line
 
-if TYPE_CHECKING:
-    from tunenet_logs.episode import Episode
-
 _DESCRIPTION = """\
 Logs of any kind: MCAP, ROS 1 and ROS 2 bags, CSV tables, videos."""
-
 _EXAMPLES = """\
   tunenet-logs info drop.mcap
   tunenet-logs check drop.mcap arm.bag
@@ -134,18 +130,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _each(
-    logs: Sequence[Path],
+    arguments: argparse.Namespace,
     body: Callable[[Path], bool],
-    unread: Callable[[Path, str], None] = lambda *_: None,
+    unread: Callable[[Path, str], Mapping[str, Any]],
 ) -> int:
     """Run `body` for every log; return 1 if one fails. One that cannot be read stops no other."""
     good = True
-    for log in logs:
+    for log in arguments.logs:
         try:
             good &= body(log)
         except TuneNetError as error:
-            unread(log, str(error))
-            if len(logs) == 1:
+            if arguments.json:
+                _print_json(unread(log, str(error)))
+            if len(arguments.logs) == 1:
                 raise
             print(one_line(f"tunenet-logs: {error}"), file=sys.stderr)
             good = False
@@ -158,21 +155,16 @@ def _info(arguments: argparse.Namespace) -> int:
 
     options = read_options_of(arguments)
 
-    def read(log: Path) -> Episode:
-        with Progress().stages(one_line(log)):
-            return read_episode(log, options)
-
     def show(log: Path) -> bool:
-        print(describe(log, read(log)))
+        with Progress().stages(one_line(log)):
+            episode = read_episode(log, options)
+        if arguments.json:
+            _print_json(info_fields(log, episode))
+        else:
+            print(describe(log, episode))
         return True
 
-    def show_fields(log: Path) -> bool:
-        _print_json(info_fields(log, read(log)))
-        return True
-
-    if arguments.json:
-        return _each(arguments.logs, show_fields, lambda *why: _print_json(unread_info(*why)))
-    return _each(arguments.logs, show)
+    return _each(arguments, show, unread_info)
 
 
 def _check(arguments: argparse.Namespace) -> int:
@@ -184,25 +176,19 @@ def _check(arguments: argparse.Namespace) -> int:
 
     def show(log: Path) -> bool:
         health = check(log, progress, options)
-        channels = health.episode.channels
-        held = (
-            f"{sum(channel.messages for channel in channels)} messages in {len(channels)} channels"
-        )
+        fields = check_fields(log, health)
+        if arguments.json:
+            _print_json(fields)
+            return health.whole
         state = "whole" if health.whole else "damaged" if health.damage else "not whole"
+        held = f"{fields['messages']} messages in {fields['channels']} channels"
         print(one_line(f"{log}: {state}, {held}"))
         _say("damage", health.damage)
         _say("left out", [str(one) for one in health.left_out])
         _say("note", health.doubts)
         return health.whole
 
-    def show_fields(log: Path) -> bool:
-        health = check(log, progress, options)
-        _print_json(check_fields(log, health))
-        return health.whole
-
-    if arguments.json:
-        return _each(arguments.logs, show_fields, lambda *why: _print_json(unread_check(*why)))
-    return _each(arguments.logs, show)
+    return _each(arguments, show, unread_check)
 
 
 def _print_json(fields: Mapping[str, Any]) -> None:

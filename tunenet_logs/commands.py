@@ -7,7 +7,6 @@ from functools import partial
 from tunenet_logs.process import start
 
 _ANALYSIS = "tunenet_logs.analysis"
-
 tune = partial(start, "tunenet-tune", f"{_ANALYSIS}.cli.tune")
 review = partial(start, "tunenet-review", f"{_ANALYSIS}.cli.review")
 train = partial(start, "tunenet-train", f"{_ANALYSIS}.cli.train")

@@ -17,18 +17,19 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, field, fields
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from textwrap import fill
 from types import FunctionType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 from tunenet_logs import __version__
 from tunenet_logs.addresses import scheme_of, without_secrets
 from tunenet_logs.errors import CHECK_DISK, LogError, TuneNetError, UsageError
-from tunenet_logs.process import WORDS, lost_output, stoppable
+from tunenet_logs.process import WORDS, stoppable
 from tunenet_logs.terminal import one_line, short_name
 
 Kind = TypeVar("Kind")
@@ -38,11 +39,9 @@ _UNIT = re.compile("_(m|s|kg|ms|hz|k|nm|deg|1_m|1_s)$")  # at the end of a field
 
 
 class Option:
-    """An option: of a command, and of Python by the name of its field.
+    """An option: of a command, and of Python by the name of its field."""
 
-    This and `Topic` are no dataclasses: making these costs each start of a command a millisecond.
-    """
-
+    # No dataclass: making one costs each start of a command a millisecond.
     help: str  # what it does, for `--help` and docs/options.md; "{choices}" in it lists these
     flag: str = ""  # as the command spells it; "" for the field's name with dashes, less its unit
     # The topic of the help in which it stands, with "TOPIC:TITLE" under a title of its own; "" for
@@ -80,11 +79,7 @@ class Option:
         return self.help.replace("{choices}", ", ".join(self.values))
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return a value that Python gave, as the field has it.
-
-        Raises:
-            UsageError: it is none of this option's.
-        """
+        """Return a value that Python gave, as the field has it; else UsageError."""
         if self.is_many and not isinstance(value, Mapping):
             values = (value,) if isinstance(value, str | os.PathLike) else value
             return tuple(self._one(name, one) for one in values)
@@ -116,30 +111,6 @@ class Option:
         plain = _UNIT.sub("", name) if self.limits else name.removeprefix("is_")
         return self.flag or f"--{plain.replace('_', '-')}"
 
-    def add_to(self, group: argparse._ActionsContainer, name: str, *, is_switch: bool) -> None:
-        """Add its argument to a parser; None where it is not given."""
-        more: dict[str, Any] = {"help": self.words.replace("%", "%%"), "dest": name}
-        if is_switch:
-            more |= {"action": "store_const", "const": True}
-        else:
-            more |= {"type": self.parse, "metavar": self.metavar}
-        if self.limits is not None:
-            low, high, unit = self.limits
-            parse, factor = number(low, high, unit), self.factor
-            more["type"] = parse if factor == 1 else lambda text: factor * parse(text)
-            if self.is_whole:
-                more["type"] = whole(int(low), int(high))
-            more["metavar"] = self.metavar or unit.replace("·", "").upper() or None
-        if self.is_many:
-            more["action"] = "append"
-        if self.choices:
-            more["choices"] = self.values
-        if self.alone is not None:
-            more |= {"nargs": "?", "const": self.alone}
-        action = group.add_argument(self.flag_of(name), **more)
-        if self.offered:
-            vars(action)[_OFFERED] = tuple(self.offered)
-
 
 def option(help: str, default: Any = None, **more: Any) -> Any:  # noqa: A002 (as argparse has it)
     """Declare a field of a dataclass that is an option; see `Option`."""
@@ -151,10 +122,7 @@ def option(help: str, default: Any = None, **more: Any) -> Any:  # noqa: A002 (a
 
 @cache
 def options_in(kind: type) -> Mapping[str, Option]:
-    """Return the options of a dataclass by its fields, with those that it inherits.
-
-    A field that is declared again, for another default, remains the option that it was.
-    """
+    """Return the options of a dataclass by its fields, with those inherited or declared again."""
     found: dict[str, Option] = {}
     for one in fields(kind):
         for base in kind.__mro__:
@@ -168,19 +136,35 @@ def options_in(kind: type) -> Mapping[str, Option]:
 def add_options(
     kind: type, group: Callable[[str], argparse._ActionsContainer], names: Iterable[str] = ()
 ) -> None:
-    """Add the options of a dataclass to a parser, but those that it has already.
+    """Add the options of a dataclass, all or `names`, to a parser, but those that it has already.
 
-    Args:
-        kind: the dataclass.
-        group: returns the place of those with this `Option.group`.
-        names: which of them; all if empty.
+    `group` returns the place of those with this `Option.group`. What is not given is None.
     """
     usual = {one.name: one.default for one in fields(kind)}
     for name, known in options_in(kind).items():
         place = group(known.group)
-        is_new = all(action.dest != name for action in place._actions)
-        if is_new and (not names or name in names):
-            known.add_to(place, name, is_switch=usual[name] is False)
+        if any(action.dest == name for action in place._actions) or (names and name not in names):
+            continue
+        more: dict[str, Any] = {"help": known.words.replace("%", "%%"), "dest": name}
+        if usual[name] is False:  # a switch
+            more |= {"action": "store_const", "const": True}
+        else:
+            more |= {"type": known.parse, "metavar": known.metavar}
+        if known.limits is not None:
+            low, high, unit = known.limits
+            more["type"] = number(low, high, unit, known.factor)
+            if known.is_whole:
+                more["type"] = whole(int(low), int(high))
+            more["metavar"] = known.metavar or unit.replace("·", "").upper() or None
+        if known.is_many:
+            more["action"] = "append"
+        if known.choices:
+            more["choices"] = known.values
+        if known.alone is not None:
+            more |= {"nargs": "?", "const": known.alone}
+        action = place.add_argument(known.flag_of(name), **more)
+        if known.offered:
+            vars(action)[_OFFERED] = tuple(known.offered)
 
 
 def given(arguments: argparse.Namespace, kind: type) -> dict[str, Any]:
@@ -190,11 +174,7 @@ def given(arguments: argparse.Namespace, kind: type) -> dict[str, Any]:
 
 
 def made_of(kind: type[Kind], given: Mapping[str, Any]) -> Kind:
-    """Make a dataclass of named options; None counts as not given.
-
-    Raises:
-        UsageError: there is no such option, or a value is invalid.
-    """
+    """Make a dataclass of named options; None counts as not given. UsageError for unknown ones."""
     known = options_in(kind)
     if unknown := [name for name in given if name not in known]:
         raise UsageError(f"there is no option {unknown[0]!r}; there is: {', '.join(known)}")
@@ -211,11 +191,7 @@ class CheckedOptions:
                 object.__setattr__(self, name, known.checked(name, value))
 
     def given(self, subject: str | None = None) -> dict[str, str]:
-        """Return the names of options with another value than usual, by their commands' spelling.
-
-        Args:
-            subject: what they are about; None for all.
-        """
+        """Return the options, all or of a `subject`, with another value than usual, by flag."""
         usual = {
             one.name: one.default if one.default_factory is MISSING else one.default_factory()
             for one in fields(self)  # pyright: ignore[reportArgumentType] (it is a dataclass)
@@ -230,23 +206,15 @@ class CheckedOptions:
 # ---- Shell completion: `--print-completion bash`, of every command
 
 SHELLS = ("bash", "zsh", "tcsh")
-_PATHS = ("LOG", "SOURCE")  # metavars of what may be a file, or an address, a camera's number
 _OFFERED = "offered"  # words for a shell to complete, where `choices` would refuse all others
 
 
-class PrintCompletion(argparse.Action):
-    """Action that prints a shell's completion script and exits, as `--version` does."""
+def _completion(parser: argparse.ArgumentParser, shell: Any) -> str:
+    """Return a shell's completion script."""
+    import shtab  # only here: nothing else needs it
 
-    def __call__(
-        self, parser: argparse.ArgumentParser, _namespace: object, values: Any, _option: object = ""
-    ) -> None:
-        """Print the script and exit."""
-        shell = str(values)
-        import shtab  # only here: nothing else needs it
-
-        _annotate(parser, shtab.FILE, shtab.DIRECTORY)
-        print(shtab.complete(parser, shell), flush=True)
-        sys.exit(0)
+    _annotate(parser, shtab.FILE, shtab.DIRECTORY)
+    return shtab.complete(parser, str(shell)) + "\n"
 
 
 def _annotate(parser: argparse.ArgumentParser, file: Any, folder: Any) -> None:
@@ -259,54 +227,57 @@ def _annotate(parser: argparse.ArgumentParser, file: Any, folder: Any) -> None:
             action.choices = list(action.choices)
         elif _OFFERED in vars(action):
             action.choices = vars(action)[_OFFERED]
-        elif action.type is Path or action.metavar in _PATHS:
+        elif action.type is Path or action.metavar in ("LOG", "SOURCE"):  # files, or addresses
             vars(action)["complete"] = folder if action.metavar == "DIR" else file
 
 
 # ---- Parser and runner
 
-_HELP_COLUMNS = 80
 _ALL = "all"
 
 
-class Topic:
+class Topic(NamedTuple):
     """Part of a command's options that not everybody needs."""
 
-    def __init__(self, title: str, examples: str = "") -> None:
-        self.title = title  # what they are for, in a few words
-        self.examples = examples  # of them
+    title: str  # what they are for, in a few words
+    examples: str = ""  # of them
+
+
+class _Print(argparse.Action):
+    """Print the text of the parser and the option's value, and exit."""
+
+    def __init__(self, *names: Any, text_of: Callable[[Any, Any], str], **more: Any) -> None:
+        super().__init__(*names, **more)
+        self._text_of = text_of
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, _namespace: object, values: Any, _option: object = ""
+    ) -> None:
+        print(self._text_of(parser, values), end="", flush=True)
+        sys.exit(0)
 
 
 class Parser(argparse.ArgumentParser):
     """Argument parser whose errors are one line, with exit code 2.
 
     `--help` tells what everybody needs, and names the topics; `--help TOPIC` tells the rest.
-
-    Args:
-        prog: the command, with its verb where it has some.
-        description: what it does.
-        examples: of how it is called.
-        failed: what exit code 1 means.
-        ended: what exit code 0 means.
-        called: how it is called, in short.
-        topics: by name; none for a command that tells all at once.
     """
 
     def __init__(
         self,
-        prog: str,
+        prog: str,  # the command, with its verb where it has some
         description: str,
         examples: str,
         *,
-        failed: str = "a log failed or was rejected",
-        ended: str = "done",
-        called: str = "",
-        topics: Mapping[str, Topic] | None = None,
+        failed: str = "a log failed or was rejected",  # what exit code 1 means
+        ended: str = "done",  # what exit code 0 means
+        called: str = "",  # how it is called, in short
+        topics: Mapping[str, Topic] | None = None,  # none for a command that tells all at once
     ) -> None:
         codes = f"exit codes: 0~{ended}, 1~{failed}, 2~wrong usage, 130~Ctrl-C"
-        self._codes = fill(codes, _HELP_COLUMNS, subsequent_indent="  ").replace("~", " ")
+        self._codes = fill(codes, 80, subsequent_indent="  ").replace("~", " ")
         self._topics, self._called, self._examples = topics or {}, called, examples
-        self._groups_of: dict[str, list[argparse._ArgumentGroup]] = {}
+        self._groups_of: dict[str, dict[str, argparse._ArgumentGroup]] = {}
         super().__init__(
             prog=prog,
             description=description,
@@ -320,7 +291,8 @@ class Parser(argparse.ArgumentParser):
                 "-h",
                 "--help",
                 nargs="?",
-                action=_Help,
+                action=_Print,
+                text_of=lambda parser, topic: parser.help_on(topic),
                 metavar="TOPIC",
                 help="show this, or the options of a topic below",
             )
@@ -331,7 +303,8 @@ class Parser(argparse.ArgumentParser):
         if " " not in prog:  # one script completes a command with its verbs
             place.add_argument(
                 "--print-completion",
-                action=PrintCompletion,
+                action=_Print,
+                text_of=_completion,
                 choices=SHELLS,
                 help="print a script that has a shell complete this command (docs/commands.md)",
             )
@@ -339,10 +312,10 @@ class Parser(argparse.ArgumentParser):
     def topic(self, name: str, title: str = "") -> argparse._ArgumentGroup:
         """Return the group of this title of a topic, made when it is first asked for."""
         title = title or self._topics[name].title
-        groups = self._groups_of.setdefault(name, [])
-        if not any(group.title == title for group in groups):
-            groups.append(self.add_argument_group(title))
-        return next(group for group in groups if group.title == title)
+        groups = self._groups_of.setdefault(name, {})
+        if title not in groups:
+            groups[title] = self.add_argument_group(title)
+        return groups[title]
 
     def place(self, group: str) -> argparse._ActionsContainer:
         """Return where options of an `Option.group` go."""
@@ -350,14 +323,11 @@ class Parser(argparse.ArgumentParser):
         return self.topic(name, title) if name else self
 
     def help_on(self, name: str | None) -> str:
-        """Format the help: what everybody needs (None), a topic, or all.
-
-        Raises:
-            UsageError: there is no such topic.
-        """
+        """Format the help: what everybody needs (None), a topic, or all; else UsageError."""
         if name == _ALL or not self._topics:
             every = [self._examples, *(one.examples for one in self._topics.values())]
-            self.epilog = f"examples:\n{_joined(every)}\n\n{self._codes}"
+            lines = "\n".join(dict.fromkeys("\n".join(every).splitlines()))
+            self.epilog = f"examples:\n{lines}\n\n{self._codes}"
             return super().format_help()
         if name is not None and name not in self._topics:
             known = ", ".join((*self._topics, _ALL))
@@ -367,14 +337,15 @@ class Parser(argparse.ArgumentParser):
         if name is None:
             formatter.add_usage(f"%(prog)s {self._called}", self._actions, [])
             formatter.add_text(self.description)
-            hidden = [group for groups in self._groups_of.values() for group in groups]
+            hidden = [group for groups in self._groups_of.values() for group in groups.values()]
             own = [self._positionals, self._optionals]
             groups = [one for one in self._action_groups if one not in (*hidden, *own)]
             shown = [(one.title, one._group_actions) for one in groups]
             shown.append(("options", [action for one in own for action in one._group_actions]))
         else:
             examples = self._topics[name].examples
-            shown = [(one.title, one._group_actions) for one in self._groups_of.get(name, [])]
+            groups = self._groups_of.get(name, {})
+            shown = [(title, one._group_actions) for title, one in groups.items()]
         for title, actions in shown:
             formatter.start_section(title)
             formatter.add_arguments(actions)
@@ -399,24 +370,26 @@ class Parser(argparse.ArgumentParser):
             )
         return super()._get_value(action, arg_string)
 
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """Parse all; a word too many is told with the option before it, which takes only one."""
+        words = list(sys.argv[1:] if args is None else args)
+        found, extra = super().parse_known_args(words, namespace)
+        if extra:
+            at = words.index(extra[0]) if extra[0] in words else 0
+            before = words[at - 2] if at > 1 else ""
+            action = self._option_string_actions.get(before)
+            if action is None or action.nargs is not None or extra[0].startswith("-"):
+                self.error(f"unrecognized arguments: {' '.join(extra)}")
+            is_many, what = isinstance(action, argparse._AppendAction), action.metavar or "value"
+            again = f"; write {before} before each" if is_many else ""
+            self.error(f"{before} takes one {what}, and {extra[0]} was not expected{again}")
+        return found, extra
+
     def error(self, message: str) -> NoReturn:
         """Raise UsageError with one line."""
         raise UsageError(f"{message} (see {self.prog} --help)")
-
-
-class _Help(argparse.Action):
-    """Print the help, or that of a topic, and exit."""
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, _namespace: object, values: Any, _option: object = ""
-    ) -> None:
-        assert isinstance(parser, Parser)
-        print(parser.help_on(values), end="")
-        sys.exit(0)
-
-
-def _joined(texts: Iterable[str]) -> str:
-    return "\n".join(dict.fromkeys(line for text in texts for line in text.splitlines()))
 
 
 # Where NumPy looks, when it is loaded, for how many threads to use. Our matrices are small: a
@@ -424,19 +397,13 @@ def _joined(texts: Iterable[str]) -> str:
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-# What a disk says that takes no more, and the remedy.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_MORE_SPACE = "free some space, or write to another disk"
-
-
 def run(
     parser: Parser, body: Callable[[argparse.Namespace], int], argv: Sequence[str] | None
 ) -> int:
     """Parse the arguments and run `body`, reporting a known error as one line on stderr.
 
-    Returns:
-        The exit code: that of `body`, 1 or 2 for a known error, 128 and its number for a
-        signal (130 for Ctrl-C).
+    Returns the exit code: that of `body`, 1 or 2 for a known error, 128 and its number for a signal
+    (130 for Ctrl-C).
     """
     words = list(sys.argv[1:] if argv is None else argv)
     for name in BLAS_THREADS:
@@ -445,38 +412,37 @@ def run(
         if isinstance(stream, io.TextIOWrapper):  # a name that the terminal cannot show
             stream.reconfigure(errors="backslashreplace")
     try:
+        exits: SystemExit | None = None
+        code = 0
         try:
             with stoppable():
                 code = body(parser.parse_args(words))
-        except SystemExit:  # --help, --version
-            _check_output()
-            raise
-        _check_output()
+        except SystemExit as error:  # --help, --version
+            exits = error
+        # What was said may not have reached standard output.
+        sys.stdout.flush()
+        raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+        if failure := getattr(raw, "failure", None):  # a reader that left is none
+            why = failure.strerror or failure
+            raise LogError(f"standard output: {why}", "give it a place that takes it")
+        if exits is not None:
+            raise exits
         return code
-    except TuneNetError as error:
+    except (TuneNetError, OSError) as error:
         if "--debug" in words:
             print_traceback()
-        print(one_line(f"{parser.prog}: {error}"), file=sys.stderr)
-        return error.exit_code
-    except OSError as error:  # a path that no file system takes, a full disk
-        if "--debug" in words:
-            print_traceback()
-        place = f"{error.filename}: " if error.filename else ""
-        remedy = _MORE_SPACE if error.errno in _FULL else CHECK_DISK
-        what = f"{place}{error.strerror or error}; {remedy}"
+        what = str(error)
+        if isinstance(error, OSError):  # a path that no file system takes, a full disk
+            place = f"{error.filename}: " if error.filename else ""
+            is_full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+            remedy = "free some space, or write to another disk" if is_full else CHECK_DISK
+            what = f"{place}{error.strerror or error}; {remedy}"
         print(one_line(f"{parser.prog}: {what}"), file=sys.stderr)
-        return 1
+        return error.exit_code if isinstance(error, TuneNetError) else 1
     except KeyboardInterrupt as stop:
         number = getattr(stop, "number", signal.SIGINT)  # none where closing a page raised it
         print(f"{parser.prog}: {WORDS[number]}", file=sys.stderr)
         return 128 + number
-
-
-def _check_output() -> None:
-    """Raise LogError where what was said did not reach standard output."""
-    sys.stdout.flush()
-    if why := lost_output():
-        raise LogError(f"standard output: {why}", "give it a place that takes it")
 
 
 def print_traceback() -> None:
@@ -487,32 +453,25 @@ def print_traceback() -> None:
         print(part.rstrip() if is_place else one_line(part.strip()), file=sys.stderr)
 
 
-def number(low: float, high: float, unit: str = "") -> Callable[[str], float]:
-    """Return an argparse type: a finite number within [low, high]."""
-
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = float("nan")
-        if not low <= value <= high:
-            between = f"{_range(low, high)}{' ' + unit if unit else ''}"
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number {between}")
-        return value
-
-    return parse
+def number(low: float, high: float, unit: str = "", factor: float = 1.0) -> Callable[[str], float]:
+    """Return an argparse type: a finite number within [low, high], times `factor`."""
+    what = f"a number {_range(low, high)}{' ' + unit if unit else ''}"
+    parse = _within(float, low, high, what)
+    return parse if factor == 1 else lambda text: factor * parse(text)
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
     """Return an argparse type: an integer within [low, high]."""
+    return _within(int, low, high, f"a whole number from {low} to {high}")
 
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high}")
+
+def _within(kind: Callable[[str], Any], low: float, high: float, what: str) -> Callable[[str], Any]:
+    def parse(text: str) -> Any:
+        value = None
+        with suppress(ValueError):
+            value = kind(text)
+        if value is None or not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
         return value
 
     return parse

@@ -21,6 +21,7 @@ from mcap.writer import Writer
 from tunenet_logs import __version__, messages
 from tunenet_logs.audio import sound_blocks, sound_notes_of, why_not_kept
 from tunenet_logs.episode import (
+    MAX_LEFT_OUT,
     SHARE_NOTE,
     Episode,
     EpisodeInfo,
@@ -87,51 +88,39 @@ def check(path: Path, progress: Progress, options: ReadOptions = AS_IT_SAYS) -> 
         episode = read_episode(path, options)
     damage = list(episode.losses)
     for topic in episode.picture_topics:
-        damage += _picture_damage(episode, topic, progress)
+        stated = sum(channel.messages for channel in episode.channels if channel.topic == topic)
+        bad_ns: list[int] = []
+        count = 0
+        with progress.bar(stated, topic, "picture") as bar:
+            try:
+                for frame in episode.frames(topic):
+                    count += 1
+                    bar.update(1)
+                    try:
+                        frame.decode()
+                    except LogError:
+                        bad_ns.append(frame.stamp_ns)
+            except LogError as error:
+                damage.append(f"{topic}: reading ends after {count} of {stated} pictures: {error}")
+        if bad_ns:
+            what = f"{len(bad_ns)} of {count} pictures are damaged, first {bad_ns[0]} ns"
+            damage.append(f"{topic}: {what}")
     heard: list[str] = []
     for topic in episode.sound_topics:
         if sound := episode.sounds(topic):
             heard += [f"{topic}: {said}" for said in sound.warnings]
     lost = set(episode.losses)
     doubts = tuple(warning for warning in episode.warnings if warning not in lost)
-    left_out = tuple(one for one in left_out_of(trim_clock_jumps(episode)) if one.is_much)
-    return Health(episode, tuple(damage), (*doubts, *heard), left_out)
-
-
-def _picture_damage(episode: Episode, topic: str, progress: Progress) -> list[str]:
-    """List the pictures of a topic that cannot be decoded, beside damaged messages."""
-    stated = sum(channel.messages for channel in episode.channels if channel.topic == topic)
-    bad: list[int] = []
-    count = 0
-    found: list[str] = []
-    with progress.bar(stated, topic, "picture") as bar:
-        try:
-            for frame in episode.frames(topic):
-                count += 1
-                bar.update(1)
-                try:
-                    frame.decode()
-                except LogError:
-                    bad.append(frame.stamp_ns)
-        except LogError as error:
-            found.append(f"{topic}: reading ends after {count} of {stated} pictures: {error}")
-    if bad:
-        found.append(f"{topic}: {len(bad)} of {count} pictures are damaged, first {bad[0]} ns")
-    return found
+    left_out = (one for one in left_out_of(trim_clock_jumps(episode)) if one.share > MAX_LEFT_OUT)
+    return Health(episode, tuple(damage), (*doubts, *heard), tuple(left_out))
 
 
 # ---- Import: any log, table or video in our format, what a task uses and nothing else
 
 JOINT_PARTS = ("position", "velocity", "effort")  # how the signals of a topic of joints end
-_POSITION_COLUMNS = ("x", "y", "z")  # the columns of a signal of positions
-_MAX_REASONS = 3  # losses that are named where nothing was left to import: what one line holds
-# Samples of sound after which no further topic is imported: two of ten minutes at 48 kHz.
-_MAX_SAMPLES = 57_600_000
-
 # Messages of one topic in order: stamp, topic, and what writes it.
 _TopicMessages = Iterator[tuple[int, str, Callable[[EpisodeWriter], None]]]
 _DRIVES = "a command or a force, which stays in the log that is imported: tune a model from that"
-
 _AT_ONCE = 10_000  # samples of joints that are prepared at a time
 _NAME_ANOTHER = "name a log that does, or say which column is which with --columns"
 
@@ -156,11 +145,7 @@ def import_log(
     progress: Progress | None = None,
     options: ReadOptions = AS_IT_SAYS,
 ) -> Imported:
-    """Write positions, joints, pictures and sound of a log to `output`, ordered by stamp.
-
-    Pictures that are compressed stay as they are; bare pixels of a video become JPEG. A failed
-    import leaves nothing.
-    """
+    """Write what tasks use of a log to `output`, by stamp; a failed import leaves nothing."""
     _check_output(path, output)
     with (progress or Progress(quiet=True)).stages(one_line(path)):
         return _imported(path, output, overwrite=overwrite, options=options)
@@ -216,10 +201,7 @@ def ros_topic(name: str) -> str:
 
 
 class _Topics:
-    """Unique topics for the names of a log.
-
-    A name that is a topic already keeps it; others that come to the same get a number.
-    """
+    """Unique topics for the names of a log; a name that is a topic already keeps it."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self.renamed: list[str] = []
@@ -247,7 +229,7 @@ def _why_nothing(path: Path, episode: Episode, unheard: list[str]) -> str:
     )
     has_reason = any(channel.skipped for channel in episode.channels)
     known = (*episode.losses, *unheard) or (() if has_reason else episode.warnings)
-    said = "; ".join(known[:_MAX_REASONS])
+    said = "; ".join(known[:3])  # what one line holds
     why = f" that can be used ({said})" if said else ""
     return f"{path}: holds no positions, joints, pictures or sound{why}; channels: {seen or 'none'}"
 
@@ -274,17 +256,16 @@ def joint_topics(episode: Episode) -> dict[str, dict[str, Signal]]:
     joints: dict[str, dict[str, Signal]] = {}
     for name, signal in episode.signals.items():
         topic, _, part = name.rpartition(".")
-        if part in JOINT_PARTS and signal.columns != _POSITION_COLUMNS:
+        if part in JOINT_PARTS and signal.columns != ("x", "y", "z"):
             joints.setdefault(topic, {})[part] = signal
     return joints
 
 
 def _poses(topic: str, signal: Signal, turns: Signal | None) -> _TopicMessages:
-    frame = signal.frame or "world"
     still = np.tile(messages.NOT_TURNED, (len(signal.values), 1))
     quaternions = still if turns is None else turns.values
     rows = zip(signal.stamps_ns.tolist(), signal.values, quaternions, strict=True)
-    write = partial(EpisodeWriter.write_pose, topic=topic, frame=frame)
+    write = partial(EpisodeWriter.write_pose, topic=topic, frame=signal.frame or "world")
     for stamp_ns, position_m, turn in rows:
         yield stamp_ns, topic, partial(write, stamp_ns=stamp_ns, position_m=position_m, turn=turn)
 
@@ -338,7 +319,7 @@ def _sounds(episode: Episode) -> tuple[list[Sound], list[str]]:
     heard: list[Sound] = []
     unheard: list[str] = []
     for topic in dict.fromkeys(episode.sound_topics):
-        if sum(len(sound.samples) for sound in heard) >= _MAX_SAMPLES:
+        if sum(len(sound.samples) for sound in heard) >= 57_600_000:  # two of 10 min at 48 kHz
             unheard.append(f"{topic}: the log has more sound than an import takes")
         elif (sound := episode.sounds(topic)) is None:
             unheard.append(f"{topic}: holds no sound")
@@ -370,9 +351,6 @@ def _pictures(episode: Episode, topic: str, topics: _Topics) -> _TopicMessages:
 
 # ---- Recovery: copy what is whole of a damaged log
 
-_LAST_STAMP = 2**64  # the first stamp [ns] that MCAP cannot hold
-_PROFILES = {"cdr": "ros2", "ros1": "ros1"}  # of an MCAP file, by the encoding of its messages
-
 
 @dataclass(frozen=True)
 class Recovered:
@@ -399,7 +377,7 @@ def recover(path: Path, output: Path, *, overwrite: bool = False) -> Recovered:
     try:
         place = OutputPlace(output, "log", own_log if overwrite else nothing)
         with place.replacing() as unfinished, unfinished.open("wb") as file:
-            recovered = _Copy(Writer(file, enable_data_crcs=True), path.name).of(path, container)
+            recovered = _copied(Writer(file, enable_data_crcs=True), path, container)
             file.flush()
             os.fsync(file.fileno())
             if not recovered.messages:
@@ -419,89 +397,72 @@ def _records(path: Path, container: Container, losses: list[Loss]) -> Iterator[R
         raise LogError(f"{path}: {why}; copy it to another disk and recover the copy") from error
 
 
-class _Copy:
-    """Copy of a container's records by a writer."""
-
-    def __init__(self, writer: Writer, source: str) -> None:
-        self._writer = writer
-        self._source = source
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
-        self._channels: dict[RawChannel, int] = {}
-        self._info: Mapping[str, str] = {}
-        self._messages = 0
-        self._beyond = 0
-        self._holds_ros1 = False
-        self._started = False
-
-    def of(self, path: Path, container: Container) -> Recovered:
-        losses: list[Loss] = []
-        for record in _records(path, container, losses):
+def _copied(writer: Writer, path: Path, container: Container) -> Recovered:
+    """Copy a container's records by a writer."""
+    losses: list[Loss] = []
+    schemas: dict[tuple[str, str, bytes], int] = {}
+    channels: dict[RawChannel, int] = {}
+    info: Mapping[str, str] = {}
+    count = beyond = 0
+    holds_ros1 = is_started = False
+    for record in _records(path, container, losses):
+        if not is_started:
+            profile = (
+                "ros2" if isinstance(record, RawMetadata) and record.name == INFO_RECORD else ""
+            )
             if isinstance(record, RawChannel):
-                self._start(_PROFILES.get(record.encoding, ""))
-                self._register(record)
-            elif isinstance(record, RawMessage):
-                self._add(record)
-            elif isinstance(record, RawMetadata):
-                self._start("ros2" if record.name == INFO_RECORD else "")
-                self._writer.add_metadata(record.name, dict(record.values))
-                if record.name == INFO_RECORD:
-                    self._info = record.values
-            elif isinstance(record, RawAttachment):
-                self._start("")
-                self._writer.add_attachment(
-                    record.create_ns, record.log_ns, record.name, record.media_type, record.data
-                )
-        self._start("")
-        lost = [str(loss) for loss in losses if not loss.harmless]
-        if self._beyond:
-            lost.append(f"{self._beyond} messages with impossible stamps were left out")
-        self._say(lost, lost_share(losses, self._messages, file_bytes(path)))
-        self._writer.finish()
-        return Recovered(self._messages, tuple(lost), self._holds_ros1)
+                profile = {"cdr": "ros2", "ros1": "ros1"}.get(record.encoding, "")
+            writer.start(profile, f"tunenet-logs {__version__}")
+            is_started = True
+        if isinstance(record, RawChannel):
+            channels[record] = _registered(writer, record, schemas)
+        elif isinstance(record, RawMessage):
+            data, log_ns, publish_ns = bytes(record.data), record.log_ns, record.publish_ns
+            if not (0 <= log_ns < 2**64 and 0 <= publish_ns < 2**64):  # MCAP holds no other
+                beyond += 1
+                continue
+            channel = channels[record.channel]
+            writer.add_message(channel, log_ns, data, publish_ns, record.sequence)
+            count += 1
+            holds_ros1 |= record.channel.encoding == "ros1"
+        elif isinstance(record, RawMetadata):
+            writer.add_metadata(record.name, dict(record.values))
+            info = record.values if record.name == INFO_RECORD else info
+        elif isinstance(record, RawAttachment):
+            writer.add_attachment(
+                record.create_ns, record.log_ns, record.name, record.media_type, record.data
+            )
+    if not is_started:
+        writer.start("", f"tunenet-logs {__version__}")
+    lost = [str(loss) for loss in losses if not loss.harmless]
+    if beyond:
+        lost.append(f"{beyond} messages with impossible stamps were left out")
+    # The counts that its recorder did not come to write, and what was lost.
+    known = EpisodeInfo.from_strings(info)
+    if info and "written" not in known.counts:
+        known = known.ended("the recording did not end by itself", written=count)
+        writer.add_metadata(INFO_RECORD, known.to_strings())
+    words = {"from": path.name, "messages": str(count)}
+    words[SHARE_NOTE] = f"{lost_share(losses, count, file_bytes(path)):.6f}"
+    words |= {f"lost.{number}": text for number, text in enumerate(lost[:100])}
+    writer.add_metadata(RECOVERY_RECORD, words)
+    writer.finish()
+    return Recovered(count, tuple(lost), holds_ros1)
 
-    def _start(self, profile: str) -> None:
-        if not self._started:
-            self._writer.start(profile, f"tunenet-logs {__version__}")
-            self._started = True
 
-    def _register(self, channel: RawChannel) -> None:
-        text, encoding = channel.schema, channel.schema_encoding
-        if not encoding and channel.encoding == "cdr":  # a .db3 need not hold definitions
-            name, text = ros_name(channel.type_name), b""
-            if name in messages.typestore().types:
-                text, encoding = messages.definition(name).encode(), "ros2msg"
-        schema = 0
-        if channel.type_name:
-            key = (channel.type_name, encoding, text)
-            if key not in self._schemas:
-                self._schemas[key] = self._writer.register_schema(*key)
-            schema = self._schemas[key]
-        self._channels[channel] = self._writer.register_channel(
-            channel.topic, channel.encoding, schema, dict(channel.metadata)
-        )
-
-    def _add(self, message: RawMessage) -> None:
-        if not (0 <= message.log_ns < _LAST_STAMP and 0 <= message.publish_ns < _LAST_STAMP):
-            self._beyond += 1
-            return
-        self._writer.add_message(
-            self._channels[message.channel],
-            message.log_ns,
-            bytes(message.data),
-            message.publish_ns,
-            message.sequence,
-        )
-        self._messages += 1
-        self._holds_ros1 |= message.channel.encoding == "ros1"
-
-    def _say(self, lost: list[str], share: float) -> None:
-        """Record what was lost, and the counts that its recorder did not come to write."""
-        if self._info:
-            info = EpisodeInfo.from_strings(self._info)
-            if "written" not in info.counts:
-                info = info.ended("the recording did not end by itself", written=self._messages)
-                self._writer.add_metadata(INFO_RECORD, info.to_strings())
-        words = {"from": self._source, "messages": str(self._messages)}
-        words[SHARE_NOTE] = f"{share:.6f}"
-        words |= {f"lost.{number}": text for number, text in enumerate(lost[:100])}
-        self._writer.add_metadata(RECOVERY_RECORD, words)
+def _registered(
+    writer: Writer, channel: RawChannel, schemas: dict[tuple[str, str, bytes], int]
+) -> int:
+    """Announce a channel, and its type where it is new; return its number."""
+    text, encoding = channel.schema, channel.schema_encoding
+    if not encoding and channel.encoding == "cdr":  # a .db3 need not hold definitions
+        name, text = ros_name(channel.type_name), b""
+        if name in messages.typestore().types:
+            text, encoding = messages.definition(name).encode(), "ros2msg"
+    schema = 0
+    if channel.type_name:
+        key = (channel.type_name, encoding, text)
+        if key not in schemas:
+            schemas[key] = writer.register_schema(*key)
+        schema = schemas[key]
+    return writer.register_channel(channel.topic, channel.encoding, schema, dict(channel.metadata))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import Channel, Episode, EpisodeInfo
+from tunenet_logs.episode import Channel, Episode
 from tunenet_logs.formats.registry import file_bytes
 from tunenet_logs.terminal import one_line, short_name
 from tunenet_logs.timing.stamps import gaps_in_words, measured_hz, noted_gaps
@@ -25,31 +25,31 @@ if TYPE_CHECKING:
 
 _MAX_ROWS = 100  # channels that are shown, and warnings; a log of thousands is no reason to scroll
 _COLUMNS = 60  # characters of the timeline: with a short topic's name it fits a terminal of 80
-_GAP_PERIODS = 3.0  # a gap is longer than so many usual ones: jitter and one missing sample are not
-
-# Stamps before September 2001 are times of a simulator or video, not dates.
-_EARLIEST_DATE_NS = 1_000_000_000 * 10**9
 
 
 def describe(path: Path, episode: Episode) -> str:
     """Describe a log, one fact a line: its info, damage, channels and timeline."""
-    lines = [f"{path}: {file_bytes(path)} bytes{_span(episode.channels)}"]
-    lines += [f"  {line}" for line in _episode_lines(episode.info)]
-    if gaps := noted_gaps(episode.info.notes):
-        lines.append(f"  away: {gaps_in_words(gaps, _start_ns(episode.channels))}")
+    info, span, text = episode.info, _span_fields(episode.channels), ""
+    if (start_ns := span["start_ns"]) is not None:
+        text = f", {(span['end_ns'] - start_ns) * 1e-9:.2f} s"
+        # Stamps before September 2001 are times of a simulator or video, not dates.
+        if start_ns >= 1_000_000_000 * 10**9:
+            text += f" from {datetime.fromtimestamp(start_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    lines = [f"{path}: {file_bytes(path)} bytes{text}"]
+    facts: dict[str, str] = {"kind": info.kind, "source": info.source, "preset": info.preset}
+    for name in ("rig", "truth", "counts", "notes"):
+        facts[name] = ", ".join(f"{key} {value}" for key, value in getattr(info, name).items())
+    lines += [f"  {name}: {value}" for name, value in facts.items() if value]
+    if gaps := noted_gaps(info.notes):
+        lines.append(f"  away: {gaps_in_words(gaps, start_ns or 0)}")
     lines += [f"  warning: {warning}" for warning in episode.warnings[:_MAX_ROWS]]
     lines += _more(len(episode.warnings), "warnings")
-    shown = _shown(episode.channels)
+    shown: Sequence[Channel] = episode.channels
+    if len(shown) > _MAX_ROWS:  # those that can be used first
+        shown = sorted(shown, key=lambda channel: channel.skipped is not None)[:_MAX_ROWS]
     lines += _table(shown) if shown else ["  no channels"]
     lines += _more(len(episode.channels), "channels")
     return "\n".join(one_line(line) for line in (*lines, *_timeline(shown)))
-
-
-def _shown(channels: Sequence[Channel]) -> Sequence[Channel]:
-    """Return the channels of the table: of too many, those that can be used first."""
-    if len(channels) <= _MAX_ROWS:
-        return channels
-    return sorted(channels, key=lambda channel: channel.skipped is not None)[:_MAX_ROWS]
 
 
 def _more(count: int, what: str) -> list[str]:
@@ -58,7 +58,20 @@ def _more(count: int, what: str) -> list[str]:
 
 def _table(channels: Sequence[Channel]) -> list[str]:
     rows = [("topic", "type", "messages", "rate", "duration", "gaps", "use")]
-    rows += [_channel_row(channel) for channel in channels]
+    for one in channels:
+        gaps, rate_hz = gaps_s(one.log_ns), measured_hz(one.log_ns)
+        duration_s = float(np.ptp(one.log_ns)) * 1e-9 if one.messages else 0.0
+        rows.append(
+            (
+                short_name(one.topic),
+                short_name(one.type_name) or "-",
+                str(one.messages),
+                f"{rate_hz:.1f} Hz" if rate_hz else "-",
+                f"{duration_s:.2f} s",
+                f"{len(gaps)} to {gaps.max():.2f} s" if len(gaps) else "-",
+                "yes" if one.skipped is None else f"no: {one.skipped}",
+            )
+        )
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     cells = ([cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows)
     return ["  " + "  ".join(row).rstrip() for row in cells]
@@ -69,57 +82,15 @@ def gaps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     periods = np.diff(np.sort(stamps_ns)) * 1e-9
     if len(periods) < 2:
         return np.empty(0)
-    return periods[periods > _GAP_PERIODS * max(float(np.quantile(periods, 0.75)), 1e-3)]
-
-
-def _span(channels: Sequence[Channel]) -> str:
-    ends_ns = [int(channel.log_ns.max()) for channel in channels if channel.messages]
-    if not ends_ns:
-        return ""
-    start_ns, end_ns = _start_ns(channels), max(ends_ns)
-    text = f", {(end_ns - start_ns) * 1e-9:.2f} s"
-    if start_ns >= _EARLIEST_DATE_NS:
-        text += f" from {datetime.fromtimestamp(start_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
-    return text
-
-
-def _start_ns(channels: Sequence[Channel]) -> int:
-    """Return the log stamp of the first message [ns]; 0 where there is none."""
-    return min((int(one.log_ns.min()) for one in channels if one.messages), default=0)
-
-
-def _episode_lines(info: EpisodeInfo) -> list[str]:
-    facts = [("kind", info.kind), ("source", info.source), ("preset", info.preset)]
-    lines = [f"{name}: {value}" for name, value in facts if value]
-    for name in ("rig", "truth", "counts", "notes"):
-        group = getattr(info, name)
-        if group:
-            lines.append(f"{name}: " + ", ".join(f"{key} {value}" for key, value in group.items()))
-    return lines
-
-
-def _channel_row(channel: Channel) -> tuple[str, ...]:
-    duration_s = float(np.ptp(channel.log_ns)) * 1e-9 if channel.messages else 0.0
-    rate_hz = measured_hz(channel.log_ns)
-    gaps = gaps_s(channel.log_ns)
-    return (
-        short_name(channel.topic),
-        short_name(channel.type_name) or "-",
-        str(channel.messages),
-        f"{rate_hz:.1f} Hz" if rate_hz else "-",
-        f"{duration_s:.2f} s",
-        f"{len(gaps)} to {gaps.max():.2f} s" if len(gaps) else "-",
-        "yes" if channel.skipped is None else f"no: {channel.skipped}",
-    )
+    # Jitter and one missing sample are none.
+    return periods[periods > 3.0 * max(float(np.quantile(periods, 0.75)), 1e-3)]
 
 
 def _timeline(channels: Sequence[Channel]) -> list[str]:
     """Draw when each channel had messages: `#` as often as usual, `.` fewer, blank none."""
     heard = [channel for channel in channels if channel.messages > 1]
-    if not heard:
-        return []
-    start = min(float(channel.log_ns.min()) for channel in heard)
-    span = max(float(channel.log_ns.max()) for channel in heard) - start
+    start = min((float(channel.log_ns.min()) for channel in heard), default=0.0)
+    span = max((float(channel.log_ns.max()) for channel in heard), default=0.0) - start
     if span <= 0:
         return []
     width = max(len(short_name(channel.topic)) for channel in heard)
@@ -134,12 +105,6 @@ def _timeline(channels: Sequence[Channel]) -> list[str]:
 
 
 # ---- JSON of `info` and `check`
-
-_INFO_KEYS = (
-    *("bytes", "start_ns", "end_ns", "duration_s", "kind", "source", "preset", "rig", "truth"),
-    *("counts", "notes", "away", "warnings", "damage", "channels"),
-)
-_CHECK_KEYS = ("whole", "messages", "channels", "damage", "left_out", "notes")
 
 
 def info_fields(path: Path, episode: Episode) -> dict[str, Any]:
@@ -186,12 +151,15 @@ def check_fields(path: Path, health: Health) -> dict[str, Any]:
 
 def unread_info(path: Path, error: str) -> dict[str, Any]:
     """Return the fields of `info` for a log that could not be read: all null but the reason."""
-    return {"log": str(path), "error": error, **dict.fromkeys(_INFO_KEYS)}
+    names = "bytes start_ns end_ns duration_s kind source preset rig truth counts notes away"
+    fields = dict.fromkeys((*names.split(), "warnings", "damage", "channels"))
+    return {"log": str(path), "error": error, **fields}
 
 
 def unread_check(path: Path, error: str) -> dict[str, Any]:
     """Return the fields of `check` for a log that could not be read: not whole, the rest null."""
-    return {"log": str(path), "error": error, **dict.fromkeys(_CHECK_KEYS), "whole": False}
+    fields = dict.fromkeys(("messages", "channels", "damage", "left_out", "notes"))
+    return {"log": str(path), "error": error, "whole": False, **fields}
 
 
 def _span_fields(channels: Sequence[Channel]) -> dict[str, Any]:

@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]  # real numbers; the shape is said where it is used
 # Pixels: (height, width, 3) of RGB, or of BGR where it is said, or (height, width) of grey.
 Picture = NDArray[np.uint8]
-
-
 UNSTATED = ""  # the unit of lengths of which nobody says what they are
 # What a stamp counts for each frame where nothing says how many there are in a second.
 FRAME_NS = 10_000_000
 
-FORMAT_VERSION = "1"  # of the info record, in every log: a later one can tell by it what it reads
+
+def median_step(times: NDArray[Any], lag: int = 1) -> float:
+    """Return the median step of stamps, shape (..., T), in their unit, taken over `lag` of them."""
+    return float(np.median(times[..., lag:] - times[..., :-lag])) / lag
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +66,21 @@ class Signal:
     left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        stamps = _own(self.stamps_ns, np.dtype(np.int64))
-        values = _own(self.values, np.dtype(np.float64))
-        expected = (len(stamps), len(self.columns))
-        if stamps.ndim != 1 or values.shape != expected:
-            raise ValueError(f"{self.name}: values have shape {values.shape}, expected {expected}")
-        if np.any(np.diff(stamps) <= 0):
-            raise ValueError(f"{self.name}: stamps do not increase strictly")
-        for name, array in (("stamps_ns", stamps), ("values", values)):
-            array.flags.writeable = False
+        for name, dtype in (("stamps_ns", np.int64), ("values", np.float64)):
+            array = getattr(self, name)
+            # A read-only array stays as it is, since it may be large; any other is copied.
+            is_kept = isinstance(array, np.ndarray) and array.dtype == dtype
+            if not is_kept or not array.flags.c_contiguous or array.flags.writeable:
+                array = np.array(array, dtype, order="C")
+                array.flags.writeable = False
             object.__setattr__(self, name, array)
+        expected = (len(self.stamps_ns), len(self.columns))
+        if self.stamps_ns.ndim != 1 or self.values.shape != expected:
+            raise ValueError(
+                f"{self.name}: values have shape {self.values.shape}, expected {expected}"
+            )
+        if np.any(np.diff(self.stamps_ns) <= 0):
+            raise ValueError(f"{self.name}: stamps do not increase strictly")
         object.__setattr__(self, "left_out", MappingProxyType(dict(self.left_out)))
 
     @property
@@ -90,15 +96,7 @@ class Signal:
     @property
     def rate_hz(self) -> float:
         """Median sampling rate [Hz]; 0 with fewer than two samples."""
-        if len(self.stamps_ns) < 2:
-            return 0.0
-        return 1e9 / float(np.median(np.diff(self.stamps_ns)))
-
-
-def _own(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return a read-only array as it is, since it may be large, and a copy of any other."""
-    is_kept = isinstance(array, np.ndarray) and array.dtype == dtype and array.flags.c_contiguous
-    return array if is_kept and not array.flags.writeable else np.array(array, dtype, order="C")
+        return 1e9 / median_step(self.stamps_ns) if len(self.stamps_ns) > 1 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,12 +122,9 @@ class Frame:
     def decode(self, scale: int = 1) -> NDArray[np.uint8]:
         """Decode to RGB, uint8, shape (H, W, 3).
 
-        Args:
-            scale: by which it is reduced: each pixel is the mean of so many across and down, and
-                what is left over at two edges is cut.
-
-        Raises:
-            LogError: damaged, of an unknown encoding, or larger than any camera's picture.
+        It is reduced by `scale`: each pixel is the mean of so many across and down, and what is
+        left over at two edges is cut. LogError if damaged, of an unknown encoding, or larger than
+        any camera's picture.
         """
         if self.pixels is not None:
             return self.pixels(scale)
@@ -144,8 +139,7 @@ class Frame:
     def size_px(self) -> tuple[int, int]:
         """Return (width, height) without decoding the image.
 
-        Raises:
-            LogError: the header is damaged, or claims more than any camera's picture.
+        LogError if the header is damaged, or claims more than any camera's picture.
         """
         if self.size is not None:
             return self.size
@@ -156,8 +150,7 @@ class Frame:
     def work_px(self) -> int:
         """Return the pixels that decoding passes over; a forged image may have more than it shows.
 
-        Raises:
-            LogError: see `size_px`.
+        LogError as by `size_px`.
         """
         if self.size is not None:
             return math.prod(self.size)
@@ -194,8 +187,8 @@ class EpisodeInfo:
 
     def to_strings(self) -> dict[str, str]:
         """Serialise to the flat record of strings that a log holds."""
-        record = {"version": FORMAT_VERSION, "kind": self.kind, "source": self.source}
-        record["preset"] = self.preset
+        # By its version, a later reader can tell what it reads.
+        record = {"version": "1", "kind": self.kind, "source": self.source, "preset": self.preset}
         for group in ("rig", "truth", "counts", "notes"):
             for key, value in getattr(self, group).items():
                 record[f"{group}.{key}"] = value if isinstance(value, str) else repr(value)
@@ -215,12 +208,11 @@ class EpisodeInfo:
                 groups[group][name] = int(text)
             elif group == "notes":
                 groups[group][name] = text
-        return cls(
-            kind=record.get("kind", ""),
-            source=record.get("source", ""),
-            preset=record.get("preset", ""),
-            **groups,
-        )
+        texts: dict[str, Any] = {
+            name: record.get(name, "") for name in ("kind", "source", "preset")
+        }
+        texts.update(groups)
+        return cls(**texts)
 
     def ended(self, reason: str, **counts: int) -> EpisodeInfo:
         """Return a copy with the recorder's counts, and why it ended if not by itself."""
@@ -280,26 +272,18 @@ class Episode:
     @property
     def picture_topics(self) -> tuple[str, ...]:
         """Topics of images, in the order of the log."""
-        return tuple(
-            channel.topic
-            for channel in self.channels
-            if channel.pictures and channel.skipped is None
-        )
+        return tuple(one.topic for one in self.channels if one.pictures and one.skipped is None)
 
     @property
     def sound_topics(self) -> tuple[str, ...]:
         """Topics of sound, in the order of the log."""
-        return tuple(
-            channel.topic for channel in self.channels if channel.sounds and channel.skipped is None
-        )
+        return tuple(one.topic for one in self.channels if one.sounds and one.skipped is None)
 
     def signals_of(self, topic: str) -> tuple[Signal, ...]:
         """Return the signals that came from a topic, or the one of that name."""
         if topic in self.signals:
             return (self.signals[topic],)
-        return tuple(
-            signal for name, signal in self.signals.items() if name.startswith(f"{topic}.")
-        )
+        return tuple(one for name, one in self.signals.items() if name.startswith(f"{topic}."))
 
     def frames(self, topic: str | None = None) -> Iterator[Frame]:
         """Iterate over the images of a topic (the first if None) in the order of the log."""
@@ -338,7 +322,6 @@ class Episode:
 MAX_LEFT_OUT = 0.02  # of all samples of a signal: beyond it what remains is not taken for the whole
 # In the record of a recovered log: what of the damaged one it does not hold, of 1.
 SHARE_NOTE = "lost_share"
-
 BY_CLOCK = "by a clock that was set"
 SAME_STAMP = "with the stamp of another sample"
 DAMAGED_MESSAGES = "in damaged messages"
@@ -373,11 +356,6 @@ class LeftOut(NamedTuple):
         """Fraction of all samples."""
         count = sum(self.by_reason.values())
         return count / (count + self.used) if count else 0.0
-
-    @property
-    def is_much(self) -> bool:
-        """Whether too much is missing for what remains to be taken for the whole."""
-        return self.share > MAX_LEFT_OUT
 
     def __str__(self) -> str:
         count = sum(self.by_reason.values())
@@ -416,10 +394,8 @@ def of_note(text: str) -> dict[str, int]:
         found = json.loads(text) if len(text) < 1000 else None
     except (ValueError, RecursionError):
         return {}
-    if not isinstance(found, dict):
-        return {}
-    counts = {key: one for key, one in found.items() if type(one) is int and 0 < one < 2**53}
-    return {str(key): one for key, one in counts.items()}
+    pairs = found.items() if isinstance(found, dict) else ()
+    return {key: one for key, one in pairs if type(one) is int and 0 < one < 2**53}
 
 
 def share_of_note(values: Mapping[str, str]) -> float:

@@ -6,10 +6,7 @@ from typing import Self
 class TuneNetError(Exception):
     """Root of every error this project raises on purpose; shown as one line, without traceback.
 
-    Attributes:
-        what: is wrong, and where.
-        remedy: what to do about it, an order or "at the next drop: ..."; "" where `what` ends with
-            it. It stands last in the line.
+    `what` is wrong, and where; the `remedy`, an order, stands last: "" where `what` ends with it.
     """
 
     exit_code = 1
@@ -25,7 +22,6 @@ class TuneNetError(Exception):
 
 # The remedy for a file that is not whole, or not what a recorder writes.
 COPY_AGAIN = "copy it again, or record again"
-
 EXPORT_AGAIN = "copy or export it again"  # the remedy for a table or an export that is not whole
 # The remedy for a file that the system does not give.
 CHECK_DISK = "check its path, its permissions and its disk"

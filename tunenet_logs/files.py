@@ -86,11 +86,7 @@ def refuse_xacro(root: ET.Element, path: Path) -> None:
 
 # How a text begins that a spreadsheet may run, with the wide forms that some read as well.
 _RUN = re.compile(r"[\s\x00'\u200b\ufeff]*[=+\-@\uff1d\uff0b\uff0d\uff20]|[\t\r\n\x00]")
-
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-
-# Where a text needs quotes, by whatever separator the table is opened.
-_QUOTED = re.compile(r'[,;|"\s]')
 
 
 def csv_line(cells: Iterable[object]) -> str:
@@ -112,7 +108,8 @@ def _cell(value: object) -> str:
     text = str(value)
     if isinstance(value, str) and _RUN.match(text) and not _NUMBER.fullmatch(text):
         text = f"'{text}"
-    return '"' + text.replace('"', '""') + '"' if _QUOTED.search(text) else text
+    # It needs quotes by whatever separator the table is opened.
+    return '"' + text.replace('"', '""') + '"' if re.search(r'[,;|"\s]', text) else text
 
 
 # ---- JSON for scripts: one object a line
@@ -145,9 +142,6 @@ def _plain(value: Any) -> Any:
 
 # ---- Opening: regular files alone, so that no opening ever waits
 
-# A pipe or a terminal that took the file's name meanwhile holds nobody up.
-_FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
-
 
 def open_regular(path: Path | str, *, follows: bool = True) -> BufferedReader:
     """Open a regular file, or a link to one where it `follows`, for reading bytes.
@@ -166,10 +160,7 @@ def open_regular_text(
 
 
 def real_path(path: Path | str) -> Path:
-    """Resolve links and dots of a path that need not exist, to compare it with another.
-
-    Unlike `Path.resolve`, it takes a circle of links, and a name that no file can have, as it is.
-    """
+    """Resolve links and dots, to compare paths; one that no file can have stays as it is."""
     try:
         return Path(os.path.realpath(path))
     except ValueError:  # a zero byte
@@ -179,7 +170,9 @@ def real_path(path: Path | str) -> Path:
 def _opened(path: str, _flags: int, flag: int = 0) -> int:
     """Open a descriptor; its own state is asked, so that nobody exchanges the file in between."""
     _check(path, Path(path).stat().st_mode)  # before it is opened: that alone starts some devices
-    descriptor = os.open(path, _FLAGS | flag)
+    # A pipe or a terminal that took the file's name meanwhile holds nobody up.
+    flags = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+    descriptor = os.open(path, flags | flag)
     try:
         state = os.fstat(descriptor)
         _check(path, state.st_mode)
@@ -202,8 +195,6 @@ def _check(path: str, mode: int) -> None:
 
 # ---- Small files, and JSON without its traps
 
-_MAX_JSON_DEPTH = 32  # brackets in brackets: four times what any file of ours has
-_MAX_DIGITS = 20  # of a whole number: those of a stamp in ns, and one more
 # Brackets, and strings, each to its end or the text's: looked for again at every quotation mark of
 # one that does not end, they would take the square of its length.
 _BRACKETS = re.compile(r'"(?:[^"\\]++|\\.)*+"?|([\[{])|[\]}]', re.DOTALL)
@@ -226,12 +217,10 @@ def parse_json(data: bytes | str) -> Any:
     text = data.decode("utf-8") if isinstance(data, bytes) else data
     depth = 0
     for found in _BRACKETS.finditer(text):
-        if found.group(1):
-            depth += 1
-            if depth > _MAX_JSON_DEPTH:
-                raise ValueError(f"has brackets in brackets, over {_MAX_JSON_DEPTH} deep")
-        elif not found.group().startswith('"'):
-            depth -= 1
+        if not found[0].startswith('"'):
+            depth += 1 if found[1] else -1
+        if depth > 32:  # four times what any file of ours has
+            raise ValueError("has brackets in brackets, over 32 deep")
     return json.loads(
         text,
         parse_int=_whole,
@@ -242,7 +231,7 @@ def parse_json(data: bytes | str) -> Any:
 
 
 def _whole(text: str) -> int:
-    value = int(text) if len(text) <= _MAX_DIGITS else 1 << 63
+    value = int(text) if len(text) <= 20 else 1 << 63
     if not -(1 << 63) <= value < 1 << 63:
         raise ValueError(f"{short_name(text)} is beyond any number here")
     return value

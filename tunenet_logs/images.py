@@ -19,25 +19,13 @@ MAX_PIXELS = 36_000_000  # of any picture: a little more than 8K video has
 # Of all pictures of a video: so many whatever its size is, and so many for each of its bytes. A
 # rendered film of 4K without noise has 16,000 a byte, a camera's 100.
 FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE = 100_000_000, 20_000
-
-# A blank JPEG has some 300 pixels for each of its bytes, a blank PNG 1000. What claims more is cut,
-# or forged.
-_MAX_PIXELS_A_BYTE = 2000
 # JPEG markers with the picture's size, of all ways of coding (SOF0 to SOF15), and those that may
 # precede it: tables, comments, what applications add.
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _BEFORE_FRAME = frozenset({0xC4, 0xCC, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)})
 # PNG's signature and the head of its first chunk, which must be that with the size.
 _PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
-_MAX_MARKERS = 1000  # of a JPEG before its size; cameras write a few tens
 _SCAN = b"\xff\xda"  # JPEG's marker of a scan, which coded pixels never hold
-# JPEG encoders write ten scans, the most thorough some twenty; each goes over the picture.
-_MAX_SCANS = 50
-_TYPICAL_SCANS = 10  # of a JPEG; with more of them it counts as a larger picture
-# PNG chunks beside the picture that a decoder unpacks, to megabytes each; programs write a few.
-_PACKED_WORDS, _MAX_PACKED_WORDS = (b"zTXt", b"iTXt", b"iCCP"), 16
-
-_ANIMATED = 0x02  # bit of a WebP's flags: several pictures, which no camera writes
 Format = Literal["jpeg", "png", "webp"]  # compressed pictures that are read
 
 
@@ -53,11 +41,7 @@ def image_format(data: bytes) -> Format | None:
 
 
 def image_size(data: bytes) -> tuple[int, int]:
-    """Return (width, height) [px] from the header of a JPEG, PNG or WebP.
-
-    Raises:
-        LogError: none of them, cut before its size, or of a size that cannot be true.
-    """
+    """Return (width, height) [px] from the header of a JPEG, PNG or WebP; else LogError."""
     kind = image_format(data)
     size = _SIZES[kind](data) if kind else None
     if size is None:
@@ -68,14 +52,18 @@ def image_size(data: bytes) -> tuple[int, int]:
             f"an image claims {width} x {height} px, over the limit of {MAX_PIXELS} px",
             "record smaller pictures",
         )
-    if width * height > _MAX_PIXELS_A_BYTE * len(data):
+    # A blank JPEG has some 300 pixels for each of its bytes, a blank PNG 1000. What claims more is
+    # cut, or forged.
+    if width * height > 2000 * len(data):
         raise LogError(
             f"an image claims {width} x {height} px in {len(data)} bytes: damaged", COPY_AGAIN
         )
-    if kind == "jpeg" and data.count(_SCAN) > _MAX_SCANS:
-        raise LogError(f"an image has over {_MAX_SCANS} scans: forged", COPY_AGAIN)
-    if kind == "png" and sum(map(data.count, _PACKED_WORDS)) > _MAX_PACKED_WORDS:
-        raise LogError(f"an image has over {_MAX_PACKED_WORDS} packed words: forged", COPY_AGAIN)
+    # JPEG encoders write ten scans, the most thorough some twenty; each goes over the picture.
+    if kind == "jpeg" and data.count(_SCAN) > 50:
+        raise LogError("an image has over 50 scans: forged", COPY_AGAIN)
+    # PNG chunks beside the picture that a decoder unpacks, to megabytes each; programs write a few.
+    if kind == "png" and sum(map(data.count, (b"zTXt", b"iTXt", b"iCCP"))) > 16:
+        raise LogError("an image has over 16 packed words: forged", COPY_AGAIN)
     return size
 
 
@@ -84,50 +72,31 @@ def image_work_px(data: bytes) -> int:
     width, height = image_size(data)
     if image_format(data) != "jpeg":
         return width * height
-    return width * height * max(data.count(_SCAN), _TYPICAL_SCANS) // _TYPICAL_SCANS
+    return width * height * max(data.count(_SCAN), 10) // 10  # which encoders write
 
 
-def decode_image(data: bytes, encoding: str) -> NDArray[np.uint8]:
+def decode_image(data: bytes, encoding: str, least_px: int | None = None) -> NDArray[np.uint8]:
     """Decode to RGB uint8, shape (H, W, 3); of 16 bits a sample, the upper 8.
 
-    A note in the file that it should be shown turned is not obeyed: every picture then has the
-    size that its header states.
-
-    Raises:
-        LogError: damaged, or of a size that cannot be true.
+    A JPEG may be decoded at 1/2, 1/4 or 1/8, not below `least_px` in length. A note in the file
+    that it should be shown turned is not obeyed: every picture then has the size that its header
+    states. LogError for one that is damaged, or of a size that cannot be true.
     """
-    width, height = image_size(data)
-    return _decoded(data, encoding, 1, (height, width, 3))
-
-
-def decode_small(data: bytes, encoding: str, least_px: int) -> NDArray[np.uint8]:
-    """Decode as `decode_image`, but a JPEG at 1/2, 1/4 or 1/8, not below `least_px` in length."""
-    longer = max(image_size(data))
-    part = next((part for part in (8, 4, 2) if longer >= part * least_px), 1)
-    if part == 1 or image_format(data) != "jpeg":
-        return decode_image(data, encoding)
-    return _decoded(data, encoding, part)
-
-
-def _decoded(
-    data: bytes, encoding: str, part: int, shape: tuple[int, ...] | None = None
-) -> NDArray[np.uint8]:
-    """Decode at 1/`part` of the size; raise LogError for damage or another than the known shape."""
     import cv2
 
-    flags = {
-        1: cv2.IMREAD_COLOR_RGB,  # without a second copy
-        2: cv2.IMREAD_REDUCED_COLOR_2,
-        4: cv2.IMREAD_REDUCED_COLOR_4,
-        8: cv2.IMREAD_REDUCED_COLOR_8,
-    }
+    width, height = image_size(data)
+    part, flag = 1, cv2.IMREAD_COLOR_RGB  # without a second copy
+    if least_px is not None and image_format(data) == "jpeg":
+        fitting = (part for part in (8, 4, 2) if max(width, height) >= part * least_px)
+        part = next(fitting, 1)
+    if part > 1:
+        flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{part}")
     try:
-        pixels = cv2.imdecode(
-            np.frombuffer(data, np.uint8), flags[part] | cv2.IMREAD_IGNORE_ORIENTATION
-        )
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
         pixels = None
-    if pixels is None or pixels.ndim != 3 or (shape is not None and pixels.shape != shape):
+    is_sized = part > 1 or (pixels is not None and pixels.shape == (height, width, 3))
+    if pixels is None or pixels.ndim != 3 or not is_sized:
         raise LogError(
             f"an image of encoding {encoding[:24]!r} is damaged and cannot be decoded", COPY_AGAIN
         )
@@ -138,7 +107,7 @@ def _decoded(
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     """Parse strictly: markers that a decoder skips in another way could show us another size."""
     at = 2
-    for _ in range(_MAX_MARKERS):
+    for _ in range(1000):  # cameras write a few tens
         if data[at : at + 1] != b"\xff" or at + 9 > len(data):
             return None
         marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
@@ -171,7 +140,7 @@ def _webp_size(data: bytes) -> tuple[int, int] | None:
     if kind == b"VP8L" and body[0] == 0x2F:
         bits = int.from_bytes(body[1:5], "little")
         return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
-    if kind == b"VP8X" and not body[0] & _ANIMATED:
+    if kind == b"VP8X" and not body[0] & 0x02:  # several pictures, which no camera writes
         return tuple(1 + int.from_bytes(body[at : at + 3], "little") for at in (4, 7))  # type: ignore[return-value]
     return None
 
@@ -181,8 +150,6 @@ _SIZES = {"jpeg": _jpeg_size, "png": _png_size, "webp": _webp_size}
 
 
 # ---- Bare pixels, in the encodings of sensor_msgs/Image
-
-_DEPTH = ("32F", "64F", "16S", "32S", "8S")  # how encodings of numbers begin that are no brightness
 
 
 @dataclass(frozen=True)
@@ -239,7 +206,7 @@ def pixel_format_of(encoding: str) -> PixelFormat:
     found = _FORMATS.get(encoding)
     if found is None:
         why = f"not read (only {', '.join(_FORMATS)})"
-        if encoding.startswith(_DEPTH):
+        if encoding.startswith(("32F", "64F", "16S", "32S", "8S")):  # numbers, no brightness
             why = "distances, not what a camera sees"
         raise LogError(
             f"pictures of encoding {encoding[:24]!r} are {why}",
@@ -253,10 +220,8 @@ def decode_pixels(data: bytes, encoding: str, size: tuple[int, int]) -> NDArray[
 
     Samples of 16 bits are shown by their upper 8, as if they filled their range: a camera of 12
     bits that leaves the upper ones empty is dark, but bright and dark keep their order. YUV is
-    BT.601 of limited range, as cameras send it.
-
-    Raises:
-        LogError: of an encoding that is not read, or of another length than its size needs.
+    BT.601 of limited range, as cameras send it. LogError for an encoding that is not read, or
+    another length than its size needs.
     """
     form = pixel_format_of(encoding)
     width, height = size

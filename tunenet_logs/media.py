@@ -6,11 +6,10 @@ stamps the frames: by the user's frame rate, else by the file's times, slow moti
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
@@ -39,10 +38,6 @@ _COUNTS = re.compile(
     re.DOTALL,
 )
 
-_MATCH_BYTES = 16  # of the longest match; so many bytes are kept, as one may be cut in two
-_FREE_SAMPLES = 5_000_000  # that any file may claim: 100 s of bare sound, days of pictures
-_SAMPLES_A_BYTE = 1 / 16  # further ones, for each byte that came
-
 
 class Mp4Claims:
     """Running count of the samples that an MP4 claims while it is read.
@@ -65,10 +60,12 @@ class Mp4Claims:
                 end = found.end()
                 count = next(group for group in found.groups() if group is not None)
                 self._claimed += int.from_bytes(count, "big")
-        self._tail = seen[max(end, len(seen) - _MATCH_BYTES + 1) :]
+        # The longest match has 16 bytes, and one may be cut in two.
+        self._tail = seen[max(end, len(seen) - 15) :]
         if self._counts_on:
             self._bytes += len(data)
-        if self._claimed > _FREE_SAMPLES + _SAMPLES_A_BYTE * self._bytes:
+        # Any file may claim 100 s of bare sound, days of pictures; and more for each byte.
+        if self._claimed > 5_000_000 + self._bytes / 16:
             raise LogError(f"claims {self._claimed} samples in {self._bytes} bytes")
 
     def skip(self) -> None:
@@ -119,16 +116,11 @@ class CheckedFile:
 FILMS = "mov,matroska,avi,mpeg,mpegts,flv,ogg,asf,mjpeg,h264,hevc,m4v,gif,apng,ivf,nut,"
 FILMS += "yuv4mpegpipe,obu,av1"
 SOUNDS = "wav,w64,aiff,caf,au,mp3,flac,ogg,aac,amr,mov,matroska,asf"  # only what holds sound itself
-_JPEG_START = b"\xff\xd8\xff"  # of a stream of JPEGs, which FFmpeg takes for a single picture
 
 
 @contextmanager
 def opened_media(path: Path, formats: str, what: str) -> Iterator[InputContainer]:
-    """Open a file with FFmpeg, as one of `formats` by FFmpeg's names; `what` is that in words.
-
-    Raises:
-        LogError: it is of another kind, is damaged, or claims more than it can hold.
-    """
+    """Open a file with FFmpeg, as one of `formats` by FFmpeg's names; `what` is that in words."""
     import av
     from av import logging
     from av.error import FFmpegError
@@ -137,7 +129,8 @@ def opened_media(path: Path, formats: str, what: str) -> Iterator[InputContainer
     options = {"format_whitelist": formats, "protocol_whitelist": "file,pipe"}
     try:
         with open_regular(path) as file:
-            form = "mjpeg" if file.read(3) == _JPEG_START else None
+            # FFmpeg takes a stream of JPEGs for a single picture.
+            form = "mjpeg" if file.read(3) == b"\xff\xd8\xff" else None
             file.seek(0)
             checked = CheckedFile(file)
             try:
@@ -157,10 +150,6 @@ def opened_media(path: Path, formats: str, what: str) -> Iterator[InputContainer
 
 
 # ---- Clock: acquisition stamps of a video's frames
-
-_SLOW_MOTION_TAG = "com.android.capture.fps"  # Android's name of the rate at which it filmed
-_RATES_HZ = (1.0, 100_000.0)  # what a camera can film at; a tag beyond it is wrong
-_SAME_RATE = 1.05  # a slow-motion tag below so many times the file's own rate says nothing new
 
 
 @dataclass(frozen=True)
@@ -194,8 +183,16 @@ def clock_of(times: StoredTimes, said_hz: float | None) -> VideoClock:
     Frames are counted, regardless of their times, where the user knows better.
     """
     start_ns = creation_ns(times.tags.get("creation_time", ""))
-    stored_hz = _stored_rate(times)
     counts = np.arange(times.count)
+    # The playback rate: 0 for a single frame, and where it is unstated.
+    fresh = sorted(set(times.ticks or ()))
+    stored_hz = (times.rate_hz or 0.0) if times.ticks is None else 0.0
+    if len(fresh) > 1:
+        periods = np.diff(np.array(fresh, np.int64))
+        median = np.median(periods)
+        usual = periods[np.abs(periods - median) <= 0.2 * median]  # none of two that are far apart
+        mean = np.mean(usual) if len(usual) else median
+        stored_hz = float(1 / (mean * float(times.base_s)))
     if said_hz is not None or times.ticks is None:
         rate_hz = said_hz or times.rate_hz
         step_ns = 1e9 / rate_hz if rate_hz else FRAME_NS
@@ -207,9 +204,14 @@ def clock_of(times: StoredTimes, said_hz: float | None) -> VideoClock:
         elif not rate_hz:
             said = ("nothing says how many pictures a second there are; say it with --fps",)
         return VideoClock(stamps_ns, stored_hz, said_hz or stored_hz, rate_hz is not None, said)
-    doubled = times.count - len(set(times.ticks))
+    doubled = times.count - len(fresh)
     warnings = (f"{doubled} frames have a stamp of another",) if doubled else ()
-    rate_hz = _tagged_rate(times.tags.get(_SLOW_MOTION_TAG, ""), stored_hz) or stored_hz
+    # Android's tag of slow motion, which is what a camera can film at, and faster.
+    rate_hz = stored_hz
+    with suppress(ValueError):
+        tagged_hz = float(times.tags.get("com.android.capture.fps", ""))
+        if max(1.0, stored_hz * 1.05) <= tagged_hz <= 100_000:
+            rate_hz = tagged_hz
     slow = Fraction(stored_hz / rate_hz) if stored_hz else Fraction(1)
     origin = times.ticks[0]
     step_ns = times.base_s * slow * 10**9
@@ -219,31 +221,6 @@ def clock_of(times: StoredTimes, said_hz: float | None) -> VideoClock:
     if doubled:  # keep one stamp a frame, in order
         stamps_ns = np.maximum.accumulate(stamps_ns) + counts
     return VideoClock(stamps_ns, stored_hz, rate_hz, is_timed=True, warnings=warnings)
-
-
-def _stored_rate(times: StoredTimes) -> float:
-    """Return the playback rate [Hz]; 0 for a single frame, and where it is unstated."""
-    if times.ticks is None:
-        return times.rate_hz or 0.0
-    fresh = sorted(set(times.ticks))
-    if len(fresh) < 2:
-        return 0.0
-    periods = np.diff(np.array(fresh, np.int64))
-    median = np.median(periods)
-    usual = periods[np.abs(periods - median) <= 0.2 * median]  # none of two that are far apart
-    return float(1 / ((np.mean(usual) if len(usual) else median) * float(times.base_s)))
-
-
-def _tagged_rate(text: str, stored_hz: float) -> float | None:
-    """Return the rate of a slow-motion tag; None without one, or if it is no faster."""
-    try:
-        rate = float(text)
-    except ValueError:
-        return None
-    low, high = _RATES_HZ
-    if not (math.isfinite(rate) and low <= rate <= high) or rate < stored_hz * _SAME_RATE:
-        return None
-    return rate
 
 
 def creation_ns(text: str) -> int:

@@ -21,14 +21,9 @@ from tunenet_logs.images import image_size
 
 # ---- JPEG: check that one is whole, and encode bare pixels
 
-_QUALITY = 95  # of 100: a ball's edge stays sharp, at a fraction of the bare pixels' size
-
 
 def is_whole(data: bytes) -> bool:
-    """Check whether `data` is one JPEG from first marker to last, of a size that cameras have.
-
-    Zeros and white space after the end are a sender's padding. What lies between is not decoded.
-    """
+    """Check whether `data` is one JPEG from first to last marker, of a camera's size."""
     if not data.startswith(b"\xff\xd8") or not data.rstrip(b"\0 \t\r\n").endswith(b"\xff\xd9"):
         return False
     try:
@@ -39,10 +34,7 @@ def is_whole(data: bytes) -> bool:
 
 
 def compressed(frame: Frame) -> Frame:
-    """Encode a frame of bare pixels as JPEG; one that is compressed already stays as it is.
-
-    Colour is kept at full resolution (4:4:4): a small ball is found by its colour.
-    """
+    """Encode bare pixels as JPEG, colour at full resolution (4:4:4), by which a ball is found."""
     if frame.size is None:
         return frame
     import cv2
@@ -52,14 +44,11 @@ def compressed(frame: Frame) -> Frame:
 
 
 def from_bgr(pixels: np.ndarray) -> bytes:
-    """Encode pixels as JPEG, uint8: BGR of shape (H, W, 3), or grey of shape (H, W).
-
-    Raises:
-        LogError: a picture wider or higher than any JPEG.
-    """
+    """Encode uint8 BGR, (H, W, 3), or grey, (H, W), as JPEG; LogError for what is too large."""
     import cv2
 
-    settings = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+    # Of 100: a ball's edge stays sharp, at a fraction of the bare pixels' size.
+    settings = [cv2.IMWRITE_JPEG_QUALITY, 95]
     settings += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     done, data = cv2.imencode(".jpg", pixels, settings)
     if not done:
@@ -80,10 +69,8 @@ JOINT_ANGLES = "kinova_msgs/msg/JointAngles"
 TASK_OUTCOME = "tunenet_msgs/msg/TaskOutcome"
 COMPRESSED_VIDEO = "foxglove_msgs/msg/CompressedVideo"
 RAW_AUDIO = "foxglove_msgs/msg/RawAudio"
-
 # How Kinova defines JointAngles, JointTorque and JointVelocity.
 SEVEN_JOINTS = "\n".join(f"float32 joint{number}" for number in range(1, 8))
-
 # How we define TaskOutcome: what the hardware did in one attempt; [m], NaN where not known.
 OUTCOME_FIELDS = """\
 std_msgs/Header header
@@ -99,7 +86,6 @@ string tuning
 string reason
 string note
 """
-
 # How Foxglove defines CompressedVideo: one picture of a video as it was compressed.
 VIDEO_FIELDS = """\
 builtin_interfaces/Time timestamp
@@ -107,7 +93,6 @@ string frame_id
 uint8[] data
 string format
 """
-
 # How Foxglove defines RawAudio: a block of samples, interleaved and little-endian.
 AUDIO_FIELDS = """\
 builtin_interfaces/Time timestamp
@@ -116,19 +101,15 @@ string format
 uint32 sample_rate
 uint32 number_of_channels
 """
-
 # Encodings of frames that are made from those before them; they go into CompressedVideo.
 VIDEO_FORMATS = frozenset({"h264", "h265", "vp9", "av1"})
-
 CAMERA_TOPIC = "/camera/image_raw/compressed"  # where a camera's frames go in our own logs
 VIDEO_TOPIC = "/camera/video"  # where they go that the camera compressed as video
 AUDIO_TOPIC = "/audio"  # where sound goes, and what that of a file goes by
 OUTCOME_TOPIC = "/task/outcome"  # where what the hardware did goes
 # The metadata record of a recovered log that says what was lost.
 RECOVERY_RECORD = "tunenet/recovery"
-
 INFO_RECORD = "tunenet/episode"  # the metadata record of a log that holds its EpisodeInfo
-
 # The types that no distribution of ROS defines.
 _DEFINITIONS = {
     JOINT_ANGLES: SEVEN_JOINTS,
@@ -149,11 +130,7 @@ def typestore() -> Typestore:
 
 @cache
 def definition(type_name: str) -> str:
-    """Return the `ros2msg` text of a type with all types that it contains.
-
-    Raises:
-        ValueError: no type that is known here.
-    """
+    """Return the `ros2msg` text of a type with all that it contains; ValueError if unknown."""
     if type_name not in typestore().fielddefs:
         raise ValueError(f"{type_name} is no message type that can be written")
     return typestore().generate_msgdef(type_name, ros_version=2)[0]
@@ -187,22 +164,6 @@ def pose(stamp_ns: int, frame_id: str, position_m: ArrayLike, turn: ArrayLike = 
     return _type(POSE)(header=header(stamp_ns, frame_id), pose=placed)
 
 
-def compressed_image(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> Any:
-    """Build a CompressedImage that holds `data` untouched."""
-    pixels = np.frombuffer(data, np.uint8)
-    return _type(COMPRESSED_IMAGE)(header=header(stamp_ns, frame_id), format=encoding, data=pixels)
-
-
-def compressed_video(stamp_ns: int, frame_id: str, encoding: str, data: bytes) -> Any:
-    """Build a CompressedVideo that holds one picture's `data` untouched."""
-    return _type(COMPRESSED_VIDEO)(
-        timestamp=_time(stamp_ns),
-        frame_id=frame_id,
-        data=np.frombuffer(data, np.uint8),
-        format=encoding,
-    )
-
-
 def raw_audio(stamp_ns: int, pcm: NDArray[np.int16], rate_hz: int) -> Any:
     """Build a RawAudio of `pcm`, shape (N, channels), with its first sample at `stamp_ns`."""
     return _type(RAW_AUDIO)(
@@ -211,22 +172,6 @@ def raw_audio(stamp_ns: int, pcm: NDArray[np.int16], rate_hz: int) -> Any:
         format="pcm-s16",
         sample_rate=rate_hz,
         number_of_channels=pcm.shape[1],
-    )
-
-
-def image(
-    stamp_ns: int, frame_id: str, encoding: str, size_px: tuple[int, int], data: bytes
-) -> Any:
-    """Build an Image of bare pixels, row by row without gaps; `size_px` is (width, height)."""
-    width, height = size_px
-    return _type(IMAGE)(
-        header=header(stamp_ns, frame_id),
-        height=height,
-        width=width,
-        encoding=encoding,
-        is_bigendian=0,
-        step=len(data) // height,
-        data=np.frombuffer(data, np.uint8),
     )
 
 
@@ -262,15 +207,19 @@ def joint_state(
 
 def frame(picture: Frame) -> tuple[str, bytes]:
     """Encode a picture as (type name, CDR): of a video, compressed by itself, or of bare pixels."""
-    if picture.encoding in VIDEO_FORMATS:
-        made = compressed_video(picture.stamp_ns, "camera", picture.encoding, picture.data)
-        return COMPRESSED_VIDEO, encode(made, COMPRESSED_VIDEO)
-    if picture.size is None:
-        made = compressed_image(picture.stamp_ns, "camera", picture.encoding, picture.data)
-        return COMPRESSED_IMAGE, encode(made, COMPRESSED_IMAGE)
+    stamp_ns, encoding = picture.stamp_ns, picture.encoding
     data = picture.data if picture.pixels is None else picture.decode().tobytes()
-    made = image(picture.stamp_ns, "camera", picture.encoding, picture.size, data)
-    return IMAGE, encode(made, IMAGE)
+    about: dict[str, Any] = {"header": header(stamp_ns, "camera"), "format": encoding}
+    if encoding in VIDEO_FORMATS:
+        name = COMPRESSED_VIDEO
+        about = {"timestamp": _time(stamp_ns), "frame_id": "camera", "format": encoding}
+    elif picture.size is None:
+        name = COMPRESSED_IMAGE
+    else:
+        name, (width, height) = IMAGE, picture.size
+        about = {"header": about["header"], "height": height, "width": width, "encoding": encoding}
+        about |= {"is_bigendian": 0, "step": len(data) // height}
+    return name, encode(_type(name)(data=np.frombuffer(data, np.uint8), **about), name)
 
 
 def encode(message: Any, type_name: str) -> bytes:

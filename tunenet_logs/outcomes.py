@@ -12,10 +12,10 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from mcap.writer import CompressionType, Writer
 
@@ -46,7 +46,7 @@ from tunenet_logs.formats.columns.cells import (
     is_table,
     lines_of,
 )
-from tunenet_logs.formats.decoders import decoder_for
+from tunenet_logs.formats.decoders import listed_type
 from tunenet_logs.formats.mcap import MAGIC, channels_of_summary
 from tunenet_logs.formats.registry import is_folder, open_log
 from tunenet_logs.messages import INFO_RECORD, OUTCOME_TOPIC, TASK_OUTCOME
@@ -56,13 +56,12 @@ from tunenet_logs.writing.owned_path import not_writable, write_new
 BOUNCE_SHOT = "bounce-shot"  # the task where none is said
 MAX_ATTEMPTS = 1_000_000  # of a ball at a task; what lies beyond is a number misread
 MAX_LETTERS = 1000  # of a text of an outcome
-_MAX_FILES = 1000  # outcomes of one ball, attempt and millisecond; so many names are tried
 LAST_NS = 2**31 * 1_000_000_000 - 1  # the last time that a ROS header holds: in the year 2038
 
 
-def _named(*columns: str, message: str = "") -> dict[str, Any]:
-    """Say what a field is called in tables, any case, and in messages, where not as here."""
-    return {"columns": columns, "message": message}
+def _named(*columns: str, message: str = "", default: Any = None) -> Any:
+    """Declare a field that is called otherwise in tables, any case, or in messages."""
+    return field(default=default, metadata={"columns": columns, "message": message})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,32 +70,25 @@ class Outcome:
 
     task: str  # such as "bounce-shot"
     ball: str  # its name; what is counted together
-    attempt: int = field(metadata=_named("attempt", "trial"))  # of this ball, from 1
+    attempt: int = _named("attempt", "trial", default=MISSING)  # of this ball, from 1
     # whether the task was done
-    success: bool = field(metadata=_named("success", "outcome", "result"))
+    success: bool = _named("success", "outcome", "result", default=MISSING)
     # when [ns since 1970]; 0 where not known
-    stamp_ns: int = field(default=0, metadata=_named("time", "date", "stamp"))
+    stamp_ns: int = _named("time", "date", "stamp", default=0)
     # release height above the impact point [m]
-    shot_height_m: float | None = field(
-        default=None, metadata=_named("shot_height_m", "shot_height", message="shot_height")
-    )
+    shot_height_m: float | None = _named("shot_height_m", "shot_height", message="shot_height")
     # how far from the goal's centre it came down; negative where it was short of it, positive
     # beyond it [m]
-    miss_m: float | None = field(
-        default=None,
-        metadata=_named(
-            "miss_m", "miss", "miss_distance_m", "miss_distance", message="miss_distance"
-        ),
+    miss_m: float | None = _named(
+        "miss_m", "miss", "miss_distance_m", "miss_distance", message="miss_distance"
     )
     # coefficient of restitution that the shot was planned with
-    tuned_parameter: float | None = field(
-        default=None, metadata=_named("tuned_parameter", "restitution")
-    )
+    tuned_parameter: float | None = _named("tuned_parameter", "restitution")
     # the log of the drop that it was tuned from, as a path or a name
-    drop_log: str = field(default="", metadata=_named("drop_log", "log"))
+    drop_log: str = _named("drop_log", "log", default="")
     tuning: str = ""  # the JSON of that tuning, as a path or a name
     reason: str = ""  # why it failed, in a word or two
-    note: str = field(default="", metadata=_named("note", "notes", "comment"))  # anything else
+    note: str = _named("note", "notes", "comment", default="")  # anything else
     # no number of the attempt was written; it was counted in its table
     is_counted: bool = field(default=False, compare=False)
 
@@ -158,11 +150,9 @@ def from_message(message: Any) -> Outcome:
 
 
 def write_outcome(folder: Path, outcome: Outcome) -> Path:
-    """Write one outcome to a file of its own in a campaign's folder, made if need be.
+    """Write one outcome to a new file in a campaign's folder, made if need be, whole or not at all.
 
-    The file is there whole, and on the disk, or not at all, even if this is killed at any moment.
-    Names (`outcome_TIME_BALL_ATTEMPT.mcap`) sort by time; none that is there is ever written over,
-    so several may record at once.
+    Names (`outcome_TIME_BALL_ATTEMPT.mcap`) sort by time; none that is there is ever written over.
     """
     data = outcome_bytes(outcome)
     # By time, ball and attempt, in letters that any file system takes.
@@ -173,7 +163,7 @@ def write_outcome(folder: Path, outcome: Outcome) -> Path:
     path = folder / f"{stem}.mcap"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for number in range(2, _MAX_FILES):
+        for number in range(2, 1000):
             try:
                 write_new(path, data)
             except FileExistsError:
@@ -182,7 +172,7 @@ def write_outcome(folder: Path, outcome: Outcome) -> Path:
                 return path
     except OSError as error:
         raise not_writable(path, error) from error
-    raise LogError(f"{path}: there are {_MAX_FILES} of that name; record to another folder")
+    raise LogError(f"{path}: there are 1000 of that name; record to another folder")
 
 
 def outcome_bytes(outcome: Outcome) -> bytes:
@@ -192,16 +182,11 @@ def outcome_bytes(outcome: Outcome) -> bytes:
     writer.start(profile="ros2", library=f"tunenet-logs {__version__}")
     info = EpisodeInfo(kind="outcome", source="tunenet-record --outcome")
     writer.add_metadata(INFO_RECORD, info.to_strings())
-    schema = writer.register_schema(
-        TASK_OUTCOME, "ros2msg", messages.definition(TASK_OUTCOME).encode()
-    )
+    definition = messages.definition(TASK_OUTCOME).encode()
+    schema = writer.register_schema(TASK_OUTCOME, "ros2msg", definition)
     channel = writer.register_channel(OUTCOME_TOPIC, "cdr", schema)
-    writer.add_message(
-        channel,
-        outcome.stamp_ns,
-        messages.encode(to_message(outcome), TASK_OUTCOME),
-        outcome.stamp_ns,
-    )
+    data = messages.encode(to_message(outcome), TASK_OUTCOME)
+    writer.add_message(channel, outcome.stamp_ns, data, outcome.stamp_ns)
     writer.finish()
     return file.getvalue()
 
@@ -217,11 +202,9 @@ _WORDS = {
 
 
 def read_outcome_table(path: Path) -> tuple[Outcome, ...]:
-    """Read the outcomes of a table, in its order.
+    """Read the outcomes of a table, in its order; its columns are those of `Outcome`'s fields.
 
-    Columns: ball and success must be there; task ("bounce-shot" where there is none), attempt
-    (where there is none, counted by task and ball), time, shot_height_m, miss_m, tuned_parameter,
-    drop_log, tuning, reason and note may be. Others are passed over.
+    Ball and success must be there; attempts are counted by task and ball where they are not.
     """
     lines = _lines(path)
     try:
@@ -253,8 +236,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-@dataclass(frozen=True)
-class _Columns:
+class _Columns(NamedTuple):
     """Index of each field's column, and what separates the cells."""
 
     indices: Mapping[str, int]
@@ -369,9 +351,7 @@ def _refuse(text: str) -> NoReturn:
 def read_outcomes(path: Path, warn: Warn = _refuse) -> tuple[Outcome, ...]:
     """Read the outcomes in a log, a folder of logs, or a table, in the order of their times.
 
-    `path` is an MCAP file with messages of tunenet_msgs/msg/TaskOutcome, in CDR or JSON, one or
-    many; a folder with such files, where others are passed over; or a CSV whose columns are named
-    task, ball, attempt, success, ... `warn` is told what is damaged, and outcomes that make no
+    Messages of a log are in CDR or JSON. `warn` is told what is damaged, and outcomes that make no
     sense, which are left out; without it they are a LogError.
     """
     if is_folder(path) and not (path / "metadata.yaml").exists():
@@ -387,9 +367,7 @@ def read_outcomes(path: Path, warn: Warn = _refuse) -> tuple[Outcome, ...]:
 def numbered(outcomes: Iterable[Outcome]) -> list[Outcome]:
     """Give outcomes without a written number one that no other of task and ball has."""
     every = list(outcomes)
-    taken = {
-        (outcome.task, outcome.ball, outcome.attempt) for outcome in every if not outcome.is_counted
-    }
+    taken = {(one.task, one.ball, one.attempt) for one in every if not one.is_counted}
     following: dict[tuple[str, str], int] = {}
     for index, outcome in enumerate(every):
         if not outcome.is_counted:
@@ -421,10 +399,7 @@ def outcome_files(folder: Path, warn: Warn = _refuse) -> list[Path]:
 
 
 def holds_outcomes(file: Path) -> bool:
-    """Check whether a file holds outcomes, without reading its messages.
-
-    A log whose end is damaged may hold some; it has to be read to know.
-    """
+    """Check whether a file holds outcomes, without reading its messages."""
     try:
         if is_table(file):
             header = next((_columns(line) for _, line in _lines(file)), None)
@@ -434,7 +409,7 @@ def holds_outcomes(file: Path) -> bool:
                 return False
             size = file.stat().st_size
             channels = channels_of_summary(opened, size, Budget(size))
-    except OverBudgetError:
+    except OverBudgetError:  # its end is damaged: it has to be read to know
         return True
     except OSError as error:
         raise LogError(f"{file}: cannot be read ({error.strerror})", CHECK_DISK) from error
@@ -468,7 +443,7 @@ def _of_log(path: Path, container: Container, warn: Warn) -> Iterator[Outcome]:
                 if channel not in decoders:
                     decoders[channel] = None
                     try:
-                        decoders[channel] = decoder_for(channel)
+                        decoders[channel] = listed_type(channel).decode
                     except UnusableError as reason:
                         warn(f"{path}: the outcomes of {channel.topic} are not read: {reason}")
                 if decode := decoders[channel]:

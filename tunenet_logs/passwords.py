@@ -12,10 +12,8 @@ from pathlib import Path
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import read_small_file
 
-_MAX_PASSWORD, _MAX_NETRC = 4096, 1_000_000  # bytes of the files
 # What a netrc file holds beside its words: macros, up to an empty line, and comments.
 _MACRO = re.compile(r"^[ \t]*macdef\b.*?(?:^[ \t]*\r?$|\Z)|^[ \t]*#.*?$", re.DOTALL | re.MULTILINE)
-
 _NETRC_WORD = re.compile(r'"((?:[^"\\]|\\.)*)"(?=\s|$)|\S+')
 
 
@@ -31,7 +29,7 @@ class KnownLogin:
 def read_password(file: Path, option: str) -> tuple[str, bool]:
     """Read the one line of a password's file; also return whether others may read that file."""
     try:
-        data = read_small_file(file, _MAX_PASSWORD)
+        data = read_small_file(file, 4096)
         text = data.decode("utf-8-sig").removesuffix("\n").removesuffix("\r")
         is_shown = bool(file.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH))
     except LogError as error:
@@ -57,7 +55,7 @@ def netrc_login(host: str, user: str = "") -> KnownLogin:
     file = Path(os.environ.get("NETRC") or Path.home() / ".netrc")
     try:
         state = file.stat()
-        text = read_small_file(file, _MAX_NETRC).decode("utf-8-sig", errors="replace")
+        text = read_small_file(file, 1_000_000).decode("utf-8-sig", errors="replace")
     except FileNotFoundError:
         return KnownLogin(user)
     except (LogError, OSError, ValueError) as error:

@@ -34,7 +34,6 @@ WORDS: dict[int, str] = {
     signal.SIGTERM: "terminated",
     signal.SIGHUP: "hung up",
 }
-
 _prog = "tunenet"  # the command's name
 _spoken = 2  # the file descriptor of the standard error that this command was given
 
@@ -46,7 +45,18 @@ def start(prog: str, module: str) -> int:
     for number in WORDS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, end_at_once)
-    keep_streams()
+    # No closed pipe, full disk or missing stream (`>&-`) breaks off the work: a descriptor that is
+    # missing would be given to the first file that is opened.
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    for name, descriptor in (("stdout", 1), ("stderr", 2)):
+        stream = getattr(sys, name)
+        unbuffered = descriptor == 2 or getattr(stream, "write_through", False)
+        encoding = getattr(stream, "encoding", "utf-8")
+        setattr(sys, name, _lasting(descriptor, encoding, unbuffered=unbuffered))
     atexit.register(_ignore)  # the first one is called last: the work is done, and said
     if "--debug" not in sys.argv:
         silence_libraries()
@@ -71,30 +81,6 @@ class _Lasting(FileIO):
         except OSError as error:
             self.failure = self.failure or error
         return memoryview(data).nbytes
-
-
-def keep_streams() -> None:
-    """Let no closed pipe, full disk or missing stream (`>&-`) break off the work.
-
-    A descriptor that is missing would be given to the first file that is opened.
-    """
-    for descriptor in range(3):
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)
-    for name, descriptor in (("stdout", 1), ("stderr", 2)):
-        stream = getattr(sys, name)
-        unbuffered = descriptor == 2 or getattr(stream, "write_through", False)
-        encoding = getattr(stream, "encoding", "utf-8")
-        setattr(sys, name, _lasting(descriptor, encoding, unbuffered=unbuffered))
-
-
-def lost_output() -> str:
-    """Return why standard output is incomplete; "" where it is whole, or its reader left."""
-    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    failure = raw.failure if isinstance(raw, _Lasting) else None
-    return "" if failure is None else failure.strerror or str(failure)
 
 
 def _lasting(descriptor: int, encoding: str, *, unbuffered: bool) -> TextIOWrapper:
@@ -158,10 +144,7 @@ def _ignore() -> None:
 
 # ---- Stopping: SIGINT, SIGTERM and SIGHUP raise an exception that unwinds the command
 
-# Until a signal that came at a bad moment is tried again; sooner in a library's callback, which is
-# to return at once.
-_AGAIN_S, _CALLED_AGAIN_S = 0.02, 0.001
-
+_AGAIN_S = 0.02  # until a signal that came at a bad moment is tried again
 # Callbacks of libraries, which would print what is raised there, and go on.
 _called_by_c: set[CodeType] = set()
 
@@ -177,10 +160,7 @@ def end_child(child: subprocess.Popen[bytes]) -> None:
 
 
 def called_by_c(function: F) -> F:
-    """Mark a callback of a C library: a signal in it waits until the library returns.
-
-    Where `is_stopping()`, it is to return what ends the library's work.
-    """
+    """Mark a callback of C: a signal waits for it, and it is to return where `is_stopping()`."""
     _called_by_c.add(function.__code__)
     return function
 
@@ -197,11 +177,7 @@ def stop_now() -> None:
 
 
 class Stopped(KeyboardInterrupt):
-    """Signal that unwinds as Ctrl-C does, so that nothing half written is left.
-
-    Attributes:
-        number: of the signal.
-    """
+    """Signal, by its number, that unwinds as Ctrl-C does: nothing half written is left."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -303,7 +279,7 @@ def _holds(frame: FrameType | None) -> float:
     """
     while frame is not None:
         if frame.f_code in _called_by_c:
-            return _CALLED_AGAIN_S
+            return 0.001  # such a callback is to return at once
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return _AGAIN_S
         frame = frame.f_back

@@ -7,11 +7,12 @@ imported log gets back what its notes say (`restored`), and `without_commands` d
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,35 +52,24 @@ from tunenet_logs.formats.base import (
     RawMessage,
     RawMessages,
     RawMetadata,
-    Record,
     StackedDecoder,
     UnusableError,
     described,
     lost_share,
-    plain_type,
 )
-from tunenet_logs.formats.by_shape import UNUSED, ShapeMessages, shape_messages, unit_of
-from tunenet_logs.formats.decoders import ENCODINGS, SchemaBudget
-from tunenet_logs.formats.message_types import (
-    DriveType,
-    JointType,
-    NumbersType,
-    OutcomeType,
-    PictureType,
-    PlanType,
-    PositionType,
-    SoundType,
-    message_type_of,
+from tunenet_logs.formats.decoders import ENCODINGS, Decoders
+from tunenet_logs.formats.fields import (
+    UNUSED,
+    ShapeMessages,
+    UserColumnRows,
+    UserColumns,
+    shape_messages,
+    unit_of,
 )
+from tunenet_logs.formats.message_types import message_type_of
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 from tunenet_logs.images import FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
-from tunenet_logs.media_messages import (
-    Decoders,
-    checked,
-    frames_of,
-    in_order,
-    sound_of,
-)
+from tunenet_logs.media_messages import checked, frames_of, in_order, sound_of
 from tunenet_logs.messages import HEADER, INFO_RECORD, RECOVERY_RECORD
 from tunenet_logs.signals import (
     MAX_NUMBERS,
@@ -94,7 +84,6 @@ from tunenet_logs.signals import (
 from tunenet_logs.terminal import FEW_NAMES, listed, short_name
 from tunenet_logs.timing.arrivals import BY_ARRIVALS, STAMPS_NOTE
 from tunenet_logs.timing.stamps import LAST_NS, jump_warnings, with_jumps_of_pictures
-from tunenet_logs.user_columns import UserColumnRows, UserColumns
 
 
 def check_start(start_s: float | None, length_s: float) -> None:
@@ -121,7 +110,6 @@ def no_topic(topic: str, usable: Iterable[str]) -> NotFoundError:
 
 # How notes begin, before a signal's name.
 _UNIT, _COUNTS, _IMPACTS, _LEFT_OUT = "length_unit:", "counts_frames:", "impacts:", "left_out:"
-
 _UNTIMED = "frames_untimed"  # note of a log whose pictures are stamped by their count
 _YES = "1"
 _UNKNOWN = "unknown"  # a unit of length that nobody names
@@ -158,35 +146,43 @@ def notes_of_channels(episode: Episode, topic_of: Callable[[str], str]) -> dict[
 
 def restored(episode: Episode, options: ReadOptions) -> Episode:
     """Restore what an imported log's notes say; the user's options go before them."""
-    notes = episode.info.notes
+    notes, rate_hz = episode.info.notes, options.fps
     if not any(key.startswith((_UNIT, _COUNTS, _IMPACTS, _LEFT_OUT, _UNTIMED)) for key in notes):
         return episode
-    impacts = {
-        one.topic: _impacts(one)
-        for one in episode.channels
-        if one.type_name == HEADER and notes.get(_IMPACTS + one.topic) == _YES and one.messages
-    }
-    channels = tuple(
-        replace(
-            one,
-            skipped=None if one.topic in impacts else one.skipped,
-            left_out=added(one.left_out, of_note(notes.get(_LEFT_OUT + one.topic, "")))
-            if one.pictures or one.sounds
-            else {},
+    signals: dict[str, Signal] = dict(episode.signals)
+    channels: list[Channel] = []
+    for one in episode.channels:
+        skipped = one.skipped
+        if one.type_name == HEADER and notes.get(_IMPACTS + one.topic) == _YES and one.messages:
+            # The log's own stamps of these messages, which an import makes the same.
+            stamps_ns = np.unique(one.log_ns)
+            ones = np.ones((len(stamps_ns), 1))
+            signals[one.topic] = Signal(one.topic, stamps_ns, ones, ("impact",), "1")
+            skipped = None
+        before = of_note(notes.get(_LEFT_OUT + one.topic, ""))
+        is_media = one.pictures or one.sounds
+        known = added(one.left_out, before) if is_media else {}
+        channels.append(replace(one, skipped=skipped, left_out=known))
+    for name, signal in signals.items():
+        unit = notes.get(_UNIT + name, "")
+        if not signal.is_position or not unit or options.length_unit:
+            unit = signal.unit
+        else:
+            unit = UNSTATED if unit == _UNKNOWN else "px"
+        counts = notes.get(_COUNTS + name) == _YES
+        signals[name] = replace(
+            signal,
+            unit=unit,
+            stamps_ns=_timed(signal.stamps_ns, rate_hz) if counts and rate_hz else signal.stamps_ns,
+            counts_frames=signal.counts_frames or (counts and not rate_hz),
+            left_out=added(signal.left_out, of_note(notes.get(_LEFT_OUT + name, ""))),
         )
-        for one in episode.channels
-    )
-    signals = {**episode.signals, **impacts}
-    found = replace(
-        episode,
-        signals={name: _restored(one, notes, options) for name, one in signals.items()},
-        channels=channels,
-    )
-    if notes.get(_UNTIMED) != _YES or episode.open_frames is None:
+    found = replace(episode, signals=signals, channels=tuple(channels))
+    opened = episode.open_frames
+    if notes.get(_UNTIMED) != _YES or opened is None:
         return found
-    if not options.rate_hz:
+    if not rate_hz:
         return replace(found, frames_untimed=True)
-    opened, rate_hz = episode.open_frames, options.rate_hz
 
     def timed(topic: str) -> Iterator[Frame]:
         for frame in opened(topic):
@@ -196,28 +192,9 @@ def restored(episode: Episode, options: ReadOptions) -> Episode:
     return replace(found, open_frames=timed)
 
 
-def _restored(signal: Signal, notes: Mapping[str, str], options: ReadOptions) -> Signal:
-    unit = notes.get(_UNIT + signal.name, "")
-    if signal.is_position and unit and not options.length_unit:
-        signal = replace(signal, unit=UNSTATED if unit == _UNKNOWN else "px")
-    if before := of_note(notes.get(_LEFT_OUT + signal.name, "")):
-        signal = replace(signal, left_out=added(signal.left_out, before))
-    if notes.get(_COUNTS + signal.name) != _YES:
-        return signal
-    if not options.rate_hz:
-        return replace(signal, counts_frames=True)
-    return replace(signal, stamps_ns=_timed(signal.stamps_ns, options.rate_hz))
-
-
 def _timed(stamps_ns: NDArray[np.int64], rate_hz: float) -> NDArray[np.int64]:
     """Convert stamps that count frames to those of a rate [ns], shape (T,)."""
     return np.round(stamps_ns * (1e9 / rate_hz / FRAME_NS)).astype(np.int64)
-
-
-def _impacts(channel: Channel) -> Signal:
-    """Return impacts by the log's own stamps of their messages, which an import makes the same."""
-    stamps_ns = np.unique(channel.log_ns)
-    return Signal(channel.topic, stamps_ns, np.ones((len(stamps_ns), 1)), ("impact",), "1")
 
 
 # ---- Measurements alone: an episode without commands and forces
@@ -226,8 +203,7 @@ def _impacts(channel: Channel) -> Signal:
 def without_commands(episode: Episode) -> Episode:
     """Return the episode without commands, forces, and warnings about their channels.
 
-    A commanded trajectory is no joint's state, and a sensor's torque no joint's: whoever looks for
-    something in a log by its units looks at this. One without any is given back as it is.
+    A commanded trajectory is no joint's state, and a sensor's torque no joint's.
     """
     driving = {name for name, signal in episode.signals.items() if signal.drives}
     channels = [channel for channel in episode.channels if channel.drives]
@@ -254,10 +230,8 @@ def without_commands(episode: Episode) -> Episode:
 # ---- Topic: count, decode and gather its messages by the rules of their type
 
 # Messages that are decoded together, at least; bytes of each and layouts of them, at most: with few
-# of a layout it would take longer than one by one.
-_MIN_STACKED, _MAX_STACKED, _MAX_LAYOUTS = 16, 64 * 1024, 8
-
-_MAX_WAITING = 1024  # messages that came one by one, and wait to be decoded together
+# of a layout it would take longer than one by one. So many that came one by one wait for more.
+_MIN_STACKED, _MAX_STACKED, _MAX_LAYOUTS, _MAX_WAITING = 16, 64 * 1024, 8, 1024
 DriveRows = PlannedRows | NumberRows | WrenchRows  # what gathers commands and forces
 # What gathers messages.
 _Rows = PositionRows | JointRows | MediaStamps | DriveRows | UserColumnRows
@@ -268,17 +242,11 @@ class ReadingPlan:
 
     def __init__(self, path: Path, options: ReadOptions, most_numbers: float) -> None:
         self.most_numbers = most_numbers  # that are kept of the joints of a topic
-        self.budget = SchemaBudget()  # for definitions of types
-        self.decoders = Decoders(self.budget)  # of the types that are known
+        self.decoders = Decoders()
         # The fields that are named; None where none is.
-        self.picks = UserColumns(path, options, self.budget) if options.columns else None
-        self._path = path
+        self.picks = UserColumns(path, options, self.decoders) if options.columns else None
+        self.points = PointBudget(registry.file_bytes(path))
         self._options = options
-
-    @cached_property
-    def points(self) -> PointBudget:
-        """Budget of trajectory points."""
-        return PointBudget(registry.file_bytes(self._path))
 
     def length(self, unit: str) -> tuple[str, float]:
         """Return the unit of positions, and the factor to it from `unit`, the messages' own."""
@@ -294,57 +262,57 @@ class TopicContents:
     def __init__(self, channel: RawChannel, plan: ReadingPlan) -> None:
         self.channel = channel
         self.rows: _Rows | None = None  # None where the type or encoding is not read
+        self.shape: ShapeMessages | None = None  # where positions are recognised by their fields
         self.damaged = 0  # messages that cannot be read
         self.refused = 0  # those that may be whole, but of a kind or size that is not read
         self.used = 0  # those that were read
-        self._log_ns = array("q")
+        self.log_ns = array("q")
         self._unusable: str | None = None
         self._why = ""  # the first message that was left out was
         self._type = message_type_of(channel)
         self._decode: Decode | None = None
-        self._shape: ShapeMessages | None = None
+        self._read: Callable[[Any], Any] = lambda message: message
         self._stacked: StackedDecoder | None = None
         self._waiting: list[tuple[int, bytes]] = []
         try:
-            if not plan.picks or isinstance(self._type, PictureType | SoundType):
+            if not plan.picks or (self._type and self._type.is_media):
                 self._read_by_type(plan)
-                return
-            rows = plan.picks.rows_of(self.channel)
-            if rows is None:
+            elif rows := plan.picks.rows_of(channel):
+                self.rows, self._decode = rows, rows.decode
+            else:
                 raise UnusableError("--columns names none of its fields")
-            self.rows, self._decode, self._gather = rows, rows.decode, rows.add
-            self._read = lambda message: message
         except UnusableError as reason:
             self._unusable = str(reason)
+        self.drives = isinstance(self.rows, DriveRows)  # whether these are commands or forces
 
     def _read_by_type(self, plan: ReadingPlan) -> None:
         """Read by the channel's type, or by the shape of its messages; else UnusableError."""
-        channel, kind = self.channel, self._type
-        if isinstance(kind, OutcomeType):
-            raise UnusableError("for tunenet-review")
+        channel, kind, topic = self.channel, self._type, self.channel.topic
         if kind is None and channel.encoding in ENCODINGS:
-            shape = shape_messages(channel, plan.budget)
+            shape = shape_messages(channel, plan.decoders)
             if shape is None:
                 raise UnusableError(UNUSED)
-            self._shape, self._decode, self._read = shape, shape.decode, shape.read
-            self.rows = PositionRows(channel.topic, *plan.length(unit_of(channel.type_name)))
-            self._gather = self.rows.add
+            self.shape, self._decode, self._read = shape, shape.decode, shape.read
+            self.rows = PositionRows(topic, *plan.length(unit_of(channel.type_name)))
             return
-        decoded = plan.decoders.of(channel)
-        self._decode = decoded.decode
+        if kind and kind.holds == "outcome":
+            raise UnusableError("for tunenet-review")
+        decoded = plan.decoders.listed_type(channel)
         assert kind is not None
-        if isinstance(kind, PositionType):
-            self.rows = PositionRows(channel.topic, *plan.length("m"), names_one=kind.names_one)
-        elif isinstance(kind, JointType):
-            self.rows = JointRows(channel.topic, plan.most_numbers)
+        self._decode = decoded.decode
+        self._read = partial(checked, kind) if kind.is_media else kind.read
+        if kind.is_media:
+            self.rows = MediaStamps(topic, kind.holds == "sound", kind.is_video)
+        elif kind.holds == "positions":
+            self.rows = PositionRows(topic, *plan.length("m"), names_one=kind.names_one)
+        elif kind.holds == "joints":
+            self.rows = JointRows(topic, plan.most_numbers)
             self._stacked = decoded.stacked
-        elif isinstance(kind, DriveType):
-            if isinstance(kind, PlanType):
-                rows = PlannedRows(channel.topic, plan.points)
-            elif isinstance(kind, NumbersType):
-                rows = NumberRows(channel.topic)
+        else:
+            if kind.holds == "plan":
+                rows = PlannedRows(topic, plan.points)
             else:
-                rows = WrenchRows(channel.topic)
+                rows = NumberRows(topic) if kind.holds == "numbers" else WrenchRows(topic)
             self.rows = rows
 
             def decode_checked(data: bytes | memoryview) -> Any:
@@ -352,35 +320,12 @@ class TopicContents:
                 return decoded.decode(data)
 
             self._decode = decode_checked
-        elif isinstance(kind, SoundType):
-            self.rows = MediaStamps(channel.topic, is_sound=True)
-        else:
-            assert isinstance(kind, PictureType)
-            self.rows = MediaStamps(channel.topic, is_video=kind.is_video)
-        is_media = isinstance(kind, PictureType | SoundType)
-        self._read: Callable[[Any], Any] = checked(kind) if is_media else kind.read
-        self._gather: Callable[[int, Any], None] = self.rows.add
-
-    @property
-    def is_by_shape(self) -> bool:
-        """Whether positions are recognised by the names of message fields."""
-        return self._shape is not None
-
-    @property
-    def drives(self) -> bool:
-        """Whether its messages are commands or forces."""
-        return isinstance(self.rows, DriveRows)
-
-    @property
-    def is_video(self) -> bool:
-        """Whether its frames depend on earlier ones."""
-        return isinstance(self._type, PictureType) and self._type.is_video
 
     def checked_shape(self) -> list[str] | None:
         """Return notes on what was recognised by shape; None where that is implausible."""
-        if self._shape is None:
+        if self.shape is None:
             return []
-        reason, said = self._shape.outcome(self.channel.topic)
+        reason, said = self.shape.outcome(self.channel.topic)
         if not self.used and self.damaged:  # laid out in another way than is known here
             reason = f"its messages cannot be read{self.first}"
             self.damaged = 0
@@ -416,11 +361,11 @@ class TopicContents:
             self.damaged += 1
             self._why = self._why or "its time lies beyond the year 2262"
             return
-        self._log_ns.append(log_ns)
-        if self._decode is None:
+        self.log_ns.append(log_ns)
+        if self._decode is None or self.rows is None:
             return
         try:
-            self._gather(log_ns, self._read(self._decode(data)))
+            self.rows.add(log_ns, self._read(self._decode(data)))
             self.used += 1
         except (UnusableError, BeyondLimitError) as reason:
             self.refused += 1
@@ -463,18 +408,13 @@ class TopicContents:
         except DAMAGED:
             return False
         self.used += len(log_ns)
-        self._log_ns.frombytes(log_ns.tobytes())
+        self.log_ns.frombytes(log_ns.tobytes())
         return True
 
     @property
     def first(self) -> str:
         """Why the first message was left out, in parentheses; "" where none was."""
         return f" (the first: {self._why})" if self._why else ""
-
-    @property
-    def messages(self) -> int:
-        """Number of messages."""
-        return len(self._log_ns)
 
     def lost_of(self, samples: int, share: float) -> dict[str, int]:
         """Estimate the missing samples by reason; `share` of the whole log is lost."""
@@ -486,44 +426,37 @@ class TopicContents:
 
     def another_name(self, taken: Iterable[str]) -> str:
         """Return an unused name for a topic whose name another channel's signals have, too."""
-        name, number = f"{self.channel.topic}@{plain_type(self.channel.type_name)}", 1
-        names = set(taken)
-        while any(f"{one}.".startswith(f"{name}{number if number > 1 else ''}.") for one in names):
-            number += 1
-        return f"{name}{number if number > 1 else ''}"
+        plain = re.split(r"[/.:]", self.channel.type_name)[-1]
+        name, names = f"{self.channel.topic}@{plain}", set(taken)
+        every = (f"{name}{number or ''}" for number in (0, *range(2, len(names) + 3)))
+        return next(n for n in every if not any(f"{one}.".startswith(f"{n}.") for one in names))
 
     def summary(self, share: float) -> Channel:
         """Summarise as a `Channel`; `share` of the whole log is lost."""
-        skipped = self._unusable
+        skipped, kind = self._unusable, self._type
         if skipped is None and not self.used:
-            if not self._log_ns and not self.damaged:
+            if not self.log_ns and not self.damaged:
                 skipped = "it holds no message"
             else:
                 skipped = self._why if self.refused else f"all its messages are damaged{self.first}"
         left_out: Mapping[str, int] = {}
         if isinstance(self.rows, MediaStamps):  # of others their signals say it
             cut = {} if self.rows.is_sound else {BY_CLOCK: self.rows.cut}
-            left_out = added(cut, self.lost_of(self.messages, share))
+            left_out = added(cut, self.lost_of(len(self.log_ns), share))
         return Channel(
             topic=self.channel.topic,
             type_name=self.channel.type_name,
             encoding=self.channel.encoding,
-            log_ns=np.frombuffer(self._log_ns, np.int64),
+            log_ns=np.frombuffer(self.log_ns, np.int64),
             skipped=skipped,
-            pictures=isinstance(self._type, PictureType),
+            pictures=kind is not None and kind.holds == "picture",
             drives=self.drives,
-            sounds=isinstance(self._type, SoundType),
+            sounds=kind is not None and kind.holds == "sound",
             left_out=left_out,
         )
 
 
 # ---- Reading options that made no difference
-
-_NO_RATE = "--fps not used: its messages have times of their own"
-_NO_CURRENTS = (
-    "--torque-constants not used: no current is read of its messages (where its efforts are "
-    "currents, add --effort-unit A)"
-)
 
 
 def said_unused(name: str, warnings: Iterable[str]) -> bool:
@@ -533,14 +466,17 @@ def said_unused(name: str, warnings: Iterable[str]) -> bool:
 
 def unused_of_messages(episode: Episode, options: ReadOptions) -> tuple[str, ...]:
     """Return a line for each option that counts for nothing in a log of messages."""
-    reads_currents = any(name.startswith("current") for name in options.columns)
-    has_constants = bool(options.torque_constants)
+    found: list[str] = []
     has_times = not any(key.startswith((_COUNTS, _UNTIMED)) for key in episode.info.notes)
-    lines = {
-        _NO_RATE: options.rate_hz is not None and has_times,
-        _NO_CURRENTS: has_constants and not reads_currents,
-    }
-    return tuple(filter(lines.get, lines))
+    if options.fps is not None and has_times:
+        found.append("--fps not used: its messages have times of their own")
+    reads_currents = any(name.startswith("current") for name in options.columns)
+    if options.torque_constants and not reads_currents:
+        found.append(
+            "--torque-constants not used: no current is read of its messages (where its efforts "
+            "are currents, add --effort-unit A)"
+        )
+    return tuple(found)
 
 
 def unused_reading(
@@ -566,22 +502,19 @@ def unused_reading(
                 other = read(path, without)
             except LogError:
                 continue
-            if not isinstance(other, Episode) or not (
-                list(episode.signals) == list(other.signals)
-                and all(map(_is_same_signal, episode.signals.values(), other.signals.values()))
+            if not isinstance(other, Episode) or list(episode.signals) != list(other.signals):
+                continue
+            pairs = zip(episode.signals.values(), other.signals.values(), strict=True)
+            if not all(
+                (one.columns, one.unit, one.counts_frames)
+                == (two.columns, two.unit, two.counts_frames)
+                and np.array_equal(one.stamps_ns, two.stamps_ns)
+                and np.array_equal(one.values, two.values, equal_nan=True)
+                for one, two in pairs
             ):
                 continue
         found.append(f"{name} not used: the file reads the same without")
     return tuple(found)
-
-
-def _is_same_signal(one: Signal, other: Signal) -> bool:
-    facts = [(each.columns, each.unit, each.counts_frames) for each in (one, other)]
-    return (
-        facts[0] == facts[1]
-        and np.array_equal(one.stamps_ns, other.stamps_ns)
-        and np.array_equal(one.values, other.values, equal_nan=True)
-    )
 
 
 # ---- Reading: from the records of a container to an episode
@@ -589,13 +522,10 @@ def _is_same_signal(one: Signal, other: Signal) -> bool:
 # Pixels of all pictures of a log, whatever its size is (a second of decoding), and further ones for
 # each of its bytes: a camera's pictures have 20, rendered ones without noise 300.
 _FREE_PIXELS, _PIXELS_A_BYTE = 50_000_000, 500
-
 _FEW_TOPICS = 8  # cameras that are read, however long the log is; and microphones, at most
 # Messages that all picture topics together may pass, since each is read by a pass over the file: of
 # any log, and the bytes of a log for each beyond.
 _FREE_MESSAGES, _BYTES_A_MESSAGE = 5_000_000, 50
-
-_MAX_LOSSES = 5  # damaged places that the warnings name; the rest is counted
 
 
 def read_episode(
@@ -613,59 +543,41 @@ def read_episode(
         said = (*jump_warnings(found), *unused_reading(path, found, options, registry.open_log))
         return replace(found, warnings=(*found.warnings, *said))
     losses: list[Loss] = []
+    info: Mapping[str, str] = {}  # what the log says of itself
+    share = 0.0  # of it, that was lost before it was recovered
     plan = ReadingPlan(path, options, most_numbers)
-    contents = _Contents(plan)
+    by_channel: dict[RawChannel, TopicContents] = {}
+    last: dict[tuple[str, ...], TopicContents] = {}
     try:
         for record in container(path, losses):
-            contents.add(record)
-        for topic in contents.topics:
+            if isinstance(record, RawMessages):
+                for channel, messages in record.by_channel():
+                    by_channel[channel].add_all(messages)
+            elif isinstance(record, RawMessage):
+                by_channel[record.channel].add(record.log_ns, record.data)
+            elif isinstance(record, RawChannel):
+                # One of the same topic, type and encoding as another goes on with it.
+                key = (record.topic, record.type_name, record.encoding, record.schema_encoding)
+                topic = last.get(key)
+                if topic is None or topic.channel.schema != record.schema:
+                    topic = last[key] = TopicContents(record, plan)
+                by_channel[record] = topic
+            elif isinstance(record, RawMetadata) and record.name == INFO_RECORD:
+                info = dict(record.values)
+            elif isinstance(record, RawMetadata) and record.name == RECOVERY_RECORD:
+                share = share_of_note(record.values)
+        topics = list(dict.fromkeys(by_channel.values()))  # each once, in the order of the log
+        for topic in topics:
             topic.finish()
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror})", CHECK_DISK) from error
-    topics, info = contents.topics, contents.info
     if not topics and not info and not all(loss.harmless for loss in losses):
         why = "; ".join([str(loss) for loss in losses if not loss.harmless][:2])
         raise LogError(f"{path}: nothing in it can be read: {why}", COPY_AGAIN)
     about = EpisodeInfo.from_strings(info)
-    episode = _episode(path, container, losses, about, topics, plan, contents.share)
-    episode = restored(episode, options)
+    episode = restored(_episode(path, container, losses, about, topics, plan, share), options)
     unused = unused_of_messages(episode, options)
     return replace(episode, warnings=(*episode.warnings, *jump_warnings(episode), *unused))
-
-
-class _Contents:
-    """Contents that a container delivers."""
-
-    def __init__(self, plan: ReadingPlan) -> None:
-        self.info: Mapping[str, str] = {}  # what the log says of itself
-        self.share = 0.0  # of it, that was lost before it was recovered
-        self._plan = plan
-        self._by_channel: dict[RawChannel, TopicContents] = {}
-        self._last: dict[tuple[str, ...], TopicContents] = {}
-
-    @property
-    def topics(self) -> list[TopicContents]:
-        """Each topic once, in the order of the log."""
-        return list(dict.fromkeys(self._by_channel.values()))
-
-    def add(self, record: Record) -> None:
-        """Add one record."""
-        if isinstance(record, RawMessages):
-            for channel, messages in record.by_channel():
-                self._by_channel[channel].add_all(messages)
-        elif isinstance(record, RawMessage):
-            self._by_channel[record.channel].add(record.log_ns, record.data)
-        elif isinstance(record, RawChannel):
-            # One of the same topic, type and encoding as another goes on with it.
-            key = (record.topic, record.type_name, record.encoding, record.schema_encoding)
-            topic = self._last.get(key)
-            if topic is None or topic.channel.schema != record.schema:
-                topic = self._last[key] = TopicContents(record, self._plan)
-            self._by_channel[record] = topic
-        elif isinstance(record, RawMetadata) and record.name == INFO_RECORD:
-            self.info = dict(record.values)
-        elif isinstance(record, RawMetadata) and record.name == RECOVERY_RECORD:
-            self.share = share_of_note(record.values)
 
 
 def _episode(
@@ -684,11 +596,12 @@ def _episode(
     doubts: list[str] = []
     named, notes = plan.picks.signals() if plan.picks else ([], [])
     signals = {signal.name: signal for signal in named}
-    size, read = registry.file_bytes(path), sum(topic.messages for topic in topics)
+    size, read = registry.file_bytes(path), sum(len(topic.log_ns) for topic in topics)
     share = max(share, lost_share(losses, read, size))
     by_log: set[str] = set()  # topics of pictures or sound whose header stamps tell no time
+    ahead: dict[str, int] = {}
     # What is known by its shape alone comes behind what is known by its type, commands behind all.
-    for topic in sorted(topics, key=lambda one: (one.drives, one.is_by_shape)):
+    for topic in sorted(topics, key=lambda one: (one.drives, one.shape is not None)):
         name, rows = topic.channel.topic, topic.rows
         shaped = topic.checked_shape()
         if topic.damaged:
@@ -698,12 +611,11 @@ def _episode(
         if isinstance(rows, MediaStamps):
             is_header, reasons = rows.trusts_header()
             doubts += reasons
+            ahead[name] = rows.ahead
             is_found = info.notes.get(STAMPS_NOTE, "").startswith(BY_ARRIVALS)  # of pictures alone
             if not is_header or (is_found and not rows.is_sound):
                 by_log.add(name)
-        elif isinstance(rows, PositionRows | JointRows | DriveRows):
-            if shaped is None:
-                continue
+        elif rows is not None and not isinstance(rows, UserColumnRows) and shaped is not None:
             told = (
                 partial(rows.signals, joint_names) if isinstance(rows, JointRows) else rows.signals
             )
@@ -721,82 +633,54 @@ def _episode(
                 missing = topic.lost_of(len(signal.stamps_ns), share)
                 known = added(signal.left_out, missing)
                 signals[signal.name] = replace(signal, left_out=known)
+    channels = [topic.summary(share) for topic in topics]
+    free = (_FREE_MESSAGES + size // _BYTES_A_MESSAGE) // max(1, read)
+    for what, most in (("pictures", max(_FEW_TOPICS, free)), ("sound", _FEW_TOPICS)):
+        of_kind = [one.pictures if what == "pictures" else one.sounds for one in channels]
+        used = [at for at, one in enumerate(channels) if of_kind[at] and one.skipped is None]
+        why = f"the log has over {most} channels of {what}"
+        for at in used[most:]:
+            channels[at] = replace(channels[at], skipped=why)
+        if more := len(used[most:]):
+            doubts.append(f"the {what} of {more} channels were left out: {why}")
+    # What containers lost: the first places, and how many more.
     lost = [loss for loss in losses if not loss.harmless]
-    found = [topic.summary(share) for topic in topics]
-    passed = max(1, sum(one.messages for one in found))
-    free = (_FREE_MESSAGES + size // _BYTES_A_MESSAGE) // passed
-    cameras = [one for one in found if one.pictures and one.skipped is None]
-    microphones = [one for one in found if one.sounds and one.skipped is None]
-    channels, more = _few(found, cameras, max(_FEW_TOPICS, free), "pictures")
-    doubts += more
-    channels, more = _few(channels, microphones, _FEW_TOPICS, "sound")
-    doubts += more
-    ahead = {
-        topic.channel.topic: topic.rows.ahead
-        for topic in topics
-        if isinstance(topic.rows, MediaStamps)
-    }
+    words = [str(loss) for loss in (*(one for one in losses if one.harmless), *lost[:5])]
+    if rest := lost[5:]:
+        more = sum(loss.size for loss in rest)
+        words.append(f"{len(rest)} more places are damaged ({more} bytes); see tunenet-logs check")
+    exact_hz, file_hz = noted_rates(info.notes)
+
+    def open_sound(topic: str) -> Sound:
+        records, trusts_header = container(path, [], (topic,)), topic not in by_log
+        return sound_of(
+            records, topic, trusts_header=trusts_header, exact_hz=exact_hz, file_hz=file_hz
+        )
+
     return Episode(
         info=info,
         signals=signals,
-        channels=channels,
-        warnings=(*_lost_words(losses), *damaged, *refused, *notes, *doubts),
+        channels=tuple(channels),
+        warnings=(*words, *damaged, *refused, *notes, *doubts),
         losses=(*map(str, lost), *damaged),
         tainted=next((str(loss) for loss in losses if loss.taints), ""),
-        open_frames=partial(_frames, path, container, by_log, ahead, _most_pixels(path, topics)),
-        open_sound=partial(_sound, path, container, by_log, info.notes),
+        open_frames=partial(_frames, path, container, by_log, ahead, _most_pixels(size, topics)),
+        open_sound=open_sound,
     )
 
 
-def _lost_words(losses: Sequence[Loss]) -> list[str]:
-    """Describe what containers lost: the first places, and how many more."""
-    lost = [loss for loss in losses if not loss.harmless]
-    words = [str(loss) for loss in losses if loss.harmless]
-    words += [str(loss) for loss in lost[:_MAX_LOSSES]]
-    if rest := lost[_MAX_LOSSES:]:
-        size = sum(loss.size for loss in rest)
-        words.append(f"{len(rest)} more places are damaged ({size} bytes); see tunenet-logs check")
-    return words
-
-
-def _few(
-    channels: Sequence[Channel], those: Sequence[Channel], most: int, what: str
-) -> tuple[tuple[Channel, ...], list[str]]:
-    """Mark all but the first `most` of `those` channels as left out, and warn of it."""
-    if len(those) <= most:
-        return tuple(channels), []
-    why = f"the log has over {most} channels of {what}"
-    left = {id(one) for one in those[most:]}
-    some = [replace(one, skipped=why) if id(one) in left else one for one in channels]
-    return tuple(some), [f"the {what} of {len(left)} channels were left out: {why}"]
-
-
-def _most_pixels(path: Path, topics: Sequence[TopicContents]) -> dict[str, int]:
+def _most_pixels(size: int, topics: Sequence[TopicContents]) -> dict[str, int]:
     """Return the pixels each topic's pictures may have: a share of the log's, by their number."""
     cameras = [one for one in topics if isinstance(one.rows, MediaStamps) and not one.rows.is_sound]
     used = max(1, sum(topic.used for topic in cameras))
-    size = registry.file_bytes(path)
-    stills = _FREE_PIXELS + _PIXELS_A_BYTE * size
-    video = FREE_VIDEO_PIXELS + VIDEO_PIXELS_A_BYTE * size
     most: dict[str, int] = {}
     for topic in cameras:
-        share = (video if topic.is_video else stills) * topic.used // used
+        free, a_byte = _FREE_PIXELS, _PIXELS_A_BYTE
+        if isinstance(topic.rows, MediaStamps) and topic.rows.is_video:
+            free, a_byte = FREE_VIDEO_PIXELS, VIDEO_PIXELS_A_BYTE
+        share = (free + a_byte * size) * topic.used // used
         most[topic.channel.topic] = most.get(topic.channel.topic, 0) + share
     return most
-
-
-def _sound(
-    path: Path, container: Container, by_log: Set[str], notes: Mapping[str, str], topic: str
-) -> Sound:
-    """Decode the sound of one topic afresh from the file; `by_log` as in `_frames`."""
-    exact_hz, file_hz = noted_rates(notes)
-    return sound_of(
-        container(path, [], (topic,)),
-        topic,
-        trusts_header=topic not in by_log,
-        exact_hz=exact_hz,
-        file_hz=file_hz,
-    )
 
 
 def _frames(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from itertools import pairwise
 from typing import Any
@@ -22,11 +22,11 @@ from tunenet_logs.episode import Array, OneFrame, Signal, added
 from tunenet_logs.formats.base import BeyondLimitError, UnusableError
 from tunenet_logs.formats.message_types import (
     JointSample,
-    NumbersSample,
     PictureSample,
     PlanSample,
     PositionSample,
     SoundSample,
+    Values,
     WrenchSample,
 )
 from tunenet_logs.terminal import listed, short_name
@@ -46,19 +46,11 @@ from tunenet_logs.timing.stamps import (
 
 # Fewer samples show no two series; of more, so many are looked at first, since it takes long.
 _MIN_SAMPLES, _FIRST_SAMPLES = 40, 20_000
-
-_SEEDS = 16  # first samples; the two of them that are farthest apart begin the series
 _CALMER = 0.3  # of the way that the samples make in their order: two series make less
-# Of the distance to the other series: nearly every sample is so near to its own.
-_NEAR, _MOSTLY = 0.25, 0.98
-
 # Of the samples, in the smaller series at least; and of these, how often the other follows.
 _SHARE, _TURNS = 0.1, 0.1
-
 # Mean steps of a series: one of the two goes over more, and both are farther from each other.
 _MOVES = 10.0
-
-_LEVELS = 20.0  # smallest changes; nearer series are two values that one was rounded to
 
 
 def two_sources(values: Array) -> NDArray[np.bool_] | None:
@@ -91,13 +83,9 @@ def take_turns(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> boo
 def disagree(
     first: tuple[NDArray[np.int64], Array], second: tuple[NDArray[np.int64], Array]
 ) -> bool:
-    """Check whether two series of one quantity are not of the same motion.
-
-    Each has times, in order, shape (T,) [ns], and values, shape (T, C).
-    """
+    """Check whether series of times [ns], (T,), and values, (T, C), are of different motions."""
     (first_ns, ours), (second_ns, theirs) = first, second
-    for column in range(ours.shape[1]):
-        one, other = ours[:, column], theirs[:, column]
+    for one, other in zip(ours.T, theirs.T, strict=True):
         known, told = np.isfinite(one), np.isfinite(other)
         if np.count_nonzero(known) < 2 or np.count_nonzero(told) < 2:
             continue
@@ -110,37 +98,34 @@ def disagree(
 
 def _jumps(values: Array) -> bool:
     """Check whether most samples are near one of the few before, but not near the last."""
-    steps = np.linalg.norm(values[1:] - values[:-1], axis=1)
+    steps = np.linalg.norm(np.diff(values, axis=0), axis=1)
     nearest = steps.copy()
     for back in range(2, 6):
-        nearest[back - 1 :] = np.minimum(
-            nearest[back - 1 :], np.linalg.norm(values[back:] - values[:-back], axis=1)
-        )
+        ways = np.linalg.norm(values[back:] - values[:-back], axis=1)
+        nearest[back - 1 :] = np.minimum(nearest[back - 1 :], ways)
     return float(nearest.sum()) < _CALMER * float(steps.sum())
 
 
 def _told_apart(values: Array) -> NDArray[np.bool_] | None:
-    seeds = values[:_SEEDS]
+    # The two of the first samples that are farthest apart begin the series.
+    seeds = values[:16]
     ways = np.linalg.norm(seeds[:, None] - seeds[None], axis=2)
     first, second = np.unravel_index(int(ways.argmax()), ways.shape)
     lasts = [values[min(first, second)].tolist(), values[max(first, second)].tolist()]
-    of_second: list[bool] = []
-    nears: list[float] = []
-    fars: list[float] = []
+    found: list[tuple[bool, float, float]] = []  # of the second, way to its own and to the other
     for row in values.tolist():
         ways_2 = [sum((a - b) ** 2 for a, b in zip(row, last, strict=True)) for last in lasts]
         is_second = ways_2[1] < ways_2[0]
         lasts[is_second] = row
-        of_second.append(is_second)
-        nears.append(ways_2[is_second])
-        fars.append(ways_2[not is_second])
-    rows = np.array(of_second)
-    near, far = np.sqrt(nears), np.sqrt(fars)
+        found.append((is_second, ways_2[is_second], ways_2[not is_second]))
+    rows, near, far = (np.array(one) for one in zip(*found, strict=True))
+    near, far = np.sqrt(near), np.sqrt(far)
     fewest = min(np.count_nonzero(rows), np.count_nonzero(~rows))
     turns = np.count_nonzero(rows[1:] != rows[:-1])
     if fewest < _SHARE * len(rows) or turns < _TURNS * fewest:
         return None
-    if np.mean(near <= _NEAR * far) < _MOSTLY:
+    # Nearly every sample is nearer to its own series, by far.
+    if np.mean(near <= 0.25 * far) < 0.98:
         return None
     if near.sum() > _CALMER * np.linalg.norm(np.diff(values, axis=0), axis=1).sum():
         return None
@@ -152,7 +137,8 @@ def _told_apart(values: Array) -> NDArray[np.bool_] | None:
     changes = np.abs(np.diff(np.sort(values, axis=0), axis=0))
     smallest = float(changes[changes > 0].min(initial=np.inf))
     apart = float(np.median(far))
-    if not moves or apart < _MOVES * max(steps) or apart < _LEVELS * smallest:
+    # Nearer series are two values that one was rounded to.
+    if not moves or apart < _MOVES * max(steps) or apart < 20.0 * smallest:
         return None
     if spans[0] == 0 or spans[1] == 0:  # what never moves is the second
         return rows if spans[0] == 0 else ~rows
@@ -163,22 +149,14 @@ def _told_apart(values: Array) -> NDArray[np.bool_] | None:
 
 # Bodies or joints of one topic; more are no robot's, but a damaged or hostile log's.
 _MAX_NAMES = 1000
-
 # What joints without names are called; one more than there may be, so that too many are seen.
 _NAMES = tuple(f"joint{number}" for number in range(1, _MAX_NAMES + 2))
-
 # Of the joints of a topic, as many as seven have in 25 minutes at 1 kHz: 268 MB.
 MAX_NUMBERS = 2**25
-
-_SOMETIMES = 1024  # messages after which it is looked whether there are too many
 # Name of an interface in ros2_control: a joint and what of it.
 _INTERFACE = re.compile(
     r"(.*[^/.])[/.](position|velocity|effort|acceleration|current|voltage|temperature|torque)"
 )
-
-_MAX_BLOCKS = 50  # sets of joints that are compared in pairs
-_SEVERAL = {2: "two", 3: "three"}
-
 # A quantity that a message does not give, as the bytes of its values.
 _NOTHING = array("d", [float("nan")] * _MAX_NAMES).tobytes()
 
@@ -197,11 +175,6 @@ class _Samples:
 
     def __post_init__(self) -> None:
         self.quantities = self.quantities or tuple(array("d") for _ in self.widths)
-
-    @property
-    def numbers(self) -> int:
-        """How many are kept."""
-        return sum(map(len, self.quantities))
 
     @property
     def stamps(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -245,11 +218,15 @@ class _Samples:
 
     def part(self, rows: NDArray[np.bool_]) -> _Samples:
         """Return the samples in a mask `rows`, shape (T,)."""
-        part = _Samples(self.widths)
         every = (*self.stamps, *map(self.values, range(len(self.widths))))
-        part.add_all([one[rows] if len(one) else one for one in every])
-        part.step, part.count, part.is_mixed = self.step, self.count, self.is_mixed
-        return part
+        return self.like(self.widths, [one[rows] if len(one) else one for one in every])
+
+    def like(self, widths: tuple[int, ...], columns: Sequence[NDArray[Any]]) -> _Samples:
+        """Return others, of as many messages."""
+        made = _Samples(widths)
+        made.add_all(columns)
+        made.step, made.count, made.is_mixed = self.step, self.count, self.is_mixed
+        return made
 
     def thin(self) -> None:
         """Decimate the samples by two."""
@@ -263,7 +240,7 @@ class _Samples:
 
 
 # Names of joints, and what messages with these say.
-_Blocks = list[tuple[tuple[str, ...], _Samples]]
+_Block = tuple[tuple[str, ...], _Samples]
 
 
 @dataclass(eq=False)
@@ -284,14 +261,13 @@ class JointRows:
         names = names or _NAMES[: max(map(len, values)) // 8]
         block = self._block(names, {len(quantity) // 8 for quantity in values})
         block.add(stamp_ns, log_ns, values)
-        if not block.count % _SOMETIMES:
+        if not block.count % 1024:  # it takes long
             self._bound()
 
     def add_all(self, parts: Sequence[tuple[NDArray[np.intp], NDArray[np.int64], Any]]) -> None:
         """Append messages of one layout or several, all or none (ValueError).
 
-        Each part has the places of its messages among all, shape (N,), the log's stamps [ns], shape
-        (N,), and a sample whose numbers are arrays of shape (N, joints).
+        Each part: places among all, log stamps [ns], (N,), and a sample of arrays, (N, joints).
         """
         found: dict[tuple[str, ...], list[list[NDArray[Any]]]] = {}
         for places, log_ns, (stamp_ns, names, *given) in parts:
@@ -326,9 +302,8 @@ class JointRows:
     def signals(self, joint_names: tuple[str, ...] = ()) -> tuple[list[Signal], list[str]]:
         """Return the quantities that have any value as signals, and notes on what was repaired.
 
-        Messages with one stamp and different joints make one sample: several may publish them. Of
-        publishers that say different things of the same joints, each is by itself. Joints without
-        names are called `joint_names` where there are as many, each another.
+        Messages with one stamp and different joints make one sample; publishers that say different
+        things of the same joints are apart. Joints without names are called `joint_names`.
         """
         found: list[Signal] = []
         notes: list[str] = []
@@ -336,8 +311,9 @@ class JointRows:
         notes = [f"{self.topic}: {note}" for note in dict.fromkeys(notes)]
         if len(publishers) > 1:
             counts = [sum(len(samples.log_ns) for _, samples in blocks) for blocks in publishers]
+            many = {2: "two", 3: "three"}.get(len(counts), "several")
             notes.append(
-                f"{self.topic}: {_SEVERAL.get(len(counts), 'several')} publishers on {self.topic}: "
+                f"{self.topic}: {many} publishers on {self.topic}: "
                 f"by turns they say different things of {short_name(publishers[0][0][0][0])} "
                 f"({listed(map(str, counts))} messages); what comes later, or never changes, "
                 f"goes by {self.topic}@2 (--topic)"
@@ -349,11 +325,11 @@ class JointRows:
             notes += repairs
         return found, notes
 
-    def _publishers(self, every: _Blocks) -> list[_Blocks]:
+    def _publishers(self, every: list[_Block]) -> list[list[_Block]]:
         """Group blocks by publisher: blocks that contradict each other are of different ones."""
-        if len(every) > _MAX_BLOCKS:
+        if len(every) > 50:  # that are compared in pairs
             return [every]
-        found: list[_Blocks] = []
+        found: list[list[_Block]] = []
         for names, samples in every:
             second = two_sources(samples.places)
             parts = [samples] if second is None else [samples.part(~second), samples.part(second)]
@@ -364,12 +340,12 @@ class JointRows:
                     kept[0].append(block)
                 else:
                     found.append([block])
-        if len(found) > 1:
+        if len(found) > 1:  # what never changes comes last
             found.sort(key=lambda blocks: all(one.is_still for _, one in blocks))
         return found
 
     def _signals_of(
-        self, topic: str, blocks: _Blocks, joint_names: tuple[str, ...]
+        self, topic: str, blocks: list[_Block], joint_names: tuple[str, ...]
     ) -> tuple[list[Signal], list[str]]:
         """Build the signals of one publisher, or of several that agree."""
         columns = tuple(dict.fromkeys(name for names, _ in blocks for name in names))
@@ -394,7 +370,6 @@ class JointRows:
         stamps_ns = ordered[0].stamps_ns
         if len(blocks) > 1:
             stamps_ns = distinct(np.concatenate([one.stamps_ns for one in ordered]))
-        stamps_ns.flags.writeable = False
         found: list[Signal] = []
         is_given = columns == _NAMES[: len(joint_names)] and len(set(joint_names)) == len(columns)
         shown = joint_names if is_given else columns
@@ -411,18 +386,28 @@ class JointRows:
                     indices = np.array([columns.index(name) for name in names])
                     cells = np.ix_(np.searchsorted(stamps_ns, own.stamps_ns), indices)
                     values[cells] = np.where(np.isnan(values[cells]), part, values[cells])
-            is_finite = np.isfinite(values)
-            if is_finite.any():
-                values = values if is_finite.all() else np.where(is_finite, values, np.nan)
-                values.flags.writeable = False
+            if np.isfinite(values).any():
                 name = f"{topic}.{label}"
-                found.append(Signal(name, stamps_ns, values, shown, unit, left_out=left_out))
+                signal = Signal(name, stamps_ns, _finite(values), shown, unit, left_out=left_out)
+                found.append(signal)
         return found, [f"{topic}: {note}" for note in dict.fromkeys(notes)]
 
     def _bound(self) -> None:
         """Decimate the largest block while too many numbers are held."""
-        while sum(block.numbers for block in self._blocks.values()) > self.most_numbers:
-            max(self._blocks.values(), key=lambda block: block.numbers).thin()
+
+        def numbers(block: _Samples) -> int:
+            return sum(map(len, block.quantities))
+
+        while sum(map(numbers, self._blocks.values())) > self.most_numbers:
+            max(self._blocks.values(), key=numbers).thin()
+
+
+def _finite(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return NaN for what is not finite; read-only, so that a `Signal` makes no copy."""
+    known = np.isfinite(values)
+    values = values if known.all() else np.where(known, values, np.nan)
+    values.flags.writeable = False
+    return values
 
 
 def _by_interface(
@@ -450,15 +435,10 @@ def _by_interface(
     notes.append(
         f"its names are those of interfaces, such as {short_name(names[0])}: read as such{said}"
     )
-    made = _Samples((len(joints),) * 3)
-    made.add_all([*samples.stamps, *quantities])
-    made.step, made.count, made.is_mixed = samples.step, samples.count, samples.is_mixed
-    return joints, made
+    return joints, samples.like((len(joints),) * 3, [*samples.stamps, *quantities])
 
 
-def _contradict(
-    one: tuple[tuple[str, ...], _Samples], two: tuple[tuple[str, ...], _Samples]
-) -> bool:
+def _contradict(one: _Block, two: _Block) -> bool:
     """Check whether two series of messages disagree on the same joints by turns."""
     shared = [name for name in one[0] if name in two[0]]
     if not shared or not take_turns(*(np.array(part.log_ns, np.int64) for _, part in (one, two))):
@@ -477,8 +457,6 @@ def _contradict(
 
 # ---- Pictures and sound: their stamps alone
 
-_MAX_REORDERED = 16  # pictures that a decoder holds until they are shown, by H.264 and H.265
-
 
 @dataclass(eq=False)
 class MediaStamps:
@@ -496,18 +474,16 @@ class MediaStamps:
         self._samples.add(one.stamp_ns, log_ns, ())
 
     def trusts_header(self) -> tuple[bool, list[str]]:
-        """Check whether the header stamps can be trusted; if not, say why, and where they jump.
-
-        Counts also which pictures are `cut`, and how far they are `ahead`.
-        """
+        """Check whether header stamps can be trusted, and why not; sets `cut` and `ahead`, too."""
         header_ns, log_ns = self._samples.stamps
         if self.is_video:
-            # In the order in which a decoder shows them; those that jump stay jumps.
+            # In the order in which a decoder shows them, which holds 16 at most (H.264, H.265);
+            # those that jump stay jumps.
             waiting: list[int] = []
             shown: list[int] = []
             for stamp_ns in header_ns.tolist():
                 heappush(waiting, stamp_ns)
-                if len(waiting) > _MAX_REORDERED:
+                if len(waiting) > 16:
                     shown.append(heappop(waiting))
             header_ns = np.array(shown + sorted(waiting), np.int64)
         is_header, reasons = trusts_header(header_ns, log_ns)
@@ -527,7 +503,12 @@ class MediaStamps:
 # ---- Commands and forces: plain numbers, and wrenches
 
 _MAX_COLUMNS = 1000  # numbers of one message; more are no commands, but a picture or a cloud
-_MAX_NUMBERS_BYTES = 64 * 1024  # of a message of so many numbers, as text, with a layout
+
+
+def _check_size(data: bytes | memoryview, most: int) -> None:
+    """Refuse a message that is larger than any that is read, before it is decoded."""
+    if len(data) > most:
+        raise BeyondLimitError(f"a message of {len(data)} bytes is over the limit of {most}")
 
 
 @dataclass(eq=False)
@@ -538,13 +519,10 @@ class NumberRows:
     _lengths: dict[int, _Samples] = field(default_factory=dict, init=False)
 
     def check(self, data: bytes | memoryview) -> None:
-        """Refuse a message that is larger than any with as many numbers as are read."""
-        if len(data) > _MAX_NUMBERS_BYTES:
-            raise BeyondLimitError(
-                f"a message of {len(data)} bytes is over the limit of {_MAX_NUMBERS_BYTES}"
-            )
+        """Refuse a message that is larger than any with as many numbers as are read, as text."""
+        _check_size(data, 64 * 1024)
 
-    def add(self, log_ns: int, numbers: NumbersSample) -> None:
+    def add(self, log_ns: int, numbers: Values) -> None:
         """Append the numbers of one message; UnusableError where there are none."""
         values = np.asarray(numbers, np.float64)
         if not values.size:
@@ -565,9 +543,7 @@ class NumberRows:
         others = sum(one.count for one in self._lengths.values()) - samples.count
         if others:
             notes.append(f"{others} messages of another length than {length} were left out")
-        values = numbers[keep]
-        values[~np.isfinite(values)] = np.nan
-        columns = tuple(map(str, range(length)))
+        values, columns = _finite(numbers[keep]), tuple(map(str, range(length)))
         signal = Signal(self.topic, stamps_ns, values, columns, "1", drives=True, left_out=left_out)
         return [signal], [f"{self.topic}: {note}" for note in notes]
 
@@ -579,9 +555,6 @@ class WrenchRows:
     topic: str
     _samples: _Samples = field(default_factory=lambda: _Samples((6,)), init=False)
     _frames: OneFrame = field(default_factory=OneFrame, init=False)
-
-    _QUANTITIES = (("force", "N"), ("torque", "N·m"))
-    """Name and unit of each signal, in the order of a `WrenchSample`."""
 
     def check(self, data: bytes | memoryview) -> None:
         """Accept every message."""
@@ -596,34 +569,19 @@ class WrenchRows:
         """Return force and torque where they have any value, and notes on what was repaired."""
         wrenches = self._samples.values(0)
         keep, stamps_ns, notes, left_out = order_samples(*self._samples.stamps, (wrenches,))
-        values = wrenches[keep]
-        values[~np.isfinite(values)] = np.nan
-        found = [
-            Signal(
-                f"{self.topic}.{label}",
-                stamps_ns,
-                three,
-                ("x", "y", "z"),
-                unit,
-                drives=True,
-                frame=self._frames.name,
-                left_out=left_out,
-            )
-            for (label, unit), three in zip(
-                self._QUANTITIES, (values[:, :3], values[:, 3:]), strict=True
-            )
-            if np.isfinite(three).any()
-        ]
+        values, frame = _finite(wrenches[keep]), self._frames.name
+        found: list[Signal] = []
+        for at, label, unit in ((0, "force", "N"), (3, "torque", "N·m")):
+            three = values[:, at : at + 3]
+            if np.isfinite(three).any():
+                one = Signal(f"{self.topic}.{label}", stamps_ns, three, ("x", "y", "z"), unit)
+                found.append(replace(one, drives=True, frame=frame, left_out=left_out))
         return found, [f"{self.topic}: {note}" for note in notes]
 
 
 # ---- Planned trajectories: what of them no later one replaced
 
-_MAX_PLAN_BYTES = 4 * 1024 * 1024  # of a message: its points become objects, larger than themselves
 _MAX_POINTS = 100_000  # of a message: a minute and a half of a controller at 1 kHz
-# Points of all trajectories of a log, whatever its size is, and its bytes for each beyond.
-_FREE_POINTS, _BYTES_A_POINT = 200_000, 50
-
 # Points of one topic, and messages without any, times its joints: a table of them must fit.
 _MAX_CELLS = 10_000_000
 
@@ -632,8 +590,8 @@ class PointBudget:
     """Budget of trajectory points still to be read of a log of `log_bytes`."""
 
     def __init__(self, log_bytes: int) -> None:
-        self._most = _FREE_POINTS + log_bytes // _BYTES_A_POINT
-        self._left = self._most
+        # Of any log, whatever its size is, and its bytes for each beyond.
+        self._most = self._left = 200_000 + log_bytes // 50
 
     def check(self) -> None:
         """Refuse what comes once the budget is exhausted."""
@@ -645,18 +603,6 @@ class PointBudget:
         self._left -= points
         if self._left < 0:
             self.check()
-
-
-@dataclass
-class _Plans:
-    """Messages for the same joints, flattened."""
-
-    numbers: array[int] = field(default_factory=lambda: array("q"))
-    counts: array[int] = field(default_factory=lambda: array("q"))
-    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-    values: tuple[array[float], ...] = field(
-        default_factory=lambda: (array("d"), array("d"), array("d"))
-    )
 
 
 @dataclass(eq=False)
@@ -672,16 +618,14 @@ class PlannedRows:
     _log_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
     _start_ns: array[int] = field(default_factory=lambda: array("q"), init=False)
     _stops: array[int] = field(default_factory=lambda: array("q"), init=False)
-    _plans: dict[tuple[str, ...], _Plans] = field(default_factory=dict, init=False)
+    # by joints: of each point its stamp [ns], the number of its message, and three quantities
+    _plans: dict[tuple[str, ...], _Samples] = field(default_factory=dict, init=False)
     _joints: dict[str, None] = field(default_factory=dict, init=False)
     _points: int = field(default=0, init=False)
 
     def check(self, data: bytes | memoryview) -> None:
         """Refuse a message that is too large to be decoded, or beyond the budget."""
-        if len(data) > _MAX_PLAN_BYTES:
-            raise BeyondLimitError(
-                f"a message of {len(data)} bytes is over the limit of {_MAX_PLAN_BYTES}"
-            )
+        _check_size(data, 4 * 1024 * 1024)  # its points become objects, larger than themselves
         self.budget.check()
 
     def add(self, log_ns: int, plan: PlanSample) -> None:
@@ -696,35 +640,28 @@ class PlannedRows:
             raise UnusableError("the times of its points do not increase from 0")
         if not -LAST_NS <= start_ns <= LAST_NS - max(after_ns, default=0):
             raise OverflowError("a time of it lies beyond the year 2262")
-        columns = [_filled(points, place, len(plan.names)) for place in (1, 2, 3)] if points else []
+        columns = [_filled(points, place, len(plan.names)) for place in (1, 2, 3)]
+        names = plan.names
+        plans = self._plans.get(names)
+        if points and plans is None:
+            if not names or len(set(names)) < len(names):
+                raise ValueError("two joints have one name" if names else "it names no joint")
+            if sum(map(len, self._plans)) + len(names) > _MAX_NAMES:
+                raise BeyondLimitError(f"over {_MAX_NAMES} joints")
+        joints = self._joints | dict.fromkeys(names) if points else self._joints
+        if (self._points + max(1, len(points))) * len(joints) > _MAX_CELLS:
+            raise BeyondLimitError(f"over {_MAX_CELLS} values planned")
+        number = len(self._log_ns)
         if points:
-            names = plan.names
-            plans = self._plans.get(names)
-            if plans is None:
-                if not names or len(set(names)) < len(names):
-                    raise ValueError("two joints have one name" if names else "it names no joint")
-                if sum(map(len, self._plans)) + len(names) > _MAX_NAMES:
-                    raise BeyondLimitError(f"over {_MAX_NAMES} joints")
-            joints = self._joints | dict.fromkeys(names)
-            self._check_cells(len(points), len(joints))
-            self._joints = joints
-            plans = plans or self._plans.setdefault(names, _Plans())
-            plans.numbers.append(len(self._log_ns))
-            plans.counts.append(len(points))
-            plans.stamps_ns.extend(start_ns + one for one in after_ns)
-            for stored, values in zip(plans.values, columns, strict=True):
-                stored.frombytes(values.tobytes())
+            plans = plans or self._plans.setdefault(names, _Samples((len(names),) * 3))
+            stamps_ns = np.array([start_ns + one for one in after_ns], np.int64)
+            plans.add_all([stamps_ns, np.full(len(points), number), *columns])
         else:
-            self._check_cells(1, len(self._joints))
-            self._stops.append(len(self._log_ns))
+            self._stops.append(number)
+        self._joints = joints
         self._points += max(1, len(points))
         self._log_ns.append(log_ns)
         self._start_ns.append(start_ns)
-
-    def _check_cells(self, points: int, joints: int) -> None:
-        """Raise BeyondLimitError where so many more points of so many joints do not fit."""
-        if (self._points + points) * joints > _MAX_CELLS:
-            raise BeyondLimitError(f"over {_MAX_CELLS} values planned")
 
     def signals(self) -> tuple[list[Signal], list[str]]:
         """Return the quantities that have any value as signals; nothing is ever repaired."""
@@ -739,11 +676,9 @@ class PlannedRows:
             values = np.full((len(stamps_ns), len(columns)), np.nan)
             for column, own_ns, three in parts:
                 values[np.searchsorted(stamps_ns, own_ns), places[column]] = three[quantity]
-            is_finite = np.isfinite(values)
-            if is_finite.any():
-                values[~is_finite] = np.nan
+            if np.isfinite(values).any():
                 name = f"{self.topic}.{label}"
-                found.append(Signal(name, stamps_ns, values, columns, unit, drives=True))
+                found.append(Signal(name, stamps_ns, _finite(values), columns, unit, drives=True))
         return found, []
 
     def _kept_of(self, joint: str) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], ...]]:
@@ -752,7 +687,7 @@ class PlannedRows:
         arrived, starts = (np.frombuffer(one, np.int64) for one in (self._log_ns, self._start_ns))
         # A message's plan ends at the first start of a later one, shape (M,) [ns]; meant for the
         # messages for this joint alone, and those that stop all.
-        own = [np.frombuffer(plans.numbers, np.int64) for _, plans in groups]
+        own = [np.unique(plans.stamps[1]) for _, plans in groups]
         every = np.concatenate([*own, np.frombuffer(self._stops, np.int64)])
         sent = every[np.lexsort((every, arrived[every]))]
         ends_ns = np.full(len(starts), LAST_NS)
@@ -761,15 +696,12 @@ class PlannedRows:
         ranks: list[NDArray[np.int64]] = []
         values: list[list[NDArray[np.float64]]] = []
         for names, plans in groups:
-            counts = np.frombuffer(plans.counts, np.int64)
-            numbers = np.repeat(np.frombuffer(plans.numbers, np.int64), counts)
-            own_ns = np.frombuffer(plans.stamps_ns, np.int64)
+            own_ns, numbers = plans.stamps
             keep = own_ns <= ends_ns[numbers]
             stamps.append(own_ns[keep])
             ranks.append(numbers[keep])
             place = names.index(joint)
-            table = (np.frombuffer(one, np.float64).reshape(-1, len(names)) for one in plans.values)
-            values.append([one[keep, place] for one in table])
+            values.append([plans.values(k)[keep, place] for k in range(3)])
         rank = np.concatenate(ranks)
         order = np.lexsort((rank, arrived[rank]))  # what comes later goes before, at one stamp
         three = tuple(np.concatenate(one)[order] for one in zip(*values, strict=True))
@@ -791,8 +723,6 @@ def _filled(points: Sequence[Sequence], place: int, width: int) -> NDArray[np.fl
 # ---- Positions and orientations of bodies
 
 ORIENTATION = "orientation"  # how the signal that stands beside one of positions ends
-_MAX_FRAMES = 100  # of a body without a name; more are no frames, but a counter
-_TURNED = 1e-9  # of a quaternion's vector: less is no rotation
 
 
 @dataclass(eq=False)
@@ -809,7 +739,8 @@ class PositionRows:
     def add(self, log_ns: int, positions: Iterable[PositionSample]) -> None:
         """Append the positions of one message."""
         for stamp_ns, name, where, x, y, z, *turn in positions:
-            is_counter = not name and len(self._rows) >= _MAX_FRAMES  # what calls itself a frame
+            # Of a body without a name, what calls itself a frame so often is a counter.
+            is_counter = not name and len(self._rows) >= 100
             frame = "" if is_counter and (name, where) not in self._rows else where
             rows = self._rows.get((name, frame))
             if rows is None:
@@ -822,11 +753,7 @@ class PositionRows:
             rows.quantities[1].extend(turn)
 
     def signals(self) -> tuple[list[Signal], list[str]]:
-        """Return positions and, where it ever turns, orientations of each body and frame.
-
-        Signals of x, y, z in `unit`, and of unit quaternions x, y, z, w under the same name and
-        `.orientation`; and what was repaired.
-        """
+        """Return positions and, where it ever turns, `.orientation` of each body; and repairs."""
         found: list[Signal] = []
         notes: list[str] = []
         taken: set[str] = set()
@@ -879,18 +806,15 @@ class PositionRows:
         """Yield the signals of one body; `taken` and `notes` get what is to be known."""
         places, turns = rows.values(0), rows.values(1)
         keep, stamps_ns, repairs, left_out = order_samples(*rows.stamps, (places,))
-        values = places[keep]
-        values[~np.isfinite(values)] = np.nan
-        if self.scale != 1.0:
-            values = values * self.scale
+        values = places[keep] if self.scale == 1.0 else places[keep] * self.scale
         axes = ("x", "y", "z")
-        yield Signal(full, stamps_ns, values, axes, self.unit, frame=frame, left_out=left_out)
+        yield Signal(
+            full, stamps_ns, _finite(values), axes, self.unit, frame=frame, left_out=left_out
+        )
         notes += [f"{full}: {repair}" for repair in repairs]
         label = f"{full}.{ORIENTATION}"
-        # Sources of positions alone send no rotation.
-        if len(turns) and label not in taken and (np.abs(turns[keep, :3]) > _TURNED).any():
+        # Sources of positions alone send no rotation: of a quaternion's vector, less is none.
+        if len(turns) and label not in taken and (np.abs(turns[keep, :3]) > 1e-9).any():
             taken.add(label)
-            columns = ("x", "y", "z", "w")
-            yield Signal(
-                label, stamps_ns, turns[keep], columns, "1", frame=frame, left_out=left_out
-            )
+            axes = ("x", "y", "z", "w")
+            yield Signal(label, stamps_ns, turns[keep], axes, "1", frame=frame, left_out=left_out)

@@ -10,7 +10,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
@@ -18,14 +18,10 @@ from typing import Any, Protocol, TypeVar
 from tunenet_logs.addresses import without_secrets
 
 Item = TypeVar("Item")
-
 # Takes what is being done, in words, and which fraction of it is done: 0 to 1, 0 at first.
 Listener = Callable[[str, float], object]
-
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
-
 _SOON_S = 0.1  # between two reports: a terminal shows no more, and a callback may be slow
-_NEARLY = 0.999  # reported at most of what is not done yet
 
 
 @contextmanager
@@ -64,23 +60,14 @@ def told(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
     """Yield the items, reporting `what` and how many of roughly `total` are done."""
     tell = teller(what)
     for done, item in enumerate(items):
-        tell(min(done / max(total, 1), _NEARLY))
+        tell(min(done / max(total, 1), 0.999))  # what is not done yet
         yield item
     tell(1.0)
 
 
 # ---- Printable text, and bars
 
-_MAX_CHARACTERS = 60  # of a name: with them, the rest of its line still fits a wide terminal
 FEW_NAMES = 6  # names that a reason lists: it is one line
-_MAX_NAMES = 20  # in one sentence; the rest is counted: nobody reads more of them
-_STAGE_FORMAT = "{desc}: {percentage:3.0f} %|{bar}| {remaining} left"
-
-# A stage is watched so long before it is said how much longer it lasts; that is said if it is worth
-# a word, and again after a while.
-_WATCHED_S, _WORTH_A_WORD_S, _AGAIN_S = 2.0, 10.0, 30.0
-
-_IN_SECONDS_S = 90.0  # times below it are told in seconds; so many minutes in minutes
 
 
 def one_line(text: object) -> str:
@@ -97,8 +84,11 @@ def one_line(text: object) -> str:
     )
 
 
-def short_name(name: object, most: int = _MAX_CHARACTERS) -> str:
-    """Shorten a name to one line of at most `most` characters by cutting its middle."""
+def short_name(name: object, most: int = 60) -> str:
+    """Shorten a name to one line of at most `most` characters by cutting its middle.
+
+    With 60 of them, the rest of its line still fits a wide terminal.
+    """
     line = one_line(name)
     if len(line) <= most:
         return line
@@ -111,7 +101,7 @@ def terminal_columns() -> int | None:
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
-def listed(names: Iterable[str], most: int = _MAX_NAMES) -> str:
+def listed(names: Iterable[str], most: int = 20) -> str:
     """Join names with commas; beyond `most` of them, say how many more there are."""
     every = list(names)
     more = len(every) - most
@@ -147,57 +137,51 @@ class _NoBar:
         """Show nothing."""
 
 
-class _Shown:
-    """Stages on a bar, one after the other."""
+def _shown_on(bar: Any) -> Listener:
+    """Show stages on a bar, one after the other."""
+    shown = ""
 
-    def __init__(self, bar: Any) -> None:
-        self._bar = bar
-        self._what = ""
+    def show(what: str, fraction: float) -> None:
+        nonlocal shown
+        if what != shown:
+            shown = what
+            bar.reset(total=1.0)
+            bar.set_description_str(short_name(what), refresh=False)
+        bar.update(fraction - bar.n)
 
-    def __call__(self, what: str, fraction: float) -> None:
-        """Show the progress of a stage."""
-        if what != self._what:
-            self._what = what
-            self._bar.reset(total=1.0)
-            self._bar.set_description_str(short_name(what), refresh=False)
-        self._bar.update(fraction - self._bar.n)
+    return show
 
 
-class _Announced:
-    """Announcements, now and then, of how much longer a stage will last at its pace so far."""
+def _announced(name: str, say: Callable[[str], None]) -> Listener:
+    """Announce, now and then, how much longer a stage will last at its pace so far."""
+    stage, since_s, next_s = "", 0.0, 0.0
 
-    def __init__(self, name: str, say: Callable[[str], None]) -> None:
-        self._name, self._say = name, say
-        self._what = ""
-        self._since_s = self._next_s = 0.0
-
-    def __call__(self, what: str, fraction: float) -> None:
-        """Announce the remaining time if it is due."""
+    def announce(what: str, fraction: float) -> None:
+        nonlocal stage, since_s, next_s
         now_s = time.monotonic()
-        if what != self._what:
-            self._what, self._since_s, self._next_s = what, now_s, now_s + _WATCHED_S
-        if now_s < self._next_s or not fraction:
+        if what != stage:  # it is watched for two seconds first
+            stage, since_s, next_s = what, now_s, now_s + 2.0
+        if now_s < next_s or not fraction:
             return
-        left_s = (now_s - self._since_s) * (1 - fraction) / fraction
-        if left_s > _WORTH_A_WORD_S:
-            self._next_s = now_s + _AGAIN_S
-            self._say(f"{self._name}: {what}: about {about(left_s)} more")
+        left_s = (now_s - since_s) * (1 - fraction) / fraction
+        if left_s > 10.0:  # which is worth a word, and again after a while
+            next_s = now_s + 30.0
+            say(f"{name}: {what}: about {about(left_s)} more")
+
+    return announce
 
 
 def about(seconds: float) -> str:
     """Format an approximate duration: "40 s", "3 min"."""
-    if seconds < _IN_SECONDS_S:
+    if seconds < 90:
         return f"{max(round(seconds, -1), 1):.0f} s" if seconds >= 10 else f"{seconds:.0f} s"
     minutes = seconds / 60
-    return f"{minutes:.0f} min" if minutes < _IN_SECONDS_S else f"{minutes / 60:.1f} h"
+    return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Progress reports on standard error.
-
-    Bars are shown where that is a terminal; else there are stand-ins that show nothing.
-    """
+    """Progress reports on standard error: bars where that is a terminal."""
 
     quiet: bool = False  # nothing is reported at all
     # None are shown without, as where results come meanwhile, often on that terminal
@@ -222,27 +206,20 @@ class Progress:
 
     @contextmanager
     def stages(self, name: str) -> Generator[None]:
-        """Show the stages of the work in this block: on a bar, else by a line now and then.
+        """Show the stages of the work in this block: on a bar, else by a line now and then."""
+        with ExitStack() as stack:
+            listener = self.listener
+            if listener is None and self.shows_bars:
+                from tqdm import tqdm
 
-        Args:
-            name: whose work it is, for that line.
-        """
-        if self.listener is not None:
-            with heard_by(self.listener):
-                yield
-        elif self.quiet:
+                form = "{desc}: {percentage:3.0f} %|{bar}| {remaining} left"
+                bar = tqdm(total=1.0, file=sys.stderr, leave=False, bar_format=form)
+                listener = _shown_on(stack.enter_context(bar))
+            elif listener is None and not self.quiet:
+                listener = _announced(name, self.say)
+            if listener is not None:
+                stack.enter_context(heard_by(listener))
             yield
-        elif not self.shows_bars:
-            with heard_by(_Announced(name, self.say)):
-                yield
-        else:
-            from tqdm import tqdm
-
-            with (
-                tqdm(total=1.0, file=sys.stderr, leave=False, bar_format=_STAGE_FORMAT) as bar,
-                heard_by(_Shown(bar)),
-            ):
-                yield
 
     @contextmanager
     def bar(self, total: int | None, what: str, unit: str) -> Iterator[Bar]:

@@ -11,14 +11,14 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby, islice
+from itertools import chain, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.audio import FilmSound, PacketTimes, film_sound, film_streams, sound_stream
+from tunenet_logs.audio import PacketTimes, SoundTrack, film_sound, film_streams, sound_stream
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Frame
 from tunenet_logs.errors import COPY_AGAIN, LogError
 from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
     from av.video.codeccontext import VideoCodecContext
-
-
-_TURNS = {90: "ROTATE_90_COUNTERCLOCKWISE", 180: "ROTATE_180", 270: "ROTATE_90_CLOCKWISE"}
 
 
 def decoded_frame(
@@ -60,7 +57,9 @@ def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> 
     if not dithered and picture.width % scale == picture.height % scale == 0:
         pixels, scale = mean_of_blocks(pixels, scale), 1  # the same, and less to turn
     if rotation_deg:
-        pixels = np.asarray(cv2.rotate(pixels, getattr(cv2, _TURNS[rotation_deg])), np.uint8)
+        turns = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180}
+        turn = turns.get(rotation_deg, cv2.ROTATE_90_CLOCKWISE)
+        pixels = np.asarray(cv2.rotate(pixels, turn), np.uint8)
     if dithered:
         pixels = np.asarray(cv2.GaussianBlur(pixels, (0, 0), 1.0), np.uint8)
     return mean_of_blocks(pixels, scale)
@@ -71,13 +70,9 @@ def _rgb(picture: VideoFrame, rotation_deg: int, dithered: bool, scale: int) -> 
 VIDEO_TOPIC = "video"  # what the pictures of a video file go by
 # Streams that no container holds: FFmpeg makes times up for them.
 _BARE = frozenset({"h264", "hevc", "mjpeg", "m4v", "obu", "av1"})
-
 _MAX_PICTURES = 250_000  # of a file: two hours at 30 a second, ten minutes at 400
 # Said of a film whose pictures are many and large, and hardly a byte each.
 _TOO_LARGE = "claims far more pixels than a film of its size has; cut the drop out of it"
-
-# Of the pictures; where fewer have a time, they are counted at the rate that the file states.
-_MOSTLY = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,24 +89,25 @@ class Video:
     clock: VideoClock  # acquisition stamps
     warnings: tuple[str, ...]  # what was repaired or is doubtful, in words
     # beside the frames; None where there is none, or their times are unknown
-    sound: FilmSound | None = None
+    sound: SoundTrack | None = None
 
     def frames(self, _topic: str = VIDEO_TOPIC) -> Iterator[Frame]:
-        """Decode the frames in order, one at a time; a camera's own JPEG untouched, else as pixels.
-
-        A damaged frame is left out, with those after it that depend on it.
-        """
-        if self.codec == "mjpeg" and not self.rotation_deg:
-            with opened_media(self.path, FILMS, "video") as container:
-                stamps = _Stamps(self)
-                for packet in container.demux(_video_stream(container, self.path)):
-                    if _is_shown(packet) and (stamp_ns := stamps.of(packet.pts)) is not None:
-                        yield Frame(stamp_ns, "jpeg", bytes(packet))
-            return
+        """Decode the frames in order, a camera's JPEG untouched. What is damaged is left out."""
+        # Their stamps are found by their time in the file, else by their order; None: not shown.
+        stamps = iter(self.clock.stamps_ns.tolist())
+        by_tick: dict[int | None, int] = {}
+        if self.ticks and len(set(self.ticks)) == len(self.ticks):
+            by_tick = dict(zip(self.ticks, stamps, strict=True))
         with opened_media(self.path, FILMS, "video") as container:
-            stamps = _Stamps(self)
+            stream = _video_stream(container, self.path)
+            if self.codec == "mjpeg" and not self.rotation_deg:
+                for packet in filter(_is_shown, container.demux(stream)):
+                    stamp_ns = by_tick.get(packet.pts) if by_tick else next(stamps, None)
+                    if stamp_ns is not None:
+                        yield Frame(stamp_ns, "jpeg", bytes(packet))
+                return
             made_up, left_px = False, _most_pixels(self.path)
-            for picture in container.decode(_video_stream(container, self.path)):
+            for picture in container.decode(stream):
                 if picture.width * picture.height > MAX_PIXELS:
                     raise LogError(
                         f"{self.path}: a picture claims {picture.width} px of width", COPY_AGAIN
@@ -119,7 +115,7 @@ class Video:
                 left_px -= picture.width * picture.height
                 if left_px < 0:
                     raise LogError(f"{self.path}: {_TOO_LARGE}")
-                stamp_ns = stamps.of(picture.pts)
+                stamp_ns = by_tick.get(picture.pts) if by_tick else next(stamps, None)
                 if stamp_ns is None:
                     continue
                 made_up = picture.is_corrupt or (made_up and not picture.key_frame)
@@ -130,36 +126,21 @@ class Video:
                 )
 
 
-class _Stamps:
-    """Stamps of decoded frames: by their time in the file, else by their order."""
-
-    def __init__(self, video: Video) -> None:
-        self._stamps: list[int] = video.clock.stamps_ns.tolist()
-        ticks = video.ticks or ()
-        each_once = len(set(ticks)) == len(ticks)
-        self._by_tick = dict(zip(ticks, self._stamps, strict=True)) if ticks and each_once else {}
-        self._next = 0
-
-    def of(self, tick: int | None) -> int | None:
-        """Return the stamp of the next frame; None for one that is not shown."""
-        if self._by_tick:
-            return None if tick is None else self._by_tick.get(tick)
-        self._next += 1
-        return self._stamps[self._next - 1] if self._next <= len(self._stamps) else None
-
-
 def open_video(path: Path, filmed_hz: float | None = None) -> Video:
-    """Read a video's metadata and stamps; no frame but the first is decoded.
-
-    `filmed_hz` is the camera's true frame rate, where the user knows better than its tags.
-    """
+    """Read a video's metadata and stamps, at the user's `filmed_hz`; one frame alone is decoded."""
     with opened_media(path, FILMS, "video") as container:
         stream = _video_stream(container, path)
         tags = {**stream.metadata, **container.metadata}
         heard = sound_stream(container)
         times = None if heard is None else PacketTimes(heard)
-        shown = (packet.pts for packet in _packets(container, stream, times) if _is_shown(packet))
-        packets = list(islice(shown, _MAX_PICTURES + 1))
+        packets: list[int | None] = []  # the times of shown pictures
+        for packet in container.demux(*(one for one in (stream, heard) if one is not None)):
+            if times is not None and packet.stream_index != stream.index:
+                times.add(packet)
+            elif _is_shown(packet):
+                packets.append(packet.pts)
+                if len(packets) > _MAX_PICTURES:
+                    break
         track = times.track(path, FILMS) if times else None
         coded_px = stream.codec_context.width * stream.codec_context.height
         base, codec = stream.time_base, stream.codec_context.name
@@ -170,7 +151,8 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
     if coded_px * len(packets) > _most_pixels(path):
         raise LogError(f"{path}: {_TOO_LARGE}")
     timed = [tick for tick in packets if tick is not None]
-    ticks = None if is_bare or len(timed) < _MOSTLY * len(packets) else sorted(timed)
+    # Where few have a time, they are counted at the rate that the file states.
+    ticks = None if is_bare or len(timed) < 0.9 * len(packets) else sorted(timed)
     if not packets or base is None:
         raise LogError(f"{path}: holds no picture; convert it to .mp4 first")
     with opened_media(path, FILMS, "video") as container:
@@ -213,14 +195,9 @@ def open_video(path: Path, filmed_hz: float | None = None) -> Video:
 
 def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
     """Read a video file as an episode without signals."""
-    video = open_video(path, options.rate_hz)
-    channel = Channel(
-        topic=VIDEO_TOPIC,
-        type_name=video.codec,
-        encoding="video",
-        log_ns=video.clock.stamps_ns,
-        pictures=True,
-    )
+    video = open_video(path, options.fps)
+    stamps_ns = video.clock.stamps_ns
+    channel = Channel(VIDEO_TOPIC, video.codec, "video", stamps_ns, pictures=True)
     info = EpisodeInfo(source=f"video file {path.name}", notes=video_notes(video))
     channels = (channel,) if video.sound is None else (channel, video.sound.channel())
     return Episode(
@@ -229,7 +206,7 @@ def read_video(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
         channels,
         video.warnings,
         open_frames=video.frames,
-        open_sound=video.sound.sound if video.sound else None,
+        open_sound=video.sound and video.sound.sound,
         frames_untimed=not video.clock.is_timed,
     )
 
@@ -247,34 +224,17 @@ def is_rate_said(notes: Mapping[str, str]) -> bool:
 
 def video_notes(video: Video) -> dict[str, str]:
     """Describe a video for the notes of a log."""
-    width, height = video.size
     clock = video.clock
     rates = f"stored {clock.stored_hz:.3f}, filmed {clock.filmed_hz:.3f}"
-    notes = {"codec": video.codec, "size_px": f"{width}x{height}"}
+    notes = {"codec": video.codec, "size_px": f"{video.size[0]}x{video.size[1]}"}
     notes["rate_hz"] = rates if clock.is_timed else "unknown"
     if video.rotation_deg:
         notes["rotated_deg"] = str(video.rotation_deg)
     return notes
 
 
-def _packets(container: InputContainer, stream: Any, sound: PacketTimes | None) -> Iterator[Any]:
-    """Yield the packets of the frames, passing those of the sound to `sound`."""
-    if sound is None:
-        yield from container.demux(stream)
-        return
-    for packet in container.demux(stream, sound.stream):
-        if packet.stream_index == stream.index:
-            yield packet
-        else:
-            sound.add(packet)
-
-
 def _is_shown(packet: Any) -> bool:
-    """Return whether a packet holds a frame that a player shows.
-
-    A phone that cuts a video hides the frames before the cut by the file's edit list, but keeps
-    those that later ones depend on.
-    """
+    """Return whether a packet holds a frame that a player shows: a cut video hides some."""
     return bool(packet.size) and not packet.is_discard
 
 
@@ -301,13 +261,6 @@ def _video_stream(container: InputContainer, path: Path) -> Any:
 # From the format of a message to FFmpeg's decoder.
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
 
-_MAX_WAITING = 256  # packets of which the picture may still come; no decoder reorders more
-_MAX_AV1_PARTS = 500  # of a packet that are gone through; encoders write a handful for each picture
-# Pictures that begin in a packet: one that is shown, and those never shown that it is made from.
-_MAX_AV1_PICTURES = 8
-
-_AV1_BEGINS_PICTURE = (3, 6)  # types of an AV1 packet's parts: OBU_FRAME_HEADER and OBU_FRAME
-
 
 @dataclass(slots=True)
 class Packet:
@@ -327,11 +280,39 @@ def decoded(
     decoder marks as corrupt. One frame is in memory at a time, beside the decoder's references.
     `opened` opens a decoder by FFmpeg's name, where one knows more than packets say.
     """
-    open_decoder = opened or _opened
+    import av
+    from av.error import FFmpegError
+
     for name, group in groupby(
         packets, key=lambda packet: CODECS.get(packet.format, packet.format)
     ):
-        yield from _Stream(name, open_decoder(name)).frames(group)
+        decoder = (opened or _opened)(name)
+        waiting_ns: dict[int, int] = {}  # stamps of packets whose picture may still come
+        has_begun = False
+        for number, packet in enumerate(chain(group, (None,))):
+            coded = None  # at the end: what waits is flushed
+            if packet is not None:
+                if not _is_picture(name, packet.data):  # none would mean the end of the stream
+                    continue
+                waiting_ns[number] = packet.stamp_ns
+                if len(waiting_ns) > 256:  # no decoder reorders more
+                    del waiting_ns[next(iter(waiting_ns))]
+                # A packet around Python's own bytes lacks the room that decoders read ahead in, and
+                # a decoder's thread that frees it waits for Python, which may wait for that thread.
+                coded = av.Packet(len(packet.data))
+                coded.update(packet.data)
+                coded.pts = coded.dts = number
+            try:
+                pictures = decoder.decode(coded)
+            except (FFmpegError, ValueError, OverflowError, MemoryError):
+                continue
+            for picture in pictures:
+                stamp_ns = waiting_ns.pop(-1 if picture.pts is None else picture.pts, None)
+                has_begun = has_begun or bool(picture.key_frame)
+                if stamp_ns is None or not has_begun or picture.is_corrupt:
+                    continue
+                if 0 < picture.width * picture.height <= MAX_PIXELS:
+                    yield decoded_frame(stamp_ns, picture)
 
 
 def _is_picture(name: str, data: bytes) -> bool:
@@ -343,12 +324,12 @@ def _is_picture(name: str, data: bytes) -> bool:
     if name != CODECS["av1"]:
         return bool(data)
     at = begun = 0
-    for _ in range(_MAX_AV1_PARTS):
+    for _ in range(500):  # encoders write a handful for each picture
         if at >= len(data):
             return bool(data)
         head = data[at]
-        begun += (head >> 3 & 15) in _AV1_BEGINS_PICTURE
-        if begun > _MAX_AV1_PICTURES:
+        begun += (head >> 3 & 15) in (3, 6)  # OBU_FRAME_HEADER and OBU_FRAME
+        if begun > 8:
             return False
         if not head & 2:  # it has no size: the rest of the packet
             return True
@@ -362,52 +343,6 @@ def _is_picture(name: str, data: bytes) -> bool:
                 break
         at += size
     return False
-
-
-class _Stream:
-    """One decoder, from its first packet to its final flush."""
-
-    def __init__(self, name: str, decoder: VideoCodecContext) -> None:
-        self._name = name
-        self._decoder = decoder
-        self._stamps_ns: dict[int, int] = {}
-        self._began = False
-
-    def frames(self, packets: Iterable[Packet]) -> Iterator[Frame]:
-        for number, packet in enumerate(packets):
-            if not _is_picture(self._name, packet.data):  # none would mean the end of the stream
-                continue
-            self._stamps_ns[number] = packet.stamp_ns
-            if len(self._stamps_ns) > _MAX_WAITING:
-                del self._stamps_ns[next(iter(self._stamps_ns))]
-            yield from self._pictures(number, packet.data)
-        yield from self._pictures(None, b"")
-
-    def _pictures(self, number: int | None, data: bytes) -> Iterator[Frame]:
-        """Yield the frames that one packet completes; without a packet, flush the rest."""
-        for picture in self._decode(number, data):
-            stamp_ns = self._stamps_ns.pop(-1 if picture.pts is None else picture.pts, None)
-            self._began = self._began or bool(picture.key_frame)
-            if stamp_ns is None or not self._began or picture.is_corrupt:
-                continue
-            if 0 < picture.width * picture.height <= MAX_PIXELS:
-                yield decoded_frame(stamp_ns, picture)
-
-    def _decode(self, number: int | None, data: bytes) -> list[VideoFrame]:
-        import av
-        from av.error import FFmpegError
-
-        packet = None
-        if number is not None:
-            # A packet around Python's own bytes lacks the room that decoders read ahead in, and a
-            # decoder's thread that frees it waits for Python, which may wait for that thread.
-            packet = av.Packet(len(data))
-            packet.update(data)
-            packet.pts = packet.dts = number
-        try:
-            return self._decoder.decode(packet)
-        except (FFmpegError, ValueError, OverflowError, MemoryError):
-            return []
 
 
 def _opened(name: str) -> VideoCodecContext:

@@ -44,13 +44,7 @@ if TYPE_CHECKING:
 
 
 def check_batch_file(place: OutputPlace, logs: Iterable[FoundLog], folder: Path | None) -> None:
-    """Check before hours of work that a file can be written, and replaces no log.
-
-    The `folder` of the results may not exist yet; None is for beside each log.
-
-    Raises:
-        UsageError: It cannot be written.
-    """
+    """Check that a file can be written, and replaces no log; `folder` may not exist yet."""
     path = place.path
     real = real_path(path)
     if any(isinstance(one.log, Path) and real_path(one.log) == real for one in logs):
@@ -76,15 +70,7 @@ def ledger_key(log: Path | Address) -> str:
 def ledger_row(
     log: Path | Address, name: Path, record: Record, state: LogState, error: str | None
 ) -> dict[str, Cell]:
-    """Build the ledger's row of one log.
-
-    Args:
-        log: Where it is.
-        name: Where its results go, without the suffix.
-        record: Its result, with the provenance.
-        state: Of the log when it was read.
-        error: Why it failed; None otherwise, even if it was rejected.
-    """
+    """Build the ledger's row of one log."""
     known, fit = record.provenance, record.motion.fit
     row: dict[str, Cell] = {
         "log": ledger_key(log),
@@ -128,10 +114,7 @@ _ELSEWHERE = "choose another folder with -o"
 _MOVE = f"move it away, or {_ELSEWHERE}"
 
 # Of a journal that is read: `append` compacts it at half, and a row of ours has hundreds of bytes.
-_MAX_JOURNAL_BYTES = 50_000_000
-_MAX_LINES = 60_000
-_MAX_LINE_BYTES = 100_000
-_MAX_COLUMNS = 2000
+_MAX_JOURNAL_BYTES, _MAX_LINES, _MAX_LINE_BYTES, _MAX_COLUMNS = 50_000_000, 60_000, 100_000, 2000
 # Of a ledger that is read: 125,000 logs, and fewer where it has more columns.
 _MAX_CELLS, _TYPICAL_COLUMNS = 5_000_000, 40
 
@@ -144,14 +127,10 @@ _FOOTER_BYTES = 2**20
 
 
 class Ledger:
-    """Rows by log, in the order in which the logs first ended.
-
-    Attributes:
-        columns: Cells of each column, all of one length.
-    """
+    """Rows by log, in the order in which the logs first ended."""
 
     def __init__(self) -> None:
-        self.columns: dict[str, list[Cell]] = {"log": []}
+        self.columns: dict[str, list[Cell]] = {"log": []}  # cells of each, all of one length
         self._place: dict[str, int] = {}
 
     def __len__(self) -> int:
@@ -159,15 +138,10 @@ class Ledger:
 
     def put(self, row: LedgerRow) -> None:
         """Insert a row, or replace that of the same log."""
-        log = str(row["log"])
         count = len(self._place)
-        at = self._place.setdefault(log, count)
-        if at == count:
-            for cells in self.columns.values():
-                cells.append(None)
-        else:
-            for cells in self.columns.values():
-                cells[at] = None
+        at = self._place.setdefault(str(row["log"]), count)
+        for cells in self.columns.values():
+            cells[at : at + 1] = [None]
         for name, value in row.items():
             if name not in self.columns:
                 if value is None or len(self.columns) >= _MAX_COLUMNS:
@@ -179,11 +153,6 @@ class Ledger:
         """Return the row of a log, or None."""
         at = self._place.get(log)
         return None if at is None else {name: cells[at] for name, cells in self.columns.items()}
-
-    def rows(self) -> Iterator[dict[str, Cell]]:
-        """Yield all rows."""
-        for at in range(len(self)):
-            yield {name: cells[at] for name, cells in self.columns.items()}
 
 
 def ledger_file(folder: Path) -> Path:
@@ -239,11 +208,7 @@ class Journal:
                 raise LogError(f"{path}: has more than any ledger; {_MOVE}")
 
     def append(self, row: LedgerRow) -> None:
-        """Append the row of a log that has just ended, and flush it to the journal.
-
-        Raises:
-            LogError: The journal cannot be written.
-        """
+        """Append the row of a log that has just ended, and flush it to the journal."""
         line = json.dumps(row, ensure_ascii=False).encode(errors="replace")
         with writable(self._path, _GO_ON):
             self._file.write(line + b"\n")
@@ -253,11 +218,7 @@ class Journal:
             self.compact()
 
     def compact(self) -> Path:
-        """Write all rows as one Parquet table, then truncate the journal.
-
-        Raises:
-            LogError: The table cannot be written; the journal keeps all rows.
-        """
+        """Write all rows as one Parquet table, then truncate the journal."""
         table = self._table.path
         with writable(table, _GO_ON), self._table.replacing() as unfinished:
             write_parquet(self.ledger, unfinished)
@@ -267,12 +228,7 @@ class Journal:
 
 @contextmanager
 def journal(folder: Path) -> Iterator[Journal]:
-    """Open the journal of a folder of results under an exclusive lock; write the table on exit.
-
-    Raises:
-        UsageError: Another process tunes into the folder.
-        LogError: The folder cannot be written, or another kind of file is in the ledger's place.
-    """
+    """Open the journal of a folder of results under an exclusive lock; write the table on exit."""
     path = folder / f"{OF_BATCH}.jsonl"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -295,13 +251,7 @@ def journal(folder: Path) -> Iterator[Journal]:
 
 
 def _locked(path: Path) -> BinaryIO:
-    """Open the journal under an exclusive lock; a new one has a journal's header.
-
-    Raises:
-        LogError: Another kind of file is in its place.
-        UsageError: Another process holds the lock.
-        OSError: It cannot be opened.
-    """
+    """Open the journal under an exclusive lock; a new one has a journal's header."""
     flags = os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     while True:
         knows = begins_with(_HEAD)
@@ -338,11 +288,7 @@ def _is_at(path: Path, file: BinaryIO) -> bool:
 
 
 def _journal_rows(path: Path, file: BinaryIO) -> list[LedgerRow]:
-    """Read the journal's complete lines, and truncate a line that a kill cut off.
-
-    Raises:
-        LogError: It holds what no journal does; it is left unchanged.
-    """
+    """Read the journal's complete lines, and truncate a line that a kill cut off."""
     if os.fstat(file.fileno()).st_size > _MAX_JOURNAL_BYTES:
         size = _MAX_JOURNAL_BYTES // 1_000_000
         raise LogError(f"{path}: is larger than any journal ({size} MB); {_MOVE}")
@@ -375,11 +321,7 @@ def _no_row(path: Path, number: int, why: str) -> LogError:
 
 
 def _row(given: Any) -> LedgerRow:
-    """Validate a row of a ledger.
-
-    Raises:
-        ValueError: It is none.
-    """
+    """Validate a row of a ledger."""
     if not isinstance(given, dict) or not isinstance(given.get("log"), str):
         raise ValueError("it names no log")
     if given.get("verdict") not in get_args(Verdict):
@@ -409,11 +351,7 @@ def write_parquet(ledger: Ledger, path: Path) -> None:
 
 
 def _table_rows(path: Path) -> Iterator[LedgerRow]:
-    """Yield the rows of a table, each validated: the file is untrusted.
-
-    Raises:
-        LogError: It is damaged, too large, or no ledger.
-    """
+    """Yield the rows of a table, each validated: the file is untrusted."""
     try:
         for rows in parquet_rows(path, _MAX_CELLS):
             yield from map(_row, rows)
@@ -425,8 +363,6 @@ def _table_rows(path: Path) -> Iterator[LedgerRow]:
 
 # ---- Options digest: a hash of all that decides a log's result.
 
-_DIGITS = 16
-
 
 def options_digest(options: TuneOptions) -> str:
     """Hash the options, the contents of the files they name, the engine and our version."""
@@ -434,7 +370,7 @@ def options_digest(options: TuneOptions) -> str:
     engine = os.environ.get(ENGINE_VARIABLE, "")
     known.update(f"{version('tunenet-logs')} {engine}\n".encode())
     _add(known, options)
-    return known.hexdigest()[:_DIGITS]
+    return known.hexdigest()[:16]
 
 
 def _add(known: Any, value: Any) -> None:
@@ -469,13 +405,7 @@ _NOT_ITS = (".json", ".rrd", ".parquet", ".jsonl")  # suffixes of what a batch w
 def csv_place(
     path: Path, folder: Path, logs: Iterable[FoundLog], *, overwrite: bool
 ) -> OutputPlace:
-    """Return the output place of the CSV, which may replace one of the same folder.
-
-    It is checked before hours of work, and that it replaces no log.
-
-    Raises:
-        UsageError: It cannot be written.
-    """
+    """Check the place of the CSV before hours of work; it may replace one of the same folder."""
     own = ledger_key(folder)
 
     def lost(row: Mapping[str, str]) -> str | None:
@@ -491,16 +421,13 @@ def csv_place(
 
 
 def write_csv(ledger: Ledger, place: OutputPlace) -> None:
-    """Write the ledger as CSV.
-
-    Raises:
-        LogError: A file in its place may not be replaced.
-        OSError: It cannot be written.
-    """
+    """Write the ledger as CSV."""
     columns = list(dict.fromkeys((*COLUMNS, *ledger.columns)))
     with (
         place.replacing() as unfinished,
         unfinished.open("w", newline="", encoding="utf-8") as file,
     ):
         file.write(csv_line(columns))
-        file.writelines(csv_line(row.get(name) for name in columns) for row in ledger.rows())
+        nothing: list[Cell] = [None] * len(ledger)
+        cells = [ledger.columns.get(name, nothing) for name in columns]
+        file.writelines(map(csv_line, zip(*cells, strict=True)))

@@ -42,7 +42,6 @@ from tunenet_logs.writing.owned_path import ACTIVE_SUFFIX, check_folders
 # ---- Find logs: resolve files, folders, patterns and addresses.
 
 MAX_LOGS = 1_000_000  # in one batch, and entries of a folder that are looked at
-_MAX_DEPTH = 64  # folders within folders
 
 
 @dataclass(frozen=True)
@@ -72,15 +71,11 @@ def find_logs(named: Sequence[Path | str]) -> FoundLogs:
 
     A folder that is one log, such as a bag's, is that log. One without any log counts as a log,
     so that reading reports why it is none. No link to a folder is followed.
-
-    Raises:
-        UsageError: A pattern matches nothing, there are too many logs, an address does not answer,
-            or one is named twice with different logins or signatures.
     """
     found: dict[Path | Address, FoundLog] = {}
     places, left_out = list(_places(named)), 0
     are_many = max(len(named), len(places)) > 1
-    folders = sum(isinstance(place, Path) and _is_folder(place) for place in places)
+    folders = sum(isinstance(place, Path) and is_folder(place) for place in places)
     for place in places:
         if isinstance(place, Address):
             known = found.setdefault(place, FoundLog(place)).log
@@ -90,13 +85,14 @@ def find_logs(named: Sequence[Path | str]) -> FoundLogs:
                     "tune what are two logs one at a time, into folders of their own (-o)"
                 )
             continue
-        inside = _Walk(place) if _is_folder(place) and not is_log_folder(place) else None
-        if inside is None or not inside.logs:
+        is_many = is_folder(place) and not is_log_folder(place)
+        inside, others = _walked(place) if is_many else ([], 0)
+        if not inside:
             found.setdefault(real_path(place), FoundLog(place))
             continue
-        are_many, left_out = True, left_out + inside.left_out
+        are_many, left_out = True, left_out + others
         root = Path(real_path(place).name) if folders > 1 else Path()
-        for log in inside.logs:
+        for log in inside:
             below = root / log.parent.relative_to(place)
             found.setdefault(real_path(log), FoundLog(log, below))
         if len(found) > MAX_LOGS:
@@ -108,7 +104,7 @@ def _places(named: Iterable[Path | str]) -> Iterator[Path | Address]:
     """Yield paths and addresses of single logs, with patterns expanded."""
     for one in named:
         if is_remote(one):
-            yield from remote_logs(str(one), MAX_LOGS)
+            yield from remote_logs(str(one))
             continue
         path = Path(one)
         if without_secrets(str(one)) != str(one) and not os.path.lexists(path):
@@ -124,43 +120,34 @@ def _places(named: Iterable[Path | str]) -> Iterator[Path | Address]:
         yield from map(Path, matches)
 
 
-class _Walk:
-    """The logs in a folder and those below it; `logs` in the order of their names."""
-
-    def __init__(self, folder: Path) -> None:
-        self.logs: list[Path] = []
-        self.left_out = self._seen = 0
-        self._look(folder, 0)
-
-    def _look(self, folder: Path, depth: int) -> None:
-        try:
-            with os.scandir(folder) as entries:
-                inside = sorted(entries, key=lambda entry: entry.name)
-        except OSError as error:
-            raise UsageError(f"{folder}: cannot be read ({error.strerror})") from error
-        self._seen += len(inside)
-        if self._seen > MAX_LOGS:
-            raise UsageError(f"{folder}: over {MAX_LOGS} files; tune some folders at a time")
-        for entry in inside:
-            path = folder / entry.name
-            if entry.name.startswith("."):
+def _walked(folder: Path) -> tuple[list[Path], int]:
+    """Return the logs in a folder and those below it, by name, and the count of other files."""
+    logs: list[Path] = []
+    left_out = seen = 0
+    waiting = [(folder, 0, True)]  # with its depth, and whether it is a folder; the next one last
+    while waiting:
+        path, depth, is_dir = waiting.pop()
+        if is_dir and not (depth and is_log_folder(path)):
+            if depth > 64:  # folders within folders
                 continue
-            if entry.is_dir(follow_symlinks=False):
-                if is_log_folder(path):
-                    self.logs.append(path)
-                elif depth < _MAX_DEPTH:
-                    self._look(path, depth + 1)
-            elif may_be_log(path):
-                self.logs.append(path)
-            else:
-                self.left_out += 1
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
+            try:
+                with os.scandir(path) as entries:
+                    inside = sorted(entries, key=lambda entry: entry.name, reverse=True)
+            except OSError as error:
+                raise UsageError(f"{path}: cannot be read ({error.strerror})") from error
+            seen += len(inside)
+            if seen > MAX_LOGS:
+                raise UsageError(f"{path}: over {MAX_LOGS} files; tune some folders at a time")
+            waiting += [
+                (path / entry.name, depth + 1, entry.is_dir(follow_symlinks=False))
+                for entry in inside
+                if not entry.name.startswith(".")
+            ]
+        elif is_dir or may_be_log(path):
+            logs.append(path)
+        else:
+            left_out += 1
+    return logs, left_out
 
 
 @dataclass(frozen=True)
@@ -187,31 +174,23 @@ _SCHEMES = ("s3", "gs", "gcs", "az", "abfs", "http", "https")
 
 _CONNECT_S, _SILENT_S = 8, 8  # for which a server may say nothing, when it is called and later
 _MIN_BYTES = 10_000  # in any `_SILENT_S`: slower than a modem, a copy would never end
-_LISTING_S = 60  # for which a folder may be listed
-_LOOK_S = 0.5  # between looks at a call under way
 _UNTOLD_BYTES = 500_000_000  # of a log whose size its server does not tell, or that unpacks
-_ATTEMPTS = 2  # of a request to a server that is silent; s3fs has more of its own
-_KEPT_FREE = 0.1  # of the disk's free space, never filled by a copy
-_MAGIC = frozenset("*?[")
 
 
-def remote_logs(named: str, most: int) -> Iterator[Address]:
-    """Yield at most `most` addresses of a log, of the logs in a folder (`.../`), or of a pattern.
-
-    Raises:
-        UsageError: It names nothing, the server does not answer, or its library is not installed.
-    """
+def remote_logs(named: str) -> Iterator[Address]:
+    """Yield the addresses of one log, of a folder's logs (`.../`), or of a pattern."""
     address = log_address(named)
-    is_pattern = bool(_MAGIC & set(address.url)) and not address.url.startswith("http")
+    is_pattern = not set("*?[").isdisjoint(address.url) and not address.url.startswith("http")
     if not is_pattern and not address.url.endswith("/"):
         yield address
         return
     files, path = _opened(address)
     try:
-        found = _answer(files, files._glob(path) if is_pattern else files._find(path), _LISTING_S)
+        # A folder may take a minute to list.
+        found = _answer(files, files._glob(path) if is_pattern else files._find(path), 60)
     except Exception as error:
         raise UsageError(f"{address}: {_why(error)}") from error
-    names = [str(name) for name in islice(sorted(found), most + 1)]
+    names = [str(name) for name in islice(sorted(found), MAX_LOGS + 1)]
     logs = [name for name in names if is_pattern or is_log_name(PurePosixPath(name).name)]
     if not logs:
         raise UsageError(f"{address}: no log has such an address")
@@ -236,11 +215,7 @@ def remote_state(address: Address) -> LogState:
 
 @contextmanager
 def fetched(address: Address) -> Iterator[Path]:
-    """Open a temporary copy of a log on this machine, under its own name.
-
-    Raises:
-        LogError: It cannot be read, or is larger than the disk.
-    """
+    """Open a temporary copy of a log on this machine, under its own name."""
     from fsspec.callbacks import Callback
 
     class Bounded(Callback):
@@ -265,7 +240,8 @@ def fetched(address: Address) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="tunenet-") as folder:
         copy = Path(folder) / (address.name or "log")
         counted = Bounded()
-        counted.free = round((1 - _KEPT_FREE) * shutil.disk_usage(folder).free)
+        # A copy never fills the last tenth of the free space.
+        counted.free = round(0.9 * shutil.disk_usage(folder).free)
         try:
             files, path = _opened(address)
             copying = files._get_file(path, str(copy), callback=counted)
@@ -299,7 +275,8 @@ def _answer(
     known, since_s = came(), time.monotonic()
     try:
         while not answer.done():
-            wait((answer,), _LOOK_S)  # a signal is answered at once
+            # A look each half second at a call under way.
+            wait((answer,), 0.5)  # a signal is answered at once
             if came() - known >= _MIN_BYTES:
                 known, since_s = came(), time.monotonic()
             if time.monotonic() - since_s > longest_s and not answer.done():
@@ -310,11 +287,7 @@ def _answer(
 
 
 def log_address(named: str) -> Address:
-    """Parse a log's address.
-
-    Raises:
-        UsageError: Such addresses are not read.
-    """
+    """Parse a log's address."""
     if scheme_of(named) not in _SCHEMES or "::" in named:  # a chain may name files of this machine
         raise UsageError(
             f"{one_line(named)}: is no address that is read; write one with "
@@ -330,11 +303,7 @@ def log_address(named: str) -> Address:
 
 
 def _opened(address: Address) -> tuple[Any, str]:
-    """Return the file system of an address, and the path there.
-
-    Raises:
-        UsageError: A library for it is not installed.
-    """
+    """Return the file system of an address, and the path there."""
     options: dict[str, Any] = {}
     try:
         from fsspec.core import url_to_fs
@@ -342,10 +311,11 @@ def _opened(address: Address) -> tuple[Any, str]:
         if address.url.startswith("s3"):
             if address.user:
                 options |= {"key": address.user, "secret": address.password}
+            # Attempts at a server that is silent; s3fs has more of its own.
             options["config_kwargs"] = {
                 "connect_timeout": _CONNECT_S,
                 "read_timeout": _SILENT_S,
-                "retries": {"total_max_attempts": _ATTEMPTS},
+                "retries": {"total_max_attempts": 2},
             }
         elif address.url.startswith("http"):
             from aiohttp import ClientTimeout
@@ -400,14 +370,6 @@ def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
     """Choose the path of each log's results, without the suffix.
 
     Logs of one stem get their folder's name, or keep their suffix: `drop.mcap` beside `drop.mp4`.
-
-    Args:
-        logs: Each once.
-        folder: For all results; None for beside each log.
-
-    Raises:
-        UsageError: Two logs would write the same results, or one would replace a log.
-        LogError: The folder is none, or one within it is a link.
     """
     if folder is None and any(is_remote(one.log) for one in logs):
         raise UsageError("results of logs that are read over the network need a place; give -o DIR")
@@ -429,25 +391,19 @@ def result_names(logs: Sequence[FoundLog], folder: Path | None) -> list[Path]:
             raise UsageError(
                 f"{both[0]} and {both[1]} would both write {json_file}; tune one at a time"
             )
-    _check_inputs(logs, names)
+    # No result replaces a log.
+    inputs = {real_path(one.log) for one in logs if isinstance(one.log, Path)}
+    real = {folder: real_path(folder) for folder in {name.parent for name in names}}
+    for path in (path for name in names for path in result_files(name)):
+        is_link_to_one = path.is_symlink() and real_path(path) in inputs
+        if real[path.parent] / path.name in inputs or is_link_to_one:
+            raise UsageError(f"{path}: is a log, and would be replaced by results; choose -o DIR")
     if folder is not None:
         if folder.exists() and not folder.is_dir():
             raise LogError(f"{folder}: is not a folder; choose another with -o")
         for below in {one.below for one in logs}:
             check_folders(folder, below)
     return names
-
-
-def _check_inputs(logs: Sequence[FoundLog], names: Sequence[Path]) -> None:
-    inputs = {real_path(one.log) for one in logs if isinstance(one.log, Path)}
-    real = {folder: real_path(folder) for folder in {name.parent for name in names}}
-    for name in names:
-        for path in result_files(name):
-            is_link_to_one = path.is_symlink() and real_path(path) in inputs
-            if real[name.parent] / path.name in inputs or is_link_to_one:
-                raise UsageError(
-                    f"{path}: is a log, and would be replaced by results; choose -o DIR"
-                )
 
 
 def _names_of(one: FoundLog, folder: Path | None) -> tuple[Path, ...]:

@@ -59,7 +59,7 @@ from tunenet_logs.analysis.record import (
     record_fields,
     to_json,
 )
-from tunenet_logs.analysis.result_files import log_sha256, review_of, tuning_of, writable
+from tunenet_logs.analysis.result_files import known_sha256, review_of, tuning_of, writable
 from tunenet_logs.analysis.review.tuning import write_overview, write_review
 from tunenet_logs.analysis.tuning import provenance_of, tune_log
 from tunenet_logs.console import is_stdout, print_traceback
@@ -79,11 +79,9 @@ _ORDER = get_args(Verdict)  # the best first
 class Writing:
     """What is written for each log, beside its JSON."""
 
-    # Whether results of other logs may be replaced; files of others never are
-    overwrite: bool = False
+    overwrite: bool = False  # whether results of other logs may be replaced
     reviewed: frozenset[str] = frozenset(_ORDER)  # verdicts whose logs get a review
-    # Writes something else of a tuning; raises LogError or OSError where it cannot
-    also: Callable[[Tuning], None] | None = None
+    also: Callable[[Tuning], None] | None = None  # writes something else; else a LogError
 
 
 @dataclass(frozen=True)
@@ -106,17 +104,8 @@ class Result:
     was: str | None = None  # the better verdict that was replaced, in one line; None if none was
 
 
-def lost(work: Work, options: TuneOptions) -> Result:
-    """Build the result of a log whose process died."""
-    return _untuned(work, options, _DIED, LogState(), error=_DIED)
-
-
 def tuned_and_written(work: Work, options: TuneOptions, writing: Writing) -> Result:
-    """Tune one log and write its results.
-
-    Raises:
-        UsageError, WeightsError: the options fit no log.
-    """
+    """Tune one log and write its results."""
     if isinstance(work.log, Path):
         return _of_file(work, work.log, LogState.of(work.log), options, writing)
     try:
@@ -125,7 +114,7 @@ def tuned_and_written(work: Work, options: TuneOptions, writing: Writing) -> Res
             return _of_file(work, path, state, options, writing)
     except LogError as error:
         reason = str(error).removeprefix(f"{work.log}: ")
-        return _untuned(work, options, reason, LogState(), error=str(error))
+        return untuned(work, options, reason, LogState(), error=str(error))
 
 
 def _of_file(
@@ -135,20 +124,27 @@ def _of_file(
     sha256, before = "", None
     report_file, review_file = result_files(work.name)
     if os.path.lexists(report_file) or os.path.lexists(review_file):
-        sha256 = _hash(log)
+        sha256 = known_sha256(log)
     if sha256:
         places = _places(work, log, sha256, writing)
         wanted = places if writing.reviewed else places[:1]
         if why := next(filter(None, (place.why_not() for place in wanted)), None):
             reason = "not tuned: its results would replace others"
-            return _untuned(work, options, reason, state, error=why)
+            return untuned(work, options, reason, state, error=why)
         with suppress(LogError):  # what was there of the same log
             known = read_record(report_file)
             if known.provenance is not None and known.provenance.log_sha256 == sha256:
                 before = known
-    tuning = _tuned(log, options)
+    try:
+        tuning = tune_log(log, options)
+    except (UsageError, WeightsError):  # the same for every log
+        raise
+    except Exception as error:  # noqa: BLE001 (a defect of ours must not cost the other logs)
+        print_traceback()
+        reason = f"unexpected {type(error).__name__}: {error}; please report it with the log"
+        tuning = Tuning(log, options.task, options.preset, "rejected", reason)
     is_log = log.is_file() or tuning.episode is not None  # a folder may be one
-    sha256 = sha256 or (_hash(log) if is_log else "")
+    sha256 = sha256 or (known_sha256(log) if is_log else "")
     tuning = replace(tuning, provenance=provenance_of(tuning, sha256, options))
     record = tuning.record
     review, trouble, report = None, None, None
@@ -156,7 +152,8 @@ def _of_file(
         if is_log and (sha256 or not os.path.lexists(report_file)):
             review = _write(_places(work, log, sha256, writing), tuning, record, writing)
             report = report_file
-            trouble = _trouble(writing, tuning)
+            if writing.also is not None:
+                writing.also(tuning)
     except LogError as error:
         trouble = str(error)
     except (OSError, UnicodeError) as error:  # the latter for a name that Rerun cannot take
@@ -176,25 +173,6 @@ def _of_file(
     return Result(row, entry, review, trouble, report, was)
 
 
-def _hash(log: Path) -> str:
-    try:
-        return log_sha256(log)
-    except OSError:  # reading and writing say why in our own words
-        return ""
-
-
-def _tuned(log: Path, options: TuneOptions) -> Tuning:
-    """Tune a log; a defect of ours must not cost the other logs."""
-    try:
-        return tune_log(log, options)
-    except (UsageError, WeightsError):  # the same for every log
-        raise
-    except Exception as error:  # noqa: BLE001
-        print_traceback()
-        reason = f"unexpected {type(error).__name__}: {error}; please report it with the log"
-        return Tuning(log, options.task, options.preset, "rejected", reason)
-
-
 def _places(
     work: Work, log: Path, sha256: str, writing: Writing
 ) -> tuple[OutputPlace, OutputPlace]:
@@ -211,12 +189,7 @@ def _places(
 def _write(
     places: tuple[OutputPlace, OutputPlace], tuning: Tuning, record: Record, writing: Writing
 ) -> Path | None:
-    """Write the results of a log, and return the path of the review, if it gets one.
-
-    Raises:
-        LogError: A file in their place may not be replaced by now.
-        OSError, UnicodeError: They cannot be written.
-    """
+    """Write the results of a log, and return the path of the review, if it gets one."""
     report, recording = places
     report.path.parent.mkdir(parents=True, exist_ok=True)
     review, episode = None, tuning.episode
@@ -233,19 +206,8 @@ def _write(
     return review
 
 
-def _trouble(writing: Writing, tuning: Tuning) -> str | None:
-    """Write what else is asked for; return why it failed, or None."""
-    try:
-        if writing.also is not None:
-            writing.also(tuning)
-    except LogError as error:
-        return str(error)
-    except OSError as error:
-        return f"{error.filename}: cannot be written ({error.strerror}); choose another place"
-    return None
-
-
-def _untuned(work: Work, options: TuneOptions, reason: str, state: LogState, error: str) -> Result:
+def untuned(work: Work, options: TuneOptions, reason: str, state: LogState, error: str) -> Result:
+    """Build the result of a log that could not be tuned, and why (`error`)."""
     log = work.log if isinstance(work.log, Path) else Path(work.log.name)
     tuning = Tuning(log, options.task, options.preset, "rejected", reason)
     tuning = replace(tuning, provenance=provenance_of(tuning, "", options))
@@ -266,23 +228,6 @@ _NUMBER = re.compile(r"[-+]?[0-9][0-9.,]*(e[-+]?[0-9]+)?")
 Streamed = Callable[..., Iterable[tuple[int, Result]]]
 
 
-def on_ray(
-    cluster: Cluster,
-    work: Callable[[Work], Result],
-    items: Sequence[Work],
-    lost: Callable[[Work], Result],
-) -> Iterator[tuple[int, Result]]:
-    """Map `work` over logs on a cluster, whose machines share one file system; see `on_cluster`."""
-    # An actor has another working folder.
-    absolute = [
-        Work(real_path(item.log), real_path(item.name))
-        if isinstance(item.log, Path)
-        else replace(item, name=real_path(item.name))
-        for item in items
-    ]
-    return on_cluster(cluster, work, absolute, lost)
-
-
 @dataclass(frozen=True)
 class Order:
     """Logs of a batch, and how to tune them."""
@@ -292,23 +237,19 @@ class Order:
     writing: Writing = field(default_factory=Writing)
     folder: Path | None = None  # where results go; None for beside each log
     keeps_ledger: bool = False  # whether a ledger is kept there
-    # Whether to skip logs that the ledger has, with the same contents, tuned under the same options
-    resumes: bool = False
+    resumes: bool = False  # whether to skip unchanged logs that it has, under equal options
     csv: OutputPlace | None = None  # where the ledger goes as a text table, too
     jobs: int | None = None  # number of processes; None for all cores
-    # Address of a Ray cluster to work on; None for processes of this machine
-    ray: str | None = None
+    ray: str | None = None  # address of a Ray cluster; None for processes of this machine
 
 
 @dataclass
 class BatchResult:
     """Result of a batch."""
 
-    # Of at most `MAX_SHOWN` logs; where there are more, of the first ones that failed
-    results: list[Result]
+    results: list[Result]  # of at most `MAX_SHOWN` logs; of more, the first ones that failed
     verdicts: Counter[str]  # count of logs by verdict, skipped ones included
-    # Count of logs that are not ok by reason, numbers in it ignored
-    reasons: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)  # why not ok; numbers are ignored
     skipped: int = 0  # logs that were done before
     failed: int = 0  # logs that are rejected, or whose results could not be written
     seconds: float = 0.0  # wall time
@@ -334,27 +275,18 @@ def run_batch(
     after: Callable[[Order, Ledger], None] | None = None,
     each: Callable[[Result], None] = lambda _result: None,
 ) -> BatchResult:
-    """Tune every log, write its results, and enter it in the ledger.
-
-    Args:
-        order: The logs, and how to tune them.
-        progress: Shows how many are done.
-        stream: Maps the work; None for what the order says.
-        after: Called with the order and the whole ledger at the end; see `closing`.
-        each: Called with each result as it is done.
-
-    Raises:
-        UsageError: The options fit no log at all, or two logs would write the same results.
-        LogError: The ledger cannot be written.
-    """
+    """Tune every log, write its results, and enter it in the ledger."""
     began_s = time.monotonic()
     names = result_names(order.logs, order.folder)
     works = [Work(one.log, name) for one, name in zip(order.logs, names, strict=True)]
     work = partial(tuned_and_written, options=order.options, writing=order.writing)
-    gone = partial(lost, options=order.options)
-    here = partial(streamed, jobs=order.jobs, may_stay=True)
-    afar = order.ray and partial(on_ray, Cluster(order.ray, order.jobs))
-    stream = stream or afar or here
+    gone = partial(untuned, options=order.options, reason=_DIED, state=LogState(), error=_DIED)
+    usual: Streamed = partial(streamed, jobs=order.jobs, may_stay=True)
+    if order.ray:  # its machines share one file system; an actor has another working folder
+        usual = partial(on_cluster, Cluster(order.ray, order.jobs))
+        logs = [real_path(one.log) if isinstance(one.log, Path) else one.log for one in works]
+        works = [Work(log, real_path(one.name)) for log, one in zip(logs, works, strict=True)]
+    stream = stream or usual
     batch = BatchResult([], Counter())
     shown: dict[int, Result] = {}
     with ExitStack() as stack:
@@ -420,13 +352,14 @@ def _is_same(work: Work, size: object, modified_ns: object, sha256: object) -> b
         if state.size >= 0 and (state.size != size or state.modified_ns):
             return (state.size, state.modified_ns) == (size, modified_ns)
         with suppress(LogError, OSError), fetched(work.log) as copy:  # nobody says when it changed
-            return _hash(copy) == sha256
+            return known_sha256(copy) == sha256
         return False
     state = LogState.of(work.log)
     report = result_files(work.name)[0]
     if state.size < 0 or not sha256 or report.is_symlink() or not report.is_file():
         return state.size < 0 and size == -1  # it could not be read, and cannot now
-    return state.size == size and (state.modified_ns == modified_ns or _hash(work.log) == sha256)
+    is_same = state.modified_ns == modified_ns or known_sha256(work.log) == sha256
+    return state.size == size and is_same
 
 
 # ---- JSON lines (`--json`): one object per log, as each is done.
@@ -450,13 +383,7 @@ def result_fields(result: Result) -> dict[str, Any]:
 
 
 def lines_place(path: Path, order: Order, *, overwrite: bool) -> OutputPlace:
-    """Return the output place of the lines, which may replace those of the same logs.
-
-    It is checked before hours of work, and that they replace no log's results.
-
-    Raises:
-        UsageError: They cannot be written.
-    """
+    """Check the place of the lines before hours of work; they replace no log's own results."""
     logs = {name for one in order.logs for name in (str(one.log), ledger_key(one.log))}
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
@@ -481,11 +408,7 @@ def lines_place(path: Path, order: Order, *, overwrite: bool) -> OutputPlace:
 
 @contextmanager
 def result_lines(place: OutputPlace | None) -> Iterator[Callable[[Result], None]]:
-    """Open a sink for results as they are done: a file, standard output, or nothing.
-
-    Raises:
-        LogError: The file cannot be written.
-    """
+    """Open a sink for results as they are done: a file, standard output, or nothing."""
     if place is None:
         yield lambda _result: None
     elif is_stdout(path := place.path):
@@ -512,11 +435,7 @@ _MAX_REASONS, _MAX_REASON_CHARACTERS = 5, 100
 
 
 def closing(order: Order, ledger: Ledger) -> None:
-    """Write what is made of a whole ledger: its overview, and a CSV table on request.
-
-    Raises:
-        LogError: One cannot be written.
-    """
+    """Write what is made of a whole ledger: its overview, and a CSV table on request."""
     if order.csv is not None:
         with writable(order.csv.path, _DISK_REMEDY):
             write_csv(ledger, order.csv)
@@ -536,7 +455,12 @@ def show(batch: BatchResult, count: int, *, has_table: bool, is_verbose: bool) -
     read = [row for row in rows if row.is_read]
     if read and has_table:
         print(table(read, terminal_columns()))
-    _say(*(f"tunenet-tune: {one}" for result in batch.results for one in _remarks(result)))
+    for result in batch.results:  # warnings, and why a log could not be read or written
+        record, is_read = result.row.record, result.row.is_read
+        if is_read or not result.trouble:
+            remarks = record.warnings if is_read else (record.reason, *record.warnings)
+            _say(*(f"tunenet-tune: {result.row.log}: {remark}" for remark in remarks))
+        _say(*(f"tunenet-tune: {one}" for one in (result.was, result.trouble) if one))
     if has_table:
         print("".join(f"{line}\n" for line in _summary(batch, count)), end="")
 
@@ -544,15 +468,6 @@ def show(batch: BatchResult, count: int, *, has_table: bool, is_verbose: bool) -
 def _say(*lines: str) -> None:
     for line in lines:
         print(one_line(line), file=sys.stderr)
-
-
-def _remarks(result: Result) -> Iterator[str]:
-    """Yield the warnings of a log, and why it could not be read or written."""
-    record, is_read = result.row.record, result.row.is_read
-    if is_read or not result.trouble:
-        remarks = record.warnings if is_read else (record.reason, *record.warnings)
-        yield from (f"{result.row.log}: {remark}" for remark in remarks)
-    yield from filter(None, (result.was, result.trouble))
 
 
 def _details(record: Record) -> Iterator[str]:

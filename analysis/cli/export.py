@@ -15,9 +15,8 @@ from tunenet_logs.files import real_path
 from tunenet_logs.terminal import one_line
 
 if TYPE_CHECKING:
-    from tunenet_logs.analysis.export.exported import ExportedBall, ExportedPayload
+    from tunenet_logs.analysis.export.exported import ExportedBall
     from tunenet_logs.analysis.export.registry import ExportFormat
-    from tunenet_logs.analysis.record import Record
 
 _DESCRIPTION = """\
 Write what was tuned as a file for a physics engine: a ball's contact, or a payload's
@@ -54,13 +53,7 @@ def build_parser() -> Parser:
         metavar="ENGINE",
         help=f"one of {', '.join(sorted(FORMATS))}",
     )
-    add(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="default: NAME.ENGINE.* beside it",
-    )
+    add("-o", "--output", type=Path, metavar="FILE", help="default: NAME.ENGINE.* beside it")
     add("--overwrite", action="store_true", help="replace exports of other logs")
     ball = parser.add_argument_group("of a ball")
     ball.add_argument(
@@ -93,33 +86,35 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from tunenet_logs.analysis.export.exported import ExportedBall
+    from tunenet_logs.analysis.export.exported import ExportedBall, ExportOptions
+    from tunenet_logs.analysis.export.files import export_texts, exported_for
+    from tunenet_logs.analysis.record import read_record
     from tunenet_logs.analysis.result_files import exported_file
     from tunenet_logs.writing.owned_path import OutputPlace
 
     engine = export_format(arguments.to)
-    record, item = _item(arguments, engine)
-    # The files to write.
-    from tunenet_logs.analysis.export.files import export_texts
-
+    said = ExportOptions(arguments.speed, arguments.radius, arguments.mass, arguments.step)
+    record = read_record(arguments.tuning)
+    try:
+        item = exported_for(engine, record, said)
+    except TuneNetError as error:
+        raise type(error)(f"{arguments.tuning}: {error}") from error
     path = arguments.output
     if path is None:
         path = arguments.tuning.with_suffix(usual_suffix(engine))
     texts = export_texts(engine, item, path)
     knows, elsewhere = exported_file(record), "give -o another file"
-    places = {
-        OutputPlace(
-            path, "export", knows, record.log, elsewhere, overwrite=arguments.overwrite
-        ): text
-        for path, text in texts.items()
-    }
+    places = [
+        OutputPlace(path, "export", knows, record.log, elsewhere, arguments.overwrite)
+        for path in texts
+    ]
     for place in places:
         if real_path(place.path) == real_path(arguments.tuning):
             raise UsageError(f"{place.path}: is the tuning itself; {elsewhere}")
         place.check()
-    for place, text in places.items():
+    for place in places:
         with place.replacing() as partial:
-            partial.write_text(text, "utf-8")
+            partial.write_text(texts[place.path], "utf-8")
     if item.origin.verdict == "suspect":
         why = item.origin.reason or "no reason is given"
         print(one_line(f"tunenet-export: the tuning is suspect: {why}"), file=sys.stderr)
@@ -147,21 +142,6 @@ def _check_words(engine: ExportFormat, path: Path, ball: ExportedBall) -> str:
     if check.rms_percent is not None:
         lines.append(f"off the recording: {check.rms_percent:.2f} % of the drop height, rms")
     return "\n".join(lines)
-
-
-def _item(
-    arguments: argparse.Namespace, engine: ExportFormat
-) -> tuple[Record, ExportedBall | ExportedPayload]:
-    from tunenet_logs.analysis.export.exported import ExportOptions
-    from tunenet_logs.analysis.export.files import exported_for
-    from tunenet_logs.analysis.record import read_record
-
-    said = ExportOptions(arguments.speed, arguments.radius, arguments.mass, arguments.step)
-    record = read_record(arguments.tuning)
-    try:
-        return record, exported_for(engine, record, said)
-    except TuneNetError as error:
-        raise type(error)(f"{arguments.tuning}: {error}") from error
 
 
 if __name__ == "__main__":

@@ -6,18 +6,12 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tunenet_logs.analysis.options import jobs_option
 from tunenet_logs.analysis.registry import needed
 from tunenet_logs.console import Parser, run
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress, one_line
-
-if TYPE_CHECKING:
-    from tunenet_logs.analysis.report.page import Kind
-    from tunenet_logs.analysis.result_files import Logs
-    from tunenet_logs.writing.owned_path import OutputPlace
 
 _DESCRIPTION = """\
 One page of what was tuned, with everything in it: no network, under 3 MB. The verdict
@@ -64,51 +58,19 @@ def _report(arguments: argparse.Namespace) -> int:
         raise UsageError("say what to write: -o REPORT.html, --png or --pdf")
     needed("matplotlib", "report")
     needed("jinja2", "report")
-    from tunenet_logs.analysis.campaign import files_of
-    from tunenet_logs.analysis.report.page import read_reported, report_page
-    from tunenet_logs.analysis.result_files import check_place, logs_of
+    from tunenet_logs.analysis.report.page import write_report
 
-    inputs = list(files_of(arguments.places, _warn))
-    if arguments.output:  # a campaign takes a while, and then says of which logs it is
-        check_place(_page(arguments, {}, overwrite=True), "-o", (".html",), inputs)
-    progress = Progress(quiet=arguments.quiet)
-    reported = read_reported(arguments.places, arguments.jobs, progress, _warn)
-    written: list[Path] = []
-    logs = logs_of(one.record for one in reported.tunings)
-    page = arguments.output and _page(arguments, logs, overwrite=arguments.overwrite)
-    if page:
-        page.check()
-    from tunenet_logs.analysis.report.page import FigureOrder, write_figures
-
-    places: dict[Kind, Path | None] = {"png": arguments.png, "pdf": arguments.pdf}
-    orders = [
-        FigureOrder(place, kind, inputs, overwrite=arguments.overwrite)
-        for kind, place in places.items()
-        if place is not None
-    ]
-    figures = [path for order in orders for path in write_figures(order, reported.tunings)]
-    if page:
-        with page.replacing() as partial:
-            partial.write_text(report_page(reported), "utf-8")
-        written.append(arguments.output)
-    written += figures
+    written = write_report(
+        arguments.places,
+        arguments.output,
+        {"png": arguments.png, "pdf": arguments.pdf},
+        Progress(quiet=arguments.quiet),
+        lambda text: print(one_line(f"tunenet-report: {text}"), file=sys.stderr),
+        jobs=arguments.jobs,
+        overwrite=arguments.overwrite,
+    )
     print("written: " + ", ".join(one_line(path) for path in written))
     return 0
-
-
-def _page(arguments: argparse.Namespace, logs: Logs, *, overwrite: bool) -> OutputPlace:
-    from tunenet_logs.analysis.result_files import in_words, marked
-    from tunenet_logs.writing.owned_path import OutputPlace
-
-    knows = marked("html", "page", logs)
-    elsewhere = "give -o another file"
-    return OutputPlace(
-        arguments.output, "page", knows, in_words(logs), elsewhere, overwrite=overwrite
-    )
-
-
-def _warn(text: str) -> None:
-    print(one_line(f"tunenet-report: {text}"), file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -5,15 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tunenet_logs.analysis.options import jobs_option
 from tunenet_logs.console import Parser, run
 from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import Progress, listed, one_line, short_name
-
-if TYPE_CHECKING:
-    pass
 
 _DESCRIPTION = """\
 A campaign on one timeline: the drops, what was tuned from them, the shots, and how each
@@ -37,10 +34,7 @@ _EXAMPLES = """\
 def build_parser() -> Parser:
     """Build the argument parser."""
     parser = Parser(
-        "tunenet-review",
-        _DESCRIPTION,
-        _EXAMPLES,
-        failed="a file of the campaign could not be read",
+        "tunenet-review", _DESCRIPTION, _EXAMPLES, failed="a file of the campaign could not be read"
     )
     add = parser.add_argument
     add("places", nargs="+", type=Path, metavar="CAMPAIGN", help="folder or file of the campaign")

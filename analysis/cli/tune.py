@@ -21,6 +21,7 @@ from tunenet_logs.terminal import Progress, listed
 if TYPE_CHECKING:
     from tunenet_logs.analysis.batch.logs import FoundLog
     from tunenet_logs.analysis.batch.run import Writing
+    from tunenet_logs.analysis.experiment import Tuning
     from tunenet_logs.analysis.options import TuneOptions
 
 _DESCRIPTION = """\
@@ -243,14 +244,22 @@ def _writing(arguments: argparse.Namespace) -> Writing:
     elif arguments.review_only is not None:
         reviewed = frozenset([arguments.review_only])
     if (card := arguments.save_arm_card) is not None:
-        from tunenet_logs.analysis.payload.experiment import card_place, save_arm_card
+        from tunenet_logs.analysis.payload.experiment import card_place
 
         if len({real_path(log) for log in arguments.logs}) != 1:
             count = len(arguments.logs)
             raise UsageError(f"--save-arm-card is for one log, not {count}; name one")
         card_place(card, None, overwrite=True).check()
-        also = partial(save_arm_card, path=card, overwrite=arguments.overwrite)
+        also = partial(_save_card, path=card, overwrite=arguments.overwrite)
     return Writing(arguments.overwrite, reviewed, also)
+
+
+def _save_card(tuning: Tuning, path: Path, *, overwrite: bool) -> None:
+    from tunenet_logs.analysis.payload.experiment import save_arm_card
+    from tunenet_logs.analysis.result_files import writable
+
+    with writable(path, "choose another place"):
+        save_arm_card(tuning, path, overwrite=overwrite)
 
 
 def _marked(log: Path | str, options: TuneOptions, progress: Progress) -> TuneOptions:

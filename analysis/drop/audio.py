@@ -29,7 +29,7 @@ from tunenet_logs.analysis.drop.bounce_model import (
 from tunenet_logs.analysis.drop.bounce_posterior import BallPosterior, ball_posterior
 from tunenet_logs.analysis.onsets import onsets
 from tunenet_logs.analysis.record import SoundShare
-from tunenet_logs.episode import Array, Episode, Sound
+from tunenet_logs.episode import Array, Episode
 from tunenet_logs.errors import TuneNetError
 
 
@@ -40,22 +40,11 @@ class HeardImpacts:
     times_s: Array  # of the onsets, shape (N,)
     sds_s: Array  # standard deviations of them, shape (N,)
     probabilities: Array  # of each to be an impact of a ball, by its sound, shape (N,)
-    start_ns: int = 0  # stamp that the times count from, on the log's clock
-    topic: str = ""  # of the sound
-
-    def since(self, start_ns: int) -> HeardImpacts:
-        """Return the onsets with times that count from another stamp."""
-        later_s = (self.start_ns - start_ns) * 1e-9
-        return replace(self, start_ns=start_ns, times_s=self.times_s + later_s)
 
     def only(self, chosen: NDArray[np.bool_]) -> HeardImpacts:
         """Return the onsets of a mask, shape (N,)."""
-        return replace(
-            self,
-            times_s=self.times_s[chosen],
-            sds_s=self.sds_s[chosen],
-            probabilities=self.probabilities[chosen],
-        )
+        columns = (self.times_s, self.sds_s, self.probabilities)
+        return HeardImpacts(*(one[chosen] for one in columns))
 
 
 # ---- Match of onsets to predicted impacts
@@ -64,8 +53,6 @@ FARTHEST_OFFSET_S = 0.1  # that sound and pictures may be apart
 MIN_HEARD = 3  # impacts: two whole flights
 _HEARD = 0.8  # probability that an impact is heard
 _MIN_RATE_HZ = 1.0  # of onsets: in a silent room as many could be heard by chance
-_MAX_HEARD = 25  # impacts of a drop that are listened for
-_MIN_S = 0.03  # the shortest flight between two
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +79,14 @@ class PredictedImpacts:
         return replace(self, times_s=self.times_s + gain * off_s, covariance=covariance)
 
 
-def foretold(fit: BounceFit) -> PredictedImpacts:
-    """Predict the impacts that are within what was fitted."""
-    count = len(fit.projection().impacts(float(fit.samples.seconds[-1])))
-    return _foretold(fit, np.arange(min(count, MAX_IMPACTS + 1)))
+def foretold(fit: BounceFit, numbers: NDArray[np.intp] | None = None) -> PredictedImpacts:
+    """Predict impacts of consecutive numbers, those that are within what was fitted if none.
 
-
-def _foretold(fit: BounceFit, numbers: NDArray[np.intp]) -> PredictedImpacts:
-    """Predict impacts of consecutive numbers, late by the sound's offset where the fit has one."""
+    They are late by the sound's offset where the fit has one.
+    """
+    if numbers is None:
+        count = len(fit.projection().impacts(float(fit.samples.seconds[-1])))
+        numbers = np.arange(min(count, MAX_IMPACTS + 1))
     samples, unknowns = fit.samples, fit.unknowns
     times_s = samples.touches_s(unknowns, numbers)
     rows = np.zeros((len(numbers), len(fit.free)))
@@ -127,12 +114,13 @@ def later_touches(fit: BounceFit, heard: HeardImpacts) -> AudioImpacts | None:
     """
     assert fit.samples.heard is not None
     begin = int(fit.samples.heard.numbers.max()) + 1
-    numbers = np.arange(begin, _MAX_HEARD)
-    times_s = fit.samples.touches_s(fit.unknowns, np.arange(begin - 1, _MAX_HEARD))
-    numbers = numbers[np.cumprod(np.diff(times_s) > _MIN_S).astype(bool)]
+    # The first 25 impacts of a drop are listened for, up to a flight between two that is too short.
+    numbers = np.arange(begin, 25)
+    times_s = fit.samples.touches_s(fit.unknowns, np.arange(begin - 1, 25))
+    numbers = numbers[np.cumprod(np.diff(times_s) > 0.03).astype(bool)]
     if not len(numbers) or not len(heard.times_s):
         return None
-    impacts = _foretold(fit, numbers)
+    impacts = foretold(fit, numbers)
     span_s = float(np.ptp(heard.times_s))
     rate_hz = max(len(heard.times_s) / max(span_s, 1e-3), _MIN_RATE_HZ)
     pairs: list[tuple[int, int]] = []
@@ -212,8 +200,10 @@ def _compared(
     off_s = float(heard.times_s[onset] - impacts.times_s[at])
     if abs(off_s) > 4.0 * np.sqrt(variance):  # it is not that impact
         return off_s, variance, -np.inf
+    # What an onset's own sound takes from a match: it adds nothing.
+    probability = float(np.clip(heard.probabilities[onset], 1e-3, 0.5))
     gained = np.log(_HEARD / rate_hz) - 0.5 * off_s**2 / variance
-    gained += -0.5 * np.log(2 * np.pi * variance) + _own_log_odds(heard, onset)
+    gained += -0.5 * np.log(2 * np.pi * variance) + float(np.log(probability / (1 - probability)))
     return off_s, variance, float(gained)
 
 
@@ -225,12 +215,6 @@ def _touches(pairs: list[tuple[int, int]], heard: HeardImpacts) -> AudioImpacts:
 
 def _sds_s(heard: HeardImpacts) -> Array:
     return np.maximum(heard.sds_s, 1e-4)  # no microphone's distance and no table is better
-
-
-def _own_log_odds(heard: HeardImpacts, onset: int) -> float:
-    """Return what an onset's own sound takes from a match: it adds nothing."""
-    probability = float(np.clip(heard.probabilities[onset], 1e-3, 0.5))
-    return float(np.log(probability / (1 - probability)))
 
 
 # ---- Joint fit of pictures and sound: sound counts as far as the pictures confirm it
@@ -283,9 +267,14 @@ def with_sound(pictures: BallPosterior, heard: HeardImpacts) -> FusedEstimate:
     if match.log_odds < 7.0:  # chance has as much
         reason = f"{len(match.touches.numbers)} of its onsets fit the impacts, as chance has it"
         return replace(alone, match=match, reason=reason)
-    fit = _joint_fit(pictures.fit, match, heard)
-    # Log likelihood: with more the two contradict each other.
-    if fit is None or _lost(pictures.fit, fit) > 8.0:
+    alone_fit, fit = pictures.fit, _joint_fit(pictures.fit, match, heard)
+    # The log likelihood of the pictures that the joint fit gives up: with more they contradict.
+    if (
+        fit is None
+        or (fit.misfit_cost(alone_fit.scale) - alone_fit.misfit_cost(alone_fit.scale))
+        / alone_fit.samples_as_one
+        > 8.0
+    ):
         return replace(alone, match=match, reason="its onsets contradict the pictures")
     return replace(alone, posterior=ball_posterior(fit), match=match, touches=fit.samples.heard)
 
@@ -335,12 +324,6 @@ def _consistent(fit: BounceFit) -> BounceFit | None:
         fit = fit_bounce(kept, fit.unknowns, kept.unknowns, most=60)
 
 
-def _lost(alone: BounceFit, joint: BounceFit) -> float:
-    """Return the log likelihood of the pictures that the joint fit gives up."""
-    lost = joint.misfit_cost(alone.scale) - alone.misfit_cost(alone.scale)
-    return lost / alone.samples_as_one
-
-
 # ---- Sound of an episode: the segment in which the ball bounces, and its onsets
 
 
@@ -366,21 +349,20 @@ class SoundBeside:
         first_s, last_s = view.impact_s, float(pictures.fit.samples.seconds[-1])
         begins_s = (sound.start_ns - self.start_ns) * 1e-9
         # Around the impacts that are seen: what the sound's background is learnt from.
-        part = _part(sound, first_s - 1.0 - begins_s, last_s + 0.5 - begins_s)
+        ends_s = (first_s - 1.0 - begins_s, last_s + 0.5 - begins_s)
+        count = len(sound.samples)
+        first, last = (int(np.clip(at_s * sound.rate_hz, 0, count)) for at_s in ends_s)
+        start_ns = sound.start_ns + round(first * 1e9 / sound.rate_hz)
+        part = replace(sound, samples=sound.samples[first:last], start_ns=start_ns)
         if len(part.samples) < 2:
             return FusedEstimate(pictures, pictures, reason="it does not reach to the bounces")
         if not np.any(part.samples):
             return FusedEstimate(pictures, pictures, reason="it is silent")
         knocks = onsets(part)
+        times_s = knocks.times_s + (part.start_ns - self.start_ns) * 1e-9
         # A knock that rises by 5 dB over the background is as likely a ball's as not.
-        heard = HeardImpacts(
-            knocks.times_s,
-            knocks.sds_s,
-            1 / (1 + np.exp((5.0 - knocks.rises_db) / 1.5)),
-            part.start_ns,
-            part.name,
-        ).since(self.start_ns)
-        return with_sound(pictures, heard)
+        probabilities = 1 / (1 + np.exp((5.0 - knocks.rises_db) / 1.5))
+        return with_sound(pictures, HeardImpacts(times_s, knocks.sds_s, probabilities))
 
 
 def sound_beside(episode: Episode, start_ns: int) -> SoundBeside | None:
@@ -388,11 +370,3 @@ def sound_beside(episode: Episode, start_ns: int) -> SoundBeside | None:
     if not episode.sound_topics or len(episode.picture_topics) > 1:
         return None
     return SoundBeside(episode, episode.sound_topics[0], start_ns)
-
-
-def _part(sound: Sound, first_s: float, last_s: float) -> Sound:
-    """Cut a sound from one time to another, on its own clock."""
-    count = len(sound.samples)
-    first, last = (int(np.clip(at * sound.rate_hz, 0, count)) for at in (first_s, last_s))
-    start_ns = sound.start_ns + round(first * 1e9 / sound.rate_hz)
-    return replace(sound, samples=sound.samples[first:last], start_ns=start_ns)

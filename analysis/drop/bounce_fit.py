@@ -7,7 +7,6 @@ fitted flight by flight.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +29,8 @@ from tunenet_logs.analysis.drop.bounce_model import (
 from tunenet_logs.analysis.drop.free_flight import Drop
 from tunenet_logs.analysis.estimators.damped import Damping, damped_step
 from tunenet_logs.analysis.statistics import correlation_time
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 
-_FARTHEST = 1.5  # fall times that an impact may go from its start, and of a fall time the log
-_FIRST_DAMPING = 1e-3
 _DAMPING = Damping(tries=6, raised_by=10, lowered_by=10, least=1e-9)
 
 
@@ -42,7 +39,7 @@ class BounceFit:
     """Bounce fitted to samples."""
 
     samples: BounceSamples  # what was fitted
-    unknowns: Array  # shape (14,), see `bounce_model`
+    unknowns: Array  # shape (16,), see `bounce_model`
     free: tuple[int, ...]  # which of them were fitted
     residuals: Array  # in the positions' unit, shape (T,)
     scale: float  # robust standard deviation of them, not below the samples' noise
@@ -50,9 +47,8 @@ class BounceFit:
     @property
     def effective_sample_factor(self) -> float:
         """Samples that count as one where a lens distorts the picture: that is no noise."""
-        # A lens's distortion is much the same within a 16th of the drop.
-        most = max(len(self.residuals) / 16 - 1, 0.0)
-        return 1 + self.samples.distortion_variance_fraction * most
+        together = len(self.residuals) / 16  # its distortion is alike within a 16th of the drop
+        return 1 + self.samples.distortion_variance_fraction * max(together - 1, 0.0)
 
     @property
     def samples_as_one(self) -> float:
@@ -63,7 +59,7 @@ class BounceFit:
     @property
     def tail_sd(self) -> float:
         """Standard deviation by the 90 % quantile of the absolute residuals."""
-        return float(np.quantile(np.abs(self.residuals), 0.9)) / 1.645
+        return float(np.quantile(np.abs(self.residuals), 0.9)) / 1.645  # of a normal distribution
 
     def misfit_cost(self, scale: float) -> float:
         """Return the negative Student's t log likelihood for a position sd, without constants."""
@@ -94,7 +90,7 @@ class BounceFit:
 
     def projection(self) -> Projection:
         """Return the fitted camera and ball."""
-        values = self.unknowns.tolist()
+        values, rates = self.unknowns.tolist(), self.samples.bend_rates(self.unknowns).tolist()
         return Projection(
             contact=values[CONTACT],
             span=values[SPAN],
@@ -103,13 +99,7 @@ class BounceFit:
             fall_time_s=float(np.exp(values[FALL])),
             bounce=self.samples.bounce(self.unknowns),
             residual_rms=float(np.sqrt(np.mean(self.residuals**2))),
-            bends=tuple(
-                zip(
-                    self.samples.bends_s,
-                    self.samples.bend_rates(self.unknowns).tolist(),
-                    strict=True,
-                )
-            ),
+            bends=tuple(zip(self.samples.bends_s, rates, strict=True)),
         )
 
 
@@ -127,18 +117,39 @@ def fit_bounce(
     or below a `gain` in cost a sample; without a `scale` [positions' unit] that is estimated, too.
     """
     low, high = LOW.copy(), HIGH.copy()
-    for index, reach in ((FALL, _FARTHEST), (IMPACT, _FARTHEST * float(np.exp(start[FALL])))):
+    # The log of a fall time, and the impact in fall times, may go 1.5 from where they start.
+    for index, reach in ((FALL, 1.5), (IMPACT, 1.5 * float(np.exp(start[FALL])))):
         low[index], high[index] = start[index] - reach, start[index] + reach
     low[SPAN] = 1e-3 * start[SPAN]
     unknowns = np.clip(start, low, high)
     residuals = samples.residuals(unknowns)
     first = scale or _scale(residuals, samples.noise)
     fit = BounceFit(samples, unknowns, free, residuals, first)
-    cost, damping = fit.cost(first), _FIRST_DAMPING
+    chosen = list(free)
+
+    def stepped(damping: float) -> tuple[BounceFit, float]:
+        """Step by the damped equations: what would leave its bounds ends there, the rest follows.
+
+        A step that is merely cut would leave a narrow valley.
+        """
+        matrix = normal + damping * np.diag(np.diag(normal) + 1e-12)  # solvable, if nothing is seen
+        begin, unknowns = fit.unknowns[chosen], fit.unknowns.copy()
+        lowest, highest = low[chosen] - begin, high[chosen] - begin
+        step = np.linalg.lstsq(matrix, gradient, rcond=None)[0]
+        out = (step < lowest) | (step > highest)
+        if out.any() and not out.all():
+            step[out] = np.clip(step, lowest, highest)[out]
+            rest = gradient[~out] - matrix[np.ix_(~out, out)] @ step[out]
+            step[~out] = np.linalg.lstsq(matrix[np.ix_(~out, ~out)], rest, rcond=None)[0]
+        unknowns[chosen] += np.clip(step, lowest, highest)
+        tried = replace(fit, unknowns=unknowns, residuals=fit.samples.residuals(unknowns))
+        return tried, tried.cost(fit.scale)
+
+    cost, damping = fit.cost(first), 1e-3
     for _ in range(most):
         before = cost
-        tried = partial(_stepped, fit, fit.normal_equations(), low, high)
-        better, cost, damping = damped_step(tried, cost, damping, _DAMPING)
+        normal, gradient = fit.normal_equations()
+        better, cost, damping = damped_step(stepped, cost, damping, _DAMPING)
         fit = better or fit
         gained = before - cost
         new = scale or _scale(fit.residuals, samples.noise)
@@ -150,42 +161,15 @@ def fit_bounce(
     return fit
 
 
-def _stepped(
-    fit: BounceFit, equations: tuple[Array, Array], low: Array, high: Array, damping: float
-) -> tuple[BounceFit, float]:
-    """Step within the bounds by the damped normal equations; return the fit there and its cost."""
-    (normal, gradient), chosen = equations, list(fit.free)
-    damped = normal + damping * np.diag(np.diag(normal) + 1e-12)
-    begin = fit.unknowns[chosen]
-    unknowns = fit.unknowns.copy()
-    unknowns[chosen] += _bounded(damped, gradient, low[chosen] - begin, high[chosen] - begin)
-    tried = replace(fit, unknowns=unknowns, residuals=fit.samples.residuals(unknowns))
-    return tried, tried.cost(fit.scale)
-
-
 def best_of(fits: list[BounceFit]) -> BounceFit:
     """Return the likeliest of several fits to the same samples."""
     scale = min(fit.scale for fit in fits)
     return min(fits, key=lambda fit: fit.cost(scale))
 
 
-def _bounded(normal: Array, gradient: Array, low: Array, high: Array) -> Array:
-    """Solve the normal equations within bounds: what would leave them ends there, the rest follows.
-
-    A step that is merely cut would leave a narrow valley.
-    """
-    step = np.linalg.lstsq(normal, gradient, rcond=None)[0]
-    out = (step < low) | (step > high)
-    if out.any() and not out.all():
-        step[out] = np.clip(step, low, high)[out]
-        rest = gradient[~out] - normal[np.ix_(~out, out)] @ step[out]
-        step[~out] = np.linalg.lstsq(normal[np.ix_(~out, ~out)], rest, rcond=None)[0]
-    return np.clip(step, low, high).astype(np.float64)
-
-
 def _scale(residuals: Array, noise: float) -> float:
     """Estimate the standard deviation by the median absolute residual, not below the noise."""
-    return max(noise, 1.4826 * float(np.median(np.abs(residuals))))
+    return max(noise, 1.4826 * float(np.median(np.abs(residuals))))  # of a normal distribution
 
 
 # ---- Samples that a fitted bounce adds and leaves out: the ball in the hand, and at impacts
@@ -212,13 +196,13 @@ def with_pre_release_samples(whole: BounceSamples, fit: BounceFit) -> BounceFit:
         misses = misses + 1 if off[held - begin] > 4.0 * fit.scale else 0
     moved = misses >= 3
     held = min(held + misses, first)
-    still = float(whole.seconds[first] - whole.seconds[held])
-    if whole.in_metres and moved and still < 0.35 * fall_s:
-        return fit  # it was in no hand: at the top of a flight a ball seems to be held, too
-    if first == held:
+    still_s = float(whole.seconds[first] - whole.seconds[held])
+    # At the top of a flight a ball seems to be held for a third of a fall time, too.
+    if first == held or (whole.in_metres and moved and still_s < 0.35 * fall_s):
         return fit
     last = int(np.searchsorted(whole.seconds, fit.samples.seconds[-1], side="right"))
     longer = fit_bounce(whole.part(held, last), fit.unknowns, fit.free)
+    # A hand that moves after all stands out of the noise by half.
     return longer if longer.tail_sd < 1.5 * max(fit.tail_sd, whole.noise) else fit
 
 
@@ -232,17 +216,14 @@ def without_impact_samples(fit: BounceFit) -> BounceSamples:
     times = samples.times(unknowns)
     ball = samples.bounce(unknowns)
     starts, speeds = ball.flights(float(times[-1]))
-    fall_s = float(np.exp(unknowns[FALL]))
-    reach = np.maximum(
-        samples.exposure_s / 2 / fall_s,
-        fit.scale / float(unknowns[SPAN]) / np.maximum(ball.arrivals(speeds) + speeds, 1e-9),
-    )
+    least = samples.exposure_s / 2 / float(np.exp(unknowns[FALL]))
+    noise = fit.scale / float(unknowns[SPAN])
+    reach = np.maximum(least, noise / np.maximum(ball.arrivals(speeds) + speeds, 1e-9))
     if correlation_time(fit.residuals, len(fit.free)) > 1:
         # A filter rounds the samples beside an impact.
-        reach = np.maximum(reach, 1.5 * float(np.median(np.diff(times))))
+        reach = np.maximum(reach, 1.5 * median_step(times))
     longest = np.minimum(np.diff(starts, prepend=-1.0), np.diff(starts, append=np.inf))
-    least = samples.exposure_s / 2 / fall_s
-    reach = np.maximum(np.minimum(reach, 0.15 * longest), least)
+    reach = np.maximum(np.minimum(reach, 0.15 * longest), least)  # most of a flight stays
     # Which times are farther from all impacts than each reaches, shape (T,).
     after = np.searchsorted(starts, times, side="right")
     before, later = np.maximum(after - 1, 0), np.minimum(after, len(starts) - 1)
@@ -250,17 +231,13 @@ def without_impact_samples(fit: BounceFit) -> BounceSamples:
         (np.abs(times - starts[before]) > reach[before])
         & (np.abs(starts[later] - times) > reach[later])
     ) | (times > starts[-1])
-    if np.count_nonzero(kept) < max(MIN_SAMPLES, 0.5 * len(times)):
-        return samples
-    return samples.only(kept)
+    few = np.count_nonzero(kept) < max(MIN_SAMPLES, 0.5 * len(times))
+    return samples if few else samples.only(kept)
 
 
 # ---- Fit to recorded heights: more and more flights, as long as one law explains them
 # The first flight fixes the restitution to a few thousandths, which is near enough for the second,
 # and so on: far ahead the cost has dozens of minima.
-
-_EXACT = 1e-4  # fraction of the drop height that no recording, and no model of a ball, is held to
-_RESTITUTIONS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)  # starts where parabolas show none
 
 
 def samples_of(drop: Drop, drag_1_m: float | None) -> BounceSamples:
@@ -277,8 +254,7 @@ def samples_of(drop: Drop, drag_1_m: float | None) -> BounceSamples:
 
 
 def noise_floor(drop: Drop) -> float:
-    """Return the standard deviation of a height [m]: its noise, or what no recording is held to."""
-    # As much as a drop of the engine without noise is off.
+    """Return a height's standard deviation [m]: its noise, at least that of a noiseless engine."""
     return max(drop.noise_m, 1e-5 * drop.drop_height_m)
 
 
@@ -293,7 +269,7 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
     unknowns[[RESTITUTION, IMPACT, FALL]] = restitution, drop.impact_s, np.log(drop.fall_time_s)
     unknowns[[CONTACT, SPAN]] = drop.contact_m, drop.drop_height_m
     unknowns[[SLOPE, DRAG]] = 0.05, 0.03  # what most balls have
-    tried = (restitution,) if restitution else _RESTITUTIONS
+    tried = (restitution,) if restitution else (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)  # none was seen
     starts = list(np.tile(unknowns, (len(tried), 1)))
     for one, value in zip(starts, tried, strict=True):
         one[RESTITUTION] = value
@@ -301,7 +277,7 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
     # Fall times of a rest: more would only repeat the table's level.
     rest_seen = 4.0 if same_table else 0.0
     best: BounceFit | None = None
-    for flights in (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 19, 22, 26, 30, 35, 40):
+    for flights in (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 19, 22, 26, 30, 35, 40):  # in turn
         chosen = _window(whole, unknowns, flights, rest_seen)
         count = int(np.count_nonzero(chosen))
         if count < MIN_SAMPLES or (best is not None and count == len(best.residuals)):
@@ -309,10 +285,20 @@ def fit_positions(drop: Drop, drag_1_m: float | None = None) -> BounceFit | None
         samples = whole.only(chosen)
         # Roughly: it only leads to the next.
         fit = best_of([fit_bounce(samples, one, whole.unknowns, 12, 1e-4) for one in starts])
-        if best is not None and not _is_explained(fit, best, drop):
-            break
+        if best is not None:
+            # One more flight has to leave residuals that are noise, within 4 standard deviations of
+            # a variance; no recording, and no model of a ball, is held to 1e-4 of the drop height.
+            noise = max(drop.noise_m, _spread(best))
+            freedom = max(len(fit.residuals) - len(fit.free), 1)
+            allowed = noise**2 * (1 + 4.0 * np.sqrt(2 / freedom))
+            if not _spread(fit) ** 2 < allowed + (1e-4 * fit.unknowns[SPAN]) ** 2:
+                break
         best, unknowns, starts = fit, fit.unknowns, [fit.unknowns]
-    return None if best is None else finished(whole, best)
+    if best is None:
+        return None
+    best = with_pre_release_samples(whole, best)
+    samples = without_impact_samples(best)
+    return fit_bounce(samples, best.unknowns, best.free, most=60, gain=1e-8)
 
 
 def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
@@ -324,15 +310,12 @@ def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
     resting = drop.seconds >= drop.rest_s
     rest_m = drop.rest_m
     if resting.any():
-        at_s = drop.seconds[resting]
-        ball_m = view.positions(view.bounce.heights(view.fall_times(at_s)), at_s)
+        ball_m = view.ball(drop.seconds[resting])
         rest_m = view.contact + float(np.median(drop.heights_m[resting] - ball_m))
     release_s = view.impact_s - view.fall_time_s * view.bounce.fall_time
     release_m = view.contact + view.span
     if drop.launched:
-        release_s = float(drop.seconds[0])
-        at_s = drop.seconds[:1]
-        release_m = float(view.positions(view.bounce.heights(view.fall_times(at_s)), at_s)[0])
+        release_s, release_m = float(drop.seconds[0]), float(view.ball(drop.seconds[:1])[0])
     return replace(
         drop,
         impact_s=view.impact_s,
@@ -343,12 +326,6 @@ def fitted_drop(drop: Drop, fit: BounceFit) -> Drop:
         gravity_m_s2=2 * view.span / view.fall_time_s**2,
         rest_m=rest_m,
     )
-
-
-def finished(whole: BounceSamples, fit: BounceFit) -> BounceFit:
-    """Refit to the end: with the ball in the hand before, without the samples at impacts."""
-    fit = with_pre_release_samples(whole, fit)
-    return fit_bounce(without_impact_samples(fit), fit.unknowns, fit.free, most=60, gain=1e-8)
 
 
 def _window(
@@ -369,15 +346,6 @@ def _window(
         end = np.inf
     # Earlier in the fall a hand may still touch the ball.
     return (whole.starts_in_flight | (times > -0.95 * ball.fall_time)) & (times < end)
-
-
-def _is_explained(fit: BounceFit, before: BounceFit, drop: Drop) -> bool:
-    """Return whether one more flight leaves residuals that are noise."""
-    noise = max(drop.noise_m, _spread(before))
-    freedom = max(len(fit.residuals) - len(fit.free), 1)
-    # Within 4 standard deviations a residual variance is noise.
-    allowed = noise**2 * (1 + 4.0 * np.sqrt(2 / freedom))
-    return bool(_spread(fit) ** 2 < allowed + (_EXACT * fit.unknowns[SPAN]) ** 2)
 
 
 def _spread(fit: BounceFit) -> float:

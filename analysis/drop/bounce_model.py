@@ -103,14 +103,10 @@ class Prior:
 
 
 # ---- Uncalibrated camera: a projective map of the vertical (Hartley and Zisserman 2004)
-# Three points fix the map of a line, and it keeps the cross-ratio of four. For each k, A and B
-# follow in closed form: what the best map leaves of a track is the error of the curve alone.
+# Three points fix the map of a line, and it keeps the cross-ratio of four.
 
 PERSPECTIVE_SD = 0.7  # prior of k, normal about 0: from the camera poses that people use
-# Least depth [depth of the contact]: a height above the camera has no image. A best map, which is
-# for any curve, keeps farther away.
-_NEAREST, _NEAREST_OF_MAP = 1e-3, 0.05
-_MIN_NOISE = 1e-9  # in place of 0
+_NEAREST = 1e-3  # least depth [depth of the contact]: a height above the camera has no image
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +139,10 @@ class Projection:
         """Project heights [drop heights] at these times onto the vertical, shape (T,)."""
         return self.contacts(seconds) + self.span * projected(heights, self.perspective)
 
+    def ball(self, seconds: Array) -> Array:
+        """Return where the ball is at these times, along the vertical, shape (T,)."""
+        return self.positions(self.bounce.heights(self.fall_times(seconds)), seconds)
+
     def fall_times(self, seconds: Array) -> Array:
         """Convert times [s] to times [fall times after the first impact], shape (T,)."""
         return (seconds - self.impact_s) / self.fall_time_s
@@ -154,19 +154,6 @@ class Projection:
         return starts[starts <= max(last, 0.0)]
 
 
-@dataclass(frozen=True)
-class ProjectiveMap:
-    """Projective map from heights to positions in the picture."""
-
-    contact: float  # A, where height 0 is
-    span: float  # B, from there to where height 1 is
-    perspective: float  # k
-
-    def positions(self, heights: Array) -> Array:
-        """Project heights [drop heights] into the picture, in the unit of `contact`, shape (T,)."""
-        return self.contact + self.span * projected(heights, self.perspective, _NEAREST_OF_MAP)
-
-
 def projected(heights: Array, perspective: float | Array, nearest: float = _NEAREST) -> Array:
     """Evaluate phi(u) at heights [drop heights]; k broadcasts with them."""
     grow = np.exp(perspective)
@@ -174,7 +161,7 @@ def projected(heights: Array, perspective: float | Array, nearest: float = _NEAR
 
 
 def ideal_heights(restitution: Array, times: Array) -> Array:
-    """Compute heights [drop heights] without air, of one restitution, at times [fall times].
+    """Compute heights [drop heights] of an airless ball of one restitution, at times [fall times].
 
     Both broadcast; 0 is the first impact, after a fall from rest.
     """
@@ -185,40 +172,6 @@ def ideal_heights(restitution: Array, times: Array) -> Array:
     since = after - 2 * kept * (1 - speeds) / (1 - kept)
     flying = np.where(bouncing > 0, np.maximum(since * (2 * kept * speeds - since), 0.0), 0.0)
     return np.where(times < 0, 1 - np.maximum(times + 1, 0.0) ** 2, flying)
-
-
-def best_map(heights: Array, positions: Array, noise: float) -> ProjectiveMap:
-    """Fit the map from heights [drop heights] nearest to positions in any unit, (T,) each with NaN.
-
-    Least squares over at least three of both; `noise` is the standard deviation of a position: how
-    much the track counts against k's prior.
-    """
-    known = np.isfinite(heights) & np.isfinite(positions)
-    heights, positions = heights[known], positions[known]
-    noise = max(noise, _MIN_NOISE)
-    off = positions - positions.mean()
-    best = 0.0
-    # About the best of the first ones.
-    for grid in (np.arange(-2.0, 2.01, 0.25), np.arange(-0.25, 0.26, 0.0625)):
-        tried = best + grid
-        curves = projected(heights, tried[:, None], _NEAREST_OF_MAP)
-        curves = curves - curves.mean(axis=1, keepdims=True)
-        power = np.maximum(np.einsum("kt,kt->k", curves, curves), _MIN_NOISE)
-        squares = off @ off - (curves @ off) ** 2 / power  # that the best A and B of each k leave
-        # Locate the vertex of the parabola through the lowest of even points and its neighbours.
-        costs = squares / noise**2 + (tried / PERSPECTIVE_SD) ** 2
-        at = int(np.argmin(costs))
-        if not 0 < at < len(costs) - 1:
-            best = float(tried[at])
-        else:
-            before, here, after = costs[at - 1 : at + 2]
-            bend = before - 2 * here + after
-            fraction = 0.0 if bend <= 0 else 0.5 * (before - after) / bend
-            best = float(tried[at] + fraction * (tried[at + 1] - tried[at]))
-    curve = projected(heights, np.array(best), _NEAREST_OF_MAP)
-    off_curve = curve - curve.mean()
-    span = float(off_curve @ positions / max(off_curve @ off_curve, _MIN_NOISE))
-    return ProjectiveMap(float(positions.mean() - span * curve.mean()), span, best)
 
 
 # ---- Unknowns of a bounce, and the samples that they are fitted to
@@ -277,11 +230,6 @@ class BounceSamples:
     heard: AudioImpacts | None = None  # impacts that were heard, too; None where none were
 
     @property
-    def own_noise(self) -> float:
-        """Noise without its share of lens distortion."""
-        return self.noise * float(np.sqrt(1 - self.distortion_variance_fraction))
-
-    @property
     def unknowns(self) -> tuple[int, ...]:
         """Indices of the unknowns that can be fitted to the samples."""
         ball = (RESTITUTION, IMPACT, FALL, CONTACT, SPAN, SLOPE, DRAG)
@@ -299,37 +247,30 @@ class BounceSamples:
 
     def bounce(self, unknowns: Array) -> Bounce:
         """Build the ball of these unknowns, shape (16,)."""
-        ball = Bounce(float(unknowns[RESTITUTION]), float(unknowns[SLOPE]), float(unknowns[DRAG]))
-        unit_m_s = GRAVITY_M_S2 * float(np.exp(unknowns[FALL])) / 2
-        slowest = MIN_SPEED_M_S / (ball.impact_speed * unit_m_s)
-        return Bounce(
-            ball.restitution,
-            ball.slope,
-            ball.drag,
-            constant_below=slowest,
+        ball = Bounce(*unknowns[[RESTITUTION, SLOPE, DRAG]].tolist())
+        fall_s = float(np.exp(unknowns[FALL]))
+        return replace(
+            ball,
+            constant_below=MIN_SPEED_M_S / (ball.impact_speed * (GRAVITY_M_S2 * fall_s / 2)),
             starts_in_flight=self.starts_in_flight,
-            contact=float(unknowns[TOUCH] / np.exp(unknowns[FALL])) if self.heard else 0.0,
+            contact=float(unknowns[TOUCH]) / fall_s if self.heard else 0.0,
         )
 
     def residuals(self, unknowns: Array, ball: Bounce | None = None) -> Array:
         """Return predicted less seen positions, (T,), of unknowns (16,) or of another `ball`."""
         heights = (ball or self.bounce(unknowns)).heights(self.times(unknowns))
         shape = projected(heights, float(unknowns[PERSPECTIVE]))
-        return unknowns[CONTACT] + unknowns[SPAN] * shape + self._moved(unknowns) - self.positions
+        moved = self._since_bends_s @ self.bend_rates(unknowns)
+        return unknowns[CONTACT] + unknowns[SPAN] * shape + moved - self.positions
 
     def bend_rates(self, unknowns: Array) -> Array:
         """Return the contact's speed from each bend on, in the positions' unit/s, shape (N,)."""
         unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
         return unit * unknowns[_KNOWN : _KNOWN + len(self.bends_s)]
 
-    def _moved(self, unknowns: Array) -> Array:
-        """Return how far the contact has moved, shape (T,)."""
-        if not self.bends_s:
-            return np.zeros(len(self.seconds))
-        return self._since() @ self.bend_rates(unknowns)
-
-    def _since(self) -> Array:
-        """Return the seconds since each bend, shape (T, N)."""
+    @cached_property
+    def _since_bends_s(self) -> Array:
+        """Time since each bend, 0 before it, shape (T, N)."""
         return np.maximum(self.seconds[:, None] - np.array(self.bends_s), 0.0)
 
     def jacobian(self, unknowns: Array, free: tuple[int, ...]) -> Array:
@@ -339,7 +280,7 @@ class BounceSamples:
         at = np.concatenate([times, times + _SHORT]) if timed else times
         heights, later = np.split(self.bounce(unknowns).heights(at), [len(times)])
         grow = float(np.exp(unknowns[PERSPECTIVE]))
-        depth = np.maximum(1 + (grow - 1) * heights, 1e-3)
+        depth = np.maximum(1 + (grow - 1) * heights, _NEAREST)
         per_height = unknowns[SPAN] * grow / depth**2
         columns = {
             CONTACT: np.ones(len(times)),
@@ -353,9 +294,8 @@ class BounceSamples:
             speeds = (later - heights) / _SHORT
             columns[IMPACT] = -per_height * speeds / np.exp(unknowns[FALL])
             columns[FALL] = -per_height * speeds * times
-        if self.bends_s:
-            unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
-            columns |= dict(enumerate((unit * self._since()).T, start=_KNOWN))
+        unit = BEND_SD * unknowns[SPAN] / np.exp(unknowns[FALL])
+        columns |= dict(enumerate((unit * self._since_bends_s).T, start=_KNOWN))
         if OFFSET in free:
             columns[OFFSET] = np.zeros(len(times))
         return np.column_stack([columns[index] for index in free])
@@ -376,33 +316,27 @@ class BounceSamples:
 
     def priors(self, unknowns: Array) -> list[Prior]:
         """Return the priors of the unknowns, and the heard impacts as measurements."""
-        # The priors of balls, cameras and metres.
+
+        def about(index: int, usual: float, sd: float) -> Prior:
+            return Prior({index: 1.0}, float(unknowns[index] - usual), sd)
+
+        # Of balls, metres and cameras.
         height_m = GRAVITY_M_S2 * float(np.exp(2 * unknowns[FALL])) / 2
         usual, sd_1_m = 0.0, DRAG_SD_1_M
         if self.drag_1_m is not None:
             usual, sd_1_m = self.drag_1_m, KNOWN_DRAG * self.drag_1_m
-        found = [
-            Prior({SLOPE: 1.0}, float(unknowns[SLOPE]), SLOPE_SD),
-            Prior({DRAG: 1.0}, float(unknowns[DRAG] - usual * height_m), sd_1_m * height_m),
-        ]
+        found = [about(SLOPE, 0.0, SLOPE_SD), about(DRAG, usual * height_m, sd_1_m * height_m)]
         if self.in_metres:
             off = float(np.log(unknowns[SPAN] / height_m))
-            slopes = {SPAN: 1 / float(unknowns[SPAN]), FALL: -2.0}
             sd, freedom = (METRE_SD, METRE_FREEDOM) if self.scale_known else (ANY_SCALE_SD, np.inf)
-            likely = [*found, Prior(slopes, off, sd, freedom)]
+            found.append(Prior({SPAN: 1 / float(unknowns[SPAN]), FALL: -2.0}, off, sd, freedom))
         else:
-            found += [
-                Prior({_KNOWN + bend: 1.0}, float(unknowns[_KNOWN + bend]), 1.0)
-                for bend in range(len(self.bends_s))
-            ]
-            likely = [
-                *found,
-                Prior({PERSPECTIVE: 1.0}, float(unknowns[PERSPECTIVE]), PERSPECTIVE_SD),
-            ]
-        return likely if self.heard is None else [*likely, *self._heard(self.heard, unknowns)]
-
-    def _heard(self, heard: AudioImpacts, unknowns: Array) -> list[Prior]:
-        """Return the heard impact times as measurements, and the priors of offset and contact."""
+            found += [about(_KNOWN + bend, 0.0, 1.0) for bend in range(len(self.bends_s))]
+            found.append(about(PERSPECTIVE, 0.0, PERSPECTIVE_SD))
+        if self.heard is None:
+            return found
+        # Of the sound's offset and the contacts, and the times as measurements.
+        heard = self.heard
         times_s = self.touches_s(unknowns, heard.numbers)
         slopes: dict[int, Array] = {}
         for index in (RESTITUTION, SLOPE, DRAG):
@@ -412,10 +346,7 @@ class BounceSamples:
         slopes[FALL] = times_s - unknowns[IMPACT] - slopes[TOUCH] * unknowns[TOUCH]
         slopes[IMPACT] = slopes[OFFSET] = np.ones(len(times_s))
         off_s = times_s + unknowns[OFFSET] - heard.times_s
-        found = [
-            Prior({OFFSET: 1.0}, float(unknowns[OFFSET]), OFFSET_SD_S),
-            Prior({TOUCH: 1.0}, float(unknowns[TOUCH]) - TOUCH_S, TOUCH_SD_S),
-        ]
+        found += [about(OFFSET, 0.0, OFFSET_SD_S), about(TOUCH, TOUCH_S, TOUCH_SD_S)]
         white = heard.whitening
         moves = {index: (white @ each).tolist() for index, each in slopes.items()}
         for at, off in enumerate((white @ off_s).tolist()):

@@ -14,9 +14,9 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.analysis.drop.bounce_fit import (
     MAX_IMPACTS,
@@ -51,8 +51,13 @@ from tunenet_logs.analysis.drop.times.readings import (
     TYPICAL_DRAG_1_M,
 )
 from tunenet_logs.analysis.record import Rebound
-from tunenet_logs.analysis.statistics import TWO_SIDED, correlation_time, mixture_quantile
-from tunenet_logs.episode import Array
+from tunenet_logs.analysis.statistics import (
+    TWO_SIDED,
+    correlation_time,
+    mixture_quantile,
+    normalised,
+)
+from tunenet_logs.episode import Array, median_step
 from tunenet_logs.recorders.simulators.ball import Bounce
 from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2
 
@@ -72,31 +77,19 @@ class ContactBound:
     # restitution.
     restitution_sd: float
 
-    def log_likelihood(self, off: Array) -> Array:
-        """Return the log probability of a contact above 0, shape (M,), off the middle by (M, 2)."""
+    def cut(self, off: Array) -> tuple[Array, Array, Array]:
+        """Cut the contact off at 0 for slopes and drags (M, 2) off the likelihood's middle.
+
+        Returns the log probability of a contact above 0, how far the bound moves the restitution
+        and by how much it lowers its variance, shape (M,) each.
+        """
         from scipy.special import log_ndtr
 
-        return np.asarray(log_ndtr(self._above(off)), dtype=np.float64)
-
-    def restitution_moved(self, off: Array) -> Array:
-        """Return how far the bound moves the restitution, shape (M,)."""
-        return self.restitution_sd * self._cut(off)[0]
-
-    def variance_taken(self, off: Array) -> Array:
-        """Return how much the bound lowers the restitution's variance, shape (M,)."""
-        return self.restitution_sd**2 * self._cut(off)[1]
-
-    def _above(self, off: Array) -> Array:
-        """Return the contact before the bound, in standard deviations, shape (M,)."""
-        return np.maximum((self.value_s + off @ self.moves) / self.sd_s, -30.0)
-
-    def _cut(self, off: Array) -> tuple[Array, Array]:
-        """Return the truncated standard normal's mean and loss of variance, shape (M,)."""
-        from scipy.special import log_ndtr
-
-        above = self._above(off)
-        mean = np.exp(-0.5 * above**2 - log_ndtr(above)) / np.sqrt(2 * np.pi)
-        return mean, mean * (mean + above)
+        above = np.maximum((self.value_s + off @ self.moves) / self.sd_s, -30.0)  # sds above 0
+        log_share = np.asarray(log_ndtr(above), dtype=np.float64)
+        mean = np.exp(-0.5 * above**2 - log_share) / np.sqrt(2 * np.pi)
+        taken = self.restitution_sd**2 * (mean * (mean + above))
+        return log_share, self.restitution_sd * mean, taken
 
 
 # ---- Derivatives of positions and times by each impact's own restitution
@@ -149,36 +142,24 @@ class BallLikelihood:
     log_evidence: float = 0.0  # logarithm of the likelihood there, without a constant
     bound: ContactBound | None = None  # on the contact's duration, where impacts were heard
 
-    @property
-    def sds(self) -> Array:
-        """Standard deviations of slope and drag, shape (2,)."""
-        return np.sqrt(np.diag(np.linalg.inv(self.precision + np.diag(np.array(WIDEST) ** -2))))
+    def at(self, slopes: Array, drags: Array) -> tuple[Array, Array, Array]:
+        """Evaluate at slopes and drags * drop height: log density, restitution, loss.
 
-    @property
-    def correlation(self) -> float:
-        """Correlation of slope and drag."""
-        covariance = np.linalg.inv(self.precision + np.diag(np.array(WIDEST) ** -2))
-        return float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
-
-    def log_density(self, slopes: Array, drags: Array) -> Array:
-        """Return the log density (no constant) at slopes and drags * drop height, shape (M,)."""
+        The density is without a constant, the restitution the likeliest; the loss is of variance,
+        by the bound on contacts. Shape (M,) each.
+        """
         off = np.column_stack([slopes, drags]) - self.middle
         log = self.log_evidence - 0.5 * np.einsum("mi,ij,mj->m", off, self.precision, off)
-        return log if self.bound is None else log + self.bound.log_likelihood(off)
-
-    def restitution(self, slopes: Array, drags: Array) -> Array:
-        """Return the likeliest restitution at each slope and drag, shape (M,)."""
-        off = np.column_stack([slopes, drags]) - self.middle
-        found = self.value + off @ self.moves
-        return found if self.bound is None else found + self.bound.restitution_moved(off)
-
-    def sd_of_all(self, slopes: Array, drags: Array, weights: Array) -> float:
-        """Return the restitution's sd given slope and drag, averaged over both."""
+        value = self.value + off @ self.moves
         if self.bound is None:
-            return self.restitution_sd
-        off = np.column_stack([slopes, drags]) - self.middle
-        taken = float(weights @ self.bound.variance_taken(off))
-        return float(np.sqrt(max(self.restitution_sd**2 - taken, 0.0)))
+            return log, value, np.zeros(len(off))
+        log_share, moved, taken = self.bound.cut(off)
+        return log + log_share, value + moved, taken
+
+
+def _covariance(precision: Array) -> Array:
+    """Return the covariance of slope and drag, no wider than where samples tell nothing, (2, 2)."""
+    return np.asarray(np.linalg.inv(precision + np.diag(np.array(WIDEST) ** -2)), dtype=np.float64)
 
 
 def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
@@ -189,24 +170,32 @@ def ball_likelihoods(fit: BounceFit, factor: float) -> list[BallLikelihood]:
     law = replace(fit.samples, heard=replace(fit.samples.heard, scatter=0.0))
     linear = _Linear.of(replace(fit, samples=law), factor)
     own = np.arange(len(fit.free), linear.jacobian.shape[1])
-    # The least that is known of a fit's unknowns, as weights, shape (U,).
-    more = len(own)
+    # The least that is known of a fit's unknowns, as weights.
     least = {RESTITUTION: ANY_RESTITUTION_SD, SLOPE: WIDEST[0], DRAG: WIDEST[1]}
-    known = np.diag(
-        np.array([least.get(index, np.inf) for index in fit.free] + [np.inf] * more) ** -2
-    )
+    sds = [least.get(index, np.inf) for index in fit.free] + [np.inf] * len(own)
+    known = np.diag(np.array(sds) ** -2)
+    # Each scatter's log prior, with the normalisation of so many deviations.
+    log_priors = np.log(list(SCATTERS.values())) - len(own) * np.log(list(SCATTERS))
+
+    def scattered(normal: Array) -> list[Array]:
+        """Add each scatter as the standard deviation of the impacts' deviations."""
+        found = [normal.copy() for _ in SCATTERS]
+        for one, scatter in zip(found, SCATTERS, strict=True):
+            one[own, own] += scatter**-2
+        return found
+
     weights = linear.weights()[0], np.ones(len(linear.off))
     for _ in range(6):  # reweighting by the residuals, which the deviations explain
         normal, gradient = linear.equations(*weights)
-        peaks = [_peak(one + known, gradient) for one in _scattered(normal, own)]
-        log = np.array([peak[1] for peak in peaks]) + _log_priors(len(own))
+        peaks = [_peak(one + known, gradient) for one in scattered(normal)]
+        log = np.array([peak[1] for peak in peaks]) + log_priors
         likely = np.exp(log - log.max())
         weights = linear.weights(likely @ np.array([peak[0] for peak in peaks]) / likely.sum())
     normal, gradient = linear.equations(*weights)
-    found = [_of_law(fit, one, gradient) for one in _scattered(normal, own)]
+    found = [_of_law(fit, one, gradient) for one in scattered(normal)]
     return [
         replace(one, log_evidence=one.log_evidence + float(prior))
-        for one, prior in zip(found, _log_priors(len(own)), strict=True)
+        for one, prior in zip(found, log_priors, strict=True)
     ]
 
 
@@ -263,20 +252,6 @@ class _Linear:
         return normal, gradient
 
 
-def _scattered(normal: Array, own: NDArray[np.intp]) -> list[Array]:
-    """Add each scatter as the standard deviation of the deviations."""
-    found: list[Array] = []
-    for scatter in SCATTERS:
-        found.append(normal.copy())
-        found[-1][own, own] += scatter**-2
-    return found
-
-
-def _log_priors(count: int) -> Array:
-    """Return each scatter's log prior, with the normalisation of so many deviations."""
-    return np.log(list(SCATTERS.values())) - count * np.log(list(SCATTERS))
-
-
 def _peak(normal: Array, gradient: Array) -> tuple[Array, float]:
     """Return a normal likelihood's mode and the logarithm of its integral."""
     diagonal = np.diag(normal)
@@ -300,7 +275,7 @@ def _of_law(fit: BounceFit, normal: Array, gradient: Array) -> BallLikelihood:
     across = normal[np.ix_(others, order)]
     precision = normal[np.ix_(order, order)] - across.T @ inverse @ across
     pull = gradient[order] - across.T @ inverse @ gradient[others]
-    step = np.linalg.inv(precision + np.diag(np.array(WIDEST) ** -2)) @ pull
+    step = _covariance(precision) @ pull
     log = _peak(normal[np.ix_(others, others)], gradient[others])[1]
 
     def alone(index: int) -> tuple[float, Array, int]:
@@ -336,14 +311,8 @@ _NO_SLOPE, _NO_DRAG, _NO_DRAG_IN_PICTURE = 0.4, 0.5, 0.85
 _SLOPE_SD, _NEGATIVE_SD = 0.12, 0.01
 _LOG_DRAG_SD = 1.3  # of the log of another ball's drag: less narrow than of balls that are heard
 _NODES, _REACH_SDS = 45, 4.5  # of the grid along one axis, and how far it goes
-_MIN_SD = 1e-5  # of a restitution: no lens, no clock and no simulator are better
-_MIN_SD_IN_PICTURE = 2e-4  # the same of a film
-_FILM_WIDER = 1.1  # factor on a film's intervals of the restitution: without it too few cover
 # How much less likely the ends are: a t distribution is flatter than the noise of a track.
 _RISE = 0.93 * TWO_SIDED**2 / 2
-# Standard deviation of a restitution beyond which the ends are searched for: near 0 a rebound grows
-# with its square, and no normal likelihood describes it.
-_UNSURE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,13 +333,18 @@ def ball_posterior(fit: BounceFit) -> BallPosterior:
     height_m = GRAVITY_M_S2 * float(np.exp(2 * fit.unknowns[FALL])) / 2
     factor = fit.samples_as_one
     likelihoods = ball_likelihoods(fit, factor)
-    grids = [_Grid.of(one, fit, height_m) for one in likelihoods]
-    logs = np.array([grid.log_evidence for grid in grids])
-    shares = np.exp(logs - logs.max()) / np.exp(logs - logs.max()).sum()
-    axes = [_mixed(axis, shares) for axis in zip(*(grid.axes for grid in grids), strict=True)]
+    grids = [_weighed_grid(one, fit, height_m) for one in likelihoods]
+    shares, _ = normalised(np.array([log for _, log in grids]))
+    # Mix the likelihoods, each with its share: middles, standard deviations, weights.
+    axes: list[_Axis] = []
+    for parts in zip(*(of_one for of_one, _ in grids), strict=True):
+        middles, sds, weights = zip(*parts, strict=True)
+        shared = [share * one for share, one in zip(shares, weights, strict=True)]
+        axes.append((np.concatenate(middles), np.concatenate(sds), np.concatenate(shared)))
     means = [float(weights @ middles) for middles, _, weights in axes]
     ends = np.array([[mixture_quantile(at, *axis) for at in (0.025, 0.975)] for axis in axes])
-    wider = _profile_factors(fit, factor) * (1 if fit.samples.in_metres else _FILM_WIDER)
+    # Without the factor 1.1 too few intervals of films cover.
+    wider = _profile_factors(fit, factor) * (1 if fit.samples.in_metres else 1.1)
     ends[0] = means[0] + (ends[0] - means[0]) * wider
     ends = np.clip(ends, [[0.0], [-np.inf], [0.0]], [[1.0], [np.inf], [np.inf]])
     held = fit.unknowns.copy()
@@ -378,87 +352,71 @@ def ball_posterior(fit: BounceFit) -> BallPosterior:
     rest = tuple(index for index in fit.free if index not in (SLOPE, DRAG))
     final = replace(fit_bounce(fit.samples, held, rest), free=fit.free)
     values = np.array([np.clip(means[0], 0.0, 1.0), means[1], means[2]])
-    width = np.ptp(ends[1:], axis=1)
-    return BallPosterior(
-        values,
-        ends,
-        final,
-        likelihoods[int(shares.argmax())].correlation,
-        np.clip(1 - width / _prior_widths(fit), 0.0, 1.0),
-    )
+    # The prior 95 % widths of slope and drag [1/m].
+    drag_width = TYPICAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)
+    if fit.samples.drag_1_m is not None:
+        drag_width = 2 * TWO_SIDED * KNOWN_DRAG * fit.samples.drag_1_m
+    told = 1 - np.ptp(ends[1:], axis=1) / np.array([TWO_SIDED * _SLOPE_SD, drag_width])
+    covariance = _covariance(likelihoods[int(shares.argmax())].precision)
+    correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+    return BallPosterior(values, ends, final, float(correlation), np.clip(told, 0.0, 1.0))
 
 
 # A mixture of normal distributions: their middles, standard deviations and weights, shape (M,).
 _Axis = tuple[Array, Array, Array]
 
 
-@dataclass(frozen=True, eq=False)
-class _Grid:
-    """Balls on a grid over slope and drag, weighted by one likelihood."""
+def _weighed_grid(
+    likelihood: BallLikelihood, fit: BounceFit, height_m: float
+) -> tuple[list[_Axis], float]:
+    """Weigh balls on a grid around a likelihood's mode, with those of no slope and of no drag.
 
-    axes: tuple[_Axis, _Axis, _Axis]  # of the restitution, the slope and the drag [1/m]
-    log_evidence: float  # logarithm of the likelihood, averaged over them
-
-    @classmethod
-    def of(cls, likelihood: BallLikelihood, fit: BounceFit, height_m: float) -> _Grid:
-        """Build the grid around the likelihood's mode, with balls of no slope and of no drag."""
-        middle, sds = likelihood.middle, likelihood.sds
-        slopes, slope_step = _nodes(float(middle[0]), float(sds[0]), -0.05, 0.45)
-        drags, drag_step = _nodes(float(middle[1]) / height_m, float(sds[1]) / height_m, 0.0, 1.0)
-        is_heard = fit.samples.heard is not None
-        no_slope = NO_SLOPE if is_heard else _NO_SLOPE
-        sds = np.where(slopes < 0, _NEGATIVE_SD, _SLOPE_SD)
-        total = np.sqrt(np.pi / 2) * (_NEGATIVE_SD + _SLOPE_SD)
-        slope_prior = (np.exp(-0.5 * (slopes / sds) ** 2) / total) * slope_step * (1 - no_slope)
-        known = fit.samples.drag_1_m
-        if known is None:
-            none = _NO_DRAG if fit.samples.in_metres else _NO_DRAG_IN_PICTURE
-            none = NO_DRAG if is_heard else none
-            off = np.log(drags / TYPICAL_DRAG_1_M) / _LOG_DRAG_SD
-            drag_prior = (
-                (np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * _LOG_DRAG_SD * drags))
-                * drag_step
-                * (1 - none)
-            )
-            drags, drag_prior = np.append(drags, 0.0), np.append(drag_prior, none)
-        else:
-            drags, drag_step = _nodes(known, KNOWN_DRAG * known, 0.0, 2 * known)
-            drag_prior = np.exp(-0.5 * ((drags - known) / (KNOWN_DRAG * known)) ** 2)
-        slopes, slope_prior = np.append(slopes, 0.0), np.append(slope_prior, no_slope)
-        both = np.meshgrid(slopes, drags, indexing="ij")
-        flat_slopes, flat_drags = (one.ravel() for one in both)
-        prior = np.outer(slope_prior, drag_prior).ravel()
-        log = likelihood.log_density(flat_slopes, flat_drags * height_m)
-        log += np.log(np.maximum(prior, 1e-300))
-        weights = np.exp(log - log.max())
-        log_evidence = float(log.max() + np.log(weights.sum()))
-        weights /= weights.sum()
-        restitution = likelihood.restitution(flat_slopes, flat_drags * height_m)
-        sd = likelihood.sd_of_all(flat_slopes, flat_drags * height_m, weights)
-        sd = float(np.hypot(sd, _least_sd(fit)))
-        axes = (
-            (restitution, np.full(len(restitution), sd), weights),
-            _marginal(flat_slopes, slope_step, weights),
-            _marginal(flat_drags, drag_step, weights),
+    Returns the axes of restitution, slope and drag [1/m], and the log of the mean likelihood.
+    """
+    middle, sds = likelihood.middle, np.sqrt(np.diag(_covariance(likelihood.precision)))
+    slopes, slope_step = _nodes(float(middle[0]), float(sds[0]), -0.05, 0.45)
+    drags, drag_step = _nodes(float(middle[1]) / height_m, float(sds[1]) / height_m, 0.0, 1.0)
+    is_heard = fit.samples.heard is not None
+    no_slope = NO_SLOPE if is_heard else _NO_SLOPE
+    sds = np.where(slopes < 0, _NEGATIVE_SD, _SLOPE_SD)
+    total = np.sqrt(np.pi / 2) * (_NEGATIVE_SD + _SLOPE_SD)
+    slope_prior = (np.exp(-0.5 * (slopes / sds) ** 2) / total) * slope_step * (1 - no_slope)
+    known = fit.samples.drag_1_m
+    if known is None:
+        none = _NO_DRAG if fit.samples.in_metres else _NO_DRAG_IN_PICTURE
+        none = NO_DRAG if is_heard else none
+        off = np.log(drags / TYPICAL_DRAG_1_M) / _LOG_DRAG_SD
+        drag_prior = (
+            (np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * _LOG_DRAG_SD * drags))
+            * drag_step
+            * (1 - none)
         )
-        return cls(axes, log_evidence)
-
-
-def _mixed(axes: tuple[_Axis, ...], shares: Array) -> _Axis:
-    """Mix several axes, each with its share."""
-    middles, sds, weights = zip(*axes, strict=True)
-    shared = [share * one for share, one in zip(shares, weights, strict=True)]
-    return np.concatenate(middles), np.concatenate(sds), np.concatenate(shared)
-
-
-def _marginal(values: Array, sd: float, weights: Array) -> _Axis:
-    """Return each value once, the standard deviation about it, and its total weight."""
-    once, which = np.unique(values, return_inverse=True)
-    return once, np.full(len(once), sd), np.bincount(which, weights).astype(np.float64)
+        drags, drag_prior = np.append(drags, 0.0), np.append(drag_prior, none)
+    else:
+        drags, drag_step = _nodes(known, KNOWN_DRAG * known, 0.0, 2 * known)
+        drag_prior = np.exp(-0.5 * ((drags - known) / (KNOWN_DRAG * known)) ** 2)
+    slopes, slope_prior = np.append(slopes, 0.0), np.append(slope_prior, no_slope)
+    both = np.meshgrid(slopes, drags, indexing="ij")
+    flat_slopes, flat_drags = (one.ravel() for one in both)
+    prior = np.outer(slope_prior, drag_prior).ravel()
+    log, restitution, taken = likelihood.at(flat_slopes, flat_drags * height_m)
+    weights, log_evidence = normalised(log + np.log(np.maximum(prior, 1e-300)))
+    sd = likelihood.restitution_sd
+    if likelihood.bound is not None:
+        sd = float(np.sqrt(max(sd**2 - float(weights @ taken), 0.0)))
+    sd = float(np.hypot(sd, _least_sd(fit)))
+    axes: list[_Axis] = [(restitution, np.full(len(restitution), sd), weights)]
+    # Of slope and drag each value once, a cell as its standard deviation, and its weight.
+    for values, step in ((flat_slopes, slope_step), (flat_drags, drag_step)):
+        once, which = np.unique(values, return_inverse=True)
+        total = np.bincount(which, weights).astype(np.float64)
+        axes.append((once, np.full(len(once), step), total))
+    return axes, log_evidence
 
 
 def _least_sd(fit: BounceFit) -> float:
-    return _MIN_SD if fit.samples.in_metres else _MIN_SD_IN_PICTURE
+    """Return the least standard deviation of a restitution: no lens, clock or engine is better."""
+    return 1e-5 if fit.samples.in_metres else 2e-4
 
 
 def _nodes(middle: float, sd: float, low: float, high: float) -> tuple[Array, float]:
@@ -468,14 +426,6 @@ def _nodes(middle: float, sd: float, low: float, high: float) -> tuple[Array, fl
         first, last = (low, low + 2 * sd) if last <= low else (high - 2 * sd, high)
     edges = np.linspace(max(first, low), min(last, high), _NODES + 1)
     return (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0])
-
-
-def _prior_widths(fit: BounceFit) -> Array:
-    """Return the prior 95 % widths of slope and drag [1/m], shape (2,)."""
-    slope = TWO_SIDED * _SLOPE_SD
-    if fit.samples.drag_1_m is not None:
-        return np.array([slope, 2 * TWO_SIDED * KNOWN_DRAG * fit.samples.drag_1_m])
-    return np.array([slope, TYPICAL_DRAG_1_M * np.exp(TWO_SIDED * _LOG_DRAG_SD)])
 
 
 def _profile_factors(fit: BounceFit, factor: float) -> Array:
@@ -491,16 +441,16 @@ def _profile_factors(fit: BounceFit, factor: float) -> Array:
     normal[0, 0] += ANY_RESTITUTION_SD**-2
     variance = float(np.linalg.pinv(normal)[0, 0]) * factor
     sd = max(float(np.sqrt(max(variance, 0.0))), least)
-    if sd < _UNSURE:
-        # Beyond that it found another minimum.
+    if sd < 0.03:  # farther off than this factor it found another minimum
         return np.array([np.clip(_profiled(fit, factor, side, sd), 0.8, 2.5) for side in (-1, 1)])
+    # Near 0 a rebound grows with its square, which no normal likelihood describes: search the ends.
     factors: list[float] = []
     for side in (-1, 1):
         reach = 1.0
         for _ in range(4):
             found = _profiled(fit, factor, side, reach * sd)
             reach = max(reach * float(np.clip(found, 0.25, 4.0)), least / sd)
-            if abs(found - 1) < 0.1:
+            if abs(found - 1) < 0.1:  # near enough
                 break
         factors.append(reach)
     return np.array(factors)
@@ -544,11 +494,11 @@ def drop_posterior(drop: Drop, drag_1_m: float | None) -> BallPosterior | None:
 
 def _widened(drop: Drop, posterior: BallPosterior) -> BallPosterior:
     """Widen the interval to hold what parabolas next to the impact say, too."""
-    beyond = max(_beyond_chance(drop, posterior, near) for near in (0.2, 0.27, 0.35))
+    beyond = max(_beyond_chance(drop, posterior, near) for near in (0.2, 0.27, 0.35))  # fall times
     ends = posterior.interval95.copy()
     reach = np.hypot(ends[0] - posterior.values[0], TWO_SIDED * beyond)
     # How far the restitution depends on where in a long touch its speeds are taken.
-    period_s = float(np.median(np.diff(drop.seconds)))
+    period_s = median_step(drop.seconds)
     impacts = len(posterior.fit.projection().impacts(float(drop.seconds[-1])))
     half_s = drop.touching * period_s / max(impacts, 1) / 2
     gained = drop.gravity_m_s2 * half_s / drop.impact_speed_m_s
@@ -561,7 +511,7 @@ def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
     """Return how far the parabolas' restitution is off, without what chance makes of it."""
     view = posterior.fit.projection()
     since = drop.seconds - view.impact_s
-    touching_s = float(np.median(np.diff(drop.seconds)))  # within it the ball may touch the ground
+    touching_s = median_step(drop.seconds)  # within it the ball may touch the ground
     starts = view.impacts(float(drop.seconds[-1]))
     next_s = float(starts[1]) * view.fall_time_s if len(starts) > 1 else np.inf
     near_s = near * view.fall_time_s
@@ -570,12 +520,14 @@ def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
     # Too few for a parabola with an error of its own.
     if min(np.count_nonzero(before), np.count_nonzero(after)) < 6:
         return 0.0
-    ball_m = view.positions(view.bounce.heights(view.fall_times(drop.seconds)), drop.seconds)
+    ball_m = view.ball(drop.seconds)
     noise_m = max(noise_floor(drop), posterior.fit.scale)
-    sides = (
-        _speeds(since[side], drop.heights_m[side], ball_m[side], noise_m)
-        for side in (before, after)
-    )
+    # The speeds of parabolas at the impact as seen and of the ball, and the error [m/s].
+    sides: list[tuple[float, float, float]] = []
+    for side in (before, after):
+        row = np.linalg.pinv(np.vander(since[side], 3))[1]
+        error = noise_m * np.linalg.norm(row)
+        sides.append((float(row @ drop.heights_m[side]), float(row @ ball_m[side]), float(error)))
     (fall, ball_fall, fall_sd), (rise, ball_rise, rise_sd) = sides
     if fall >= 0 or ball_fall >= 0:
         return 0.0
@@ -585,22 +537,9 @@ def _beyond_chance(drop: Drop, posterior: BallPosterior, near: float) -> float:
     return max(apart**2 - (2.0 * chance) ** 2, 0.0) ** 0.5
 
 
-def _speeds(
-    since: Array, seen_m: Array, ball_m: Array, noise_m: float
-) -> tuple[float, float, float]:
-    """Fit parabolas: the impact's speeds as seen and of the ball, and the error [m/s]."""
-    inverse = np.linalg.pinv(np.vander(since, 3))
-    seen, ball = inverse[1] @ seen_m, inverse[1] @ ball_m
-    return float(seen), float(ball), float(noise_m * np.linalg.norm(inverse[1]))
-
-
 # ---- Restitution of each impact without a law, and the ratio of two flights' durations
 # `flight_ratio` needs no camera and no scale: flights are smooth curves that meet at impacts, and
 # the second one's duration over the first's is the restitution of the second impact.
-
-_CLEAR_HOP = 4.0  # standard deviations of a position that a flight has to be high
-# Prior of each restitution about the fit's: no law, but no impact is far from all others.
-_PRIOR_SD = 0.15
 
 
 def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
@@ -617,8 +556,8 @@ def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
     for begin, end, speed in zip(starts[:MAX_IMPACTS], starts[1:], speeds, strict=False):
         hop = fit.unknowns[SPAN] * speed**2 / 4
         seen = np.count_nonzero((times > begin) & (times < end))
-        # A parabola has three coefficients.
-        if end > times[-1] or hop < _CLEAR_HOP * fit.scale or seen < 4:
+        # A parabola has three coefficients, and has to be 4 standard deviations high.
+        if end > times[-1] or hop < 4.0 * fit.scale or seen < 4:
             break
         count += 1
     if not count:
@@ -634,21 +573,15 @@ def fitted_rebounds(posterior: BallPosterior) -> tuple[Rebound, ...]:
     fall_s = float(np.exp(fit.unknowns[FALL]))
     unit_m_s = CALIBRATED.gravity_m_s2 * fall_s / 2
     hits = _impact_speeds(each, own_speeds[:count])
-    found = [
-        Rebound(
-            impact_s=float(fit.unknowns[IMPACT] + fall_s * own_starts[index]),
-            restitution=float(values[index]),
-            interval95=(
-                float(max(values[index] - TWO_SIDED * sds[index], 0.0)),
-                float(min(values[index] + TWO_SIDED * sds[index], 1.0)),
-            ),
-            impact_speed_m_s=float(hits[index]) * unit_m_s,
+    impacts_s = (fit.unknowns[IMPACT] + fall_s * own_starts).tolist()
+    ends = np.clip(values[:, None] + TWO_SIDED * sds[:, None] * np.array([-1, 1]), 0.0, 1.0)
+    values[0], ends[0] = posterior.values[0], posterior.interval95[0]
+    return tuple(
+        Rebound(impact_s, value, (low, high), speed_m_s)
+        for impact_s, value, (low, high), speed_m_s in zip(
+            impacts_s, values.tolist(), ends.tolist(), (hits * unit_m_s).tolist(), strict=False
         )
-        for index in range(min(count, len(own_starts)))
-    ]
-    low, high = posterior.interval95[0].tolist()
-    found[0] = replace(found[0], restitution=float(posterior.values[0]), interval95=(low, high))
-    return tuple(found)
+    )
 
 
 def first_rebound(posterior: BallPosterior) -> Rebound:
@@ -679,8 +612,9 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
     free = [0.0, 0.0, 0.0, 0.0, PERSPECTIVE_SD**-2]
     if fit.samples.in_metres:  # this camera is known, and as far as metres are metres its scale
         metre_sd = METRE_SD if fit.samples.scale_known else ANY_SCALE_SD
-        free[3:] = [(metre_sd * camera[3]) ** -2, 1e12]
-    prior = np.concatenate([free, np.full(len(first), _PRIOR_SD**-2)])
+        free[3:] = [(metre_sd * camera[3]) ** -2, 1e12]  # the last one is known
+    # Of each about the fit's: no law, but no impact is far from all others.
+    prior = np.concatenate([free, np.full(len(first), 0.15**-2)])
     target = np.concatenate([[0.0, 0.0, 0.0, camera[3], 0.0], first])
     covariance = np.eye(len(values))
     for _ in range(6):  # it begins nearly at the end, at the fit
@@ -703,13 +637,12 @@ def _fitted(fit: BounceFit, law: Bounce, first: Array) -> tuple[Array, Array]:
         step = covariance @ gradient
         values = values + step
         values[5:] = np.clip(values[5:], 0.01, 1.0)
-        if np.all(np.abs(step) <= 1e-5 * np.sqrt(np.diag(covariance))):
+        if np.all(np.abs(step) <= 1e-5 * np.sqrt(np.diag(covariance))):  # standard errors
             break
     return values[5:], np.sqrt(np.diag(covariance))[5:]
 
 
-@dataclass(frozen=True)
-class FlightRatio:
+class FlightRatio(NamedTuple):
     """Ratio of the second flight's duration to the first's."""
 
     value: float  # as seen
@@ -725,11 +658,11 @@ def flight_ratio(fit: BounceFit) -> FlightRatio | None:
         return None
     edges = np.array([-1.0, *starts[:4]])
     edges[-1] = min(edges[-1], times[-1])
-    half = 0.5 * float(np.median(np.diff(times)))
+    half = 0.5 * median_step(times)
     flights: list[_Flight] = []
     for begin, end in itertools.pairwise(edges):
         inside = (times > begin + half) & (times < end - half)
-        inside &= np.abs(fit.residuals) < 5.0 * fit.scale
+        inside &= np.abs(fit.residuals) < 5.0 * fit.scale  # farther off it is not the ball
         count = int(np.count_nonzero(inside))
         if count < 5:
             return None
@@ -783,35 +716,29 @@ class _Flight:
 # ---- Parameters that a log cannot determine: slope and drag that only their priors say
 
 SLOPE_AND_DRAG = 2  # index of the last of the parameters that this is about, in the task's order
-# Fraction of a prior's width that a log has to take away, or it tells little of a parameter.
-_TOLD = 0.5
 
 
 def unidentifiable(posterior: BallPosterior) -> tuple[str, ...]:
     """Return one sentence for each parameter that the samples leave to its prior."""
-    unknown = [
-        name for name, told in zip(("slope", "drag"), posterior.told, strict=True) if told < _TOLD
-    ]
+    # A log has to take half of a prior's width away, or it tells little of a parameter.
+    names = ("slope", "drag")
+    unknown = [name for name, told in zip(names, posterior.told, strict=True) if told < 0.5]
     if not unknown:
         return ()
-    if abs(posterior.correlation) > 0.9:
-        return (f"drag and slope cannot be separated in this log: {_seen(posterior)}",)
+    if abs(posterior.correlation) > 0.9:  # from there on they trade places
+        # How many flights the fit has, the one that is cut off too.
+        seconds, view = posterior.fit.samples.seconds, posterior.fit.projection()
+        count = len(view.impacts(float(seconds[-1]))) if len(seconds) else 0
+        words = ("one flight", "two flights", "three flights", "four flights", "five flights")
+        if 0 < count <= len(words):
+            seen = words[count - 1]
+        else:  # more have other reasons than their number
+            correlation = f"their correlation is {np.round(posterior.correlation, 2):+.2f}"
+            seen = "6 flights" if count == 6 else correlation
+        return (f"drag and slope cannot be separated in this log: {seen}",)
     return tuple(
         f"this log cannot determine the {name}: its interval is what is known of balls, from "
         f"{low:.3f} to {high:.3f}"
-        for name, (low, high) in zip(
-            ("slope", "drag"), posterior.interval95[1:].tolist(), strict=True
-        )
+        for name, (low, high) in zip(names, posterior.interval95[1:].tolist(), strict=True)
         if name in unknown
     )
-
-
-def _seen(posterior: BallPosterior) -> str:
-    """Describe how many flights the fit has, the one that is cut off too."""
-    fit = posterior.fit
-    seconds = fit.samples.seconds
-    count = len(fit.projection().impacts(float(seconds[-1]))) if len(seconds) else 0
-    if not 0 < count <= 6:  # more have other reasons than their number
-        return f"their correlation is {np.round(posterior.correlation, 2):+.2f}"
-    words = ("one flight", "two flights", "three flights", "four flights", "five flights")
-    return words[count - 1] if count <= len(words) else f"{count} flights"

@@ -32,17 +32,16 @@ from tunenet_logs.analysis.drop.film import (
     FilmedDrop,
     clock_test,
     free_flight,
-    is_whole,
     long_steps,
 )
-from tunenet_logs.analysis.drop.free_flight import Drop, Indices, meet
+from tunenet_logs.analysis.drop.free_flight import Drop, meet
 from tunenet_logs.analysis.drop.presets import PAPER_HEIGHT_M
 from tunenet_logs.analysis.drop.times.detection import TimesDetection
 from tunenet_logs.analysis.drop.times.model import HeardBall, Whitening
 from tunenet_logs.analysis.drop.times.search import BallAmong
 from tunenet_logs.analysis.estimators.base import FitResult, Observation, Step
 from tunenet_logs.analysis.record import SimulationFit, Units
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 from tunenet_logs.recorders.simulators.base import CALIBRATED
 
 # ---- Any recorded drop
@@ -199,11 +198,6 @@ PAPER = table(
     ),
 )
 
-_MIN_SEEN_THROWN = 0.2  # [fall times]: a hand catches the ball before the top of its bounce
-_BELOW_SDS = 6  # of the noise: a ball that sinks in less is still on the table
-_CLEAR_FLIGHT = 10  # samples of a first flight in which a parabola can be found, if there is one
-_NOISE_SHARE = 1.2  # of the noise: what white noise alone hardly exceeds
-
 
 def recording_checks(
     drop: Drop,
@@ -215,27 +209,25 @@ def recording_checks(
 ) -> list[Check]:
     """Check the recording itself: its length, gaps, table and sideways motion.
 
-    Args:
-        drop: the drop in it.
-        sideways_m: the ball's horizontal positions in the drop's window [m], shape (T, 2).
-        most_gap_falls: a gap of so many fall times may be, even where it is many periods.
-        excused_s: when a sample is missing that tells nothing of an impact [s].
-        sunk_m: how far below the contact the ball is elsewhere in the recording [m].
-        most_sideways: fraction of the impact's speed at which the ball may go sideways.
+    `sideways_m` are horizontal positions (T, any); a gap of `most_gap_falls` fall times may be,
+    even of many periods, and a sample at `excused_s` may be missing; `most_sideways` is a fraction
+    of the impact's speed; `sunk_m` is how far below the contact the ball is elsewhere.
     """
     seen, table_level, straight, no_gap, *_ = DROP.values()
     height_m, size, unit = drop.drop_height_m, *_length(drop)
     after = drop.seconds > drop.impact_s
     below = max(drop.contact_m - float(drop.heights_m[after].min(initial=drop.contact_m)), sunk_m)
-    floor = table_level.limit.value / 100 * height_m + _BELOW_SDS * drop.noise_m
+    # A ball that sinks in by less than 6 times the noise is still on the table.
+    floor = table_level.limit.value / 100 * height_m + 6 * drop.noise_m
     drift = float(np.linalg.norm(np.ptp(sideways_m, axis=0)))
     lasts_s = float(drop.seconds[-1] - drop.seconds[0])
     most_m = straight.limit.value / 100 * height_m
     most_m = max(most_m, most_sideways * drop.impact_speed_m_s * lasts_s)
-    period_s = float(np.median(np.diff(drop.seconds)))
+    period_s = median_step(drop.seconds)
     longest_s = float(np.diff(np.union1d(drop.seconds, np.asarray(excused_s))).max())
     most_gap = max(no_gap.limit.value, most_gap_falls * drop.fall_time_s / period_s)
-    least_seen = _MIN_SEEN_THROWN if drop.launched else None
+    # [fall times]: a hand catches a thrown ball before the top of its bounce.
+    least_seen = 0.2 if drop.launched else None
     return [
         seen.measured((drop.seconds[-1] - drop.impact_s) / drop.fall_time_s, least_seen),
         table_level.measured(size * max(below, 0.0), size * floor, unit=unit),
@@ -266,8 +258,9 @@ def fall_checks(drop: Drop, restitution: float, units: Units) -> list[Check]:
         size, unit = _length(drop)
         off, most = size * abs(drop.rest_m - drop.contact_m), size * drop.rest_tolerance_m
         checks.append(POSITIONS["rests where it hit"].measured(off, most, unit=unit))
-    count = 2 * restitution * drop.fall_time_s / float(np.median(np.diff(drop.seconds)))
-    if np.isnan(drop.flight_restitution) and count >= _CLEAR_FLIGHT:
+    count = 2 * restitution * drop.fall_time_s / median_step(drop.seconds)
+    # In 10 samples of a first flight a parabola can be found, if there is one.
+    if np.isnan(drop.flight_restitution) and count >= 10:
         checks.append(POSITIONS["flies a parabola"].measured(False, count=count))
     return checks
 
@@ -306,22 +299,31 @@ def paper_fit_check(simulated: Observation, target: Observation, drop: Drop) -> 
     """Check that the paper's simulator is as near to the recording as it can be (rms)."""
     spec, height_m = PAPER["simulation fits"], drop.drop_height_m
     off = (simulated.values - target.values) / height_m
-    most = spec.limit.value + 100 * _NOISE_SHARE * drop.noise_m / height_m
+    # White noise alone hardly exceeds 1.2 times its standard deviation.
+    most = spec.limit.value + 100 * 1.2 * drop.noise_m / height_m
     return spec.measured(100 * float(np.sqrt(np.nanmean(off**2))), most)
 
 
 def paper_height_check(height_m: float) -> Check:
     """Check that a filmed fall is one that the paper's network has seen."""
     low, high = PAPER_HEIGHT_M
-    low -= 1  # of the ball's lower edge, and a little more
+    low -= 1  # [m]: that of the ball's lower edge, and a little more
     passed = low < height_m < high
     return PAPER["as in training"].measured(passed, height_m=height_m, low=low, high=high)
 
 
 # ---- Cross-check of a drop: a second estimate by sound, flight durations or impact speeds
 
-# Of the restitution: what systematic errors take off the cross-check of a good recording.
-_AGREEMENT, _AGREEMENT_IN_PICTURE = 0.02, 0.03
+
+def _judged(
+    method: str, seen: float, value: float, sd: float, margin: float = 0.02, scale: float = 1.0
+) -> CrossCheck:
+    """Judge a second estimate by its standard error, and a margin [restitution], times a scale.
+
+    The margin is what systematic errors take off the cross-check of a good recording.
+    """
+    most = scale * (margin + 3 * sd)
+    return CrossCheck.judged(method, seen, value, most, sd=scale * sd, advice=DISAGREEMENT)
 
 
 def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck | None:
@@ -338,44 +340,30 @@ def flight_cross_check(detection: AnyDetection, estimate: Array) -> CrossCheck |
         return by_ear
     ratio = flight_ratio(fit)
     if ratio is not None:
-        margin = _AGREEMENT if detection.film is None else _AGREEMENT_IN_PICTURE
+        margin = 0.02 if detection.film is None else 0.03  # what systematic errors take off
         # What they tell is the second impact's; the first one's is as much off, at any slope.
-        scale = value / ratio.fitted
-        return CrossCheck.judged(
-            "durations of the first two flights",
-            scale * ratio.value,
-            value,
-            scale * (margin + 3 * ratio.sd),
-            sd=scale * ratio.sd,
-            advice=DISAGREEMENT,
-        )
+        method, scale = "durations of the first two flights", value / ratio.fitted
+        return _judged(method, scale * ratio.value, value, ratio.sd, margin, scale)
     if isinstance(detection, FilmDetection):
         return None
     # The speeds just before and after the impact, from parabolas on either side. The same are
     # fitted to the fitted ball: what they are off there, they are off here.
     drop = detection.found
-    fall = _between(drop.seconds, drop.fall_s)
-    flight = _between(drop.seconds, drop.flight_s)
+    fall, flight = (
+        np.flatnonzero((drop.seconds >= first_s) & (drop.seconds <= last_s))
+        for first_s, last_s in (drop.fall_s, drop.flight_s)
+    )
     if np.isnan(drop.flight_restitution_sd) or len(fall) < 3 or len(flight) < 3:
         return None
     view = fit.projection()
-    heights = view.bounce.heights(view.fall_times(drop.seconds))
-    ball_m = view.positions(heights, drop.seconds)
+    ball_m = view.ball(drop.seconds)
     clock = drop.seconds - view.impact_s
     usual = meet(clock, ball_m, fall, flight, drop.noise_m).flight_restitution
     own = drop.flight_restitution, drop.flight_restitution_sd
     if drop.launched:  # its flights were cut where a hand may be
         again = meet(clock, drop.heights_m, fall, flight, drop.noise_m)
         own = again.flight_restitution, again.flight_restitution_sd
-    seen = value + own[0] - usual
-    return CrossCheck.judged(
-        "speeds at the first impact",
-        seen,
-        value,
-        _AGREEMENT + 3 * own[1],
-        sd=own[1],
-        advice=DISAGREEMENT,
-    )
+    return _judged("speeds at the first impact", value + own[0] - usual, value, own[1])
 
 
 def _by_ear(ear: FusedEstimate, value: float) -> CrossCheck | None:
@@ -399,19 +387,8 @@ def _by_ear(ear: FusedEstimate, value: float) -> CrossCheck | None:
     slopes = np.array([1 / seen_s[0], -1 / seen_s[0] - 1 / seen_s[1], 1 / seen_s[1]])
     covariance = ear.impacts.covariance[np.ix_(which, which)]
     sd = float(np.sqrt(slopes @ (covariance + ear.touches.covariance[three, three]) @ slopes))
-    return CrossCheck.judged(
-        "two flights by ear, beside the pictures",
-        value * float(np.exp(off)),
-        value,
-        value * (_AGREEMENT + 3 * sd),
-        sd=value * sd,
-        advice=DISAGREEMENT,
-    )
-
-
-def _between(seconds: Array, ends: tuple[float, float]) -> Indices:
-    """Return the indices of the samples between two times, both included."""
-    return np.flatnonzero((seconds >= ends[0]) & (seconds <= ends[1]))
+    method, seen = "two flights by ear, beside the pictures", value * float(np.exp(off))
+    return _judged(method, seen, value, sd, scale=value)
 
 
 # ---- A filmed drop: what an uncalibrated picture shows of its own faults
@@ -569,37 +546,33 @@ FILM = table(
     ),
 )
 
-_LOOKED_AT = 4.0  # fall times of the pictures in which the ball has to be found
-_AWAY = 0.25  # fall times from an impact, beyond which none hides where the ball is out of view
-_REJECT_WORST = 10.0  # [% of the drop height] of 2 % of the samples: nothing so far off is a drop
-_STEP_PX, _SAME_PX = 1.5, 0.02  # a ball should move by the one, and moves less than the other
 _SDS = 4.0  # standard errors that are allowed on top of a threshold
-_MIN_COUNT = 12  # samples for a test of size
-_AT_REST = 1.0  # fall times of a rest whose sizes count
 
 
 def film_checks(film: FilmedDrop) -> list[Check]:
     """Check whether a track is a drop's, in view, along parabolas and on an even clock."""
     span_px, parabolas = film.projection.span, FILM["bounces along parabolas"]
     residual = 100 * film.projection.residual_rms / span_px
-    worst = 100 * float(np.quantile(np.abs(film.fit.residuals) / span_px, 0.98))
+    worst = 100 * float(np.quantile(np.abs(film.posterior.fit.residuals) / span_px, 0.98))
     lost = residual > _LOST  # then no step is expected
     # The fraction of pictures with the ball found, of those from mid-fall for four fall times
     # without those that it flies out of; and with it unmoved, of those with a moving ball.
-    fit, best, track = film.projection, film.fit, film.track
-    end_s = min(float(film.drop.seconds[-1]), fit.impact_s + _LOOKED_AT * fit.fall_time_s)
-    seconds = _track_seconds(film)
+    fit, best, track = film.projection, film.posterior.fit, film.track
+    end_s = min(float(film.drop.seconds[-1]), fit.impact_s + 4.0 * fit.fall_time_s)
+    seconds, is_out = _out_of_view(film)
     wanted = (seconds > fit.impact_s - fit.fall_time_s / 2) & (seconds <= end_s)
-    wanted &= ~_out_of_view(film)
+    wanted &= ~is_out
     seen = float(np.mean(track.found[wanted])) if wanted.any() else 0.0
     positions = best.samples.positions
     expected = np.abs(np.diff(positions + best.residuals))
-    whole = is_whole(track.places_px[film.used])  # then noise may hide a step
-    moving = expected > (max(_STEP_PX, _SDS * best.samples.noise) if whole else _STEP_PX)
+    whole = not np.any(track.places_px[film.used] % 1)  # then noise may hide a step
+    step_px = 1.5  # that a ball has to move by, or it is no fault of the pictures if it does not
+    moving = expected > (max(step_px, _SDS * best.samples.noise) if whole else step_px)
     moving &= fit.fall_times(best.samples.seconds[1:]) > -1
-    same = np.abs(np.diff(positions)) < _SAME_PX
+    same = np.abs(np.diff(positions)) < 0.02  # [px]
     repeated = float(np.mean(same[moving])) if np.count_nonzero(moving) > 3 else 0.0
-    gain, moment_s = clock_test(film.fit)
+    gains, moments_s = clock_test(film.posterior.fit)
+    gain, moment_s = float(gains.max()), float(moments_s[gains.argmax()])
     uneven_s = film.uneven_s
     left_out = "" if uneven_s is None else f"; what comes after {uneven_s:.2f} s is left out"
     flight = free_flight(film.track, film.used)
@@ -610,8 +583,8 @@ def film_checks(film: FilmedDrop) -> list[Check]:
         FILM["first impact"].measured(film.left_out),
         FILM["stays in view"].measured(100 * seen),
         FILM["pictures differ"].measured(100 * repeated),
-        FILM["no pictures missing"].measured(0 if lost else long_steps(film.fit)),
-        parabolas.measured(residual, fatal=lost or worst > _REJECT_WORST),
+        FILM["no pictures missing"].measured(0 if lost else long_steps(film.posterior.fit)),
+        parabolas.measured(residual, fatal=lost or worst > 10),  # [%] of 2 % of the samples
         FILM["bounces alike"].measured(
             flights,
             detail="all that are seen" if film.flights is None else None,
@@ -632,10 +605,8 @@ def hop_check(film: FilmedDrop, restitution: float) -> Check:
 def _distance_checks(film: FilmedDrop) -> list[Check]:
     """Check the perspective, and the ball's size where that is seen."""
     fit, track = film.projection, film.track
-    near, grows, fits = (
-        FILM[name]
-        for name in ("seen from a distance", "keeps its distance", "size fits perspective")
-    )
+    near, grows = FILM["seen from a distance"], FILM["keeps its distance"]
+    fits = FILM["size fits perspective"]
     is_near = abs(fit.perspective) > near.limit.value
     side = (", from below" if fit.perspective > 0 else ", from above") if is_near else ""
     checks = [near.measured(fit.perspective, side=side)]
@@ -669,31 +640,29 @@ def scale_checks(detection: FilmDetection) -> list[Check]:
 
 def seconds_out_of_view(film: FilmedDrop) -> Array:
     """Return the times at which the ball is out of the picture, shape (N,) [s]."""
-    return _track_seconds(film)[_out_of_view(film) & ~film.track.found]
+    seconds, is_out = _out_of_view(film)
+    return seconds[is_out & ~film.track.found]
 
 
-def _track_seconds(film: FilmedDrop) -> Array:
-    """Return the times of all pictures, on the drop's clock [s], shape (T,)."""
-    seconds = film.track.stamps_ns * 1e-9
-    return seconds + film.drop.seconds[0] - seconds[film.used][0]
+def _out_of_view(film: FilmedDrop) -> tuple[Array, NDArray[np.bool_]]:
+    """Return all pictures' times on the drop's clock [s], and which cut the ball in flight, (T,).
 
-
-def _out_of_view(film: FilmedDrop) -> NDArray[np.bool_]:
-    """Return which pictures cut the ball in flight, well away from an impact, shape (T,)."""
+    That is, well away from an impact.
+    """
     fit, track = film.projection, film.track
-    seconds = _track_seconds(film)
+    seconds = track.stamps_ns * 1e-9
+    seconds = seconds + film.drop.seconds[0] - seconds[film.used][0]
     times = fit.fall_times(seconds)
     starts, _ = fit.bounce.flights(float(times[-1]))
     apart = np.abs(times[:, None] - starts).min(axis=1)
-    along = fit.positions(fit.bounce.heights(times), seconds)
     across_px = np.array([film.down_px[1], -film.down_px[0]])
     known = np.flatnonzero(track.found)
     across = np.interp(seconds, seconds[known], track.places_px[known] @ across_px)
-    places = across[:, None] * across_px - along[:, None] * film.down_px
+    places = across[:, None] * across_px - fit.ball(seconds)[:, None] * film.down_px
     radius = float(np.nanmedian(track.radius_px[film.used]))
     far = np.array(track.size_px) - 1 - radius
     cut = np.any((places < radius) | (places > far), axis=1)
-    return cut & (apart > _AWAY)
+    return seconds, cut & (apart > 0.25)  # fall times, beyond which no impact is hidden
 
 
 @dataclass(frozen=True)
@@ -712,19 +681,15 @@ def size_trend(
     """Regress log radius on height, time and speed, reweighted; None for too few samples.
 
     A ball at height u is 1 / (1 + (e^k - 1) u) as large as at contact; a long exposure draws it out
-    by its speed, which is therefore fitted too.
-
-    Args:
-        seconds: shape (T,).
-        along_px: positions along the image's vertical, shape (T,).
-        radius_px: shape (T,); NaN where it is not known.
-        projection: of the drop.
+    by its speed, which is therefore fitted too. Positions are along the image's vertical, radii NaN
+    where they are not known, shape (T,) each.
     """
     heights = np.clip(projection.heights(along_px, seconds), 0.0, 1.2)
     times = projection.fall_times(seconds)
     last = float(projection.impacts(float(seconds[-1]))[-1])
-    good = np.isfinite(radius_px) & (radius_px > 0) & (times > -1) & (times < last + _AT_REST)
-    if np.count_nonzero(good) < _MIN_COUNT:
+    # Sizes count for one fall time of a rest; fewer than 12 test nothing.
+    good = np.isfinite(radius_px) & (radius_px > 0) & (times > -1) & (times < last + 1.0)
+    if np.count_nonzero(good) < 12:
         return None
     nearly = projection.perspective or 1e-6
     depth = np.log1p(np.expm1(nearly) * heights) / nearly
@@ -754,8 +719,6 @@ def size_trend(
 _ONE_BALL = "record one ball that bounces freely"
 _SURE_ODDS = 100.0  # to 1, against noises at random times and other balls
 _MAX_AS_LOUD = 2  # knocks of others while a ball bounces, as loud as its own
-_MAX_JITTER = 0.03  # standard deviation of a time, in mean flights: a hand's clapping has more
-_FITS = 2.0  # rms between rollout and times, in jitters
 
 TIMES = table(
     CheckSpec(
@@ -901,7 +864,8 @@ def times_checks(detection: TimesDetection, last: Step, fit: FitResult | None) -
             false=heard.reading.false,
             count=count,
         ),
-        sharp.measured(1000 * heard.jitter_s, min(sharp.limit.value, _MAX_JITTER * mean_ms)),
+        # A hand's clapping scatters by more than .03 mean flights.
+        sharp.measured(1000 * heard.jitter_s, min(sharp.limit.value, 0.03 * mean_ms)),
     ]
     if among is not None:
         start_s = float(heard.times_s[0])
@@ -978,7 +942,7 @@ def _simulation_check(heard: HeardBall, off: Array) -> Check:
     jitter_ms = 1000 * heard.jitter_s
     return spec.measured(
         1000 * rms_s,
-        _FITS * jitter_ms + spec.limit.value,
+        2 * jitter_ms + spec.limit.value,
         count=known.sum(),
         scatter=100 * heard.scatter,
         jitter_ms=jitter_ms,
@@ -986,11 +950,12 @@ def _simulation_check(heard: HeardBall, off: Array) -> Check:
     )
 
 
-def ratio_cross_check(heard: HeardBall, value: float) -> CrossCheck | None:
+def ratio_cross_check(detection: TimesDetection, estimate: Array) -> CrossCheck | None:
     """Cross-check by plain ratios of successive flights' durations; None without two whole ones.
 
     Each is compared with that of the fitted ball, so that the air takes nothing from it.
     """
+    heard, value = detection.heard, float(estimate[0])
     numbers, times_s, fitted_s = heard.numbers, heard.times_s, heard.predicted_s
     whole = np.flatnonzero((np.diff(numbers[:-1]) == 1) & (np.diff(numbers[1:]) == 1))
     if not len(whole):
@@ -1003,13 +968,5 @@ def ratio_cross_check(heard: HeardBall, value: float) -> CrossCheck | None:
     sds = np.hypot(sds, heard.scatter)
     best = int(np.argmin(sds))
     weights = sds**-2 / np.sum(sds**-2)
-    seen = value * float(weights @ each)
-    sd = value * float(sds[best])
-    return CrossCheck.judged(
-        "ratios of the flights' durations",
-        seen,
-        value,
-        _AGREEMENT + 3 * sd,
-        sd=sd,
-        advice=DISAGREEMENT,
-    )
+    method, seen = "ratios of the flights' durations", value * float(weights @ each)
+    return _judged(method, seen, value, value * float(sds[best]))

@@ -42,13 +42,6 @@ from tunenet_logs.recorders.simulators.known import Ball
 
 # What to do where a cross-check of a drop disagrees.
 DISAGREEMENT = "let go without spin, over a hard and level surface, and compare"
-_MAX_HEIGHT_M, _MAX_DIAMETER_M = 4.0, 0.4  # by the clock; above, most likely untagged slow motion
-_BY_HEIGHT, _BY_DIAMETER = 1.3, 1.8  # factors by which a known length may be off: blur widens
-
-TOO_SHORT = (
-    "the paper's network needs 400 samples at 60 Hz: record 6.7 s from the release on, "
-    "or use --preset default"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +101,7 @@ class DropDetection:
     @cached_property
     def target(self) -> Observation:
         """Target observation o_T, of the network that the preset has."""
-        if self.physical:
-            return canonical(self.drop)
-        target = paper_heights(self.drop)
-        if np.isnan(target.values).any():
-            raise NotFoundError(TOO_SHORT)
-        return target
+        return canonical(self.drop) if self.physical else _whole(paper_heights(self.drop))
 
     @cached_property
     def rebounds(self) -> tuple[Rebound, ...]:
@@ -161,6 +149,15 @@ class DropDetection:
 def _window(drop: Drop) -> Mapping[str, float]:
     first_s, last_s = drop.seconds[[0, -1]]
     return {"start_s": first_s, "impact_s": drop.impact_s, "end_s": last_s}
+
+
+def _whole(target: Observation) -> Observation:
+    if np.isnan(target.values).any():
+        raise NotFoundError(
+            "the paper's network needs 400 samples at 60 Hz: record 6.7 s from the release on, or "
+            "use --preset default"
+        )
+    return target
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,9 +216,9 @@ class FilmDetection:
         A height that nothing has (0, say, where somebody did not measure) counts as unknown.
         """
         if self.height_m is not None and 0 < self.height_m < np.inf:
-            return self.height_m, _BY_HEIGHT
+            return self.height_m, 1.3
         if self.ball.diameter_m is not None:
-            return self.ball.diameter_m / self._diameter, _BY_DIAMETER
+            return self.ball.diameter_m / self._diameter, 1.8  # blur widens a ball
         return None
 
     @cached_property
@@ -238,7 +235,7 @@ class FilmDetection:
         if not self.is_timed or self.is_rate_known or self.known_height is not None:
             return False
         height_m = self.film.drop.drop_height_m
-        return height_m > _MAX_HEIGHT_M or self._diameter * height_m > _MAX_DIAMETER_M
+        return height_m > 4.0 or self._diameter * height_m > 0.4  # [m] by the clock
 
     @cached_property
     def film(self) -> FilmedDrop:
@@ -250,9 +247,9 @@ class FilmDetection:
     def rebounds(self) -> tuple[Rebound, ...]:
         """Each impact's own restitution."""
         found = fitted_rebounds(self.posterior)
-        if self.tells_speed:
-            return found
-        return tuple(replace(one, impact_speed_m_s=None) for one in found)
+        if not self.tells_speed:
+            found = tuple(replace(one, impact_speed_m_s=None) for one in found)
+        return found
 
     @cached_property
     def drop(self) -> Drop:
@@ -287,11 +284,11 @@ class FilmDetection:
         along = -(track.places_px[found[first]] @ film.down_px)
         seconds = (stamps_ns - self.start_ns).astype(np.float64) * 1e-9
         inside = (seconds >= self.drop.seconds[0]) & (seconds <= film.end_s)
-        return replace(film.fit.samples, seconds=seconds[inside], positions=along[inside])
+        return replace(film.posterior.fit.samples, seconds=seconds[inside], positions=along[inside])
 
     def begun(self, until_s: float) -> BounceFit | None:
         """Fit the samples until `until_s` alone; None where they are too few."""
-        fit = self.film.fit
+        fit = self.film.posterior.fit
         samples = fit.samples.only(fit.samples.seconds <= until_s)
         samples = replace(samples, bends_s=tuple(at for at in samples.bends_s if at < until_s))
         if len(samples.seconds) < MIN_SAMPLES:
@@ -301,9 +298,8 @@ class FilmDetection:
     @property
     def extent(self) -> tuple[str, str]:
         """Drop height, as label and text."""
-        if not self.tells_speed:
-            return "drop", "height unknown"
-        return "drop", f"{self.drop.drop_height_m:.3f} m"
+        known = f"{self.drop.drop_height_m:.3f} m"
+        return "drop", known if self.tells_speed else "height unknown"
 
     @property
     def sideways_m(self) -> Array:
@@ -315,10 +311,7 @@ class FilmDetection:
         """Target observation o_T, of the network that the preset has."""
         if self.physical:
             return canonical_film(self.film)
-        target = image_rows(self.film, paper_start_s(self.drop))
-        if np.isnan(target.values).any():
-            raise NotFoundError(TOO_SHORT)
-        return target
+        return _whole(image_rows(self.film, paper_start_s(self.drop)))
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from tunenet_logs.analysis.checks import Check, CrossCheck
+from tunenet_logs.analysis.checks import Check
 from tunenet_logs.analysis.drop import GOOD_DROP, RIGHT_SOUND, RIGHT_TIMES
 from tunenet_logs.analysis.drop.audio import sound_beside
 from tunenet_logs.analysis.drop.bounce_fit import MIN_SAMPLES
@@ -48,7 +48,6 @@ from tunenet_logs.analysis.drop.times.detection import (
     TimesDetection,
     heard_motion,
     listened,
-    no_times,
     signals_in,
     times_problem,
 )
@@ -60,13 +59,13 @@ from tunenet_logs.analysis.drop.track import (
     moves_as_found,
     position_signals,
 )
-from tunenet_logs.analysis.estimators.base import FitResult, Problem, Step, Trace
+from tunenet_logs.analysis.estimators.base import FitResult, Step, Trace
 from tunenet_logs.analysis.experiment import Claim, Preset
 from tunenet_logs.analysis.options import Hints, Subject, TuneOptions
-from tunenet_logs.analysis.record import Motion, Rebound
+from tunenet_logs.analysis.record import Rebound
 from tunenet_logs.analysis.tracking.frames import Pictures, one_thread, readable_frames
 from tunenet_logs.analysis.tracking.track import track_ball
-from tunenet_logs.episode import NOT_LATER, Array, Episode, EpisodeInfo, LeftOut, Signal, added
+from tunenet_logs.episode import NOT_LATER, Episode, EpisodeInfo, LeftOut, Signal, added
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.reader import check_start, no_topic
 from tunenet_logs.recorders.simulators.ball import REAL_BALL
@@ -84,18 +83,13 @@ if TYPE_CHECKING:
 
 
 class BallDrop:
-    """Base of the ways to observe a bouncing ball; a subclass makes an `Experiment` of it."""
+    """Base of the ways to see a ball fall and bounce; a subclass makes an `Experiment` of it."""
 
     kind = "drop"
     occasion = "drop"
-
-    def problem(self, detection: Any, initial: Array) -> Problem:
-        """Pose the estimation problem, with a simulator that drops or throws a ball alike."""
-        return drop_problem(detection, initial)
-
-    def motion(self, detection: Any, trace: Trace) -> Motion | None:
-        """Compare the tuned simulator's motion with the observed one."""
-        return tuned_motion(detection, trace)
+    problem = staticmethod(drop_problem)
+    motion = staticmethod(tuned_motion)
+    cross_check = staticmethod(flight_cross_check)
 
     def rebounds(self, detection: Any, trace: Trace) -> tuple[Rebound, ...]:
         """List the impacts that the fit tells apart, else the first by the tuned restitution."""
@@ -108,10 +102,6 @@ class BallDrop:
         drop = detection.drop
         speed_m_s = drop.impact_speed_m_s if detection.tells_speed else None
         return (Rebound(drop.impact_s, float(trace.estimate[0]), ends, speed_m_s),)
-
-    def cross_check(self, detection: Any, estimate: Array) -> CrossCheck | None:
-        """Estimate the restitution by two flights' durations, else by the speeds at the impact."""
-        return flight_cross_check(detection, estimate)
 
 
 # ---- By recorded positions: the restitution from the ball's height
@@ -136,9 +126,22 @@ class DropFromPositions(BallDrop):
 
     def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> DropDetection:
         """Detect the drop in the first signal that moves as a ball, else in the first that may."""
+        topic = selection.topic
+        signals = episode.signals.values() if topic is None else episode.signals_of(topic)
+        positions = position_signals(signals)
+        if not positions and topic is not None:
+            usable = {name for name, one in episode.signals.items() if one.is_position}
+            raise no_topic(topic, {*usable, *episode.picture_topics, *signals_in(episode, None)})
+        if not positions:
+            types = (f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
+            seen = listed(types, 2)  # it is one line
+            raise NotFoundError(
+                f"no channel with a ball's position or with pictures (channels: {seen or 'none'})",
+                "record one of them, or say which column is which with --columns (docs/formats.md)",
+            )
         reasons: list[tuple[str, NotFoundError]] = []
         found: DropDetection | None = None
-        for signal in _candidates(episode, selection):
+        for signal in positions:
             try:
                 track_found = _detect_in_positions(episode, signal, selection, preset)
             except NotFoundError as reason:
@@ -163,13 +166,11 @@ class DropFromPositions(BallDrop):
         """Check the recording, the fall and the fit."""
         assert last.evaluation is not None
         drop = detection.drop
-        # Fall times on the ground, of which no sample is used.
-        # A ball that rolls off an edge goes sideways by some of its impact's speed.
         checks = recording_checks(
             drop,
             detection.sideways_m,
-            0.13 if drop.launched else 0.0,
-            most_sideways=0.5,
+            0.13 if drop.launched else 0.0,  # fall times on the ground, where no sample is used
+            most_sideways=0.5,  # of the impact's speed, of a ball that rolls off an edge
             sunk_m=detection.sunk_m,
         )
         if not detection.physical:  # the paper's simulator has a drag of its own
@@ -188,26 +189,6 @@ class DropFromPositions(BallDrop):
         return (log_refused_heights if tuning.detection is None else log_drop)(stream, tuning)
 
 
-def _candidates(episode: Episode, selection: TuneOptions) -> list[Signal]:
-    """Return the position signals in the order in which to try them."""
-    if selection.topic is not None:
-        positions = position_signals(episode.signals_of(selection.topic))
-        if not positions:
-            usable = {name for name, one in episode.signals.items() if one.is_position}
-            heard = signals_in(episode, None)
-            raise no_topic(selection.topic, {*usable, *episode.picture_topics, *heard})
-    else:
-        positions = position_signals(episode.signals.values())
-    if not positions:
-        types = (f"{one.topic} ({one.type_name or 'no type'})" for one in episode.channels)
-        seen = listed(types, 2)  # it is one line
-        raise NotFoundError(
-            f"no channel with a ball's position or with pictures (channels: {seen or 'none'})",
-            "record one of them, or say which column is which with --columns (docs/formats.md)",
-        )
-    return positions
-
-
 def _detect_in_positions(
     episode: Episode, signal: Signal, selection: TuneOptions, preset: str
 ) -> DropDetection:
@@ -215,7 +196,7 @@ def _detect_in_positions(
     check_start(selection.start_s, float(signal.seconds[-1]))
     arrivals = correct_late_stamps(signal.stamps_ns)
     even = replace(signal, stamps_ns=arrivals.stamps_ns)
-    ball = completed(selection.told_ball, recorded_ball(episode.info))
+    ball = completed(selection.given_ball, recorded_ball(episode.info))
     track = PositionTrack(even, int(signal.stamps_ns[0]), PRESETS[preset].physical, ball)
     found = track.part(selection.start_s, selection.end_s).detect()
     warnings = list(found.warnings)
@@ -231,7 +212,7 @@ def _detect_in_positions(
     if not found.physical:
         height_m = found.found.release_m - found.found.table_m + PAPER_RADIUS_M
         low, high = PAPER_HEIGHT_M
-        if not low - 0.1 <= height_m <= high + 0.1:
+        if not low - 0.1 <= height_m <= high + 0.1:  # [m], as well as a hand lets go
             warnings.append(
                 f"a drop from {height_m:.2f} m (ball of 0.5 m radius) is outside the {low:g} to "
                 f"{high:g} m that the paper's network was trained on"
@@ -243,9 +224,6 @@ def _detect_in_positions(
 
 
 # ---- In pictures: the restitution from an uncalibrated video
-
-# Fall times without a sample: an impact may hide in a longer gap, even of few pictures.
-_MAX_GAP_FALLS = 0.4
 
 
 class DropFromFilm(BallDrop):
@@ -287,23 +265,23 @@ class DropFromFilm(BallDrop):
         """Check the pictures, the track, the scale and the fit."""
         assert last.evaluation is not None
         film, drop = detection.film, detection.drop
-        fitted = drop.seconds >= film.fit.samples.seconds[0]
+        fitted = drop.seconds >= film.posterior.fit.samples.seconds[0]
         part = replace(drop, seconds=drop.seconds[fitted], heights_m=drop.heights_m[fitted])
         excused_s = seconds_out_of_view(film)
         excused_s = excused_s[(excused_s > part.seconds[0]) & (excused_s < part.seconds[-1])]
-        impacts_s = (
-            film.projection.impact_s
-            + film.projection.fall_time_s * (film.projection.impacts(float(drop.seconds[-1]))[:2])
-        )  # how far it goes after the second one does not touch the first
-        sideways_m = detection.sideways_m[fitted]
-        if len(impacts_s) > 1:
-            sideways_m = sideways_m[part.seconds <= impacts_s[1]]
+        # How far it goes after the second impact does not touch the first.
+        sideways_m, view = detection.sideways_m[fitted], film.projection
+        impacts = view.impacts(float(drop.seconds[-1]))
+        if len(impacts) > 1:
+            second_s = view.impact_s + view.fall_time_s * impacts[1]
+            sideways_m = sideways_m[part.seconds <= second_s]
         checks = [
             FILM["pictures as they were recorded"].measured(
                 not detection.unread, detail=detection.unread or "all of them can be read"
             ),
             *film_checks(film),
-            *recording_checks(part, sideways_m, _MAX_GAP_FALLS, excused_s),
+            # An impact may hide in a gap of more than 0.4 fall times, even of few pictures.
+            *recording_checks(part, sideways_m, 0.4, excused_s),
         ]
         checks += scale_checks(detection)
         if not detection.physical:  # z and y are not to be compared
@@ -319,11 +297,6 @@ class DropFromFilm(BallDrop):
         from tunenet_logs.analysis.drop.review.views import log_drop
 
         return (log_refused if tuning.detection is None else log_drop)(stream, tuning)
-
-
-# Fall times before the release, and pictures in them, in which a held ball does not move, while one
-# that has bounced before is on its way up.
-_HELD_FALLS, _MIN_HELD = 0.8, 3
 
 
 def _detect_in_topic(
@@ -357,14 +330,14 @@ def _detect_in_topic(
         except (NotFoundError, UsageError) as reason:  # a hint may be for another part
             reasons.append(reason)
             continue
-        # A fall that begins in a gap may be that of a later bounce, unless the ball was held.
+        # A fall that begins in a gap may be that of a later bounce, unless the ball was held: for
+        # 0.8 fall times before, in 3 pictures, it does not move, while one that bounced is rising.
         before = (drop.release_s - drop.seconds) / drop.fall_time_s
-        chosen = (before > 0) & (before < _HELD_FALLS)
+        chosen = (before > 0) & (before < 0.8)
         below, rising = 1 - drop.heights_m[chosen] / drop.drop_height_m, before[chosen] ** 2
-        is_held = len(rising) >= _MIN_HELD and bool(np.median(below) < np.median(rising) / 2)
-        is_seen = (drop.seconds[-1] - drop.impact_s) / drop.fall_time_s > DROP[
-            "first flight seen"
-        ].limit.value
+        is_held = len(rising) >= 3 and bool(np.median(below) < np.median(rising) / 2)
+        seen_falls = (drop.seconds[-1] - drop.impact_s) / drop.fall_time_s
+        is_seen = seen_falls > DROP["first flight seen"].limit.value
         if (is_held or number == 0) and (is_seen or number == last):
             first_s, last_s = ((end_ns - start_ns) * 1e-9 for end_ns in span_ns)
             warning = (
@@ -403,9 +376,9 @@ def _detect_in_pictures(
         track = track_ball(pictures)
         warnings.append("the ball was not found by the mark of its recording, but without it")
     recorded = recorded_ball(episode.info)
-    if contradict(selection.told_ball, recorded):
+    if contradict(selection.given_ball, recorded):
         warnings.append(
-            f"the log's ball ({recorded.words}) is not the one given ({selection.told_ball.words})"
+            f"the log's ball ({recorded.words}) is not the one given ({selection.given_ball.words})"
         )
     unread = ""
     recorded_count = sum(one.messages for one in episode.channels if one.topic == topic)
@@ -417,7 +390,7 @@ def _detect_in_pictures(
         warnings.append(unread)
     said = {f"{topic}: {words}" for words in pictures.jumps}
     warnings += sorted(said - set(episode.warnings))
-    ball, is_timed = completed(selection.told_ball, recorded), not episode.frames_untimed
+    ball, is_timed = completed(selection.given_ball, recorded), not episode.frames_untimed
     track, arrivals = placed_by_motion(
         track, pictures.arrivals, pictures.start_ns, ball if is_timed else None
     )
@@ -468,21 +441,19 @@ def _marked(info: EpisodeInfo, pictures: Pictures) -> Hints:
 # ---- By its impacts alone: the restitution from the ratios of successive flights' durations
 
 
-class DropFromTimes(BallDrop):
+class DropFromTimes:
     """Drop of a ball that is only heard: by times of its impacts, or a sound."""
 
     name = "drop-times"
+    kind = "drop"
+    occasion = "drop"
     observed = "times or sound of impacts"
     accepted_options: frozenset[Subject] = frozenset(("ball", "height"))
     presets: ClassVar[dict[str, Preset]] = {"default": Preset(True, REAL_BALL, "fit")}
-
-    def problem(self, detection: TimesDetection, initial: Array) -> Problem:
-        """Pose the estimation problem, with a simulator that hits the table when the ball did."""
-        return times_problem(detection, initial)
-
-    def motion(self, detection: TimesDetection, trace: Trace) -> Motion:
-        """Compare the tuned simulator's heights with the impacts that were heard."""
-        return heard_motion(detection, trace)
+    problem = staticmethod(times_problem)
+    motion = staticmethod(heard_motion)
+    checks = staticmethod(times_checks)
+    cross_check = staticmethod(ratio_cross_check)
 
     def rebounds(self, detection: TimesDetection, trace: Trace) -> tuple[Rebound, ...]:
         """List each impact between two flights that were heard whole; without a fit the first."""
@@ -504,7 +475,13 @@ class DropFromTimes(BallDrop):
         if not names and episode.sound_topics:
             return _heard_in_sound(episode, selection)
         if not names:
-            raise no_times(episode, selection.topic)
+            known = listed(sorted(signals_in(episode, None)))
+            if selection.topic is not None and known:
+                what = f"no impact times in topic {selection.topic} (there are: {known})"
+                raise NotFoundError(what, "name one of these with --topic, or leave it out")
+            raise NotFoundError(
+                "no channel with times of impacts; name them: --columns times=COLUMN"
+            )
         signal = episode.signals[names[0]]
         warnings: list[str] = []
         if len(names) > 1:
@@ -533,7 +510,7 @@ class DropFromTimes(BallDrop):
                 warnings.append("--height not used: without a true clock it tells nothing")
             height_m = None
         _check_height(height_m)
-        ball = completed(selection.told_ball, recorded_ball(episode.info))
+        ball = completed(selection.given_ball, recorded_ball(episode.info))
         return TimesDetection(
             topic=signal.name,
             start_ns=int(signal.stamps_ns[0]),
@@ -543,16 +520,6 @@ class DropFromTimes(BallDrop):
             warnings=tuple(warnings),
             left_out=(LeftOut.of_signal(signal),),
         )
-
-    def checks(
-        self, detection: TimesDetection, last: Step, fit: FitResult | None
-    ) -> tuple[Check, ...]:
-        """Check the times, the ball among them and the simulation."""
-        return times_checks(detection, last, fit)
-
-    def cross_check(self, detection: TimesDetection, estimate: Array) -> CrossCheck | None:
-        """Estimate the restitution by the ratio of two flights' durations."""
-        return ratio_cross_check(detection.heard, float(estimate[0]))
 
     def review(self, stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
         """Send the impacts, or the times or sound in which no ball was heard."""
@@ -575,11 +542,9 @@ def _heard_in_sound(episode: Episode, selection: TuneOptions) -> TimesDetection:
     count = len(heard.knocks)
     if count < MIN_IMPACTS:
         knocks = {0: "no knock is", 1: "1 knock is"}.get(count, f"{count} knocks are")
-        raise NotFoundError(
-            f"{heard.sound.name}: {knocks} heard, too few for two flights",
-            RIGHT_SOUND,
-        )
-    ball = completed(selection.told_ball, recorded_ball(episode.info))
+        what = f"{heard.sound.name}: {knocks} heard, too few for two flights"
+        raise NotFoundError(what, RIGHT_SOUND)
+    ball = completed(selection.given_ball, recorded_ball(episode.info))
     return TimesDetection(
         topic=heard.sound.name,
         start_ns=heard.sound.start_ns,

@@ -11,7 +11,9 @@ one for the heights to be true; the restitution does not depend on it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from typing import NamedTuple
 
@@ -52,20 +54,13 @@ from tunenet_logs.analysis.drop.presets import canonical_axis, canonical_observa
 from tunenet_logs.analysis.estimators.base import Observation, resample
 from tunenet_logs.analysis.statistics import noise_of
 from tunenet_logs.analysis.tracking.track import Track
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.base import CALIBRATED
 from tunenet_logs.recorders.simulators.known import Ball
 from tunenet_logs.timing.arrivals import CorrectedStamps
 
 # ---- Starting points: a grid over ball, fall time and camera, as the cost has dozens of minima
-
-# Fall times in durations of the part of the fall that is seen; perspectives within about one
-# standard deviation of their prior.
-_RESTITUTIONS = np.linspace(0.02, 0.995, 40)
-_STRETCHES = np.exp(np.linspace(np.log(0.92), np.log(3.2), 22))
-_PERSPECTIVES = np.array([-0.8, -0.25, 0.3, 0.9])
-_MAX_SAMPLES = 96  # that the 3520 points are compared with: more cost more than they gain
 
 
 def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> list[Array]:
@@ -76,11 +71,15 @@ def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> li
     """
     seen_s = impact_s - float(seconds[0])
     near = seconds < impact_s + 5.0 * seen_s
-    every = max(1, -(-int(near.sum()) // _MAX_SAMPLES))
+    every = max(1, -(-int(near.sum()) // 96))  # more samples cost more than they gain
     clock, positions = seconds[near][::every] - impact_s, along[near][::every]
-    falls = seen_s * _STRETCHES
-    heights = ideal_heights(_RESTITUTIONS[:, None, None], clock / falls[:, None])
-    shapes = projected(heights, _PERSPECTIVES[:, None, None, None])
+    # Fall times in durations of the part of the fall that is seen; perspectives within about one
+    # standard deviation of their prior.
+    restitutions = np.linspace(0.02, 0.995, 40)
+    falls = seen_s * np.exp(np.linspace(np.log(0.92), np.log(3.2), 22))
+    perspectives = np.array([-0.8, -0.25, 0.3, 0.9])
+    heights = ideal_heights(restitutions[:, None, None], clock / falls[:, None])
+    shapes = projected(heights, perspectives[:, None, None, None])
     middle = shapes.mean(axis=-1, keepdims=True)
     off, about = shapes - middle, positions - positions.mean()
     spread = (off**2).sum(axis=-1)
@@ -97,8 +96,8 @@ def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> li
         span = float(spans[at])
         contact = float(positions.mean() - span * middle[view, ball, fall, 0])
         start = np.zeros(len(LOW))
-        start[[RESTITUTION, IMPACT, FALL]] = _RESTITUTIONS[ball], impact_s, np.log(falls[fall])
-        start[[CONTACT, SPAN, PERSPECTIVE]] = contact, span, _PERSPECTIVES[view]
+        start[[RESTITUTION, IMPACT, FALL]] = restitutions[ball], impact_s, np.log(falls[fall])
+        start[[CONTACT, SPAN, PERSPECTIVE]] = contact, span, perspectives[view]
         starts.append(start)
         taken[:, max(0, ball - 1) : ball + 2, max(0, fall - 2) : fall + 3] = True
     return starts
@@ -109,32 +108,39 @@ def grid_starts(seconds: Array, along: Array, impact_s: float, count: int) -> li
 # the first flight is whole, so is its result.
 
 MAX_CLOCK_GAIN = 12.0  # log likelihood ratio: of 120 tries chance alone reaches about 5
-_EDGE = 3  # samples to either end where no jump can be told
 _MIN_COUNT = 12  # samples for a test of the clock
 
 
-def clock_test(fit: BounceFit) -> tuple[float, float]:
-    """Test for a jump or a new rate of the clock by Rao's score: log likelihood gain, and when [s].
+def clock_test(fit: BounceFit) -> tuple[Array, Array]:
+    """Test for a jump of the clock, and for another rate, by Rao's score.
 
-    It is one more unknown, linear about the fit, the best of all moments. Samples count as little
-    as in the fit where they are far off: a picture of an impact is no jump.
+    Returns the log likelihood gained by each from each moment on, and the moments [s], shape (M,).
+    It is one more unknown, linear about the fit. Samples count as little as in the fit where they
+    are far off: a picture of an impact is no jump.
     """
-    gains, moments = _clock_gains(fit)
-    best = int(gains.argmax())
-    return float(gains[best]), float(moments[best])
+    samples = fit.samples
+    seconds = samples.seconds
+    if len(seconds) < _MIN_COUNT:
+        return np.zeros(1), seconds[:1]
+    weights = np.sqrt((FREEDOM + 1) / (FREEDOM + (fit.residuals / fit.scale) ** 2))
+    known, _ = np.linalg.qr(weights[:, None] * samples.jacobian(fit.unknowns, fit.free))
+    speed = -samples.jacobian(fit.unknowns, (IMPACT,))[:, 0]
+    # About 60 moments, but for three samples at either end, where no jump can be told.
+    moments = seconds[3 : -3 : max(1, len(seconds) // 60)]
+    since = seconds[:, None] - moments
+    shifts = np.hstack([since > 0, np.maximum(since, 0.0)]) * (weights * speed)[:, None]
+    new = shifts - known @ (known.T @ shifts)
+    power = np.maximum((new**2).sum(axis=0), 1e-9 * (shifts**2).sum(axis=0) + 1e-12)
+    gains = (new.T @ (weights * fit.residuals)) ** 2 / power / fit.scale**2
+    return gains / fit.effective_sample_factor / 2, np.tile(moments, 2)
 
 
-@dataclass(frozen=True)
-class LateFault:
-    """Moment from which a track cannot be trusted, after its second impact at the earliest."""
+def late_fault(fit: BounceFit) -> tuple[float, int | None] | None:
+    """Find when a fitted track cannot be trusted any more, after its second impact at the earliest.
 
-    seconds: float  # the time of the samples [s]
-    # How many are whole before a flight that is not the ball's; None where the clock is at fault.
-    flights: int | None
-
-
-def late_fault(fit: BounceFit) -> LateFault | None:
-    """Find the first late fault of a fitted track; None without one."""
+    Returns the time [s], and how many flights are whole before one that is not the ball's, None
+    where the clock is at fault; None without a fault.
+    """
     # All impacts, as far as samples go [s].
     samples, fall_s = fit.samples, float(np.exp(fit.unknowns[FALL]))
     starts, _ = samples.bounce(fit.unknowns).flights(float(samples.times(fit.unknowns)[-1]))
@@ -142,20 +148,19 @@ def late_fault(fit: BounceFit) -> LateFault | None:
     impacts_s = seconds[seconds < samples.seconds[-1]]
     if len(impacts_s) < 2:
         return None
-    gains, moments = _clock_gains(fit)
+    gains, moments = clock_test(fit)
     if gains.max() > MAX_CLOCK_GAIN:
         # Down to 4 below the largest gain an earlier moment may be as likely.
         first_s = float(moments[gains > gains.max() - 4.0].min())
         if first_s >= impacts_s[1]:  # what it sets astray is no other bounce
-            return LateFault(first_s, None)
+            return first_s, None
     # Else the first flight most of whose samples, four or more, are 5 standard deviations off.
-    seconds = fit.samples.seconds
-    off = np.abs(fit.residuals) / fit.scale
+    seconds, off = samples.seconds, np.abs(fit.residuals) / fit.scale
     for flights, begin in enumerate(impacts_s[1:], start=1):
         end = impacts_s[flights + 1] if flights + 1 < len(impacts_s) else np.inf
         flight = off[(seconds > begin) & (seconds < end)]
         if len(flight) >= 4 and np.median(flight) > 5.0:
-            return LateFault(float(begin), flights)
+            return float(begin), flights
     return None
 
 
@@ -184,32 +189,11 @@ def long_steps(fit: BounceFit) -> int:
     return int(np.count_nonzero(off > max(0.3, 5.0 * spread)))
 
 
-def _clock_gains(fit: BounceFit) -> tuple[Array, Array]:
-    """Score a jump, and another rate, from each moment on; return gains and moments [s]."""
-    samples = fit.samples
-    seconds = samples.seconds
-    if len(seconds) < _MIN_COUNT:
-        return np.zeros(1), seconds[:1]
-    weights = np.sqrt((FREEDOM + 1) / (FREEDOM + (fit.residuals / fit.scale) ** 2))
-    known, _ = np.linalg.qr(weights[:, None] * samples.jacobian(fit.unknowns, fit.free))
-    speed = -samples.jacobian(fit.unknowns, (IMPACT,))[:, 0]
-    every = max(1, len(seconds) // 60)
-    moments = seconds[_EDGE:-_EDGE:every]
-    since = seconds[:, None] - moments
-    shifts = np.hstack([since > 0, np.maximum(since, 0.0)]) * (weights * speed)[:, None]
-    new = shifts - known @ (known.T @ shifts)
-    power = np.maximum((new**2).sum(axis=0), 1e-9 * (shifts**2).sum(axis=0) + 1e-12)
-    gains = (new.T @ (weights * fit.residuals)) ** 2 / power / fit.scale**2
-    return gains / fit.effective_sample_factor / 2, np.tile(moments, 2)
-
-
 # ---- Bounce fitted from an impact on: the samples and flights that one law explains
 
 _ROUGHLY = (10, 1e-4)  # iterations and gain in cost that end fits which are only compared
 _MIN_FALL_SAMPLES = 4  # samples of a fall, and of what follows it
-_REST_SEEN = 2.0  # fall times of a rest: more would only repeat the contact's position
 _TYPICAL = {SLOPE: 0.08, DRAG: 0.05}  # what most balls have: where the fit of a law begins
-_LITTLE = 0.004  # fraction of the fall: residuals beyond noise that pass
 _HOPELESS = 0.12  # fraction of the fall, rms: a rough fit with more becomes no drop's
 _LIFTED = 1.15  # fraction of the fall: higher up the ball is lifted
 
@@ -266,7 +250,14 @@ def _of_first_flights(whole: BounceSamples, impacts: Sequence[int], fit: BounceF
         begun = whole.part(0, end)
         rough = _rough_fits(begun.part(first, end), float(whole.seconds[impacts[0]]))
         shorter = _finished(begun, rough) if rough else None
-        if shorter and is_good(shorter, 0.001) and _is_usual(whole, shorter):
+        if shorter is None or not is_good(shorter, 0.001):
+            continue
+        # Few flights are explained by many laws: this one must be usual for balls, and release the
+        # ball where it is seen held.
+        times = whole.times(shorter.unknowns)
+        held = (times > -1.5) & (times < -1.0)
+        off = np.median(whole.residuals(shorter.unknowns)[held]) if np.any(held) else 0.0
+        if abs(shorter.unknowns[SLOPE]) < 0.25 and abs(off) < 0.05 * shorter.unknowns[SPAN]:
             return FilmFit(shorter, flights)
     return FilmFit(fit)
 
@@ -307,7 +298,7 @@ def _finished(whole: BounceSamples, rough: list[BounceFit]) -> BounceFit:
     else:
         end = float(hits[-1]) if speeds[-1] == 0 else np.inf
     first = int(np.searchsorted(whole.seconds, seconds[0]))
-    end_s = min(impact_s + fall_s * (end + _REST_SEEN), float(seconds[-1]))
+    end_s = min(impact_s + fall_s * (end + 2.0), float(seconds[-1]))  # of a rest
     last_at = int(np.searchsorted(whole.seconds, end_s, side="right"))
     samples = whole.part(first, last_at) if last_at - first > MIN_SAMPLES else fit.samples
     fit = _from_any(samples, [fit.unknowns])
@@ -338,20 +329,9 @@ def misfit(fit: BounceFit) -> float:
     return fit.tail_sd / float(fit.unknowns[SPAN])
 
 
-def is_good(fit: BounceFit, little: float = _LITTLE) -> bool:
-    """Return whether the residuals are noise, or little of the fall."""
+def is_good(fit: BounceFit, little: float = 0.004) -> bool:
+    """Return whether the residuals are noise, or this little of the fall beyond it."""
     return misfit(fit) < 1.5 * fit.samples.noise / float(fit.unknowns[SPAN]) + little
-
-
-def _is_usual(whole: BounceSamples, fit: BounceFit) -> bool:
-    """Return whether a law is usual for balls, and releases the ball where it is seen held.
-
-    Few flights are explained by many laws.
-    """
-    times = whole.times(fit.unknowns)
-    held = (times > -1.5) & (times < -1.0)
-    off = np.median(whole.residuals(fit.unknowns)[held]) if np.any(held) else 0.0
-    return abs(fit.unknowns[SLOPE]) < 0.25 and abs(off) < 0.05 * fit.unknowns[SPAN]
 
 
 def film_impacts(seconds: Array, along_px: Array, noise_px: float) -> list[int]:
@@ -359,7 +339,7 @@ def film_impacts(seconds: Array, along_px: Array, noise_px: float) -> list[int]:
 
     The slopes are taken over as many samples as the noise (the sd of a position) requires.
     """
-    period_s = float(np.median(np.diff(seconds)))
+    period_s = median_step(seconds)
     width = 2
     while True:
         if len(along_px) <= 2 * width + 1:
@@ -410,32 +390,27 @@ def bounces_end(seconds: Array, along_px: Array, impacts: Sequence[int]) -> int:
 # ---- Reasons why a track shows no drop, in words that say what to do
 
 MIN_FREE = 0.1  # fraction of a way that is free flight below which nothing is let go
-ENOUGH_WINDOWS = 20  # of that way, that tell: short flights of a dull ball fill few
 
 
-@dataclass(frozen=True)
-class FreeFlight:
+class FreeFlight(NamedTuple):
     """Share of a track that is free flight."""
 
-    windows: int  # short parts of the way in which the ball moves, one about each picture
-    share: float  # of them that bend as the flight does by which the ball was found
+    # Of the short parts of the way in which the ball moves, one about each picture, those that bend
+    # as the flight does by which the ball was found.
+    share: float
     flights: int  # how many there are, one after another
-
-    @property
-    def is_carried(self) -> bool:
-        """Whether the ball is carried by a hand, or rolls."""
-        return self.windows >= ENOUGH_WINDOWS and self.share < MIN_FREE
+    is_carried: bool  # whether the ball is carried by a hand, or rolls
 
 
 def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFlight:
     """Compare accelerations in short windows of the `chosen` pictures, (T,), with the flight's."""
     known = np.flatnonzero(track.found if chosen is None else track.found & chosen)
     if len(known) < MIN_SAMPLES:
-        return FreeFlight(0, 0.0, 0)
+        return FreeFlight(0.0, 0, is_carried=False)
     seconds, places = track.stamps_ns[known] * 1e-9, track.places_px[known]
     radius = float(np.nanmedian(track.radius_px[known]))
     gravity = float(np.linalg.norm(track.gravity_px))
-    period_s = float(np.median(np.diff(seconds)))
+    period_s = median_step(seconds)
     # A fall sags by more in a window than noise does.
     wide_s = np.sqrt(8 * max(3.0, 0.3 * radius) / gravity)
     half = max(2, round(wide_s / period_s / 2))
@@ -453,7 +428,9 @@ def free_flight(track: Track, chosen: NDArray[np.bool_] | None = None) -> FreeFl
     parted = [is_free or length >= 3 for is_free, length in runs]
     kinds = [is_free for (is_free, _), kept in zip(runs, parted, strict=True) if kept]
     flights = sum(kind for kind, _ in groupby(kinds))
-    return FreeFlight(len(free), sum(free) / max(len(free), 1), flights)
+    share = sum(free) / max(len(free), 1)
+    # Of 20 parts or more: short flights of a dull ball fill few.
+    return FreeFlight(share, flights, is_carried=len(free) >= 20 and share < MIN_FREE)
 
 
 def too_small(track: Track, span: float) -> str:
@@ -511,7 +488,7 @@ def _leaves_at(track: Track, whole: BounceSamples, impact: int) -> bool:
     """Return whether a fall ends at the picture's edge, without the ball about its end."""
     seconds = whole.seconds
     gap_s = np.diff(seconds[max(impact - 1, 0) : impact + 2]).max(initial=0.0)
-    if gap_s < 1.9 * float(np.median(np.diff(seconds))):  # no picture of the ball is missing
+    if gap_s < 1.9 * median_step(seconds):  # no picture of the ball is missing
         return False
     down = track.gravity_px / np.linalg.norm(track.gravity_px)
     axis = int(np.argmax(np.abs(down)))
@@ -524,11 +501,6 @@ def _leaves_at(track: Track, whole: BounceSamples, impact: int) -> bool:
 
 # ---- Drop of a track: the first plausible bounce, its camera, and its heights
 
-# Least noise [px] of positions in whole pixels, and of others. Rounding to whole pixels is no
-# noise: a ball that lies still is always rounded the same way.
-_WHOLE_PX_NOISE, _MIN_NOISE_PX = 0.45, 0.1
-_STRAIGHT = 0.0015  # fraction of the span by which a good lens may distort the vertical
-
 
 @dataclass(frozen=True, eq=False)
 class FilmedDrop:
@@ -538,8 +510,7 @@ class FilmedDrop:
     down_px: Array  # unit vector of the image's vertical, shape (2,)
     posterior: BallPosterior  # of the ball, with its fit
     projection: Projection  # where its heights are in the picture, by that fit; on the log's time
-    # When what the ball does after its first impact ends in the picture, on the drop's clock:
-    # lifted, or long not found.
+    # When what the ball does after its first impact ends: lifted, or long not found.
     end_s: float
     used: NDArray[np.bool_]  # which pictures the drop is made of, shape (T,) of the track
     sideways: Array  # distance from the image's vertical [drop heights], shape (used pictures,)
@@ -549,32 +520,26 @@ class FilmedDrop:
     later_s: tuple[float, ...]  # impacts after it, after falls as deep, on the drop's clock
     # How many it is made of where the ball bounces otherwise after them; None where not.
     flights: int | None = None
-    # When its clock jumps, after the second impact: what comes later is left out; None where it
-    # does not.
+    # When its clock jumps: what comes later is left out; None where it does not.
     uneven_s: float | None = None
-
-    @property
-    def fit(self) -> BounceFit:
-        """Fit of the posterior's ball, in the camera that goes with it."""
-        return self.posterior.fit
 
 
 class _NoDropError(Exception):
-    """No bounce could be fitted to a track.
-
-    Attributes:
-        impacts: samples at which a fall may end.
-        fitted: whether any of them follows a free fall.
-    """
+    """No bounce could be fitted to a track."""
 
     def __init__(self, impacts: list[int], fitted: bool) -> None:
         super().__init__()
-        self.impacts, self.fitted = impacts, fitted
+        self.impacts = impacts  # samples at which a fall may end
+        self.fitted = fitted  # whether any of them follows a free fall
 
 
 def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> FilmedDrop:
     """Find and fit the first drop in a track; its clock is 0 at `start_ns`."""
-    known = _usable(track)
+    # The pictures in which the ball is found, each later than the one before.
+    known = np.flatnonzero(np.isfinite(track.places_px).all(axis=1))
+    latest_ns = np.maximum.accumulate(track.stamps_ns[known])
+    known = known[np.diff(latest_ns, prepend=latest_ns[:1] - 1) > 0]
+    known = known if np.linalg.norm(track.gravity_px) > 0 else known[:0]
     if len(known) < MIN_SAMPLES:
         raise NotFoundError(
             f"the ball is seen in {len(known)} pictures: too few for a drop", FILM_MORE
@@ -585,16 +550,16 @@ def find_filmed_drop(track: Track, start_ns: int, ball: Ball | None = None) -> F
     span = float(np.ptp(along))
     if span < 15.0:  # no bounce is told from the noise of a track; the checks ask for 40
         raise NotFoundError(too_small(track, span))
-    least_px = _WHOLE_PX_NOISE if is_whole(track.places_px[known]) else _MIN_NOISE_PX
-    noise_px = max(noise_of(along), least_px)
-    distortion_px = _STRAIGHT * span
+    # Rounding to whole pixels is no noise: a ball that lies still is always rounded the same way.
+    noise_px = max(noise_of(along), 0.45 if not np.any(track.places_px[known] % 1) else 0.1)
+    distortion_px = 0.0015 * span  # by which a good lens may distort the vertical
     whole = BounceSamples(
         seconds=seconds,
         positions=along,
         noise=max(noise_px, distortion_px),
         distortion_variance_fraction=max(0.0, 1 - (noise_px / distortion_px) ** 2),
         drag_1_m=ball.drag_1_m if ball else None,
-        exposure_s=min(track.exposure_s, float(np.median(np.diff(seconds)))),
+        exposure_s=min(track.exposure_s, median_step(seconds)),
     )
     try:
         found, impacts, uneven_s = _trusted_fit(whole)
@@ -667,21 +632,6 @@ def drop_by(film: FilmedDrop, posterior: BallPosterior) -> Drop:
     return _drop(film.drop.seconds, along, view, noise_px, film.drop.first)
 
 
-def _usable(track: Track) -> NDArray[np.intp]:
-    """Return the pictures in which the ball is found, each later than the one before."""
-    known = np.flatnonzero(np.isfinite(track.places_px).all(axis=1))
-    stamps_ns = track.stamps_ns[known]
-    later = stamps_ns > np.concatenate(
-        [[np.iinfo(np.int64).min], np.maximum.accumulate(stamps_ns)[:-1]]
-    )
-    return known[later] if np.linalg.norm(track.gravity_px) > 0 else known[:0]
-
-
-def is_whole(positions_px: Array) -> bool:
-    """Return whether positions [px], of any shape, are rounded to whole pixels."""
-    return bool(np.all(positions_px == np.round(positions_px)))
-
-
 def _drop(seconds: Array, along: Array, fit: Projection, noise_px: float, first: int) -> Drop:
     """Build a drop of positions along the vertical; at rest where 6 samples or more lie still."""
     gravity = CALIBRATED.gravity_m_s2
@@ -743,15 +693,16 @@ def _trusted_fit(whole: BounceSamples) -> tuple[FilmFit, list[int], float | None
         fault = late_fault(found.fit)
         if fault is None:
             break
+        fault_s, flights = fault
         try:
-            shorter, _ = _find_fit(whole.part(0, int(whole.seconds.searchsorted(fault.seconds))))
+            shorter, _ = _find_fit(whole.part(0, int(whole.seconds.searchsorted(fault_s))))
         except _NoDropError:
             break
         apart_s = shorter.fit.unknowns[IMPACT] - found.fit.unknowns[IMPACT]
         if abs(apart_s) > shorter.fit.projection().fall_time_s / 4:
             break  # of another drop
-        found = FilmFit(shorter.fit, shorter.flights or fault.flights or found.flights)
-        uneven_s = fault.seconds if fault.flights is None else uneven_s
+        found = FilmFit(shorter.fit, shorter.flights or flights or found.flights)
+        uneven_s = fault_s if flights is None else uneven_s
     return found, impacts, uneven_s
 
 
@@ -773,8 +724,6 @@ def _deep_falls_s(samples: BounceSamples, least_px: float) -> list[float]:
 # Where pictures are lost on their way, those around the loss may be a tick earlier or later. A ball
 # that falls is elsewhere a tick later, so its flight in the other pictures shows which.
 
-_AFTER_RELEASE = -0.95  # fall times from which on the ball flies for sure
-
 
 def placed_by_motion(
     track: Track, arrivals: CorrectedStamps, start_ns: int, ball: Ball | None
@@ -789,50 +738,35 @@ def placed_by_motion(
         clock = arrivals.clock
         if clock is None or not clock.unsure.any():
             break
-        film = _film_of(track, clock.unsure[numbers], start_ns, ball)
+        # The drop in the sure pictures, or in all where those are too few.
+        unsure, film = clock.unsure[numbers], None
+        sure = replace(track, places_px=np.where(unsure[:, None], np.nan, track.places_px))
+        for tried in (sure, track):
+            with suppress(NotFoundError):
+                film = film or find_filmed_drop(tried, start_ns, ball)
         if film is None:
             break
         along = np.full(len(clock.ticks), np.nan)
         along[numbers] = -(track.places_px @ film.down_px)
         since_s = float(clock.arrivals_ns[0] - start_ns) * 1e-9
-
-        def cost(
-            asked: NDArray[np.intp],
-            times_ms: Array,
-            *,
-            film: FilmedDrop = film,
-            along: Array = along,
-            since_s: float = since_s,
-        ) -> Array:
-            return _misfit(film, along[asked], since_s + 1e-3 * times_ms)
-
-        placed = clock.placed_by(cost)
+        placed = clock.placed_by(partial(_misfit, film, along, since_s))
         arrivals = replace(arrivals, clock=placed, stamps_ns=placed.stamps_ns)
         track = replace(track, stamps_ns=arrivals.stamps_ns[numbers])
     return track, arrivals
 
 
-def _film_of(
-    track: Track, unsure: NDArray[np.bool_], start_ns: int, ball: Ball | None
-) -> FilmedDrop | None:
-    """Fit the drop to the sure pictures, or to all where those are too few."""
-    sure = replace(track, places_px=np.where(unsure[:, None], np.nan, track.places_px))
-    for tried in (sure, track):
-        try:
-            return find_filmed_drop(tried, start_ns, ball)
-        except NotFoundError:
-            continue
-    return None
+def _misfit(
+    film: FilmedDrop, along: Array, since_s: float, asked: NDArray[np.intp], times_ms: Array
+) -> Array:
+    """Return the negative log likelihood of `asked` pictures (N,) of places `along` (T,) at times.
 
-
-def _misfit(film: FilmedDrop, along: Array, seconds: Array) -> Array:
-    """Return the negative log likelihood of places (N,) at times (N, S); 0 where nothing flies."""
-    flat, fit = seconds.ravel(), film.projection
-    times = fit.fall_times(flat)
-    heights = fit.bounce.heights(np.maximum(times, _AFTER_RELEASE))
-    off = (fit.positions(heights, flat).reshape(seconds.shape) - along[:, None]) / max(
-        fit.residual_rms, 0.3
-    )
+    These are (N, S) [ms], and 0 at `since_s` on the drop's clock; 0 where nothing flies.
+    """
+    flat, fit = (since_s + 1e-3 * times_ms).ravel(), film.projection
+    times, flies_from = fit.fall_times(flat), -0.95  # fall times: for sure
+    positions = fit.positions(fit.bounce.heights(np.maximum(times, flies_from)), flat)
+    off = positions.reshape(times_ms.shape) - along[asked][:, None]
+    off /= max(fit.residual_rms, 0.3)
     cost = np.minimum(0.5 * off**2, 12.0)  # a single wrong place is not the ball's
-    flies = (times >= _AFTER_RELEASE) & (flat <= film.end_s)
-    return np.where(flies.reshape(seconds.shape) & np.isfinite(off), cost, 0.0)
+    flies = (times >= flies_from) & (flat <= film.end_s)
+    return np.where(flies.reshape(times_ms.shape) & np.isfinite(off), cost, 0.0)

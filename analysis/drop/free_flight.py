@@ -8,7 +8,7 @@ height or of the release: at first the ball may be held, carried or already fall
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tunenet_logs.analysis.drop import DENSER, GOOD_DROP, LONGER
 from tunenet_logs.analysis.statistics import noise_of
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
@@ -50,6 +50,11 @@ class Impact:
         """Height of a fall from rest to the impact's speed [m]."""
         return self.impact_speed_m_s**2 / (2 * self.gravity_m_s2)
 
+    def after(self, start_s: float) -> dict[str, Any]:
+        """Return the impact's own fields, on a clock on which its clock began at `start_s`."""
+        own = {field.name: getattr(self, field.name) for field in fields(Impact)}
+        return {**own, "impact_s": start_s + self.impact_s}
+
 
 @dataclass(frozen=True, eq=False)
 class ImpactFit(Impact):
@@ -73,8 +78,8 @@ def meet(clock: Array, heights: Array, fall: Indices, flight: Indices, noise: fl
     covariance = max(noise, 1e-9) ** 2 * np.linalg.pinv(design.T @ design)
     steps = np.sqrt(np.diag(covariance))
     nudges: Array = np.diag(steps)
-    either_way = [(_crossing(solution + step), _crossing(solution - step)) for step in nudges]
-    slopes = np.array([(up - down) / 2 for up, down in either_way])  # shape (5, 4)
+    either_way = [_crossing(solution + step) - _crossing(solution - step) for step in nudges]
+    slopes = np.array(either_way) / 2  # shape (5, 4)
     correlation = covariance / np.outer(steps, steps)
     errors = np.sqrt(np.maximum(np.diag(slopes.T @ correlation @ slopes), 0.0))
     impact_s, contact_m, speed_m_s, restitution = _crossing(solution).tolist()
@@ -99,8 +104,8 @@ def falling_to(level_m: float, fall: Array, level_sd_m: float = 0.0) -> ImpactFi
         impact_s=(-slope - speed) / (2 * curve),
         contact_m=level_m,
         impact_speed_m_s=speed,
-        flight_restitution=float("nan"),
-        flight_restitution_sd=float("nan"),
+        flight_restitution=np.nan,
+        flight_restitution_sd=np.nan,
         gravity_m_s2=-2 * curve,
         contact_sd_m=level_sd_m,
         fall=fall,
@@ -109,13 +114,13 @@ def falling_to(level_m: float, fall: Array, level_sd_m: float = 0.0) -> ImpactFi
 
 def gravity_of(clock: Array, heights: Array, indices: Indices, noise: float) -> float:
     """Estimate the acceleration of free flight [m/s²]; NaN where the samples do not fix it."""
-    if len(indices) < _MIN_COUNT:
-        return float("nan")
+    if len(indices) < 4:
+        return np.nan
     times = clock[indices] - clock[indices].mean()
     design = np.column_stack([np.ones_like(times), times, times**2])
     solution, *_ = np.linalg.lstsq(design, heights[indices], rcond=None)
     sd = 2 * noise * np.sqrt(max(np.linalg.pinv(design.T @ design)[2, 2], 0.0))
-    return float(-2 * solution[2]) if sd < 0.5 else float("nan")
+    return float(-2 * solution[2]) if sd < 0.5 else np.nan  # [m/s²], a twentieth of gravity
 
 
 def _crossing(coefficients: NDArray[Any]) -> Array:
@@ -130,7 +135,6 @@ def _crossing(coefficients: NDArray[Any]) -> Array:
 
 # ---- Samples of the fall, of the first flight and of the rest
 
-_MIN_COUNT = 4  # samples that fix an acceleration
 MIN_DROP_M = 0.02  # a lower fall lasts 64 ms: a camera of 60 Hz sees it in four pictures
 _REST_WINDOW_S = 0.25  # longer than the top of a bounce stays within the tolerance of a rest
 
@@ -183,13 +187,13 @@ def release(
     if len(upper) >= 5:
         parabola = np.polyfit(clock[upper], heights[upper], 2)
         parabolas += [parabola] if parabola[0] < 0 else []
-    (apex_s, apex_m), *others = [
+    apexes = [
         (-slope / (2 * curve), offset - slope**2 / (4 * curve))
         for curve, slope, offset in (parabola.tolist() for parabola in parabolas)
     ]
-    if others and abs(others[0][0] - apex_s) < 0.25 * (impact.impact_s - apex_s):
-        return others[0]
-    return apex_s, apex_m
+    apex_s = apexes[0][0]
+    near = abs(apexes[-1][0] - apex_s) < 0.25 * (impact.impact_s - apex_s)
+    return apexes[-1 if near else 0]
 
 
 def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise: float) -> Indices:
@@ -201,7 +205,7 @@ def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise:
     tolerance = 4 * noise + 5e-4 * np.ptp(heights)
     landing = falling_to(float(heights[max(index - 3, 0) : index + 4].min()), fall)
     speed_m_s = max(landing.impact_speed_m_s, 1e-3)
-    doubt_s = (clock[index] - clock[index - 1]) / 2 + 3 * noise / speed_m_s
+    doubt_s = (clock[index] - clock[index - 1]) / 2 + 3 * noise / speed_m_s  # of the landing
     begin = int(np.searchsorted(clock, landing.impact_s + doubt_s))
 
     def is_flight(stop: int) -> bool:
@@ -211,7 +215,7 @@ def flight_samples(clock: Array, heights: Array, index: int, fall: Array, noise:
         curve = fall[0]
         if stop - begin > 6:  # the air slows a fall more than a flight
             free = float(np.polyfit(times - times.mean(), heights[begin:stop], 2)[0])
-            curve = float(np.clip(free, 1.8 * fall[0], fall[0]))
+            curve = float(np.clip(free, 1.8 * fall[0], fall[0]))  # nor far more
         straight = heights[begin:stop] - curve * times**2
         off = straight - np.polyval(np.polyfit(times, straight, 1), times)
         return bool(np.abs(off).max() < tolerance)
@@ -237,7 +241,7 @@ def rest_and_end(
     after = heights[index + 1 :]
     above = np.flatnonzero(after > contact + 1.1 * depth + 6 * noise)
     end = index + 1 + (int(above[0]) if len(above) else len(after))
-    width = int(np.ceil(_REST_WINDOW_S / float(np.median(np.diff(clock))))) + 1
+    width = int(np.ceil(_REST_WINDOW_S / median_step(clock))) + 1
     third = width // 3
     sag = impact.gravity_m_s2 * (_REST_WINDOW_S / 3) ** 2
     begin, size = index + 1, 256  # a ball rests soon, whatever the recording's length
@@ -267,7 +271,6 @@ def rest_and_end(
 
 _MIN_SAMPLES = 10  # for a fall and a flight (5 and 3 samples), and for a noise
 _MARGIN_S = 1.0  # kept before the release and of the rest, to be seen in a review
-_MAX_OUTLIERS = 8  # more of them are no exception: then it is the recording that is in doubt
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -281,14 +284,14 @@ class Drop(Impact):
     release_m: float  # height there [m]
     # Fitted acceleration of the first flight alone, in which the air adds to gravity on the way up
     # as much as it takes from it on the way down; NaN where too little of it is seen.
-    flight_gravity_m_s2: float = float("nan")
+    flight_gravity_m_s2: float = np.nan
     # Times of the first and the last sample of the fall that is a parabola [s].
     fall_s: tuple[float, float]
     # The same of the first flight; twice the impact's where too little is seen.
     flight_s: tuple[float, float]
     noise_m: float  # standard deviation of the samples about a smooth curve [m]
-    rest_s: float = float("nan")  # when the ball begins to rest [s]; NaN where it is not seen to
-    rest_m: float = float("nan")  # height there [m]; NaN likewise
+    rest_s: float = np.nan  # when the ball begins to rest [s]; NaN where it is not seen to
+    rest_m: float = np.nan  # height there [m]; NaN likewise
     rest_tolerance_m: float = 0.0  # how far from the contact that may be on one table [m]
     # Whether the ball already flew at the first sample: it was thrown, or bounced before. Its
     # release is then that sample.
@@ -319,10 +322,11 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
         moved = f"the ball does not fall: it moves by {1000 * span:.1f} mm in all"
         raise NotFoundError(moved, GOOD_DROP)
     # In 25 ms a ball gains .25 m/s, little beside an impact's jump.
-    width = max(2, round(0.025 / float(np.median(np.diff(seconds)))))
+    width = max(2, round(0.025 / median_step(seconds)))
     impacts: list[int] = []
     if len(heights_m) > 2 * width:
         slopes = run_slopes(seconds, heights_m, width)
+        # Of the fastest fall, before an impact; of the sharpest corner, at it.
         impacts = slope_corners(slopes, width, 0.12 * min(slopes[:-width].min(), 0.0), 0.15)
     drops: list[Drop] = []
     odd: list[Drop] = []
@@ -342,6 +346,7 @@ def find_drops(seconds: Array, heights_m: Array) -> list[Drop]:
         inner = np.flatnonzero((drop.seconds > drop.impact_s) & (drop.seconds < next_s))[1:-1]
         between = gravity_of(drop.seconds, drop.heights_m, inner, drop.noise_m)
         seen = (drop.gravity_m_s2, drop.flight_gravity_m_s2, between)
+        # A fifth off standard gravity any other drop of the recording is preferred.
         if any(abs(one / GRAVITY_M_S2 - 1) < 0.2 for one in seen):
             drops.append(drop)
             end = drop_end
@@ -360,7 +365,8 @@ def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
     themselves.
     """
     found = np.zeros(len(heights_m), dtype=bool)
-    each_end = _MAX_OUTLIERS // 2
+    most = 8  # more of them are no exception: then it is the recording that is in doubt
+    each_end = most // 2
     if len(heights_m) < 4 * each_end:
         return found
     ordered = np.partition(heights_m, (each_end, len(heights_m) - 1 - each_end))
@@ -369,7 +375,7 @@ def outliers(seconds: Array, heights_m: Array) -> NDArray[np.bool_]:
     off_m = np.abs(heights_m[1:-1] - (heights_m[2:] + heights_m[:-2]) / 2)
     apart_m = np.abs(heights_m[2:] - heights_m[:-2])
     found[1:-1] = (off_m > reach_m + 0.05 * whole_m) & (apart_m < off_m)
-    return found if found.sum() <= _MAX_OUTLIERS else np.zeros_like(found)
+    return found if found.sum() <= most else np.zeros_like(found)
 
 
 def run_slopes(seconds: Array, heights: Array, width: int) -> Array:
@@ -421,7 +427,7 @@ def _fit_drop(
     rest, end = rest_and_end(clock, heights, index, impact, noise)
     if not len(rest) and not len(flight):
         raise NotFoundError("the recording ends before the ball rebounds", LONGER)
-    level_m = float("nan")
+    level_m = np.nan
     tolerance_m = 4 * impact.contact_sd_m + 0.001 * impact.drop_height_m + 0.001
     if len(rest):
         late = heights[rest[len(rest) // 2 :]]  # the last bounces are too small to tell from rest
@@ -450,17 +456,12 @@ def _fit_drop(
         heights_m=heights[first:last],
         release_s=float(seconds[index] + release_s),
         release_m=release_m,
-        impact_s=float(seconds[index] + impact.impact_s),
-        contact_m=impact.contact_m,
-        impact_speed_m_s=impact.impact_speed_m_s,
-        flight_restitution=impact.flight_restitution,
-        flight_restitution_sd=impact.flight_restitution_sd,
-        gravity_m_s2=impact.gravity_m_s2,
+        **impact.after(float(seconds[index])),
         flight_gravity_m_s2=gravity_of(clock, heights, flight, noise),
         fall_s=(float(seconds[fall[0]]), float(seconds[fall[-1]])),
         flight_s=(float(ends[0]), float(ends[1])),
         noise_m=noise,
-        rest_s=float(seconds[rest[0]]) if len(rest) else float("nan"),
+        rest_s=float(seconds[rest[0]]) if len(rest) else np.nan,
         rest_m=level_m,
         rest_tolerance_m=tolerance_m,
     )

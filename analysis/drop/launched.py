@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tunenet_logs.analysis.drop.bounce_fit import fit_positions, noise_floor
+from tunenet_logs.analysis.drop.bounce_fit import MIN_SAMPLES, fit_positions, noise_floor
 from tunenet_logs.analysis.drop.film import film_impacts
 from tunenet_logs.analysis.drop.free_flight import Drop, Impact, Indices, gravity_of, meet
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 
 # ---- Chains of impacts with free flight on both sides, anywhere in a recording
 
@@ -22,7 +22,6 @@ _MIN_RUN = 4  # samples of a free flight beside an impact
 _BENT = (0.7, 1.35)
 _SURELY_BENT = (0.85, 1.15)  # the same where a flight may end in a hand
 _MISSES = 3  # samples in a row off a flight, after which it is over
-_BOUNCIEST = 1.0  # restitution from which on something pushes
 _MIN_COUNT = 6  # samples that stay on either side of an impact
 
 
@@ -97,7 +96,7 @@ class FlownHeights:
         rise = self._line(np.arange(after, min(after + 6, len(heights))), gravity)
         at_s = (seconds[before] + seconds[after]) / 2
         falling, rising = -_slope(fall, at_s), _slope(rise, at_s)
-        if not 0.02 * falling < rising < (_BOUNCIEST + 0.1) * falling:
+        if not 0.02 * falling < rising < 1.1 * falling:
             return None
         # So near to its parabola a sample is on a flight: in noise, and parts of the fall.
         near = 5.0 * noise + 4e-3 * (falling**2 / (2 * gravity))
@@ -108,11 +107,11 @@ class FlownHeights:
         sides = np.arange(first, before + 1), np.arange(after, last + 1)
         down, up = (self._parabola(rows) for rows in sides)
         falling, rising = -_slope(down, at_s), _slope(up, at_s)
-        if not 0.02 * falling < rising < _BOUNCIEST * falling:
+        if not 0.02 * falling < rising < falling:  # faster, something pushes
             return None
         gap = _value(up, at_s) - _value(down, at_s)
         meets_s = at_s - gap / (rising + falling)
-        period_s = float(np.median(np.diff(seconds[first : last + 1])))
+        period_s = median_step(seconds[first : last + 1])
         slack_s = 0.5 * period_s + 4 * noise / (rising + falling)
         if not seconds[before] - slack_s < meets_s < seconds[after] + slack_s:
             return None
@@ -206,8 +205,7 @@ class FlownHeights:
         at = chain.impacts[0]
         end = min(chain.flights[0], last)
         fall, flight = np.arange(first, at + 1), np.arange(at + 1, end + 1)
-        # Eight unknowns of which three have priors, and a noise.
-        if min(len(fall), len(flight)) < 3 or last + 1 - first < 12:
+        if min(len(fall), len(flight)) < 3 or last + 1 - first < MIN_SAMPLES:
             return None
         if len(flight) > 4 and len(chain.impacts) > 1:
             flight = flight[:-1]  # the last one may have touched the table
@@ -223,7 +221,7 @@ class FlownHeights:
                 continue
             around = np.clip([rows[0] - 1, rows[-1] + 1], 0, len(seconds) - 1)
             # What holds a ball for longer is a hand.
-            longest_s = max(0.1 * impact.fall_time_s, 2.2 * float(np.median(np.diff(seconds))))
+            longest_s = max(0.1 * impact.fall_time_s, 2.2 * median_step(seconds))
             if float(np.ptp(seconds[around])) > longest_s:
                 return None
             touching[rows] = True
@@ -233,12 +231,7 @@ class FlownHeights:
             return None
         part = first + np.flatnonzero(~touching[first : last + 1])
         return Drop(
-            impact_s=float(seconds[at] + impact.impact_s),
-            contact_m=impact.contact_m,
-            impact_speed_m_s=impact.impact_speed_m_s,
-            flight_restitution=impact.flight_restitution,
-            flight_restitution_sd=impact.flight_restitution_sd,
-            gravity_m_s2=impact.gravity_m_s2,
+            **impact.after(float(seconds[at])),
             first=first,
             seconds=seconds[part],
             heights_m=heights[part],
@@ -294,10 +287,8 @@ def _crossing(
     at_s = (below - above) / (up - down)
     fast, slow = -(down - gravity * at_s), up - gravity * at_s
     contact_m = below + down * at_s - gravity / 2 * at_s**2
-    nan = float("nan")
-    return Impact(
-        float(at_s), float(contact_m), float(fast), float(slow / fast), nan, float(gravity)
-    )
+    found = (float(one) for one in (at_s, contact_m, fast, slow / fast, np.nan, gravity))
+    return Impact(*found)
 
 
 # ---- Ends of a drop that a hand touches
@@ -315,7 +306,7 @@ def _without_hands(drop: Drop) -> Drop:
             if kept is None:
                 break
             misfit = _misfit(kept)
-            if misfit < least - 0.05:
+            if misfit < least - 0.05:  # of the log: 5 % less
                 best, least = kept, misfit
     return best
 
@@ -334,13 +325,11 @@ def _cut(drop: Drop, from_start: bool) -> Drop | None:
     """Trim another part of the fall or of the last flight; None where too little is left."""
     seconds = drop.seconds
     side = seconds < drop.impact_s if from_start else seconds > drop.flight_s[0]
-    count = max(1, round(0.14 * np.count_nonzero(side)))
+    count = max(1, round(0.14 * np.count_nonzero(side)))  # in 5 such cuts half of it goes
     kept = slice(count, None) if from_start else slice(None, -count)
     left = seconds[kept]
-    if (
-        min(np.count_nonzero(left < drop.impact_s), np.count_nonzero(left > drop.impact_s))
-        < _MIN_COUNT
-    ):
+    before, after = np.count_nonzero(left < drop.impact_s), np.count_nonzero(left > drop.impact_s)
+    if min(before, after) < _MIN_COUNT:
         return None
     return replace(
         drop,

@@ -7,7 +7,7 @@ simulator is tuned by comes last.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -44,7 +44,7 @@ from tunenet_logs.analysis.record import (
     excess,
 )
 from tunenet_logs.analysis.statistics import surer_noise_of
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 from tunenet_logs.errors import NotFoundError, UsageError
 from tunenet_logs.recorders.simulators.ball import DRAG, Bounce, DropRig, DropSimulator
 from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2, PAPER, ContactSettings
@@ -52,28 +52,15 @@ from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2, PAP
 # ---- Clock without contacts: a simulator's are far shorter than those of a ball that was heard
 
 
-@dataclass(frozen=True, eq=False)
-class ContactClock:
-    """Clock of the log, and one that almost stands still while the ball touches."""
+def contact_clock(detection: AnyDetection) -> tuple[Array, Array]:
+    """Return when the fitted ball's contacts begin and end, one after the other, on two clocks.
 
-    # When contacts begin and end, one after the other, shape (2 N,); none where they last no time.
-    log_s: Array
-    free_s: Array  # the same on the other clock, shape (2 N,)
-
-    def to_free(self, seconds: Array) -> Array:
-        """Convert times on the log's clock to the contact-free one, shape (T,)."""
-        return _moved(seconds, self.log_s, self.free_s)
-
-    def to_log(self, seconds: Array) -> Array:
-        """Convert contact-free times to the log's clock, shape (T,)."""
-        return _moved(seconds, self.free_s, self.log_s)
-
-
-def contact_clock(detection: AnyDetection) -> ContactClock:
-    """Build the clock of the fitted ball's contacts, as far as it is seen."""
+    That of the log, and one that almost stands still while the ball touches, as far as it is seen;
+    shape (2 N,) each [s], none where contacts last no time.
+    """
     posterior = detection.posterior if detection.physical else None
     if posterior is None or not posterior.fit.samples.bounce(posterior.fit.unknowns).contact > 0:
-        return ContactClock(np.zeros(0), np.zeros(0))
+        return np.zeros(0), np.zeros(0)
     view = posterior.fit.projection()
     ball, fall_s = view.bounce, view.fall_time_s
     until_s = float(detection.observed.seconds[-1])
@@ -81,13 +68,14 @@ def contact_clock(detection: AnyDetection) -> ContactClock:
     lasts_s = ball.contact * fall_s
     ends_s = view.impact_s + fall_s * ends
     log_s = np.column_stack([ends_s - lasts_s, ends_s]).ravel()
-    # A little time passes, so that stamps increase.
+    # A thousandth of a contact passes, so that stamps increase.
     passed = np.ones(len(log_s)) * (1 - 1e-3) * lasts_s
     passed[::2] = 0.0
-    return ContactClock(log_s, log_s - np.cumsum(passed))
+    return log_s, log_s - np.cumsum(passed)
 
 
-def _moved(seconds: Array, known: Array, wanted: Array) -> Array:
+def on_clock(seconds: Array, known: Array, wanted: Array) -> Array:
+    """Convert times (T,) from one clock to another, by known moments on both, (2 N,) each."""
     if not len(known):
         return seconds
     before, after = wanted[0] - known[0], wanted[-1] - known[-1]
@@ -119,34 +107,32 @@ def equivalents(view: Projection, seconds: Array, heights: Array) -> Equivalents
     )
     release_s = view.impact_s - view.fall_time_s * ball.fall_time
     times = (seconds - release_s) / view.fall_time_s - 1.0  # it falls for one fall time
-    best = _best(times, heights, np.linspace(0.02, 1.0, 99))  # the cost has many minima
-    best = _best(times, heights, np.clip(best + np.linspace(-0.01, 0.01, 81), 0.0, 1.0))
+
+    def nearest(tried: Array) -> float:
+        """Return the least-squares restitution, all of them compared at once."""
+        off = ideal_heights(tried[:, None], times) - heights
+        return float(tried[int(np.argmin(np.einsum("rt,rt->r", off, off)))])
+
+    best = nearest(np.linspace(0.02, 1.0, 99))  # the cost has many minima
+    best = nearest(np.clip(best + np.linspace(-0.01, 0.01, 81), 0.0, 1.0))
     return Equivalents(
         _equivalent(float(np.sqrt(rise)), view, times, heights),
         _equivalent(best, view, times, heights),
     )
 
 
-def _best(times: Array, heights: Array, tried: Array) -> float:
-    """Return the least-squares restitution, all of them compared at once."""
-    off = ideal_heights(tried[:, None], times) - heights
-    return float(tried[int(np.argmin(np.einsum("rt,rt->r", off, off)))])
-
-
 def _equivalent(restitution: float, view: Projection, times: Array, heights: Array) -> Equivalent:
     restitution = float(np.clip(restitution, 0.0, 1.0))
-    starts, _ = replace(_AIRLESS, restitution=restitution).flights(float(times[-1]))
+    airless = Bounce(restitution)
+    starts, _ = airless.flights(float(times[-1]))
     count = min(int(np.count_nonzero(starts <= times[-1])), 20)  # impacts that are listed
     first_m_s = GRAVITY_M_S2 * view.fall_time_s
-    off = replace(_AIRLESS, restitution=restitution).heights(times) - heights
+    off = airless.heights(times) - heights
     return Equivalent(
         restitution,
         100 * float(np.sqrt(np.mean(off**2))),
         tuple(first_m_s * restitution**bounce for bounce in range(max(count, 1))),
     )
-
-
-_AIRLESS = Bounce(0.5)  # a ball with one restitution and no air
 
 
 # ---- Comparison of the last rollout with every sample in view, and the hold-out
@@ -160,7 +146,8 @@ def simulated(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
     episode = step.evaluation.episode
     signal = next(iter(episode.signals.values()))
     seconds = (signal.stamps_ns - detection.start_ns).astype(np.float64) * 1e-9
-    seconds = contact_clock(detection).to_log(seconds)
+    log_s, free_s = contact_clock(detection)
+    seconds = on_clock(seconds, free_s, log_s)
     rig = episode.info.rig
     heights_m = signal.values[:, 2] - rig["ball_diameter_m"] / 2
     unit_m = rig["drop_height_m"]
@@ -171,8 +158,8 @@ def simulated(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
 
 def simulated_m(detection: AnyDetection, step: Step) -> tuple[Array, Array]:
     """Return an iterate's times on the log's clock [s] and heights on the table [m], each (T,)."""
-    assert step.evaluation is not None
     seconds, heights = simulated(detection, step)
+    assert step.evaluation is not None
     rig_m = step.evaluation.episode.info.rig["drop_height_m"]
     return seconds, heights * (detection.drop.drop_height_m if detection.physical else rig_m)
 
@@ -202,7 +189,10 @@ def _fitted_view(detection: AnyDetection) -> _FittedView | None:
     if posterior is None:
         return None
     samples = detection.observed
-    count, noise = len(samples.positions), samples.own_noise
+    count, noise = (
+        len(samples.positions),
+        samples.noise * float(np.sqrt(1 - samples.distortion_variance_fraction)),
+    )
     least = noise / 2 if count > 20 else noise
     noise = max(surer_noise_of(samples.positions), least) if count > 3 else least
     return _FittedView(posterior.fit, posterior.fit.projection(), samples, noise)
@@ -289,12 +279,21 @@ def held_out_percent(detection: AnyDetection) -> float | None:
 
 def tuned_motion(detection: AnyDetection, trace: Trace) -> Motion:
     """Compare both curves at the observation's own stamps, and find drag-free equivalents."""
-    last = trace.steps[-1]
+    last, seen = trace.steps[-1], _fitted_view(detection)
+    found = None
+    if seen is not None:
+        samples = seen.samples.only(seen.inside(detection, seen.samples.seconds))
+        heights = seen.view.heights(samples.positions, samples.seconds)
+        found = equivalents(seen.view, samples.seconds, heights)
+        if found is not None and not detection.tells_speed:
+            found = Equivalents(*(replace(one, speeds_m_s=()) for one in (found.first, found.all)))
+    posterior = detection.posterior if detection.physical else None
+    asked = len(trace.estimate) > SLOPE_AND_DRAG
     return Motion(
         curves=_curves(detection, last),
         fit=simulation_fit(detection, last) if detection.physical else None,
-        equivalents=_equivalents(detection),
-        unidentifiable=_unidentifiable(detection, trace),
+        equivalents=found,
+        unidentifiable=unidentifiable(posterior) if posterior is not None and asked else (),
         unknown=() if detection.tells_speed else (DRAG.name,),
         units=detection.units,
         sound=None if detection.ear is None else detection.ear.share,
@@ -371,27 +370,6 @@ def _curves(detection: AnyDetection, last: Step) -> Curves | None:
     return Curves(int(detection.start_ns), seconds, heights_m, curve_m)
 
 
-def _unidentifiable(detection: AnyDetection, trace: Trace) -> tuple[str, ...]:
-    """Return what the samples leave to the priors, where slope and drag were asked for."""
-    posterior = detection.posterior if detection.physical else None
-    if posterior is None or len(trace.estimate) <= SLOPE_AND_DRAG:
-        return ()
-    return unidentifiable(posterior)
-
-
-def _equivalents(detection: AnyDetection) -> Equivalents | None:
-    seen = _fitted_view(detection)
-    if seen is None:
-        return None
-    samples = seen.samples.only(seen.inside(detection, seen.samples.seconds))
-    heights = seen.view.heights(samples.positions, samples.seconds)
-    found = equivalents(seen.view, samples.seconds, heights)
-    if found is None or detection.tells_speed:
-        return found
-    first, over_all = (replace(one, speeds_m_s=()) for one in (found.first, found.all))
-    return Equivalents(first, over_all)
-
-
 # ---- Estimation problem of a detected drop: a simulator that drops or throws it alike
 
 HIGHEST_M = 100.0  # of a drop: from higher up lengths are more likely in mm or cm than in m
@@ -402,7 +380,6 @@ NO_FALL = (
 )
 
 _HIGHEST_SIMULATED_M = 1000.0  # of a drop in the log's unit of length
-_SHORT = 1e-5  # of a speed that is a difference of two heights [fall times]
 
 
 def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
@@ -410,16 +387,17 @@ def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
 
     `initial` are restitution, slope and drag [1/m], or the first of these.
     """
+    height_m = detection.drop.drop_height_m
     try:
-        if detection.drop.drop_height_m > _HIGHEST_SIMULATED_M:
+        if height_m > _HIGHEST_SIMULATED_M:
             raise UsageError("it is too high")
         rig, contact = rig_like(detection)
     except UsageError as error:  # the user chose nothing here: the log asks for it
-        height_m = detection.drop.drop_height_m
-        if height_m >= HIGHEST_M and detection.units.length_m is None:
+        is_high, why = height_m >= HIGHEST_M, f"{error}"
+        if is_high and detection.units.length_m is None:
             raise NotFoundError(NO_FALL, GOOD_DROP) from error
-        is_high = height_m >= HIGHEST_M
-        why = f"the ball falls {height_m:.4g} m; are the lengths in mm or cm?" if is_high else error
+        if is_high:
+            why = f"the ball falls {height_m:.4g} m; are the lengths in mm or cm?"
         remedy = RIGHT_LENGTHS if is_high else GOOD_DROP
         raise NotFoundError(f"this drop cannot be simulated: {why}", remedy) from error
     simulator = DropSimulator(rig, contact)
@@ -430,12 +408,10 @@ def drop_problem(detection: AnyDetection, initial: Array) -> Problem:
 
     def exact_fit(start: Array) -> FitResult | None:
         """Return the ball that explains all samples best, as many values as `start` has."""
-        posterior = detection.posterior
-        if posterior is None:
+        if (found := detection.posterior) is None:
             return None
-        count = len(start)
-        rebounds = detection.rebounds
-        return FitResult(posterior.values[:count], posterior.interval95[:count], detail=rebounds)
+        asked = slice(len(start))
+        return FitResult(found.values[asked], found.interval95[asked], detail=detection.rebounds)
 
     return Problem(
         detection.target,
@@ -454,14 +430,14 @@ def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
         gap = drop.release_m - drop.table_m
         start_ns += round(1e9 * paper_start_s(drop))
         return DropRig(gap, PAPER_RADIUS_M, PAPER_RATE_HZ, start_ns=start_ns), PAPER
-    period_s = float(np.median(np.diff(drop.seconds)))
+    period_s = median_step(drop.seconds)
     seconds = detection.observed.seconds
     wanted_s = drop.impact_s + (CANONICAL_SPAN + 1) * drop.fall_time_s
     missing = max(0, int(np.ceil((wanted_s - seconds[-1]) / period_s)))
     if missing > 100 * len(seconds):
         raise UsageError("its stamps are too uneven: most are close together, and some far apart")
     seconds = np.concatenate([seconds, seconds[-1] + period_s * np.arange(1, missing + 1)])
-    seconds = contact_clock(detection).to_free(seconds)
+    seconds = on_clock(seconds, *contact_clock(detection))
     first_s = min(float(seconds[0]), drop.release_s)
     gap_m, speed_m_s = CALIBRATED.gravity_m_s2 * drop.fall_time_s**2 / 2, 0.0
     if drop.launched:
@@ -471,11 +447,10 @@ def rig_like(detection: AnyDetection) -> tuple[DropRig, ContactSettings]:
             raise NotFoundError("too few samples of the ball's flights are seen", DENSER)
         view = posterior.fit.projection()
         at = view.fall_times(np.array([detection.drop.release_s]))[0]
-        low, here, high = view.bounce.heights(at + _SHORT * np.array([-1.0, 0.0, 1.0])) * gap_m
-        gap_m, speed_m_s = (
-            max(float(here), 0.0),
-            float((high - low) / (2 * _SHORT * view.fall_time_s)),
-        )
+        short = 1e-5  # of a speed that is a difference of two heights [fall times]
+        low, here, high = view.bounce.heights(at + short * np.array([-1.0, 0.0, 1.0])) * gap_m
+        gap_m = max(float(here), 0.0)
+        speed_m_s = float((high - low) / (2 * short * view.fall_time_s))
     rig = DropRig(
         gap_m=gap_m,
         speed_m_s=speed_m_s,

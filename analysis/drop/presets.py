@@ -80,12 +80,26 @@ def canonical_observation(values: Array) -> Observation:
 def canonical(drop: Drop) -> Observation:
     """Resample a drop to the canonical grid: height [drop heights] against time [fall times].
 
-    A ball that is seen to rest goes on resting; else what comes after the recording is NaN.
+    The curve is of parabolas u'' = -2 that meet at impacts. Three of them claim each gap between
+    samples: the one through its two ends, and those of the gaps on either side, prolonged. Without
+    an impact near by they agree; with one in the gap beside it, two agree; with one in the gap
+    itself, the two neighbours meet there from above and the gap's own lies over both. The median is
+    right every time. A ball at rest is no parabola: there the straight line is the lower bound. If
+    it is seen to rest it goes on resting; else what comes after the recording is NaN.
     """
     axis = canonical_axis()
     times = (drop.seconds - drop.impact_s) / drop.fall_time_s
     heights = (drop.heights_m - drop.contact_m) / drop.drop_height_m
-    values = _between_impacts(times, heights, axis)
+    gap = np.clip(np.searchsorted(times, axis, side="right") - 1, 1, len(times) - 3)
+    claims: list[Array] = []
+    for first in (gap - 1, gap, gap + 1):
+        before, after = times[first], times[first + 1]
+        slope = (heights[first + 1] - heights[first]) / (after - before)
+        since = axis - before
+        claims.append(heights[first] + slope * since + since * (after - axis))
+    straight = np.interp(axis, times, heights)
+    values = np.maximum(np.sort(claims, axis=0)[1], np.minimum(straight, 0.0))
+    values[(axis < times[0]) | (axis > times[-1])] = np.nan
     if not np.isnan(drop.rest_m):
         values[axis > times[-1]] = (drop.rest_m - drop.contact_m) / drop.drop_height_m
     return canonical_observation(values)
@@ -169,29 +183,6 @@ def _paper_observation(heights_m: Array) -> Observation:
     return Observation(heights_m[:, None].copy(), paper_axis(), "time [s]", ("z [m]",))
 
 
-def _between_impacts(times: Array, heights: Array, wanted: Array) -> Array:
-    """Interpolate a curve of parabolas u'' = -2 that meet at impacts; NaN outside.
-
-    Three parabolas claim each gap between samples: the one through its two ends, and those of the
-    gaps on either side, prolonged. Without an impact near by they agree; with one in the gap beside
-    it, two agree; with one in the gap itself, the two neighbours meet there from above and the
-    gap's own lies over both. The median is right every time. A ball at rest is no parabola: there
-    the straight line is the lower bound.
-    """
-    gap = np.clip(np.searchsorted(times, wanted, side="right") - 1, 1, len(times) - 3)
-
-    claims: list[Array] = []
-    for first in (gap - 1, gap, gap + 1):
-        before, after = times[first], times[first + 1]
-        slope = (heights[first + 1] - heights[first]) / (after - before)
-        since = wanted - before
-        claims.append(heights[first] + slope * since + since * (after - wanted))
-    straight = np.interp(wanted, times, heights)
-    values = np.maximum(np.sort(claims, axis=0)[1], np.minimum(straight, 0.0))
-    values[(wanted < times[0]) | (wanted > times[-1])] = np.nan
-    return values
-
-
 # ---- Presets of recorded heights, and the pairs of rollouts that their networks learn from
 
 # A rollout to make: rig, settings, values.
@@ -231,15 +222,10 @@ def observe_paper_drops(
 
     `releases_m` are heights of the ball's centre, shape (N,).
     """
-    radius = PAPER_RADIUS_M
-    plans = [
-        (
-            DropRig(float(height) - radius, radius, PAPER_RATE_HZ),
-            PAPER,
-            {RESTITUTION.name: float(value)},
-        )
-        for height, value in zip(releases_m, restitutions, strict=True)
-    ]
+    plans: list[Plan] = []
+    for height, value in zip(releases_m.tolist(), restitutions.tolist(), strict=True):
+        rig = DropRig(height - PAPER_RADIUS_M, PAPER_RADIUS_M, PAPER_RATE_HZ)
+        plans.append((rig, PAPER, {RESTITUTION.name: value}))
     return observe_all(_observe_plans, plans, workers, progress)
 
 
@@ -255,15 +241,15 @@ def _paper_pairs(count: int | None, seed: int, workers: Workers, progress: Progr
 
 def _canonical_pairs(count: int | None, seed: int, workers: Workers, progress: Progress) -> PairSet:
     """Simulate real balls, evenly over their ranges; any rig will do, so heights and rates vary."""
-    count = count or 204_800
+    count = count or 204_800  # pairs
     rollouts = min(4096, 2 * count)  # a pair among them costs nothing more
     rng = np.random.default_rng(seed)
-    # More than a table-tennis ball's from 3 m.
+    # Of the drag times the drop height: more than a table-tennis ball's from 3 m.
     ranges = np.array([one.training_range for one in (RESTITUTION, SLOPE)] + [(0.0, 0.5)])
     shares = (np.arange(rollouts) + rng.random((3, rollouts))) / rollouts
     shares = np.array([rng.permutation(share) for share in shares])
     values = (ranges[:, :1] + np.ptp(ranges, axis=1)[:, None] * shares).T
-    gaps = rng.uniform(*(0.3, 5.0), rollouts)
+    gaps = rng.uniform(0.3, 5.0, rollouts)  # [m]
     rates = rng.choice(_RATES_HZ, rollouts)
     plans: list[Plan] = []
     for gap, rate, (restitution, slope, drag) in zip(gaps, rates, values.tolist(), strict=True):
@@ -365,6 +351,7 @@ def _observe_paper_plans(plans: Sequence[FilmPlan]) -> Array:
 
 def paper_rows(positions_m: Array, rng: np.random.Generator) -> Array:
     """Project a ball, (T, 3), into a random camera of the paper: y from 0 at the top to 1."""
+    # Places in m, pictures of 100 by 100 px and 60 degrees, a detector's noise of 0.2 px.
     distance, angle = rng.uniform(5.0, 10.0), rng.uniform(0.0, 2 * np.pi)
     place = (distance * np.cos(angle), distance * np.sin(angle), rng.uniform(5.0, 8.0))
     camera = PinholeCamera(place, (0.0, 0.0, 2.0), (100, 100), 60.0)
@@ -455,7 +442,11 @@ def _optimize(search: Search, problem: Problem) -> None:
             high = min(high, value)
         elif wanted > 0 and value < high:
             low = max(low, value)
-        if _lost(wanted, (value, flown), last):
+        # Durations lead no further where the target's is unseen, or low ones come no closer.
+        is_lost = wanted == 0
+        if last is not None and value <= _LOW:
+            is_lost |= flown == 0 or abs(flown - wanted) > abs(last[1] - wanted) / 2
+        if is_lost:
             cost = float(np.linalg.norm(problem.misfit(evaluation))) if value <= high else np.inf
             _least_cost(search, (low, high), cost)
             return
@@ -468,16 +459,6 @@ def _optimize(search: Search, problem: Problem) -> None:
             return
         last, value = (value, flown), following
         search.answer(np.array([value]))
-
-
-def _lost(wanted: float, here: tuple[float, float], last: tuple[float, float] | None) -> bool:
-    """Return whether durations lead no further: the target's is unseen, or low ones stall."""
-    value, flown = here
-    if wanted == 0:
-        return True
-    if last is None or value > _LOW:
-        return False
-    return flown == 0 or abs(flown - wanted) > abs(last[1] - wanted) / 2
 
 
 def _least_cost(search: Search, bounds: tuple[float, float], least: float) -> None:
@@ -544,6 +525,7 @@ def first_flight_s(seconds: Array, heights: Array) -> float:
     rest = float(np.quantile(heights[impact:], 0.05))  # the table, where most samples rest on it
     least = 6 * noise_of(heights) + 1e-3 * float(np.ptp(heights))
     top = np.maximum.accumulate(heights[impact:])
+    # A flight is over below 0.3 of its height: it is fitted up to there.
     over = (top > rest + least) & (heights[impact:] < rest + 0.3 * (top - rest))
     if not over.any():
         return 0.0

@@ -20,7 +20,7 @@ from tunenet_logs.analysis.drop.launched import FlownHeights
 from tunenet_logs.analysis.drop.motion import fit_excess_percent
 from tunenet_logs.analysis.record import Units
 from tunenet_logs.analysis.statistics import noise_of
-from tunenet_logs.episode import FRAME_NS, UNSTATED, Array, Episode, Signal
+from tunenet_logs.episode import FRAME_NS, UNSTATED, Array, Episode, Signal, median_step
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.ball import TOPIC
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
@@ -30,9 +30,7 @@ from tunenet_logs.recorders.simulators.known import Ball
 # A body that nothing touches moves on a parabola, and all parabolas of one recording have the same
 # acceleration; its direction says what is down. A hand, a rest or a slope shares it with nothing.
 
-_BLOCK = 2000  # windows that are fitted at a time: a log of an hour has tens of thousands
 _MAX_SHARED = 1500  # windows that are compared, each with each
-_SURE_SDS = 8.0  # standard errors that an acceleration is away from none
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,7 @@ def gravity_in(seconds: Array, positions: Array, expected: float | None = None) 
     Where the units are known, only what is near the `expected` one counts.
     """
     noises = np.array([noise_of(axis) if len(axis) > 4 else 0.0 for axis in positions.T])
-    sure = _SURE_SDS if expected is None else _SURE_SDS / 2
+    sure = 8.0 if expected is None else 4.0  # standard errors that one is away from none
     # From a tenth of a second at 60 Hz to one at 1 kHz.
     found = [
         _accelerations(seconds, positions, noises, width, sure)
@@ -98,10 +96,10 @@ def _accelerations(
         return none
     every = max(1, width // 6, len(seconds) // 20_000)
     begins = np.arange(0, len(seconds) - width + 1, every)
-    usual = float(np.median(np.diff(seconds)))
+    usual = median_step(seconds)
     parts = [none]
-    for at in range(0, len(begins), _BLOCK):
-        rows = begins[at : at + _BLOCK, None] + np.arange(width)
+    for at in range(0, len(begins), 2000):  # a log of an hour has tens of thousands
+        rows = begins[at : at + 2000, None] + np.arange(width)
         whole = np.ptp(seconds[rows], axis=1) < 2.0 * usual * width
         if whole.any():
             rows = rows[whole]
@@ -121,21 +119,17 @@ def _parabolas(
     normal = np.einsum("wti,wtj->wij", design, design)
     solution = np.linalg.solve(normal, np.einsum("wti,wtk->wik", design, values))
     off = values - np.einsum("wti,wik->wtk", design, solution)
-    rms = np.sqrt(np.mean(off**2, axis=1) * width / (width - 3))
+    off = np.linalg.norm(np.sqrt(np.mean(off**2, axis=1) * width / (width - 3)), axis=1)
     curve = solution[:, 2]
     size = np.linalg.norm(curve, axis=1)
     noise = float(np.linalg.norm(noises))
-    error = np.sqrt(np.linalg.inv(normal)[:, 2, 2]) * np.maximum(
-        np.linalg.norm(rms, axis=1), 0.5 * noise
-    )
-    off = np.linalg.norm(rms, axis=1)
+    error = np.sqrt(np.linalg.inv(normal)[:, 2, 2]) * np.maximum(off, 0.5 * noise)
     kept = (size > sure * error) & (off < 3.0 * noise + 2e-3 * size)
     return 8 * curve / lasts[:, None] ** 2, off, kept
 
 
 # ---- Height in which no drop was found, and what in it looks like an impact
 
-_MIN_HEIGHT_SAMPLES = 12  # samples in which impacts are looked for
 _FARTHEST = 1e6  # a coordinate beyond it is a marker for "none"
 
 
@@ -159,39 +153,36 @@ def position_signals(signals: Iterable[Signal]) -> list[Signal]:
 
 
 def recorded_heights(episode: Episode, most: int) -> list[RecordedHeight]:
-    """Return the heights of the first `most` signals that hold positions."""
-    found = (recorded_height(one) for one in position_signals(episode.signals.values())[:most])
-    return [one for one in found if one is not None]
+    """Return the heights of the first `most` signals of positions that have two samples."""
+    found: list[RecordedHeight] = []
+    for signal in position_signals(episode.signals.values())[:most]:
+        keep = np.all(np.abs(signal.values) < _FARTHEST, axis=1)  # NaN is not
+        seconds, values = signal.seconds[keep], signal.values[keep]
+        if len(seconds) < 2:
+            continue
+        rising = np.concatenate([[True], seconds[1:] > np.maximum.accumulate(seconds)[:-1]])
+        every = max(1, -(-np.count_nonzero(rising) // 20_000))  # more are looked through in steps
+        seconds, values = seconds[rising][::every], values[rising][::every]
+        is_long = len(seconds) >= 12  # else no impact is told
+        gravity = gravity_in(seconds, values) if is_long else None
+        heights = values @ (_likely_up(values) if gravity is None else gravity.up)
+        heights = heights - heights.min()
+        impacts: list[int] = []
+        if is_long and heights.max() > 0:
+            noise = max(noise_of(heights), 1e-4 * float(heights.max()))  # a simulator's have none
+            impacts = film_impacts(seconds, heights, noise)
+        found.append(RecordedHeight(signal, seconds, heights, tuple(impacts), gravity is not None))
+    return found
 
 
-def recorded_height(signal: Signal) -> RecordedHeight | None:
-    """Return the height of a signal of positions; None where it has no two samples."""
-    seconds, values = signal.seconds, signal.values
-    keep = np.all(np.abs(values) < _FARTHEST, axis=1)  # NaN is not
-    seconds, values = seconds[keep], values[keep]
-    if len(seconds) < 2:
-        return None
-    rising = np.concatenate([[True], seconds[1:] > np.maximum.accumulate(seconds)[:-1]])
-    every = max(1, -(-np.count_nonzero(rising) // 20_000))  # more are looked through in steps
-    seconds, values = seconds[rising][::every], values[rising][::every]
-    gravity = gravity_in(seconds, values) if len(seconds) >= _MIN_HEIGHT_SAMPLES else None
-    spans = np.ptp(values, axis=0) * np.array([0.5, 0.75, 1.0])  # z, if in doubt
-    up = np.eye(3)[int(spans.argmax())] if gravity is None else gravity.up
-    heights = values @ up
-    heights = heights - heights.min()
-    impacts: list[int] = []
-    if len(seconds) >= _MIN_HEIGHT_SAMPLES and heights.max() > 0:
-        noise = max(noise_of(heights), 1e-4 * float(heights.max()))  # a simulator's have none
-        impacts = film_impacts(seconds, heights, noise)
-    return RecordedHeight(signal, seconds, heights, tuple(impacts), gravity is not None)
+def _likely_up(values: Array) -> Array:
+    """Return the axis along which positions move most; z, if in doubt."""
+    return np.eye(3)[int((np.ptp(values, axis=0) * np.array([0.5, 0.75, 1.0])).argmax())]
 
 
 # ---- Outliers of a track: jumps to another thing, repeated pictures
 
 _MIN_TRACK_SAMPLES = 15  # samples of a track in which something may be left out
-_MAX_LENGTH = 8  # samples that a tracker stays with another thing
-_AROUND = 9  # samples before and behind, whose steps a step is compared with
-_MAX_CYCLE = 12  # stamps from one repeated picture to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,22 +222,15 @@ def without_jumps(signal: Signal) -> Signal | None:
     least = 0.1 * float(np.linalg.norm(high - low))
     steps = np.diff(values, axis=0)
     sizes = np.linalg.norm(steps, axis=1)
-    # The median of the steps around each, itself among them; shape (T - 1,).
-    padded = np.pad(sizes, _AROUND, mode="reflect")
-    far = np.flatnonzero(
-        (sizes > least)
-        & (
-            sizes
-            > 3.0
-            * np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1), axis=1)
-        )
-    )
+    # The median of the nine steps before and behind each, itself among them; shape (T - 1,).
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(sizes, 9, mode="reflect"), 2 * 9 + 1)
+    far = np.flatnonzero((sizes > least) & (sizes > 3.0 * np.median(windows, axis=1)))
     left = np.zeros(count, bool)
     at = 0
     while at < len(far) - 1:
         away = far[at]
-        for back in far[at + 1 : at + 1 + _MAX_LENGTH]:
-            if back - away > _MAX_LENGTH:
+        for back in far[at + 1 : at + 1 + 8]:
+            if back - away > 8:  # samples that a tracker stays with another thing
                 break
             missed = float(np.linalg.norm(values[back + 1] - values[away]))
             if missed < 0.6 * min(sizes[away], sizes[back]):
@@ -284,7 +268,7 @@ def _even(signal: Signal, repeated: NDArray[np.bool_]) -> Signal | None:
     the other repeated pictures, which a tracker saw at two places or at rest.
     """
     stamps = signal.stamps_ns - signal.stamps_ns[0]
-    step_ns = float(np.median(np.diff(stamps)))
+    step_ns = median_step(stamps)
     numbers = np.round(stamps / step_ns).astype(np.int64)
     seen = numbers[repeated]
     gaps = np.diff(seen)
@@ -292,9 +276,10 @@ def _even(signal: Signal, repeated: NDArray[np.bool_]) -> Signal | None:
     is_film &= bool(np.diff(numbers).min() > 0 and numbers[-1] < 4 * len(numbers))
     if len(gaps) < 3 or not is_film:
         return None
-    fits = [np.count_nonzero(gaps % every == 0) for every in range(_MAX_CYCLE + 1) if every]
-    every = max(range(3, _MAX_CYCLE + 1), key=lambda one: (fits[one - 1], one))
-    if fits[every - 1] < 0.6 * len(gaps):
+    # From one to the next there are three to twelve stamps.
+    fits = {every: np.count_nonzero(gaps % every == 0) for every in range(3, 12 + 1)}
+    every = max(fits, key=lambda one: (fits[one], one))
+    if fits[every] < 0.6 * len(gaps):
         return None
     regular = np.concatenate([[False], gaps % every == 0, [False]])
     seen = seen[regular[1:] | regular[:-1]]
@@ -328,8 +313,6 @@ _UNITS = (("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("ft", 0.3048), ("in", 0.0254
 # Units in which times may be that were taken as seconds.
 _CLOCKS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("min", 60.0))
 _MAX_UNIT_ERROR = 0.12  # fraction that a fall may be off gravity: the air
-# Rates at which a ball is recorded; another one that gravity implies is a wrong unit's.
-_RATES_HZ = (5.0, 50_000.0)
 
 
 def units_words(units: Units) -> str:
@@ -377,7 +360,7 @@ def scaled_by_gravity(signal: Signal, gravity: Gravity, height: float) -> Scaled
         if signal.unit == "m":
             stretch = float(np.sqrt(1 / ratio))  # true seconds in one of the stamps
             rate_hz = 1e9 / FRAME_NS / stretch
-            if _RATES_HZ[0] < rate_hz < _RATES_HZ[1]:
+            if 5.0 < rate_hz < 50_000.0:  # else it is a wrong unit's
                 units = Units(1.0, "named", rate_hz, "gravity")
                 return _scaled(signal, 1.0, stretch, units)
         size = 1.0 / height
@@ -434,10 +417,7 @@ _AXES = {
     for axis in (2, 1, 0)
     for sign in (1, -1)
 }
-
-# Of the drop height, and of gravity: a drop from rest that is farther off is looked at again.
-_MAX_EXCESS_PERCENT, _WITHIN_GRAVITY = 0.5, 0.05
-_UNSURE = 0.035  # half width of an interval from which on a bounce of a thrown ball tells nothing
+_WITHIN_GRAVITY = 0.05  # a drop that falls farther off gravity is looked at again
 
 
 @dataclass(frozen=True, eq=False)
@@ -457,7 +437,7 @@ class PositionTrack:
             keep &= seconds >= start_s
         if end_s is not None:
             keep &= seconds <= end_s
-        signal = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
+        signal = _kept(signal, keep)
         if not len(signal.stamps_ns):
             raise NotFoundError(
                 "no sample with a position (in the part that was selected)",
@@ -512,9 +492,8 @@ class PositionTrack:
         shared = gravity_in(signal.seconds, signal.values)
         usual = gravity_in(signal.seconds, signal.values, GRAVITY_M_S2) if is_timed else None
         if shared is None and usual is None and signal.unit == "m" and is_timed:
-            spans = np.ptp(self.signal.values, axis=0) * np.array([0.5, 0.75, 1.0])
-            up = np.eye(3)[int(spans.argmax())]
-            usual = Gravity(GRAVITY_M_S2, up, noise_of(self.signal.values @ up))
+            up = _likely_up(signal.values)
+            usual = Gravity(GRAVITY_M_S2, up, noise_of(signal.values @ up))
         best: DropDetection | None = None
         for gravity in (shared, usual):
             found = None if gravity is None else self._falling_with(gravity)
@@ -565,8 +544,7 @@ class PositionTrack:
                 continue
             along = signal.values @ up
             keep = np.logical_not(outliers(self._seconds, along))
-            kept = replace(signal, stamps_ns=signal.stamps_ns[keep], values=signal.values[keep])
-            track = replace(self, signal=kept)
+            track = replace(self, signal=_kept(signal, keep))
             try:
                 drops = find_drops(track._seconds, along[keep])
             except NotFoundError as reason:
@@ -591,7 +569,8 @@ class PositionTrack:
             # No single bad sample moves it.
             sunk_m = max(drop.contact_m - float(np.quantile(along, 0.005)), 0.0)
             found = replace(found, others=others, sunk_m=sunk_m)
-            if found.posterior is None or np.ptp(found.posterior.interval95[0]) > 2 * _UNSURE:
+            # From such an interval on a bounce of a thrown ball tells nothing.
+            if found.posterior is None or np.ptp(found.posterior.interval95[0]) > 2 * 0.035:
                 continue
             if moves_as_found(found):
                 return found
@@ -637,15 +616,13 @@ def moves_as_found(detection: DropDetection) -> bool:
         return detection.found.is_free
     if not _may_be(detection):
         return False
-    apart = fit_excess_percent(detection)
     falls = detection.drop.gravity_m_s2 / GRAVITY_M_S2
-    return apart is not None and apart < _MAX_EXCESS_PERCENT and abs(falls - 1) < _WITHIN_GRAVITY
+    return _excess(detection) < 0.5 and abs(falls - 1) < _WITHIN_GRAVITY
 
 
 def is_something_else(detection: DropDetection) -> bool:
     """Return whether what was found moves so unlike a ball that it is none."""
-    apart = fit_excess_percent(detection) if detection.physical else 0.0
-    return apart is None or apart > 5.0
+    return detection.physical and _excess(detection) > 5.0
 
 
 def _excess(detection: DropDetection) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -18,11 +18,7 @@ from tunenet_logs.recorders.simulators.base import Parameter, Simulator
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """The paper's o: a curve on a fixed grid, input of a network or a cost.
-
-    Raises:
-        ValueError: Shapes disagree.
-    """
+    """The paper's o: a curve on a fixed grid, input of a network or a cost."""
 
     values: Array  # float64, shape (L, C); NaN where the episode shows nothing
     axis: Array  # The L points of the grid, increasing
@@ -72,59 +68,37 @@ class FitResult:
 
 
 class Problem:
-    """Target to match, simulator to match it with, and an exact fit where there is one.
-
-    Args:
-        target: o_T, the observation to match.
-        simulator: f, set up like the target's rig.
-        observe: z_P, from a rollout to an observation comparable with `target`.
-        initial: Initial values of the simulator's first P parameters; the others stay as the
-            simulator has them.
-        residual_units: Unit of a network's output in each parameter's unit, shape (P,); None for 1.
-        exact_fit: Maps P starting values to the parameters that explain every sample best, or to
-            None if the log shows too little. None if no such fit exists.
-        train: Trains a network for this problem alone; None if one is shipped, or none exists.
-
-    Raises:
-        UsageError: An initial value is missing, not finite or out of bounds.
-    """
+    """Target to match, simulator to match it with, and an exact fit where there is one."""
 
     def __init__(
         self,
-        target: Observation,
-        simulator: Simulator,
-        observe: Callable[[Episode], Observation],
-        initial: Array,
+        target: Observation,  # o_T, the observation to match
+        simulator: Simulator,  # f, set up like the target's rig
+        observe: Callable[[Episode], Observation],  # z_P, from a rollout
+        initial: Array,  # of the simulator's first P parameters; the others stay as it has them
+        # from P starting values to the parameters that explain every sample best; None if the log
+        # shows too little
         exact_fit: Callable[[Array], FitResult | None] | None = None,
-        residual_units: Array | None = None,
+        residual_units: Array | None = None,  # of a network's outputs, shape (P,); None for 1
+        # trains a network for this problem alone; None if one is shipped, or none exists
         train: Callable[[], Model] | None = None,
     ) -> None:
-        self.target = target
-        self.simulator = simulator
+        self.target, self.simulator, self._observe = target, simulator, observe
+        self.exact_fit, self.train = exact_fit, train
         self.parameters: tuple[Parameter, ...] = simulator.parameters[: len(initial)]
-        """What is to be found."""
-        self.rollouts = 0
-        """Simulator runs so far: every method pays for each."""
-        self.exact_fit = exact_fit
-        self.train = train
+        self.rollouts = 0  # simulator runs so far: every method pays for each
         if len(initial) != len(self.parameters):
             names = ", ".join(parameter.name for parameter in simulator.parameters)
             raise UsageError(f"{len(initial)} initial values for {names}; give one for each")
         self.residual_units = np.ones(len(initial)) if residual_units is None else residual_units
-        self.initial = np.array(
-            [
-                parameter.checked(value)
-                for parameter, value in zip(self.parameters, initial, strict=True)
-            ]
-        )
-        self._observe = observe
+        pairs = zip(self.parameters, initial, strict=True)
+        self.initial = np.array([parameter.checked(value) for parameter, value in pairs])
 
     def evaluate(self, values: Array) -> Evaluation:
         """Roll out the simulator at `values`, shape (P,) or (S,), and observe it."""
         names = [parameter.name for parameter in self.parameters]
-        settings: Mapping[str, float] = dict(zip(names, map(float, values), strict=True))
         self.rollouts += 1
-        episode = self.simulator.rollout(settings)
+        episode = self.simulator.rollout(dict(zip(names, map(float, values), strict=True)))
         return Evaluation(episode, self._observe(episode))
 
     def misfit(self, evaluation: Evaluation) -> Array:
@@ -150,8 +124,7 @@ class Problem:
     def clamp(self, values: Array) -> Array:
         """Clip values to the physical bounds, shape (P,) or (S,)."""
         bounds = [parameter.bounds for parameter in self.searched[: len(values)]]
-        low, high = np.array(bounds).T
-        return np.clip(values, low, high)
+        return np.clip(values, *np.array(bounds).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +141,7 @@ class Trace:
     """Iterates of one estimation, the initial guess first, by increasing rollouts."""
 
     steps: tuple[Step, ...]
-    # The exact fit whose values the last step has; None if no fit ended it
-    fit: FitResult | None = None
+    fit: FitResult | None = None  # whose values the last step has; None if no fit ended it
     method: str = ""  # Name of what was done, if less than the estimator's name says; else ""
 
     @property
@@ -182,47 +154,25 @@ class Trace:
         return [step for step in self.steps if step.rollouts <= rollouts][-1].values
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Arguments that a method may be built from."""
-
-    # The network for the task and preset; None for a method that uses none
-    model: Model | None = None
-    seed: int = 0  # Of the stochastic methods
-
-
 class Estimator(ABC):
     """Estimation method: from a problem to a trace of iterates."""
 
-    name: str
-    """What it is called on the command line and in tables."""
-
+    name: str  # what it is called on the command line and in tables
+    # Whether it is given a model; it then starts from the task's initial guess, the others from
+    # the middle of the parameters' ranges
     uses_network: ClassVar[bool] = False
-    """Whether `build` needs `Setup.model`; it then starts from the task's initial guess.
-
-    The others start from the middle of the parameters' ranges.
-    """
-
+    # Whether it finds the first parameter alone; the others then stay at their first guess
     takes_one_parameter: ClassVar[bool] = False
-    """Whether it finds the first parameter alone; the others then stay at their first guess."""
+    takes_steps: ClassVar[bool] = True  # whether it starts somewhere and spends rollouts
 
-    takes_steps: ClassVar[bool] = True
-    """Whether it starts somewhere and spends rollouts."""
-
-    @classmethod
-    def build(cls, setup: Setup) -> Estimator:  # noqa: ARG003 (most methods need nothing)
-        """Build the method as `--method` offers it."""
-        return cls()
+    def __init__(self, model: Model | None = None) -> None:
+        self.model = model  # its network, if it uses one
 
     @abstractmethod
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
-        """Spend at most `rollouts` on the problem.
+        """Spend at most `rollouts` on the problem; NotFoundError where the method does not fit it.
 
-        Returns:
-            A step for every count of rollouts at which the answer changed, the first at none.
-
-        Raises:
-            NotFoundError: The method does not fit the problem; the message says why.
+        The trace has a step for every count of rollouts at which the answer changed.
         """
 
 
@@ -237,21 +187,14 @@ class Search:
     """Rollouts of one problem, each charged to a budget, with the best of them or the last answer.
 
     An external optimizer calls `cost` or `misfit` freely; `run` ends it when the budget is spent.
-
-    Args:
-        problem: The problem to match.
-        rollouts: Maximum number of rollouts.
-        keep_best: Whether the answer is the best rollout; else the last one given to `answer`.
-        least: Smallest cost of earlier rollouts.
+    The answer is the best rollout, or the last one given to `answer` without `keep_best`.
     """
 
     def __init__(
         self, problem: Problem, rollouts: int, *, keep_best: bool = True, least: float = np.inf
     ) -> None:
-        self._problem = problem
-        self._rollouts = rollouts
-        self._keep_best = keep_best
-        self._least = least
+        self._problem, self._rollouts, self._keep_best = problem, rollouts, keep_best
+        self.least = least  # smallest cost so far
         self._steps = [Step(problem.initial, 0)]
 
     def run(self, optimize: Callable[[], object]) -> Trace:
@@ -261,19 +204,9 @@ class Search:
         return Trace(tuple(self._steps))
 
     @property
-    def spent(self) -> int:
-        """Number of rollouts so far."""
-        return self._problem.rollouts
-
-    @property
     def left(self) -> int:
         """Number of rollouts left."""
         return max(0, self._rollouts - self._problem.rollouts)
-
-    @property
-    def least(self) -> float:
-        """Smallest cost so far; infinite before the first rollout."""
-        return self._least
 
     def evaluate(self, values: Array) -> Evaluation:
         """See `Problem.evaluate`, at the nearest values to `values` within bounds."""
@@ -282,8 +215,8 @@ class Search:
         values = self._problem.clamp(np.atleast_1d(np.asarray(values, dtype=np.float64)))
         evaluation = self._problem.evaluate(values)
         cost = float(np.linalg.norm(self._problem.misfit(evaluation)))
-        if cost < self._least:
-            self._least = cost
+        if cost < self.least:
+            self.least = cost
             if self._keep_best:
                 own = values[: len(self._problem.parameters)]
                 self._steps.append(Step(own, self._problem.rollouts, evaluation))
@@ -305,11 +238,7 @@ class Search:
 
 
 def check_one_parameter(problem: Problem, method: str) -> Parameter:
-    """Return the problem's only parameter.
-
-    Raises:
-        NotFoundError: It has several.
-    """
+    """Return the problem's only parameter."""
     if len(problem.parameters) != 1:
         names = ", ".join(parameter.name for parameter in problem.parameters)
         what = f"the method {method} is for one parameter, not for {names}"

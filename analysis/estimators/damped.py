@@ -29,16 +29,9 @@ def damped_step(
 ) -> tuple[Moved | None, float, float]:
     """Take the first step that lowers the cost, each with more damping than the one before.
 
-    Args:
-        tried: From a damping to where its step leads and the cost there; None where the step is
-            too short to matter.
-        cost: Where the step begins.
-        damping: Of the first step that is tried, as a fraction of the normal matrix's diagonal.
-        rule: How damping changes.
-
-    Returns:
-        Where the step leads, the cost there and the next damping; None and the cost as it was
-        where no step lowers it.
+    `tried` leads from a damping (a fraction of the normal matrix's diagonal) to where its step ends
+    and the cost there, or to None where the step is too short to matter. Returns where the step
+    ends, the cost there and the next damping; None and the cost as it was where none lowers it.
     """
     for _ in range(rule.tries):
         step = tried(damping)

@@ -9,17 +9,14 @@ on the target without another rollout. What is left of the budget goes to a loca
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.analysis.estimators.base import (
     Estimator,
     Problem,
     Search,
-    Setup,
     Step,
     Trace,
     check_one_parameter,
@@ -37,12 +34,8 @@ class _SearchMethod(Estimator):
     """Optimizer that calls for the cost of rollouts; the answer is the best rollout."""
 
     def __init__(self, seed: int = 0) -> None:
+        super().__init__()
         self._seed = seed
-
-    @classmethod
-    def build(cls, setup: Setup) -> Estimator:
-        """See `Estimator.build`."""
-        return cls(setup.seed)
 
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """Return the best rollout so far; see `Estimator.estimate`."""
@@ -118,36 +111,21 @@ class LeastSquares(_SearchMethod):
 
     name = "least-squares"
 
-    def __init__(self, step: float = 0.06) -> None:
-        super().__init__()
-        self._step = step
-
-    @classmethod
-    def build(cls, setup: Setup) -> LeastSquares:
-        """See `Estimator.build`; it needs no seed."""
-        del setup
-        return cls()
-
     def optimize(self, search: Search, problem: Problem) -> None:
         """See `_SearchMethod.optimize`."""
         from scipy.optimize import least_squares
+        from scipy.stats import qmc
 
-        bounds = np.array([one.bounds for one in problem.searched]).T
-        for start in _starts(problem.start, problem.ranges):
-            least_squares(search.misfit, start, bounds=tuple(bounds), diff_step=self._step)
+        bounds = tuple(np.array([one.bounds for one in problem.searched]).T)
+        low, high = problem.ranges.T
+        start = problem.start
+        # then 1/2, 1/4, 3/4, 1/8, ... of the ranges (van der Corput), past its 0
+        sequence = qmc.Halton(1, scramble=False).fast_forward(1)
+        while True:
+            least_squares(search.misfit, start, bounds=bounds, diff_step=0.06)
             if search.least == 0:
                 return
-
-
-def _starts(first: Array, ranges: Array) -> Iterator[Array]:
-    """Yield the first start, then 1/2, 1/4, 3/4, 1/8, ... of the ranges (van der Corput)."""
-    from scipy.stats import qmc
-
-    yield first
-    low, high = ranges.T
-    sequence = qmc.Halton(1, scramble=False).fast_forward(1)  # past its 0
-    while True:
-        yield low + (high - low) * float(sequence.random(1)[0, 0])
+            start = low + (high - low) * float(sequence.random(1)[0, 0])
 
 
 class Tpe(_SearchMethod):
@@ -184,17 +162,9 @@ class TuneNet(Estimator):
     name = "tunenet"
     uses_network = True
 
-    def __init__(self, model: Model | None) -> None:
-        self._model = model
-
-    @classmethod
-    def build(cls, setup: Setup) -> TuneNet:
-        """See `Estimator.build`."""
-        return cls(setup.model)
-
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """Spend one rollout per iteration; see `Estimator.estimate`."""
-        model = self._model or (problem.train and problem.train())
+        model = self.model or (problem.train and problem.train())
         assert model is not None
         values = problem.initial
         steps: list[Step] = []
@@ -202,8 +172,7 @@ class TuneNet(Estimator):
             spent = problem.rollouts
             evaluation = problem.evaluate(values)
             steps.append(Step(values, spent, evaluation))
-            simulated, target = evaluation.observation.values, problem.target.values
-            values = problem.clamp(values + residual_of(model, problem, simulated, target))
+            values = next_values(model, problem, values, evaluation.observation.values)
         steps.append(Step(values, problem.rollouts))
         return Trace(tuple(steps))
 
@@ -233,18 +202,14 @@ class TuneNetThenFit(TuneNet):
         return trace if trace.fit is not None else replace(trace, method=TuneNet.name)
 
 
-def residual_of(model: Model, problem: Problem, simulated: Array, target: Array) -> Array:
-    """Predict the parameter residual, shape (P,), from two observations of shape (L, C)."""
-    found = model(simulated[None], target[None])[0]
-    return found[: len(problem.parameters)] * problem.residual_units
+def next_values(model: Model, problem: Problem, values: Array, simulated: Array) -> Array:
+    """Add the network's residual by an observation, shape (L, C), to values, (P,), in bounds."""
+    found = model(simulated[None], problem.target.values[None])[0]
+    return problem.clamp(values + found[: len(problem.parameters)] * problem.residual_units)
 
 
 def fitted(trace: Trace, problem: Problem) -> Trace:
-    """Append the exact fit near its estimate to a trace; return the trace itself if the fit fails.
-
-    Raises:
-        NotFoundError: The problem has no exact fit.
-    """
+    """Append the exact fit near its estimate to a trace, or nothing if the fit fails."""
     if problem.exact_fit is None:
         raise NotFoundError("no exact fit exists under this preset; use --method tunenet")
     fit = problem.exact_fit(trace.estimate)
@@ -290,9 +255,6 @@ class RolloutLine(Estimator):
     name = "line"
     takes_one_parameter = True
 
-    def __init__(self, model: Model | None = None) -> None:
-        self._model = model
-
     def estimate(self, problem: Problem, rollouts: int) -> Trace:
         """See `Estimator.estimate`."""
         check_one_parameter(problem, self.name)
@@ -300,16 +262,13 @@ class RolloutLine(Estimator):
         visited: list[Visit] = []
         steps = [Step(values, 0)]
         line: Line | None = None
-        network_steps = _NETWORK_STEPS if self._model else 0
+        network_steps = _NETWORK_STEPS if self.model else 0
         for k in range(min(rollouts, network_steps + _LINE_STEPS)):
             evaluation = problem.evaluate(values)
             visited.append((float(values[0]), problem.misfit(evaluation)))
             steps[-1] = Step(values, steps[-1].rollouts, evaluation)
-            if self._model and k < network_steps:
-                simulated, target = evaluation.observation.values, problem.target.values
-                values = problem.clamp(
-                    values + residual_of(self._model, problem, simulated, target)
-                )
+            if self.model and k < network_steps:
+                values = next_values(self.model, problem, values, evaluation.observation.values)
             else:
                 line = _next_line(visited, line, problem)
                 values = problem.clamp(np.array([line.value if line else _best(visited)[0]]))
@@ -332,12 +291,8 @@ class RolloutLine(Estimator):
                 costs = [cost(place) for place in places]
                 best = int(np.argmin(costs))
                 low, high = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
-                minimize_scalar(
-                    cost,
-                    bounds=(low, high),
-                    method="bounded",
-                    options={"xatol": 1e-3 * (high - low)},
-                )
+                options = {"xatol": 1e-3 * (high - low)}
+                minimize_scalar(cost, bounds=(low, high), method="bounded", options=options)
 
             steps += list(search.run(optimize).steps[1:])
         return Trace(tuple(steps))
@@ -348,15 +303,6 @@ class TuneNetThenLine(RolloutLine):
 
     name = "tunenet+line"
     uses_network = True
-
-    def __init__(self, model: Model) -> None:
-        super().__init__(model)
-
-    @classmethod
-    def build(cls, setup: Setup) -> TuneNetThenLine:
-        """See `Estimator.build`."""
-        assert setup.model is not None
-        return cls(setup.model)
 
 
 def _cost(visit: Visit) -> float:
@@ -404,18 +350,13 @@ def line_through(visited: list[Visit], problem: Problem) -> Line | None:
     product = np.cumsum(slope * misfit)[usable]
     left = np.clip(np.cumsum(misfit * misfit)[usable] - product**2 / power, 0.0, None)
     values = here - product / power
-    sds = np.sqrt(_noise_variance(problem, left / count[usable], count[usable]) / power)
+    # The noise variance by third differences, or less if a line leaves less.
+    columns = problem.target.values.T
+    noise = float(np.mean([noise_of(one[np.isfinite(one)]) ** 2 for one in columns]))
+    least = (left / count[usable])[count[usable] >= _ENOUGH].min(initial=np.inf)
+    sds = np.sqrt(min(noise, _CHANCE * float(least)) / power)
     above = np.maximum.accumulate(values - _CONSISTENT_SDS * sds)
     below = np.minimum.accumulate(values + _CONSISTENT_SDS * sds)
     chosen = int(np.flatnonzero((above <= values) & (values <= below))[-1])
     samples = int(usable[chosen]) + 1
     return Line(float(values[chosen]), float(sds[chosen]), samples, visited[-1])
-
-
-def _noise_variance(problem: Problem, left: Array, count: NDArray[np.intp]) -> float:
-    """Estimate the noise variance by third differences, or less if a line leaves less."""
-    columns = problem.target.values.T
-    seen = [column[np.isfinite(column)] for column in columns]
-    noise = float(np.mean([noise_of(one) ** 2 for one in seen]))
-    least = left[count >= _ENOUGH].min(initial=np.inf)
-    return min(noise, _CHANCE * float(least))

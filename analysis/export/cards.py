@@ -87,7 +87,7 @@ def _ball_card(ball: ExportedBall) -> dict[str, Any]:
             "radius": asdict(ball.radius_m) | {"unit": "m"},
             "mass": asdict(ball.mass_kg) | {"unit": "kg"},
             "drop_height": asdict(ball.drop_height_m) | {"unit": "m"},
-            "friction": ball.friction,
+            "friction": None,  # a drop does not identify it
         },
         "provenance": _provenance(ball.origin),
     }

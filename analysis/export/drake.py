@@ -16,12 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.analysis.export import sdf
-from tunenet_logs.analysis.export.exported import (
-    ExportedBall,
-    filled,
-    xml_comment,
-)
+from tunenet_logs.analysis.export.exported import ExportedBall, filled, xml_comment
+from tunenet_logs.analysis.export.templated import SDF
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
@@ -94,7 +90,7 @@ def ball_text(ball: ExportedBall) -> str:
     )
 
 
-payload_text = sdf.payload_text
+payload_text = SDF.payload_text
 
 
 def dropped(

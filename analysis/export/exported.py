@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from string import Template
-from typing import Any, Literal, assert_never
+from typing import Any, Literal
 
 import numpy as np
 
@@ -85,9 +85,7 @@ class ExportedBall:
     mass_kg: Sourced  # of the ball
     drop_height_m: Sourced  # of its underside over the floor, in a fall without air
     step_s: float | None = None  # the engine's time step; None for its default here
-    # of a ball dropped from rest; None if its metres are unknown
-    observed: ObservedDrop | None = None
-    friction: None = None  # None: a drop does not identify it
+    observed: ObservedDrop | None = None  # from rest; None if its metres are unknown
 
     @property
     def drag_1_m(self) -> float:
@@ -157,17 +155,14 @@ class ExportedPayload:
 
 def xml_comment(lines: Iterable[str], indent: str = "") -> str:
     """Format lines as one XML comment, printable, without the `--` that would end it."""
-    body = "".join(f"{indent}  {_without_double_dashes(one_line(line))}\n" for line in lines)
+    safe = (re.sub("-(?=-)", "- ", one_line(line)) for line in lines)
+    body = "".join(f"{indent}  {line}\n" for line in safe)
     return f"{indent}<!--\n{body}{indent}-->"
 
 
 def hash_comment(lines: Iterable[str], indent: str = "") -> str:
     """Format lines as `#` comments of Python, YAML and USD."""
     return "\n".join(f"{indent}# {one_line(line)}".rstrip() for line in lines)
-
-
-def _without_double_dashes(line: str) -> str:
-    return re.sub("-(?=-)", "- ", line)
 
 
 # ---- Conversion: from a record and the user's options to what is exported.
@@ -219,8 +214,6 @@ def exported(record: Record, options: ExportOptions) -> ExportedBall | ExportedP
                 "tune a log in which it holds something",
             )
         return payload
-    if record.estimate(RESTITUTION.name) is None:
-        raise LogError("holds neither a restitution nor a payload; tune the log again")
     return _ball(record, options)
 
 
@@ -238,14 +231,17 @@ def _origin(record: Record) -> ExportOrigin:
 
 
 def _ball(record: Record, options: ExportOptions) -> ExportedBall:
-    tuned = _known(record, RESTITUTION.name, 0.0, 1.0)
-    slope = _optional(record, SLOPE.name, -1.0, 1.0)
+    tuned, e = _known(record, RESTITUTION.name, 0.0, 1.0)
+    slope, p = _known(record, SLOPE.name, -1.0, 1.0)
+    drag, _ = _known(record, DRAG.name, 0.0, 10.0)
+    if tuned is None:
+        raise LogError("holds neither a restitution nor a payload; tune the log again")
     first = next(iter(record.rebounds), None)
     speed_m_s = None if first is None else first.impact_speed_m_s
     if speed_m_s is not None and not 0 < speed_m_s < 1e4:
         raise LogError(f"impact_speed {speed_m_s:g} is none; tune the log again")
     # A law whose impact speed is not known is used at no other one: any will do.
-    law = SpeedLaw(_number(tuned), 0.0 if slope is None else _number(slope), speed_m_s or 3.0)
+    law = SpeedLaw(e, p, speed_m_s or 3.0)
     equivalents, curves = record.motion.equivalents, record.motion.curves
     # A fall without air from the drop height lasts as long as the recorded one.
     height_m = Sourced(_DROP_HEIGHT_M, "assumed")
@@ -267,7 +263,7 @@ def _ball(record: Record, options: ExportOptions) -> ExportedBall:
         law=law,
         first_speed_m_s=speed_m_s,
         slope=slope,
-        drag=_optional(record, DRAG.name, 0.0, 10.0),
+        drag=drag,
         equivalents=equivalents,
         radius_m=radius_m,
         mass_kg=mass_kg,
@@ -317,16 +313,14 @@ def _body(record: Record, options: ExportOptions) -> tuple[Sourced, Sourced]:
     return radius, Sourced(float(f"{_DENSITY_KG_M3 * volume_m3:.3g}"), "assumed")
 
 
-def _known(record: Record, name: str, low: float, high: float) -> Estimate:
+def _known(record: Record, name: str, low: float, high: float) -> tuple[Estimate | None, float]:
+    """Return a quantity and its number; None and 0 if it was not tuned."""
     known = record.estimate(name)
-    if known is None or not isinstance(known.value, float):
+    if known is None:
+        return None, 0.0
+    if not isinstance(known.value, float):
         raise LogError(f"{name} is not one number; tune the log again")
-    _checked(known.value, low, high)
-    return known
-
-
-def _optional(record: Record, name: str, low: float, high: float) -> Estimate | None:
-    return None if record.estimate(name) is None else _known(record, name, low, high)
+    return known, _checked(known.value, low, high)
 
 
 def _checked(value: float, low: float, high: float) -> float:
@@ -335,32 +329,28 @@ def _checked(value: float, low: float, high: float) -> float:
     return value
 
 
-def _number(known: Estimate) -> float:
-    assert isinstance(known.value, float)
-    return known.value
-
-
 # ---- Header of every exported file: provenance and meaning of its numbers.
 
 
 def ball_lines(ball: ExportedBall) -> list[str]:
     """List provenance and meaning of a ball's numbers; not yet escaped for a comment."""
-    equivalents = ball.equivalents
+    known, at_m_s = ball.equivalents, ball.first_speed_m_s
+    at = ", of unknown speed" if at_m_s is None else f" of {at_m_s:.2f} m/s"
+    also = {"  its slope over speed": ball.slope, "  drag of the air": ball.drag}
+    without_air = (
+        ""
+        if known is None
+        else (
+            f"Without air: {known.first.restitution:.4f} gives the recorded height of "
+            f"the first rebound, {known.all.restitution:.4f} is best over all bounces."
+        )
+    )
     return [
         *origin_lines(ball.origin),
-        f"Tuned: {estimate_words('restitution', ball.tuned)} at the first impact"
-        f"{_at_words(ball.first_speed_m_s)}.",
-        *(estimate_words("  its slope over speed", one) for one in (ball.slope,) if one),
-        *(estimate_words("  drag of the air", one) for one in (ball.drag,) if one),
+        f"Tuned: {estimate_words('restitution', ball.tuned)} at the first impact{at}.",
+        *(estimate_words(name, one) for name, one in also.items() if one),
         f"In this file: restitution {ball.restitution:.4f}, {ball.meaning}.",
-        *(
-            (
-                f"Without air: {equivalents.first.restitution:.4f} gives the recorded height of "
-                f"the first rebound, {equivalents.all.restitution:.4f} is best over all bounces.",
-            )
-            if equivalents
-            else ()
-        ),
+        *filter(None, [without_air]),
         f"Radius {sourced_words(ball.radius_m, 'm')}, mass {sourced_words(ball.mass_kg, 'kg')}, "
         f"drop height {sourced_words(ball.drop_height_m, 'm')}.",
         "Friction and spin: not identified by a drop; the engine's defaults stay.",
@@ -414,37 +404,17 @@ def origin_lines(origin: ExportOrigin) -> list[str]:
 def estimate_words(name: str, estimate: Estimate) -> str:
     """Format a quantity with its interval: `restitution 0.8001 (95 %: 0.7997 to 0.8005)`."""
     unit = "" if estimate.unit == "1" else f" {short_name(estimate.unit)}"
-    if isinstance(estimate.value, tuple):
-        value = ", ".join(f"{part:.4f}" for part in estimate.value)
-    else:
-        value = f"{estimate.value:.4f}"
-    return f"{name} {value}{unit} ({_interval_words(estimate)})"
-
-
-def _interval_words(estimate: Estimate) -> str:
-    if estimate.interval95 is None:
-        return "no reliable interval"
-    ends = estimate.interval95
-    pairs = ends if isinstance(ends[0], tuple) else (ends,)
-    return "95 %: " + "; ".join(f"{pair[0]:.4f} to {pair[1]:.4f}" for pair in pairs)  # pyright: ignore[reportIndexIssue] (pairs by now)
+    parts = estimate.components
+    value = ", ".join(f"{part.value:.4f}" for part in parts)
+    pairs = [part.interval95 for part in parts if part.interval95 is not None]
+    said = "95 %: " + "; ".join(f"{low:.4f} to {high:.4f}" for low, high in pairs)
+    return f"{name} {value}{unit} ({said if pairs else 'no reliable interval'})"
 
 
 def sourced_words(known: Sourced, unit: str) -> str:
     """Format a number with its source."""
-    match known.source:
-        case "record":
-            told = "of the tuning"
-        case "option":
-            told = "as asked for"
-        case "assumed":
-            told = "assumed"
-        case _:
-            assert_never(known.source)
-    return f"{known.value:.4g} {unit} ({told})"
-
-
-def _at_words(speed_m_s: float | None) -> str:
-    return ", of unknown speed" if speed_m_s is None else f" of {speed_m_s:.2f} m/s"
+    told = {"record": "of the tuning", "option": "as asked for", "assumed": "assumed"}
+    return f"{known.value:.4g} {unit} ({told[known.source]})"
 
 
 # ---- Texts: a template filled with what every engine's file says; a Python file, run.

@@ -45,18 +45,14 @@ LIMIT_S = 300.0  # wall time that an engine may take: some compile themselves fi
 _MAX_SECONDS, _MAX_BOUNCES = 10.0, 6  # that are simulated, and that are listed
 # Of the drop height: the first rebound and later ones, below which an engine only settles.
 _LOWEST_FIRST, _LOWEST_REBOUND = 0.002, 0.02
-_LAST_WORDS = 200  # characters of what an engine said last
 
 
 @dataclass(frozen=True)
 class DropCheck:
     """How an engine moved the ball of an exported file."""
 
-    # restitution of each bounce: the root of the rebound's height over the height before it; with
-    # air, of the energies right after and before it
-    effective: tuple[float, ...]
-    # RMS difference from the recording, from the release to the last impact seen [% of the drop
-    # height]; None without a recording in metres
+    effective: tuple[float, ...]  # restitution of each bounce
+    # From the recording, up to the last impact seen [% of the drop height]; None without metres
     rms_percent: float | None
 
 
@@ -82,7 +78,8 @@ def checked(engine: ExportFormat, path: Path, ball: ExportedBall) -> DropCheck |
         if error.kind == "time":
             return f"{engine.NAME} took longer than {LIMIT_S:.0f} s"
         last = f"{error.raised}: {error.said}" if error.raised else f"code {error.code}"
-        return f"{engine.NAME} ended with: {short_name(last, _LAST_WORDS)}"
+        # What the engine said last, at most 200 characters.
+        return f"{engine.NAME} ended with: {short_name(last, 200)}"
     times_s, heights_m = fall["seconds"], fall["heights_m"]
     has_air = hasattr(engine, "HAS_AIR")
     by_bounce = restitutions_at_impacts if has_air else effective_restitutions
@@ -112,10 +109,7 @@ def dropped(
 
 
 def effective_restitutions(heights_m: Array, _period_s: float = 0.0) -> tuple[float, ...]:
-    """Measure the restitution of each bounce without air, from the apex heights.
-
-    `heights_m` (T,).
-    """
+    """Measure the restitution of each bounce without air, from the apexes of heights (T,)."""
     middle = heights_m[1:-1]
     turns = 1 + np.flatnonzero((middle > heights_m[:-2]) & (middle >= heights_m[2:]))
     height_m = float(heights_m[0])
@@ -166,10 +160,7 @@ def exported_for(
 def export_texts(
     engine: ExportFormat, item: ExportedBall | ExportedPayload, path: Path
 ) -> dict[Path, str]:
-    """Return paths and texts of the files to write; the engine's own, which is `path`, comes first.
-
-    The name ends as the engine's files do.
-    """
+    """Return the texts of the files to write by their paths; the engine's own comes first."""
     if path.suffix != engine.SUFFIX:
         raise UsageError(f"{path}: is for {engine.NAME}; give -o a name that ends {engine.SUFFIX}")
     return {path.with_suffix(suffix): text for suffix, text in texts(engine, item).items()}

@@ -13,12 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tunenet_logs.analysis.export.exported import (
-    ExportedBall,
-    ExportedPayload,
-    filled,
-    xml_comment,
-)
+from tunenet_logs.analysis.export.exported import ExportedBall, ExportedPayload, filled, xml_comment
 from tunenet_logs.episode import Array
 
 NAME, SUFFIX, LIBRARY = "mujoco", ".xml", "mujoco"

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 # Modules, or a member of one, by the name that `--to` takes; each has what `ExportFormat` names.
 FORMATS: Mapping[str, str] = {
-    "pybullet": "tunenet_logs.analysis.export.pybullet",
+    "pybullet": "tunenet_logs.analysis.export.templated:PYBULLET",
     "mujoco": "tunenet_logs.analysis.export.mujoco",
-    "sdf": "tunenet_logs.analysis.export.sdf",
-    "urdf": "tunenet_logs.analysis.export.urdf",
+    "sdf": "tunenet_logs.analysis.export.templated:SDF",
+    "urdf": "tunenet_logs.analysis.export.templated:URDF",
     "drake": "tunenet_logs.analysis.export.drake",
-    "newton": "tunenet_logs.analysis.export.newton",
-    "isaac": "tunenet_logs.analysis.export.isaac",
+    "newton": "tunenet_logs.analysis.export.templated:NEWTON",
+    "isaac": "tunenet_logs.analysis.export.templated:ISAAC",
     "yaml": "tunenet_logs.analysis.export.cards:YAML_CARD",
     "json": "tunenet_logs.analysis.export.cards:JSON_CARD",
 }
@@ -30,18 +30,12 @@ class ExportFormat(Protocol):
 
     Optional: `companion` (`HasCompanion`), `dropped` (`CanDrop`), and `HAS_AIR = True` if the file
     expresses the air's drag: it is then given `ExportedBall.in_air`.
-
-    Attributes:
-        NAME: As `--to` takes it.
-        SUFFIX: Of the exported file, with its dot.
-        STEP_S: Default of the engine's time step in the file [s]; None if the file holds none.
-        LIBRARY: Module that Python imports to run the engine; None if it cannot.
     """
 
-    NAME: str
-    SUFFIX: str
-    STEP_S: float | None
-    LIBRARY: str | None
+    NAME: str  # as `--to` takes it
+    SUFFIX: str  # of the exported file, with its dot
+    STEP_S: float | None  # default of the engine's time step; None if the file holds none
+    LIBRARY: str | None  # module that Python imports to run the engine; None if it cannot
 
     def ball_text(self, ball: ExportedBall) -> str:
         """Write the file for a ball, beginning with `ball_lines`; comments say why."""
@@ -55,8 +49,7 @@ class ExportFormat(Protocol):
 class HasCompanion(Protocol):
     """Engine whose file needs another one beside it."""
 
-    COMPANION_SUFFIX: str
-    """Of the other file, which has the same name otherwise."""
+    COMPANION_SUFFIX: str  # of the other file, which has the same name otherwise
 
     def companion(self, item: ExportedBall | ExportedPayload) -> str:
         """Return its text."""
@@ -67,18 +60,10 @@ class CanDrop(Protocol):
     """Engine that Python can run, in a child process."""
 
     def dropped(self, path: Path, height_m: float, seconds: float) -> tuple[Array, Array]:
-        """Drop the ball of the exported file, as its user would.
+        """Drop the ball of the exported file, as its user would, from rest.
 
-        The engine's library is imported here, and nowhere else in the engine's module.
-
-        Args:
-            path: The exported file.
-            height_m: Of the ball's underside over the floor, at rest.
-            seconds: To simulate.
-
-        Returns:
-            Seconds since the release, evenly spaced from 0 on, and heights of the underside [m];
-            each of shape (T,).
+        Heights are of its underside over the floor. Returns seconds since the release, evenly
+        spaced from 0 on, and heights, (T,) each. The engine's library is imported only here.
         """
         ...
 

@@ -118,13 +118,7 @@ def read_arm_card(path: Path) -> ArmCard:
 
 def card_in(data: bytes, file: str) -> ArmCard:
     """Parse a card from a file's bytes; `file` is its name."""
-    try:
-        return _card(parse_json(data), file)
-    except (TypeError, LookupError) as error:
-        raise ValueError(str(error)) from error
-
-
-def _card(fields: Any, file: str) -> ArmCard:
+    fields = parse_json(data)
     if not isinstance(fields, dict) or fields.get("kind") != _KIND:
         raise ValueError("another JSON")
     if fields.get("version") != _VERSION:
@@ -144,24 +138,18 @@ def _card(fields: Any, file: str) -> ArmCard:
         raise ValueError("precision is no sum of squares")
     root = np.sqrt(np.where(shown, diagonal, 1.0))
     values, axes = np.linalg.eigh(precision / root[:, None] / root)
-    # How far below 0 an eigenvalue may be, by the largest, where variances are 1
-    if values[0] < -1e-6 * values[-1]:
+    if values[0] < -1e-6 * values[-1]:  # by the largest, where variances are 1
         raise ValueError("precision is no sum of squares")
-    whole = (axes * np.maximum(values, 0.0)) @ axes.T
-    learnt = NormalEquations(
-        np.outer(root * shown, root * shown) * whole, _numbers(fields, "gradient", count)
-    )
+    whole = np.outer(root * shown, root * shown) * ((axes * np.maximum(values, 0.0)) @ axes.T)
+    learnt = NormalEquations(whole, _numbers(fields, "gradient", count))
     runs = fields.get("runs")
     if not isinstance(runs, list) or not 1 <= len(runs) <= _MAX_RUNS:
         raise ValueError(f"runs are no list of 1 to {_MAX_RUNS}")
-    return ArmCard(
-        _text(fields.get("arm_sha256")),
-        joints,
-        tuple(_run(run) for run in runs),
-        terms,
-        learnt,
-        file,
-    )
+    for run in runs:
+        if not isinstance(run, dict) or run.keys() != {"log", "sha256"}:
+            raise ValueError(f"{short_name(run)} is no run with log and sha256")
+    told = tuple({name: _text(run[name]) for name in ("log", "sha256")} for run in runs)
+    return ArmCard(_text(fields.get("arm_sha256")), joints, told, terms, learnt, file)
 
 
 def _text(value: Any) -> str:
@@ -175,12 +163,6 @@ def _texts(fields: Mapping[str, Any], name: str) -> tuple[str, ...]:
     if not isinstance(values, list):
         raise ValueError(f"{name} are no list")
     return tuple(map(_text, values))
-
-
-def _run(value: Any) -> dict[str, str]:
-    if not isinstance(value, dict) or value.keys() != {"log", "sha256"}:
-        raise ValueError(f"{short_name(value)} is no run with log and sha256")
-    return {name: _text(value[name]) for name in ("log", "sha256")}
 
 
 def _numbers(fields: Mapping[str, Any], name: str, count: int) -> Array:

@@ -18,16 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import Array, Episode, LeftOut, Signal
+from tunenet_logs.episode import Array, Episode, LeftOut, Signal, median_step
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.reader import check_start, no_topic
 from tunenet_logs.recorders.simulators.arm.description import Arm, read_arm
-from tunenet_logs.recorders.simulators.arm.known import (
-    DEFAULT,
-    arms_called,
-    in_words,
-    known_arm,
-)
+from tunenet_logs.recorders.simulators.arm.known import DEFAULT, arms_called, in_words, known_arm
 from tunenet_logs.terminal import FEW_NAMES, listed, short_name
 from tunenet_logs.timing.stamps import part_on_grid
 
@@ -38,17 +33,6 @@ _NOT_OF_THE_ARM = re.compile(r"finger|gripper|knuckle|thumb|wheel", re.I)
 # A joint's name that says no more than its number: a driver's other topic may give it.
 _GENERIC = re.compile(r"(?:joint|axis|j|a)?[_\- .]*(\d+)", re.I)
 _TURN_RAD = 2 * np.pi
-# An angle further beyond its joint's limits, or of more turns, is odd: calibration explains less,
-# and few joints turn more than twice.
-_SLACK_RAD = 0.3
-_MAX_TURNS = 2.1
-_DEGREES_SHARE = 1 / 3  # of the joints that turn: as many have odd angles where they are in degrees
-# A tenth of the samples must be odd: fewer are glitches.
-_FAST_QUANTILE, _BEYOND_FRACTION = 0.9, 0.1
-# Fraction of the samples that may lie outside of their messages, beyond this fraction of the time
-# between two messages: some messages are late.
-_MAX_OUTSIDE = 0.05
-_CLOCK_SLACK = 0.15
 
 
 def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ...]:
@@ -58,7 +42,9 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
     compared whole, then by suffix, then by trailing number. Columns that are only numbered, as many
     as the arm has joints, are its joints from base to tool.
     """
-    for rule in (eq, _is_ending, _is_joint_number, _is_number):
+    is_joint_number = partial(_is_numbered, before=r"j(oint)?[ _\-.]*")  # joint_3, joint3 or j3
+    is_number = partial(_is_numbered, before=r"(^|[^0-9])")
+    for rule in (eq, _is_ending, is_joint_number, is_number):
         matches = [[k for k, name in enumerate(columns) if rule(joint, name)] for joint in joints]
         if all(len(indices) == 1 for indices in matches):
             chosen = tuple(indices[0] for indices in matches)
@@ -75,9 +61,7 @@ def match_joints(joints: Sequence[str], columns: Sequence[str]) -> tuple[int, ..
     numbered = sorted((int(name[1]), k) for k, name in found if name)
     if [number - numbered[0][0] for number, _ in numbered] == list(range(len(joints))):
         return tuple(k for _, k in numbered)
-    missing = [
-        joint for joint in joints if not any(_is_joint_number(joint, name) for name in columns)
-    ]
+    missing = [one for one in joints if not any(is_joint_number(one, name) for name in columns)]
     there = listed(map(short_name, columns), FEW_NAMES)
     raise NotFoundError(
         f"no joint of the log is {', '.join(missing or joints)} (there: {there})",
@@ -92,34 +76,12 @@ def _is_ending(joint: str, name: str) -> bool:
     return bool(shorter) and bool(re.search(rf"(^|[^a-z0-9]){re.escape(shorter)}$", longer))
 
 
-def _is_joint_number(joint: str, name: str) -> bool:
-    """Match `joint_3`, `joint3` or `j3` at the end."""
-    return _is_numbered(joint, name, r"j(oint)?[ _\-.]*")
-
-
-def _is_number(joint: str, name: str) -> bool:
-    """Match any name that ends in the number."""
-    return _is_numbered(joint, name, r"(^|[^0-9])")
-
-
 def _is_numbered(joint: str, name: str, before: str) -> bool:
     """Match names of one trailing number, the column's after the pattern `before`."""
     number = re.search(r"(?<![0-9])[0-9]{1,9}$", joint)
     if number is None or _NOT_OF_THE_ARM.search(name):
         return False
     return bool(re.search(rf"{before}0*{int(number[0])}$", name, re.I))
-
-
-def in_newton_metres(effort: Signal, arm: Arm, constants: Sequence[float]) -> Signal:
-    """Convert currents [A] to torques by constants [N·m/A], one per joint or one for all."""
-    if len(constants) not in (1, len(arm.joints)):
-        raise NotFoundError(
-            f"--torque-constants has {len(constants)} numbers, the arm {len(arm.joints)} joints: "
-            "give one for each from base to tool, or one for all"
-        )
-    factors = np.ones(len(effort.columns))
-    factors[list(match_joints(arm.joint_names, effort.columns))] = constants
-    return replace(effort, values=effort.values * factors)
 
 
 def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str]]:
@@ -132,8 +94,12 @@ def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
     remarks: list[str] = []
     as_degrees = np.where(turns, np.radians(values), values)
-    gone = _misplaced(values, arm) & ~_misplaced(as_degrees, arm)
-    if np.count_nonzero(gone) >= max(1, _DEGREES_SHARE * np.count_nonzero(turns)):
+    (misplaced, fast), (not_gone, still_fast) = (
+        _odd_joints(seconds, one, arm) for one in (values, as_degrees)
+    )
+    gone = misplaced & ~not_gone
+    # As many joints have odd angles where they are in degrees.
+    if np.count_nonzero(gone) >= max(1, 1 / 3 * np.count_nonzero(turns)):
         values = as_degrees
         remarks.append("the joints' positions are in degrees: converted")
     elif gone.any():
@@ -142,7 +108,7 @@ def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str
             f"positions of {joint} are more than it turns, if they are rad, those of most joints "
             "are not: taken as rad; if the driver gives degrees, convert them first"
         )
-    elif np.count_nonzero(_too_fast(seconds, values, arm) & ~_too_fast(seconds, as_degrees, arm)):
+    elif np.count_nonzero(fast & ~still_fast):
         remarks.append(
             "joints are faster than any arm: bad stamps, two publishers on one topic, or degrees; "
             "the positions are taken as rad"
@@ -158,29 +124,26 @@ def in_radians(seconds: Array, values: Array, arm: Arm) -> tuple[Array, list[str
     return whole, remarks
 
 
-def _misplaced(values: Array, arm: Arm) -> NDArray[np.bool_]:
-    """Return which joints are where none can be, shape (J,)."""
+def _odd_joints(
+    seconds: Array, values: Array, arm: Arm
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which joints are where none can be, and which faster than any can be, each (J,)."""
     found: list[bool] = []
+    slack_rad = 0.3  # beyond its limits: calibration explains less
     for joint, column in zip(arm.joints, values.T, strict=True):
         low, high = joint.limits_rad
-        is_beyond = bool(np.abs(column).max() > _MAX_TURNS * _TURN_RAD)
+        is_beyond = bool(np.abs(column).max() > 2.1 * _TURN_RAD)  # few joints turn more than twice
         if np.isfinite(high - low) and high - low < _TURN_RAD:
-            beyond = np.mod(column - low + _SLACK_RAD, _TURN_RAD) > high - low + 2 * _SLACK_RAD
-            is_beyond |= bool(np.mean(beyond) > _BEYOND_FRACTION)
+            beyond = np.mod(column - low + slack_rad, _TURN_RAD) > high - low + 2 * slack_rad
+            is_beyond |= bool(np.mean(beyond) > 0.1)  # fewer are glitches
         found.append(is_beyond and not joint.is_prismatic)
-    return np.array(found)
-
-
-def _too_fast(seconds: Array, values: Array, arm: Arm) -> NDArray[np.bool_]:
-    """Return which joints are faster than any can be, shape (J,)."""
     steps = np.diff(values, axis=0)
     steps -= _TURN_RAD * np.round(steps / _TURN_RAD)
-    speeds = np.quantile(np.abs(steps) / np.diff(seconds)[:, None], _FAST_QUANTILE, axis=0)
-    # A speed over this multiple of its joint's limit, or over this one, is odd: no arm reaches it
-    # [rad/s]
+    speeds = np.quantile(np.abs(steps) / np.diff(seconds)[:, None], 0.9, axis=0)
+    # No arm reaches three times its joint's limit, or this speed [rad/s].
     fastest = [min(3.0 * one.max_velocity_rad_s, 15.0) for one in arm.joints]
     turns = np.array([not joint.is_prismatic for joint in arm.joints])
-    return turns & (speeds > np.array(fastest))
+    return np.array(found), turns & (speeds > np.array(fastest))
 
 
 def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:
@@ -208,9 +171,10 @@ def even_clock(before: Array, seconds: Array) -> tuple[Array, float] | None:
         period, start = np.polyfit(ticks, middles, 1)
         ticks = np.round((middles - start) / period)
     times = start + period * ticks
-    slack = _CLOCK_SLACK * float(np.median(ends - begins))
+    # A few messages are late, beyond a share of the time between two.
+    slack = 0.15 * float(np.median(ends - begins))
     outside = (times < begins - slack) | (times > ends + slack)
-    if np.any(np.diff(ticks) < 1) or float(np.mean(outside)) > _MAX_OUTSIDE:
+    if np.any(np.diff(ticks) < 1) or float(np.mean(outside)) > 0.05:
         return None
     first = min(np.floor((seconds[0] - start) / period), ticks[0] - 1)
     return np.concatenate([[start + period * first], times]), float(period)
@@ -230,22 +194,32 @@ def check_joints(joints: Sequence[str], of_log: Sequence[str]) -> None:
 # Repeats come in runs that end in a step as large as the motion beside them is fast. While the arm
 # rests, samples repeat too, but the step after them is small for their time: these count.
 
-_TURNS = (0.0, 2 * np.pi, 360.0)  # by which angles jump that are cut to a turn, in rad or degrees
-
 
 @dataclass(frozen=True, eq=False)
-class NewSamples:
-    """New samples of a signal."""
+class JointSamples:
+    """New samples of one field of all joints."""
 
-    seconds: Array  # when each was measured [s], shape (T,), increasing
-    rows: NDArray[np.int64]  # of the signal, shape (T,)
+    topic: str  # where it came from
+    seconds: Array  # when each was measured, since the log's first sample [s], (T,), increasing
+    values: Array  # shape (T, J), in the arm's order of joints [rad, rad/s or N·m]
     repeated: float  # fraction of recorded samples that only repeat one, rests aside
     late_s: float  # maximum delay from measurement to stamp; 0 if its time is known
     rests: Array  # first and last time of each rest [s], shape (R, 2)
 
+    def __post_init__(self) -> None:
+        for array in (self.seconds, self.values, self.rests):
+            array.flags.writeable = False
 
-def new_samples(seconds: Array, values: Array, rests: Array | None = None) -> NewSamples:
-    """Find the new samples of a signal, and when they were measured.
+    @property
+    def rate_hz(self) -> float:
+        """Median rate of new samples [Hz]."""
+        return 1 / median_step(self.seconds)
+
+
+def new_samples(
+    seconds: Array, values: Array, rests: Array | None = None, topic: str = ""
+) -> JointSamples:
+    """Find the new samples of a signal, shape (N, J), and when they were measured.
 
     `seconds` (N,) [s], `rests` (R, 2) [s] (None if the signal itself shows it: positions do).
     """
@@ -262,11 +236,11 @@ def new_samples(seconds: Array, values: Array, rests: Array | None = None) -> Ne
         keep = still[owner] & _within(seconds, rests)
         keep[firsts] = True
         rows = np.flatnonzero(keep)
-        return NewSamples(seconds[rows], rows, repeated, 0.0, spans[still])
+        return JointSamples(topic, seconds[rows], values[rows], repeated, 0.0, spans[still])
     begins, before = seconds[firsts], seconds[np.maximum(firsts - 1, 0)]
     lasts = np.diff(np.append(begins, seconds[-1]))
     clock = even_clock(before, begins)
-    late_s = 0.0 if clock else float(np.median(np.diff(seconds)))
+    late_s = 0.0 if clock else median_step(seconds)
     measured, period_s = clock or (begins, float(np.mean(lasts[~still])))
     # What stays the same for longer was measured several times, while the arm rested.
     resting = still & (lasts > 2.5 * period_s)
@@ -281,7 +255,7 @@ def new_samples(seconds: Array, values: Array, rests: Array | None = None) -> Ne
     times = np.concatenate([measured, more[inside]])
     order = np.argsort(times)
     rows = np.concatenate([firsts, rows[inside]])
-    return NewSamples(times[order], rows[order], repeated, late_s, spans[resting])
+    return JointSamples(topic, times[order], values[rows[order]], repeated, late_s, spans[resting])
 
 
 def _runs_of(
@@ -294,8 +268,8 @@ def _runs_of(
     lengths = ends - begins
     # Remove the jumps of wrapped angles from steps.
     steps = np.diff(values[begins], axis=0)
-    ways = np.stack([np.abs(np.abs(steps) - turn) for turn in _TURNS])
-    nearest = np.array(_TURNS)[np.argmin(ways, axis=0)]
+    turns = np.array([0.0, 2 * np.pi, 360.0])  # in rad or degrees
+    nearest = turns[np.argmin([np.abs(np.abs(steps) - turn) for turn in turns], axis=0)]
     steps = steps - np.sign(steps) * nearest
     places = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
     places = places[np.repeat(np.arange(len(begins)), lengths)]
@@ -303,10 +277,9 @@ def _runs_of(
     after = np.append(np.abs(steps).max(axis=1), 0.0)
     nonzero = np.where(steps == 0, np.inf, np.abs(steps))
     smallest = np.min(nonzero, axis=0, initial=np.inf)
-    # A value that changes by less than 1.5 of a joint's smallest change was only rounded
-    # meanwhile.
+    # A value that changes by less than 1.5 of a joint's smallest change was only rounded meanwhile.
     coarse = np.append(np.all(np.abs(steps) <= 1.5 * smallest, axis=1), True)
-    period_s = float(np.median(np.diff(seconds)))
+    period_s = median_step(seconds)
     # Before and after a run, where its speed is looked for: the longer of both [s]
     reach = max(4, int(np.ceil(0.15 / period_s)))
     left, right = np.maximum(begins - 1, 0), np.minimum(ends, len(values) - 1)
@@ -343,32 +316,8 @@ _MIN_SAMPLES = 20  # of a field: fewer determine neither a motion nor a rate
 # Between knots of a spline through positions: no arm's acceleration has finer detail.
 MIN_KNOT_S = 0.04
 # Of a motion that is fitted, whose torques become a few hundred means: of a longer one they are so
-# far apart that a motion which repeats itself looks like a drift. How often it is looked at to find
-# where it moves most, and parts that move as much as this fraction of the most.
-_MAX_S, _LOOKED_AT_S, _MUCH_ALIKE = 600.0, 0.1, 0.9
-# Of a spline through positions: some minutes of rest between two motions, or so many a sample.
-_KNOTS, _KNOTS_A_SAMPLE = 50_000, 4
-
-
-@dataclass(frozen=True, eq=False)
-class JointSamples:
-    """Fresh samples of one field of all joints."""
-
-    topic: str  # where it came from
-    seconds: Array  # since the log's first sample [s], shape (T,), increasing
-    values: Array  # shape (T, J), in the arm's order of joints [rad, rad/s or N·m]
-    repeated: float  # fraction of recorded samples that only repeat one, rests aside
-    late_s: float  # maximum delay from measurement to stamp; 0 if its time is known
-    rests: Array  # first and last time of each rest [s], shape (R, 2)
-
-    def __post_init__(self) -> None:
-        for array in (self.seconds, self.values, self.rests):
-            array.flags.writeable = False
-
-    @property
-    def rate_hz(self) -> float:
-        """Median rate of fresh samples [Hz]."""
-        return 1 / float(np.median(np.diff(self.seconds)))
+# far apart that a motion which repeats itself looks like a drift.
+_MAX_S = 600.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,9 +366,7 @@ def read_arm_log(
     velocity = velocities = None  # only checked against the positions: a log can do without
     with suppress(NotFoundError):
         velocity = _pick(episode, "rad/s", arm, _topic(position), "joint velocities")
-    effort = _measured(effort, arm)
-    if torque_constants:  # as stated: a JointState does not say its unit
-        effort = in_newton_metres(effort, arm, torque_constants)
+    effort = _measured(effort, arm, torque_constants)
     used = [signal for signal in (effort, position, velocity) if signal is not None]
     first_ns = min(int(signal.stamps_ns[0]) for signal in used)
     last_ns = max(int(signal.stamps_ns[-1]) for signal in used)
@@ -448,7 +395,8 @@ def read_arm_log(
 
 def most_knots(samples: int) -> int:
     """Bound the knots of a spline through so many positions, independent of their stamps."""
-    return max(_KNOTS, _KNOTS_A_SAMPLE * samples)
+    # Some minutes of rest between two motions, or so many a sample.
+    return max(50_000, 4 * samples)
 
 
 def _fitted_part(
@@ -460,7 +408,7 @@ def _fitted_part(
     if len(rows) < _MIN_SAMPLES:
         return part, []
     # It is cut at a pause too long for a spline.
-    knot_s = max(float(np.median(np.diff(seconds[rows]))), MIN_KNOT_S)
+    knot_s = max(median_step(seconds[rows]), MIN_KNOT_S)
     keep, words = part_on_grid(seconds[rows], knot_s * most_knots(len(rows)))
     if words:
         rows = rows[keep[0] : keep[-1] + 1]
@@ -469,13 +417,14 @@ def _fitted_part(
     if len(seconds) < _MIN_SAMPLES or seconds[-1] - seconds[0] <= _MAX_S:
         return part, list(words)
     # Of a long one, that in which the arm moves most.
-    thinned = np.searchsorted(seconds, np.arange(seconds[0], seconds[-1], _LOOKED_AT_S))
+    step_s = 0.1  # at which it is looked at
+    thinned = np.searchsorted(seconds, np.arange(seconds[0], seconds[-1], step_s))
     steps = np.abs(np.diff(position.values[rows[thinned]], axis=0))
     ways = np.concatenate([[0.0], np.cumsum(np.nansum(steps, axis=1))])
-    begins = np.arange(seconds[0], seconds[-1] - _MAX_S + _LOOKED_AT_S, _MAX_S / 10)
+    begins = np.arange(seconds[0], seconds[-1] - _MAX_S + step_s, _MAX_S / 10)
     ends = np.minimum(np.searchsorted(seconds[thinned], begins + _MAX_S), len(ways) - 1)
     moved = ways[ends] - ways[np.searchsorted(seconds[thinned], begins)]
-    begin = float(begins[np.argmax(moved >= _MUCH_ALIKE * moved.max())])
+    begin = float(begins[np.argmax(moved >= 0.9 * moved.max())])  # the first much alike
     more = (
         f"{seconds[-1] - seconds[0]:.0f} s are more than is fitted at once: the {_MAX_S:.0f} s "
         f"from {begin:.0f} s on, where the arm moves most, are used; name others with --start and "
@@ -527,29 +476,34 @@ def _pick(episode: Episode, unit: str, arm: Arm, topic: str | None, what: str) -
     return found
 
 
-def _measured(effort: Signal, arm: Arm) -> Signal:
-    """Return measured torques; 0 for a joint whose torque is never a number."""
-    columns = match_joints(arm.joint_names, effort.columns)
+def _measured(effort: Signal, arm: Arm, constants: Sequence[float]) -> Signal:
+    """Return measured torques; 0 for a joint whose torque is never a number.
+
+    Where constants are given [N·m/A], one per joint or one for all, they are currents.
+    """
+    columns = list(match_joints(arm.joint_names, effort.columns))
     is_measured: NDArray[np.bool_] = np.any(np.isfinite(effort.values), axis=0)
-    if not is_measured[list(columns)].any():
-        raise NotFoundError(
-            f"{_topic(effort)}: no torque is a number: record the topic on which the driver gives "
-            "measured torques"
-        )
+    remedy = "record the topic on which the driver gives measured torques"
+    if not is_measured[columns].any():
+        raise NotFoundError(f"{_topic(effort)}: no torque is a number: {remedy}")
     effort = replace(effort, values=np.where(is_measured, effort.values, 0.0))
     values = effort.values[:, columns]
     finite = values[np.isfinite(values).all(axis=1)]
     if len(finite) and not np.any(finite):
-        raise NotFoundError(
-            f"{_topic(effort)}: every torque is 0: record the topic on which the driver gives "
-            "measured torques"
-        )
+        raise NotFoundError(f"{_topic(effort)}: every torque is 0: {remedy}")
     if len(finite) and not np.any(np.ptp(finite, axis=0)):
+        what = f"{_topic(effort)}: no torque ever changes: the driver was stuck, or measures none"
+        raise NotFoundError(what, remedy)
+    if not constants:
+        return effort
+    if len(constants) not in (1, len(arm.joints)):
         raise NotFoundError(
-            f"{_topic(effort)}: no torque ever changes: the driver was stuck, or measures none",
-            "record the topic on which the driver gives measured torques",
+            f"--torque-constants has {len(constants)} numbers, the arm {len(arm.joints)} joints: "
+            "give one for each from base to tool, or one for all"
         )
-    return effort
+    factors = np.ones(len(effort.columns))
+    factors[columns] = constants
+    return replace(effort, values=effort.values * factors)
 
 
 def _fresh(
@@ -565,30 +519,24 @@ def _fresh(
     values = signal.values[:, columns]
     keep = np.isfinite(values).all(axis=1) & (seconds >= part[0]) & (seconds <= part[1])
     seconds, values = seconds[keep], values[keep]
-    new = new_samples(seconds, values, rests) if len(seconds) > 1 else None
-    count = len(seconds) if new is None else len(new.rows)
+    new = new_samples(seconds, values, rests, _topic(signal)) if len(seconds) > 1 else None
+    count = len(seconds) if new is None else len(new.seconds)
     if new is None or count < _MIN_SAMPLES:
         raise NotFoundError(
             f"{signal.name}: {count} samples of all joints are new (wanted: "
             f"{_MIN_SAMPLES} or more): record for 5 s, at the driver's highest rate"
         )
-    return JointSamples(
-        _topic(signal), new.seconds, values[new.rows], new.repeated, new.late_s, new.rests
-    )
+    return new
 
 
 def _topic(signal: Signal) -> str:
     """Return the signal's topic, without the name of the field."""
-    for ending in (".position", ".velocity", ".effort"):
-        if signal.name.endswith(ending):
-            return signal.name.removesuffix(ending)
-    return signal.name
+    topic, _, field = signal.name.rpartition(".")
+    return topic if field in ("position", "velocity", "effort") else signal.name
 
 
 # ---- Arm of a log: the one that the user names, else by its joint names
 
-# Joints that are only numbered, one fewer than the default arm has.
-_SIX = tuple(f"joint_{number}" for number in range(1, 7))
 _OTHER = "--urdf FILE --tool-link LINK for any other"
 
 
@@ -628,7 +576,9 @@ def which_arm(
                 f"names do not say which: add {in_words(called)}, or {_OTHER}"
             )
     elif has_torques and not any(_fits(default.joint_names[0], columns) for columns in there):
-        for six in filter(partial(_fits, _SIX), there):
+        # Joints that are only numbered, one fewer than the default arm has.
+        six_joints = tuple(f"joint_{number}" for number in range(1, 7))
+        for six in filter(partial(_fits, six_joints), there):
             raise NotFoundError(
                 "joints that do not say whose they are "
                 f"({listed(map(short_name, six), FEW_NAMES)})",

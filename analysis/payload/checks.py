@@ -12,7 +12,6 @@ from tunenet_logs.analysis.checks import Check, CheckSpec, at_least, at_most, ta
 from tunenet_logs.analysis.payload.arm_log import ArmLog
 from tunenet_logs.analysis.payload.torque_fit import FitResidual, PayloadFit
 from tunenet_logs.analysis.payload.torque_model import ArmMotion
-from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.arm.description import Arm
 from tunenet_logs.terminal import listed, short_name
 
@@ -176,12 +175,6 @@ PAYLOAD = table(
     ),
 )
 
-_CHI2_MEDIAN = 0.455  # of a standard normal's square: makes a median an rms without spikes
-_LIVELY = 0.03  # of what joints are built for: torques that vary by less are noise
-_REJECT_FRACTION = 0.5  # of lively torques' variance, which no arm leaves unexplained
-_CONTRADICTED = -10.0  # log evidence that speaks against an owner's own word
-_BELOW_SDS = 4.0  # below 0, at which a mass is an error of the model or of the tare
-_SURE_FRACTION, _REJECT_SHARE = 0.1, 0.4  # of the payload's mass; of what the arm weighs
 _CONVENTION_WORDS = {
     (1, True): "the joints' torques, with gravity",
     (-1, True): "torques with the sign opposite to the joints', with gravity",
@@ -237,17 +230,25 @@ def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog, *, is_stated: bool) -
 
     `is_stated` is whether the user states the driver's torque convention.
     """
+    tares = numbered("tare", fit.tare_residuals)
     usual = [term for term in fit.nuisances if term.group != "hoses and gears"]
     worst = max(usual, key=lambda term: abs(term.value) / term.prior_sd)
+    # Whether the arm can hold such a mass: 4 sds below 0, it is an error of the model or the tare.
+    spec = PAYLOAD["within what the arm lifts"]
+    limits = np.array([joint.max_effort_nm for joint in arm.joints])
+    percents = 100 * np.quantile(np.abs(log.effort.values), 0.99, axis=0) / limits
+    most = int(np.argmax(percents))
+    below_sds = -fit.held.signed_kg / fit.held.sd_kg
+    is_lost = percents[most] > _NO_ARM_LIFTS
+    advice = PAYLOAD["torques fit the arm"].advice if is_lost else None
+    if fit.tare_residuals and not is_lost:
+        advice = "check the arm's model (--arm, --urdf), and that the tare's gripper was empty"
     return [
-        *(
-            _arm_check(residual, 0.0, f"{name}: ")
-            for name, residual in numbered("tare", fit.tare_residuals)
-        ),
+        *(_arm_check(residual, 0.0, f"{name}: ") for name, residual in tares),
         _arm_check(fit.residual, fit.arm_odds),
         PAYLOAD["sign and gravity"].measured(
             fit.convention_odds,
-            _CONTRADICTED if is_stated else None,
+            -10.0 if is_stated else None,  # that speaks against an owner's own word
             advice=_CONTRADICTION_ADVICE if is_stated else None,
             meant=_CONVENTION_WORDS[fit.convention.sign, fit.convention.has_gravity]
             + (", as stated" if is_stated else ""),
@@ -259,7 +260,14 @@ def payload_checks(fit: PayloadFit, arm: Arm, log: ArmLog, *, is_stated: bool) -
             advice=_TILT_ADVICE if worst.group == "tilt" else None,
             term=worst,
         ),
-        _lift_check(fit, arm, log),
+        spec.measured(
+            percents[most],
+            passed=percents[most] < spec.limit.value and below_sds < 4.0,
+            advice=advice,
+            lost="these torques fit no arm of this size: " if is_lost else "",
+            signed_kg=fit.held.signed_kg,
+            joint=arm.joints[most].name,
+        ),
     ]
 
 
@@ -273,12 +281,13 @@ def _arm_check(residual: FitResidual, arm_odds: float, tare: str = "") -> Check:
     """Check whether any arm explains these torques."""
     spec = PAYLOAD["torques fit the arm"]
     left = residual.residual_nm / residual.scales_nm
-    rms = float(np.sqrt(np.median(left**2, axis=0).mean() / _CHI2_MEDIAN))
+    # Medians without spikes: of a standard normal's square, it is .455.
+    rms = float(np.sqrt(np.median(left**2, axis=0).mean() / 0.455))
     moving = (residual.effort_nm - np.mean(residual.effort_nm, axis=0)) / residual.scales_nm
     spread = float(np.sqrt(np.mean(moving**2)))
     lost = arm_odds < 0 or 100 * rms > _LOST_PERCENT
-    if spread > _LIVELY:
-        lost |= float(np.mean(left**2)) / spread**2 > _REJECT_FRACTION
+    if spread > 0.03:  # less is noise; of lively torques' variance no arm leaves half unexplained
+        lost |= float(np.mean(left**2)) / spread**2 > 0.5
     check = spec.measured(
         100 * rms,
         passed=100 * rms < spec.limit.value and not lost,
@@ -290,27 +299,6 @@ def _arm_check(residual: FitResidual, arm_odds: float, tare: str = "") -> Check:
     return replace(check, name=f"{tare}{check.name}")
 
 
-def _lift_check(fit: PayloadFit, arm: Arm, log: ArmLog) -> Check:
-    """Check whether the arm can hold such a mass."""
-    spec = PAYLOAD["within what the arm lifts"]
-    limits = np.array([joint.max_effort_nm for joint in arm.joints])
-    percents = 100 * np.quantile(np.abs(log.effort.values), 0.99, axis=0) / limits
-    worst = int(np.argmax(percents))
-    below_sds = -fit.held.signed_kg / fit.held.sd_kg
-    is_lost = percents[worst] > _NO_ARM_LIFTS
-    advice = PAYLOAD["torques fit the arm"].advice if is_lost else None
-    if fit.tare_residuals and not is_lost:
-        advice = "check the arm's model (--arm, --urdf), and that the tare's gripper was empty"
-    return spec.measured(
-        percents[worst],
-        passed=percents[worst] < spec.limit.value and below_sds < _BELOW_SDS,
-        advice=advice,
-        lost="these torques fit no arm of this size: " if is_lost else "",
-        signed_kg=fit.held.signed_kg,
-        joint=arm.joints[worst].name,
-    )
-
-
 def sure_check(fit: PayloadFit, arm: Arm) -> Check:
     """Check whether the interval is narrow enough to be of use."""
     spec = PAYLOAD["sure enough"]
@@ -319,18 +307,7 @@ def sure_check(fit: PayloadFit, arm: Arm) -> Check:
     arm_kg = sum(joint.link.mass_kg for joint in arm.joints)
     return spec.measured(
         half_kg,
-        max(spec.limit.value / 100 * arm_kg, _SURE_FRACTION * fit.held.mass_kg),
-        fatal=half_kg > _REJECT_SHARE * arm_kg,
+        max(spec.limit.value / 100 * arm_kg, 0.1 * fit.held.mass_kg),
+        fatal=half_kg > 0.4 * arm_kg,
         advice=_LONGER_ADVICE if fit.tare_residuals else _TARE_ADVICE,
     )
-
-
-def simulation_check(residual_nm: Array, scales_nm: Array) -> Check:
-    """Check the simulated torques against the measured ones, all but nuisance terms.
-
-    Args:
-        residual_nm: Measured less simulated [N·m], shape (T, J).
-        scales_nm: Rated torque of each joint [N·m], shape (J,).
-    """
-    rms = float(np.sqrt(np.mean((residual_nm / scales_nm) ** 2)))
-    return PAYLOAD["simulation fits"].measured(100 * rms)

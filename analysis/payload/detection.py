@@ -19,13 +19,7 @@ from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.payload.arm_card import ArmCard
 from tunenet_logs.analysis.payload.arm_log import JOINT_UNITS, ArmLog, check_joints, read_arm_log
 from tunenet_logs.analysis.payload.torque_fit import PayloadFit, fit_payload
-from tunenet_logs.analysis.payload.torque_model import (
-    CONVENTIONS,
-    GAIN,
-    ArmMotion,
-    Convention,
-    arm_motion,
-)
+from tunenet_logs.analysis.payload.torque_model import GAIN, ArmMotion, Convention, arm_motion
 from tunenet_logs.analysis.tunenet.network import (
     HomogeneousNetwork,
     PairSet,
@@ -36,7 +30,7 @@ from tunenet_logs.analysis.tunenet.network import (
     observe_all,
 )
 from tunenet_logs.analysis.tunenet.weights import Purpose
-from tunenet_logs.episode import Array, Episode, LeftOut
+from tunenet_logs.episode import Array, LeftOut
 from tunenet_logs.errors import LogError, NotFoundError
 from tunenet_logs.reader import read_episode, without_commands
 from tunenet_logs.recorders.simulators.arm.description import Arm, Payload, jaco
@@ -67,9 +61,6 @@ PAPER_SAMPLES = 300
 PAPER_JOINTS = 7
 CIRCLE_S = 2 * np.pi / CIRCLE_RAD_S  # a turn
 _NEAR_S = 0.05  # to the nearest torque: between samples further apart nothing is interpolated
-# Phases that the search for the circle begins with, some degrees apart; then it halves its step,
-# down to microseconds.
-_COARSE, _HALVINGS = 64, 16
 # The paper's simulator, masses that networks learn from, and pairs (Allevato et al. 2019).
 PAPER_GRAVITY_M_S2 = (0.0, 0.0, -10.0)
 PAPER_MASS_KG = (0.0, 1.0)
@@ -81,12 +72,11 @@ _RATE_HZ = 20.0  # of a motion's samples: readings are sums over them, which mor
 
 
 def payload_readings(effort_nm: Array, empty_nm: Array, per_kg_nm: Array) -> Observation:
-    """Project torques to each joint's share of the mass: one network serves every arm and motion.
+    """Project torques, (T, J), to each joint's share of the mass, for any arm and motion.
 
     Torques beyond those of the empty arm are projected on what a kilogram adds; their sum over all
     joints is the least-squares mass. Means are removed from both, and so sensor offsets. Joints are
-    ordered by how much of a payload they feel. `effort_nm` (T, J) [N·m], `empty_nm` (T, J) [N·m],
-    `per_kg_nm` (T, J) [N·m].
+    ordered by how much of a payload they feel.
     """
     felt = per_kg_nm - per_kg_nm.mean(axis=0)
     beyond = effort_nm - empty_nm
@@ -99,10 +89,7 @@ def payload_readings(effort_nm: Array, empty_nm: Array, per_kg_nm: Array) -> Obs
 
 
 def paper_torques(seconds: Array, effort_nm: Array, phase_s: float = 0.0) -> Observation:
-    """Resample seven torques at 60 Hz over the first 5 s of the paper's circle.
-
-    `seconds` (T,) [s], `effort_nm` (T, 7) [N·m].
-    """
+    """Resample seven torques, (T, 7), at 60 Hz over the first 5 s of the paper's circle."""
     axis = np.arange(PAPER_SAMPLES) / PAPER_RATE_HZ
     along = (seconds + phase_s) % CIRCLE_S
     order = np.argsort(along)
@@ -127,19 +114,17 @@ def circle_phase_s(path: JointPath) -> tuple[float, float]:
     def cost(phase_s: float) -> float:
         return float(np.sum(off_rad(phase_s) ** 2))
 
-    step_s = CIRCLE_S / _COARSE
-    phase_s = min((step_s * np.arange(_COARSE)).tolist(), key=cost)
-    for _ in range(_HALVINGS):
+    # From some degrees apart down to microseconds.
+    step_s = CIRCLE_S / 64
+    phase_s = min((step_s * np.arange(64)).tolist(), key=cost)
+    for _ in range(16):
         step_s /= 2
         phase_s = min((phase_s - step_s, phase_s, phase_s + step_s), key=cost)
     return phase_s % CIRCLE_S, float(np.abs(off_rad(phase_s)).max())
 
 
 def observe_circle(masses_kg: Sequence[float]) -> Array:
-    """Compute torques of the paper's circle by inverse dynamics, shape (N, 300, 7) [N·m].
-
-    They equal the rollout's torques. Runs in worker processes.
-    """
+    """Compute torques of the paper's circle, (N, 300, 7) [N·m], equal to a rollout's."""
     arm, path = jaco(), circle(PAPER_RATE_HZ, PAPER_SAMPLES / PAPER_RATE_HZ)
     return np.array(
         [joint_efforts_nm(arm, path, Payload(mass), PAPER_GRAVITY_M_S2) for mass in masses_kg]
@@ -179,9 +164,7 @@ def _readings_pairs(count: int | None, seed: int, workers: Workers, progress: Pr
     near = masses[:, :half] + 0.1 * rng.standard_normal((paths, half))
     masses[:, half:] = np.clip(near, *PAPER_MASS_KG)
     seeds = rng.integers(2**31, size=paths)
-    plans = [
-        (int(path_seed), tuple(row)) for path_seed, row in zip(seeds, masses.tolist(), strict=True)
-    ]
+    plans = list(zip(seeds.tolist(), map(tuple, masses.tolist()), strict=True))
     observations = observe_all(_observe_paths, plans, workers, progress)
     first, second = np.nonzero(~np.eye(_MASSES, dtype=bool))
     starts = _MASSES * np.arange(paths)[:, None]
@@ -189,59 +172,43 @@ def _readings_pairs(count: int | None, seed: int, workers: Workers, progress: Pr
     return PairSet(observations, masses.reshape(-1, 1), proposed[:count], target[:count])
 
 
-def _paper_training(name: str, scaling: str) -> Training:
-    purpose = Purpose(
-        task="payload",
-        preset=name,
-        observation="seven torques, 300 samples at 60 Hz along the circle",
-        inputs=PAPER_SAMPLES * PAPER_JOINTS,
-        outputs=1,
-        rates_hz=(PAPER_RATE_HZ,),
+_PAPER_RECIPE = Recipe(
+    optimizer="sgd",
+    learning_rate=1e-2,
+    decay=0.99,
+    decay_epochs=50,
+    weight_decay=1e-3,
+    loss="norm",
+    scaling="unit-inputs",
+    epochs=1000,
+    batch=50,
+)
+_OUR_RECIPE = Recipe(
+    optimizer="adamw",
+    learning_rate=3e-3,
+    weight_decay=0.01,
+    loss="relative",
+    scaling="raw",
+    epochs=40,
+    batch=256,
+)
+_SHARES = "each joint's share of the mass, by how much it feels"
+_TORQUES = "seven torques, 300 samples at 60 Hz along the circle"
+TRAININGS = {
+    "default": Training(
+        Purpose("payload", "default", _SHARES, READINGS, 1, (_RATE_HZ,)),
+        HomogeneousNetwork(),
+        _OUR_RECIPE,
+        _readings_pairs,
     )
-    return Training(
-        purpose,
+} | {
+    name: Training(
+        Purpose("payload", name, _TORQUES, PAPER_SAMPLES * PAPER_JOINTS, 1, (PAPER_RATE_HZ,)),
         PaperNetwork(),
-        Recipe(
-            optimizer="sgd",
-            learning_rate=1e-2,
-            decay=0.99,
-            decay_epochs=50,
-            weight_decay=1e-3,
-            loss="norm",
-            scaling=scaling,
-            epochs=1000,
-            batch=50,
-        ),
+        replace(_PAPER_RECIPE, scaling=scaling),
         _paper_pairs,
     )
-
-
-_OURS = Training(
-    Purpose(
-        task="payload",
-        preset="default",
-        observation="each joint's share of the mass, by how much it feels",
-        inputs=READINGS,
-        outputs=1,
-        rates_hz=(_RATE_HZ,),
-    ),
-    HomogeneousNetwork(),
-    Recipe(
-        optimizer="adamw",
-        learning_rate=3e-3,
-        weight_decay=0.01,
-        loss="relative",
-        scaling="raw",
-        epochs=40,
-        batch=256,
-    ),
-    _readings_pairs,
-)
-
-TRAININGS = {
-    "default": _OURS,
-    "paper": _paper_training("paper", "unit-inputs"),
-    "paper-code": _paper_training("paper-code", "z-score"),
+    for name, scaling in (("paper", "unit-inputs"), ("paper-code", "z-score"))
 }
 PRESETS = presets_of(TRAININGS, (PAYLOAD_MASS,), (PAYLOAD_MASS,))
 
@@ -249,8 +216,6 @@ PRESETS = presets_of(TRAININGS, (PAYLOAD_MASS,), (PAYLOAD_MASS,))
 # ---- Motion of an arm and of its empty runs, as one preset observes it
 
 EFFORT = f"{TOPIC}.effort"  # the simulated torques
-# Of the paper's circle, which takes 5 s: its network fills in what little is missing.
-_MIN_OF_CIRCLE_S = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,14 +227,42 @@ class Tare:
 
 
 def read_tares(arm: Arm, log: ArmLog, selection: TuneOptions) -> tuple[Tare, ...]:
-    """Read a selection's empty runs, all different; see `read_tare`."""
+    """Read a selection's empty runs, all different, as the log was read."""
     found: list[Tare] = []
     for tare in selection.tares:
-        one = read_tare(tare, arm, log, selection)
-        if any(_is_same_run(known.log, one.log) for known in found):
-            name = f" {tare}" if isinstance(tare, Path) else ""
+        name = f" {tare}" if isinstance(tare, Path) else ""
+        try:
+            recorded = read_episode(tare, selection.reading) if isinstance(tare, Path) else tare
+            recorded = without_commands(recorded)
+            recorded = drop_invalid_samples(recorded) if isinstance(tare, Path) else recorded
+            episode = trim_clock_jumps(recorded)
+            prefer = selection.topic or log.effort.topic
+            has_joints = any(signal.unit in JOINT_UNITS for signal in episode.signals_of(prefer))
+            empty = read_arm_log(
+                episode,
+                arm,
+                topic=prefer if has_joints else None,
+                torque_constants=selection.effort_constants,
+            )
+            check_joints(empty.joints, log.joints)
+            mass_kg = episode.info.truth.get(PAYLOAD_MASS.name, 0.0)
+            if mass_kg > 0:
+                raise NotFoundError(
+                    f"held {mass_kg:g} kg, as it says", "name a run with nothing in the gripper"
+                )
+            if _is_same_run(empty, log):
+                raise NotFoundError(
+                    "has the torques of the log itself",
+                    "name another run, with nothing in the gripper",
+                )
+            motion = arm_motion(empty)
+        except (LogError, NotFoundError) as error:
+            reason = error.what.removeprefix(f"{tare}: ")
+            raise NotFoundError(f"--tare{name}: {reason}", error.remedy) from error
+        if any(_is_same_run(known.log, empty) for known in found):
             raise NotFoundError(f"--tare{name}: is a run that was named before; name each one once")
-        found.append(one)
+        warnings = (*empty.warnings, *jump_warnings(recorded))
+        found.append(Tare(replace(empty, warnings=warnings), motion))
     return tuple(found)
 
 
@@ -279,51 +272,6 @@ def _is_same_run(known: ArmLog, other: ArmLog) -> bool:
     same = sum(row.tobytes() in there for row in other.effort.values)
     # No other run repeats half of a log's torques bit by bit.
     return same > 0.5 * len(other.effort.values)
-
-
-def read_tare(tare: Path | Episode, arm: Arm, log: ArmLog, selection: TuneOptions) -> Tare:
-    """Read an empty run as the log was read; NotFoundError where it is none."""
-    name = f" {tare}" if isinstance(tare, Path) else ""
-    try:
-        recorded = read_episode(tare, selection.reading) if isinstance(tare, Path) else tare
-        recorded = without_commands(recorded)
-        recorded = drop_invalid_samples(recorded) if isinstance(tare, Path) else recorded
-        episode = trim_clock_jumps(recorded)
-        prefer = selection.topic or log.effort.topic
-        has_joints = any(signal.unit in JOINT_UNITS for signal in episode.signals_of(prefer))
-        empty = read_arm_log(
-            episode,
-            arm,
-            topic=prefer if has_joints else None,
-            torque_constants=selection.effort_constants,
-        )
-        check_joints(empty.joints, log.joints)
-        mass_kg = episode.info.truth.get(PAYLOAD_MASS.name, 0.0)
-        if mass_kg > 0:
-            raise NotFoundError(
-                f"held {mass_kg:g} kg, as it says", "name a run with nothing in the gripper"
-            )
-        if _is_same_run(empty, log):
-            raise NotFoundError(
-                "has the torques of the log itself",
-                "name another run, with nothing in the gripper",
-            )
-        motion = arm_motion(empty)
-        return Tare(replace(empty, warnings=(*empty.warnings, *jump_warnings(recorded))), motion)
-    except (LogError, NotFoundError) as error:
-        reason = error.what.removeprefix(f"{tare}: ")
-        raise NotFoundError(f"--tare{name}: {reason}", error.remedy) from error
-
-
-def conventions_of(selection: TuneOptions) -> tuple[Convention, ...]:
-    """Return the torque conventions that the user's statements leave possible."""
-    sign = {"joint": 1, "load": -1, None: None}[selection.effort_sign]
-    full = {"included": True, "compensated": False, None: None}[selection.gravity]
-    return tuple(
-        known
-        for known in CONVENTIONS
-        if sign in (None, known.sign) and full in (None, known.has_gravity)
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,8 +352,7 @@ class PayloadDetection:
     def phase_s(self) -> float | None:
         """Phase on the paper's circle where the log's clock begins; None if the preset needs none.
 
-        Raises:
-            NotFoundError: It is another motion, or too little of it is there.
+        NotFoundError where it is another motion, or too little of it is there.
         """
         if self.physical:
             return None
@@ -417,10 +364,10 @@ class PayloadDetection:
                 f"payload`; this one is up to {off_rad:.2f} rad off it: use --preset default"
             )
         seconds = self.path.seconds[-1] - self.path.seconds[0]
-        if seconds < _MIN_OF_CIRCLE_S:
+        if seconds < 4:  # of 5: the network fills in what little is missing
             raise NotFoundError(
                 f"{seconds:.1f} s of the circle are there, the paper's network needs "
-                f"{_MIN_OF_CIRCLE_S:g} s: record a whole turn, or use --preset default"
+                "4 s: record a whole turn, or use --preset default"
             )
         return phase_s
 

@@ -22,20 +22,15 @@ from tunenet_logs.analysis.payload.arm_card import (
 )
 from tunenet_logs.analysis.payload.arm_log import read_arm_log, which_arm
 from tunenet_logs.analysis.payload.checks import (
+    PAYLOAD,
     arm_checks,
     numbered,
     payload_checks,
-    simulation_check,
     sure_check,
 )
-from tunenet_logs.analysis.payload.detection import (
-    EFFORT,
-    PRESETS,
-    PayloadDetection,
-    conventions_of,
-    read_tares,
-)
+from tunenet_logs.analysis.payload.detection import EFFORT, PRESETS, PayloadDetection, read_tares
 from tunenet_logs.analysis.payload.torque_model import (
+    CONVENTIONS,
     CURRENT_GAIN,
     GAIN,
     ArmMotion,
@@ -114,7 +109,6 @@ def secant(
 
     Torques are linear in the mass, so the arm without a payload and with 1 kg, driven along the
     logged motion, give it by least squares in closed form. Only sensor offsets are removed.
-    `scales_nm` (J,) [N·m].
     """
     arm = arm.without_limits()
     masses_kg = []
@@ -139,15 +133,6 @@ def secant(
 
 # ---- Payload as an experiment
 
-# How far the cross-check may be off, by what the arm weighs and by the payload's mass: it has no
-# friction.
-_AGREEMENT, _TARED_AGREEMENT = (0.06, 0.1), (0.03, 0.05)
-_DISAGREEMENT = "record the empty gripper along the same motion and name it with --tare"
-_TARED_DISAGREEMENT = (
-    "record the tare and the log within minutes of each other, along the same motion, sensors "
-    "zeroed once before both"
-)
-
 
 class PayloadExperiment:
     """See `Experiment`."""
@@ -171,7 +156,7 @@ class PayloadExperiment:
     def detect(self, episode: Episode, selection: TuneOptions, preset: str) -> PayloadDetection:
         """Read the arm's motion, and its empty runs; see `Experiment.detect`."""
         episode = without_commands(episode)
-        arm, remarks = which_arm(episode, selection.told_arm, selection.topic)
+        arm, remarks = which_arm(episode, selection.given_arm, selection.topic)
         log = read_arm_log(
             episode,
             arm,
@@ -197,6 +182,14 @@ class PayloadExperiment:
         are_currents = bool(selection.torque_constants) and not said_unused(
             "--torque-constants", episode.warnings
         )
+        # The torque conventions that the user's statements leave possible.
+        sign = {"joint": 1, "load": -1, None: None}[selection.effort_sign]
+        full = {"included": True, "compensated": False, None: None}[selection.gravity]
+        conventions = tuple(
+            known
+            for known in CONVENTIONS
+            if sign in (None, known.sign) and full in (None, known.has_gravity)
+        )
         return PayloadDetection(
             physical=PRESETS[preset].physical,
             arm=arm,
@@ -204,7 +197,7 @@ class PayloadExperiment:
             start_ns=start_ns,
             motion=motion,
             tares=tares,
-            conventions=conventions_of(selection),
+            conventions=conventions,
             warnings=tuple(warnings),
             card=card,
             gain=CURRENT_GAIN if are_currents else GAIN,
@@ -248,7 +241,9 @@ class PayloadExperiment:
         found, arm = detection.fit, detection.arm
         is_stated = len(detection.conventions) == 1
         checks += payload_checks(found, arm, detection.log, is_stated=is_stated)
-        checks.append(simulation_check(detection.effort_nm - simulated_nm, found.scales_nm))
+        left = (detection.effort_nm - simulated_nm) / found.scales_nm
+        rms = float(np.sqrt(np.mean(left**2)))
+        checks.append(PAYLOAD["simulation fits"].measured(100 * rms))
         return (*checks, sure_check(found, arm)) if fit else tuple(checks)
 
     def cross_check(self, detection: PayloadDetection, estimate: Array) -> CrossCheck | None:
@@ -265,19 +260,22 @@ class PayloadExperiment:
             scales_nm=fit.scales_nm,
             tares=[tare.motion for tare in detection.tares],
         )
-        share, fraction = _TARED_AGREEMENT if detection.tares else _AGREEMENT
+        # How far it may be off, by what the arm weighs and by the payload's mass: it has no
+        # friction.
+        share, fraction = 0.06, 0.1
+        advice = "record the empty gripper along the same motion and name it with --tare"
+        if detection.tares:
+            share, fraction = 0.03, 0.05
+            advice = (
+                "record the tare and the log within minutes of each other, along the same motion, "
+                "sensors zeroed once before both"
+            )
         arm_kg = sum(joint.link.mass_kg for joint in detection.arm.joints)
-        margin_kg = share * arm_kg + fraction * float(estimate[0]) + 2 * fit.held.sd_kg
-        advice = _TARED_DISAGREEMENT if detection.tares else _DISAGREEMENT
+        mine_kg = float(estimate[0])
+        margin_kg = share * arm_kg + fraction * mine_kg + 2 * fit.held.sd_kg
         # Friction and gains are left in its torques: its noise would be a small part of its error.
-        return CrossCheck.judged(
-            "secant through two rollouts",
-            mass_kg,
-            float(estimate[0]),
-            margin_kg,
-            sd=None,
-            advice=advice,
-        )
+        name = "secant through two rollouts"
+        return CrossCheck.judged(name, mass_kg, mine_kg, margin_kg, sd=None, advice=advice)
 
     def motion(self, detection: PayloadDetection, trace: Trace) -> Motion | None:
         """Return None: the review shows the torques; see `Experiment.motion`."""

@@ -14,17 +14,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky, cholesky_banded, get_lapack_funcs
 
 from tunenet_logs.episode import Array
 
 # ---- Noise of a series: white noise plus an Ornstein-Uhlenbeck process
 # Unmodelled effects (ripple, hoses, warming) look like correlated noise; taken for white, intervals
 # would be too narrow. The process has a tridiagonal precision at any stamps: weighting costs O(T).
-
-# Time constants, and variances by the white one's, that are tried.
-_TIMES_S = (0.05, 0.15, 0.5, 1.5, 5.0)
-_RATIOS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-_SPIKE_SDS = 3.5  # residual beyond which a sample counts for less: 1 of 2000 where noise is normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,48 +34,35 @@ class SeriesNoise:
     time_s: float  # its time constant
 
     @cached_property
-    def _wander(self) -> tuple[Array, float]:
-        return _walk(self.seconds, self.time_s, self.wander_nm)
-
-    @cached_property
-    def _factor(self) -> Array:
-        from scipy.linalg import cholesky_banded
-
-        both = self._wander[0].copy()
+    def _factor(self) -> tuple[Array, float]:
+        """Cholesky factor of both parts' precision, and the log det of the correlated one's."""
+        both, log_det = _walk(self.seconds, self.time_s, self.wander_nm)
         both[1] += self.weights / self.white_nm**2
-        return cholesky_banded(both)
+        return cholesky_banded(both), log_det
 
     def weighed(self, columns: Array) -> Array:
         """Multiply columns, shape (T, C), by the inverse covariance."""
-        from scipy.linalg import cho_solve_banded
-
         white = (self.weights / self.white_nm**2)[:, None]
-        if not self.wander_nm:
-            return white * columns
         weighed = white * columns
-        return weighed - white * cho_solve_banded((self._factor, False), weighed)
+        if not self.wander_nm:
+            return weighed
+        return weighed - white * cho_solve_banded((self._factor[0], False), weighed)
 
     def wandering(self, residual: Array) -> Array:
         """Estimate the correlated part of residuals, shape (T,): its posterior mean."""
-        from scipy.linalg import cho_solve_banded
-
         if not self.wander_nm:
             return np.zeros_like(residual)
         weighed = self.weights / self.white_nm**2 * residual
-        return cho_solve_banded((self._factor, False), weighed)
-
-    @property
-    def log_det(self) -> float:
-        """Log determinant of the covariance, spikes' weights left out."""
-        white = 2 * len(self.seconds) * np.log(self.white_nm)
-        if not self.wander_nm:
-            return float(white)
-        return float(white + 2 * np.sum(np.log(self._factor[1])) - self._wander[1])
+        return cho_solve_banded((self._factor[0], False), weighed)
 
     def log_likelihood(self, residual: Array) -> float:
-        """Return the log likelihood of residuals, shape (T,)."""
+        """Return the log likelihood of residuals, (T,); spikes' weights are not in the log det."""
+        log_det = 2 * len(self.seconds) * np.log(self.white_nm)
+        if self.wander_nm:
+            factor, of_walk = self._factor
+            log_det = log_det + 2 * np.sum(np.log(factor[1])) - of_walk
         weighed = self.weighed(residual[:, None])[:, 0]
-        return -0.5 * (float(residual @ weighed) + self.log_det)
+        return -0.5 * (float(residual @ weighed) + float(log_det))
 
 
 Noises = tuple[SeriesNoise, ...]  # of each joint in one run
@@ -93,8 +76,6 @@ def estimated(
     All time constants and variances of all joints are one banded system, without a link between
     them: one call instead of hundreds. `residual_nm` (T, J) [N·m], `fitted` (J,), `least_nm` (J,).
     """
-    from scipy.linalg import cho_solve_banded, cholesky_banded
-
     count, joints = residual_nm.shape
     seconds = before[0].seconds
     left = np.column_stack(
@@ -105,9 +86,13 @@ def estimated(
     )
     # By the middle: spikes do not count.
     usual = np.maximum(np.median(np.abs(left), axis=0) / 0.6745, least_nm)
-    weights = (_SPIKE_SDS / np.maximum(np.abs(left) / usual, _SPIKE_SDS)) ** 2
+    spike_sds = 3.5  # beyond it a sample counts for less: 1 of 2000 where noise is normal
+    weights = (spike_sds / np.maximum(np.abs(left) / usual, spike_sds)) ** 2
+    # Time constants [s], and variances by the white one's, that are tried.
     step = 2 if roughly else 1
-    tried = [(time_s, ratio) for time_s in _TIMES_S[1::step] for ratio in _RATIOS[::step]]
+    times_s = (0.15, 0.5, 1.5, 5.0)[::step]
+    ratios = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)[::step]
+    tried = [(time_s, ratio) for time_s in times_s for ratio in ratios]
     bands, walks = np.zeros((2, len(tried), joints, count)), np.zeros(len(tried))
     for number, (time_s, ratio) in enumerate(tried):
         walk, walks[number] = _walk(seconds, time_s, np.sqrt(ratio))
@@ -140,10 +125,7 @@ def estimated(
 
 
 def _walk(seconds: Array, time_s: float, sd: float) -> tuple[Array, float]:
-    """Return the banded Ornstein-Uhlenbeck inverse covariance, shape (2, T), and its log det.
-
-    `seconds` (T,) [s].
-    """
+    """Return the banded Ornstein-Uhlenbeck inverse covariance, (2, T), at (T,) [s]; its log det."""
     alike = np.exp(-np.diff(seconds) / time_s)
     own = 1 / np.maximum(1 - alike**2, 1e-12)
     bands = np.zeros((2, len(seconds)))
@@ -171,8 +153,6 @@ KNOWN = ("links", "gain", "tilt", "zeros", "lag", "hoses and gears")
 _DOWN, _UP = 2.5, 0.6
 # Logarithms of scales that are averaged over.
 _GRID = np.array([-7.0, -4.0, -2.5, -1.5, -0.75, 0.0, 0.5, 1.0, 1.6, 2.3])
-_IDEAL_ODDS = float(np.log(0.3 / 0.7))  # natural log of the odds that a log is a simulator's
-_FLOOR = 1e-12  # of a variance, by the largest: rounding makes no variance 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,9 +174,8 @@ class NormalEquations:
         precision = self.precision[np.ix_(kept, kept)] - across @ solved[:, :-1]
         gradient = self.gradient[kept] - across @ solved[:, -1]
         seen = np.diag(precision) > 0  # rounding may leave less of what shows nothing
-        return NormalEquations(
-            (precision + precision.T) / 2 * np.outer(seen, seen), gradient * seen
-        )
+        precision = (precision + precision.T) / 2 * np.outer(seen, seen)
+        return NormalEquations(precision, gradient * seen)
 
     def among(self, indices: NDArray[np.int64], count: int) -> NormalEquations:
         """Embed in `count` terms, of which these are the ones at `indices`."""
@@ -231,8 +210,6 @@ def posterior(normal: NormalEquations, sds: Array) -> TermPosterior:
 
     Solved in units of the priors, so that a prior of width 0 is no special case.
     """
-    from scipy.linalg import cholesky, get_lapack_funcs
-
     inner = sds[:, None] * normal.precision * sds
     inner[np.diag_indices_from(inner)] += 1.0
     factor = cholesky(inner, lower=True, check_finite=False)
@@ -319,7 +296,13 @@ def averaged(
         shift += middle - means
         for weight, (_, at, spread) in zip(weights, tried, strict=True):
             wider += weight * (spread - covariance + np.outer(at - middle, at - middle))
-    return means + shift, _at_least(covariance + wider, 0.5 * covariance)
+    # Raise the covariance so that it is nowhere below half of the one that was; rounding makes no
+    # variance 0.
+    wider, least = covariance + wider, 0.5 * covariance
+    root = np.linalg.cholesky(least + 1e-12 * np.max(np.diag(least)) * np.eye(count))
+    inside = np.linalg.solve(root, np.linalg.solve(root, wider).T)
+    values, axes = np.linalg.eigh((inside + inside.T) / 2)
+    return means + shift, root @ (axes * np.maximum(values, 1.0)) @ axes.T @ root.T
 
 
 def without(
@@ -334,16 +317,9 @@ def without(
     sds = scaled(found.sds, groups, {name: _MIN - logs[name] for name in gone})
     ideal = posterior(normal, sds)
     priors = sum(_log_prior(logs[name])[0] for name in gone)
-    odds = ideal.log_evidence - posterior(normal, found.sds).log_evidence - priors + _IDEAL_ODDS
+    odds = ideal.log_evidence - posterior(normal, found.sds).log_evidence - priors
+    odds += float(np.log(0.3 / 0.7))  # three logs of ten are a simulator's
     return ideal, float(1 / (1 + np.exp(-np.clip(odds, -500, 500))))
-
-
-def _at_least(covariance: Array, least: Array) -> Array:
-    """Raise a covariance so that it is nowhere below another one."""
-    root = np.linalg.cholesky(least + _FLOOR * np.max(np.diag(least)) * np.eye(len(least)))
-    inside = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
-    values, axes = np.linalg.eigh((inside + inside.T) / 2)
-    return root @ (axes * np.maximum(values, 1.0)) @ axes.T @ root.T
 
 
 def _log_prior(log: float) -> tuple[float, float]:

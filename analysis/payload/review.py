@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.payload.detection import EFFORT, PayloadDetection
 from tunenet_logs.analysis.payload.torque_fit import Nuisance, PayloadFit
+from tunenet_logs.analysis.presentation import quantity
 from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.analysis.statistics import TWO_SIDED
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 from tunenet_logs.recorders.simulators.arm.description import Arm, rotation_from_rpy
 from tunenet_logs.recorders.simulators.arm.path import LinkPoses, link_poses
 from tunenet_logs.recorders.simulators.arm.payload import PAYLOAD_MASS
@@ -49,25 +50,20 @@ class PayloadReviewData:
     arm: Arm  # without a payload
     seconds: Array  # since the log's first sample [s], shape (T,)
     position_rad: Array  # of the joints [rad], shape (T, J)
-    # torques with the joint's sign, the arm's weight included [N·m], shape (T, J)
+    # Torques with the joint's sign, the arm's weight included [N·m], shape (T, J).
     observed_nm: Array
     empty_nm: Array  # of the model with an empty gripper [N·m], shape (T, J)
     felt_nm_per_kg: Array  # RMS torque per kilogram at each joint [N·m/kg], shape (J,)
     used: NDArray[np.bool_]  # joints whose torques count, shape (J,)
     order: tuple[int, ...]  # joints that are drawn; those that feel the payload most first
-    # torques of the rigid model, one per iteration; the last is the result
+    # Torques of the rigid model, one per iteration; the last is the result.
     simulated: tuple[TorqueCurve, ...]
-    # torques with friction, offsets and all that the fit finds; None without a fit
+    # Torques with friction, offsets and all that the fit finds; None without a fit.
     fitted: TorqueCurve | None
     fit: PayloadFit | None  # the fit itself; None without
     com_m: tuple[float, float, float]  # position of the payload in the tool frame [m]
     interval95: tuple[float, float] | None  # of the mass [kg]; None if no valid one exists
     has_estimate: bool  # whether there is a mass to report
-
-    @property
-    def result(self) -> TorqueCurve:
-        """Torques of the last iterate."""
-        return self.simulated[-1]
 
     def title(self, joint: int, what: str = "") -> str:
         """Format a joint's number with the unit of its torque: "joint 2 [N·m]"."""
@@ -126,45 +122,30 @@ def payload_review_data(tuning: Tuning) -> PayloadReviewData:
 
 # ---- 3D scene of the arm along its measured path, with its payload
 
-# Greys, so that the payload alone has a colour; the base's axes x, y, z as usual.
-_LINES = (52, 55, 64)
+# Greys, so that the payload alone has a colour.
 _ARM = (150, 156, 170)
 _JOINT = (92, 98, 114)
-_GRIPPER = (205, 208, 214)
-_AXES = ((230, 90, 90), (110, 200, 110), (100, 150, 255))
-# Radii of the first link and of the last one, in reaches of the arm as all sizes here: an arm of
-# any size looks the same.
-_THICK, _THIN = 0.042, 0.026
-# Half of the fingers' distance, in lengths of the gripper; their radius, in reaches.
-_GRIP, _FINGER = 0.3, 0.010
-# Radii of the payload, in reaches: it can be seen, and does not hide the arm.
-_MIN_SIZE, _MAX_SIZE = 0.018, 0.15
-# Tiles of the ground along each side, the length of one and of the base's axes, in reaches.
-_TILES, _TILE, _AXIS = 5, 0.3, 0.28
-_TRAIL_S = 1.0  # of the path behind the payload: shows which way it moves
-_ASIDE_RAD = 0.85  # of the camera, from the path's front: links hide each other less
-_MARGIN = 0.04  # around the arm and its payload, in reaches
-_MAX_HZ = 30.0  # poses that are sent: a screen shows few more
-_LEVEL = 0.3  # a path's normal less horizontal than this: it is seen from the arm's side
+# Radius of the fingers, in reaches of the arm as all sizes here: an arm of any size looks the same.
+_FINGER = 0.010
 
 
 def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
     """Log the ground, the arm in its poses, and its payload."""
-    rate_hz = 1 / float(np.median(np.diff(data.seconds)))
-    kept = slice(None, None, max(1, round(rate_hz / _MAX_HZ)))
+    rate_hz = 1 / median_step(data.seconds)
+    kept = slice(None, None, max(1, round(rate_hz / 30.0)))  # a screen shows few more poses
     seconds, poses = data.seconds[kept], link_poses(data.arm, data.position_rad[kept])
     steps = [joint.origin_m for joint in data.arm.joints] + [data.arm.tool_from_last_m]
     reach_m = max(sum(math.hypot(*step) for step in steps), 1e-3)
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    tile, half = _TILE * reach_m, _TILES * _TILE * reach_m / 2
-    at = [-half + tile * k for k in range(_TILES + 1)]
+    tile, half = 0.3 * reach_m, 5 * 0.3 * reach_m / 2  # five tiles along each side of the ground
+    at = [-half + tile * k for k in range(5 + 1)]
     lines = [[[x, -half, 0], [x, half, 0]] for x in at]
     lines += [[[-half, y, 0], [half, y, 0]] for y in at]
-    grid = rr.LineStrips3D(lines, colors=[_LINES], radii=draw.screen_radius(0.6))
+    grid = rr.LineStrips3D(lines, colors=[(52, 55, 64)], radii=draw.screen_radius(0.6))
     stream.log("scene/ground", grid, static=True)
     axes = rr.Arrows3D(
-        vectors=_AXIS * reach_m * np.eye(3),
-        colors=_AXES,
+        vectors=0.28 * reach_m * np.eye(3),
+        colors=((230, 90, 90), (110, 200, 110), (100, 150, 255)),  # x, y, z as usual
         radii=[0.006 * reach_m],
         labels=["x", "y", "z"],
         show_labels=True,
@@ -177,18 +158,18 @@ def log_arm(stream: rr.RecordingStream, data: PayloadReviewData) -> rrb.View:
         )
         is_tool = frame == len(data.arm.joints) + 1
         entity = "scene/arm/tool" if is_tool else f"scene/arm/link_{frame}"
-        stream.send_columns(entity, indexes=[draw.at_seconds(seconds)], columns=columns)
+        index = rr.TimeColumn(draw.LOG_TIME, duration=seconds)
+        stream.send_columns(entity, indexes=[index], columns=columns)
     if any(joint.is_prismatic for joint in data.arm.joints):
         # Log the connections of links with prismatic joints.
         strips = poses.position_m.astype(np.float32)
         style = rr.LineStrips3D.from_fields(colors=[_JOINT], radii=[_FINGER * reach_m])
-        stream.log("scene/slides", style, static=True)
         columns = rr.LineStrips3D.columns(strips=list(strips))
-        stream.send_columns("scene/slides", indexes=[draw.at_seconds(seconds)], columns=columns)
-    radius_m = payload_radius_m(data.result.mass_kg, reach_m)
+        draw.log_moving(stream, "scene/slides", style, seconds, columns)
+    radius_m = payload_radius_m(data.simulated[-1].mass_kg, reach_m)
     # The mass stands above the ball, by a part of the reach.
     _log_payload(stream, data, seconds, poses, radius_m, radius_m + 0.055 * reach_m)
-    return _view(poses, radius_m + _MARGIN * reach_m)
+    return _view(poses, radius_m + 0.04 * reach_m)
 
 
 def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
@@ -199,32 +180,29 @@ def _view(poses: LinkPoses, margin_m: float) -> rrb.View:
     outward = tool.mean(axis=0)[:2]
     normal = np.linalg.svd(tool - tool.mean(axis=0))[2][2] if len(tool) > 2 else np.zeros(3)
     flat = normal[:2]
-    if np.linalg.norm(flat) < _LEVEL:
+    if np.linalg.norm(flat) < 0.3:  # too level: it is seen from the arm's side
         reaches = np.linalg.norm(outward) > 0
         flat = np.array([outward[1], -outward[0]]) if reaches else np.array([0.0, -1.0])
     if flat @ outward < 0:
         flat = -flat
-    azimuth_rad = math.atan2(flat[1], flat[0]) + _ASIDE_RAD
-    return rrb.Spatial3DView(
-        origin="/scene",
-        name="the arm along its measured path",
-        background=draw.GROUND,
-        line_grid=False,
-        eye_controls=draw.eye_controls(points, azimuth_rad, margin_m),
-    )
+    azimuth_rad = math.atan2(flat[1], flat[0]) + 0.85  # aside, where links hide each other less
+    eye = draw.eye_and_target(points, azimuth_rad, margin_m)
+    return draw.scene_view("the arm along its measured path", *eye)
 
 
 def payload_radius_m(mass_kg: float, reach_m: float) -> float:
-    """Return the radius of a ball of water of that mass, clipped to what is visible."""
-    # A ball of water is drawn, as the payload's density is unknown.
+    """Return the radius of a ball of water of that mass, as the payload's density is unknown.
+
+    In bounds: it can be seen, and does not hide the arm.
+    """
     water_m = (3 * max(mass_kg, 0.0) / (4 * math.pi * 1000.0)) ** (1 / 3)
-    return min(max(water_m, _MIN_SIZE * reach_m), _MAX_SIZE * reach_m)
+    return min(max(water_m, 0.018 * reach_m), 0.15 * reach_m)
 
 
 def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
     """Log each link from its own joint to the next one, in its own frame, and the gripper."""
     ends = [joint.origin_m for joint in arm.joints]
-    radii = np.linspace(_THICK, _THIN, len(ends) + 1) * reach_m
+    radii = np.linspace(0.042, 0.026, len(ends) + 1) * reach_m
     stream.log("scene/arm/base", _capsules([((0, 0, 0), ends[0])], [radii[0]], _ARM), static=True)
     for number, radius in enumerate(radii[1:], start=1):
         entity = f"scene/arm/link_{number}"
@@ -235,14 +213,7 @@ def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
             half_sizes=[[1.25 * radius] * 3], colors=[_JOINT], fill_mode="solid"
         )
         stream.log(f"{entity}/joint", hinge, static=True)
-        label = rr.Points3D(
-            [[0, 0, 0]],
-            labels=[str(number)],
-            colors=[draw.MUTED],
-            radii=draw.screen_radius(0.1),
-            show_labels=True,
-        )
-        stream.log(f"{entity}/number", label, static=True)
+        draw.log_labels(stream, f"{entity}/number", [[0, 0, 0]], [str(number)])
     tip = np.array(arm.tool_from_last_m)
     length = float(np.linalg.norm(tip))
     if length < 1e-3 * reach_m:
@@ -252,14 +223,14 @@ def _log_links(stream: rr.RecordingStream, arm: Arm, reach_m: float) -> None:
     axes = rotation_from_rpy(arm.tool_from_last_rpy)
     aside = next((axis for axis in axes.T[[1, 2]] if abs(axis @ tip) < 0.7 * length), axes[:, 0])
     aside = aside - (aside @ tip) / length**2 * tip
-    aside *= _GRIP * length / np.linalg.norm(aside)
+    aside *= 0.3 * length / np.linalg.norm(aside)
     # The palm is half of the way to the tool frame, the fingers are the rest.
     palm = 0.5 * tip
     stream.log(entity, _capsules([((0, 0, 0), palm)], [radii[-1]], _ARM), static=True)
     fingers = [(palm + side * aside, tip + side * aside) for side in (-1, 1)]
     bones = [(palm - aside, palm + aside), *fingers]
     widths = [_FINGER * reach_m] * len(bones)
-    stream.log(f"{entity}/gripper", _capsules(bones, widths, _GRIPPER), static=True)
+    stream.log(f"{entity}/gripper", _capsules(bones, widths, (205, 208, 214)), static=True)
 
 
 def _log_payload(
@@ -271,7 +242,7 @@ def _log_payload(
     label_m: float,
 ) -> None:
     """Log a ball in the tool frame, its mass `label_m` above it, and its path."""
-    result, at_m = data.result, np.array(data.com_m)
+    result, at_m = data.simulated[-1], np.array(data.com_m)
     color = result.color if data.has_estimate else draw.MUTED
     ball = rr.Ellipsoids3D(
         centers=[at_m], half_sizes=[[radius_m] * 3], colors=[color], fill_mode="solid"
@@ -285,18 +256,14 @@ def _log_payload(
         radii=draw.screen_radius(0.1),
         show_labels=True,
     )
-    stream.log("scene/mass", style, static=True)
-    index = draw.at_seconds(seconds)
     columns = rr.Points3D.columns(positions=centers + over)
-    stream.send_columns("scene/mass", indexes=[index], columns=columns)
+    draw.log_moving(stream, "scene/mass", style, seconds, columns)
     path = rr.LineStrips3D([centers], colors=[draw.MUTED], radii=draw.screen_radius(0.7))
     stream.log("scene/path", path, static=True)
     style = rr.LineStrips3D.from_fields(colors=[color], radii=draw.screen_radius(1.8))
-    stream.log("scene/trail", style, static=True)
-    begins = np.searchsorted(seconds, seconds - _TRAIL_S)
+    begins = np.searchsorted(seconds, seconds - 1.0)  # a second shows which way it moves
     trails = [centers[begin : end + 1] for end, begin in enumerate(begins)]
-    columns = rr.LineStrips3D.columns(strips=trails)
-    stream.send_columns("scene/trail", indexes=[index], columns=columns)
+    draw.log_moving(stream, "scene/trail", style, seconds, rr.LineStrips3D.columns(strips=trails))
 
 
 def _capsules(
@@ -307,55 +274,47 @@ def _capsules(
     """Build capsules between pairs of points [m]."""
     starts = np.array([start for start, _ in bones], np.float64)
     along = np.array([end for _, end in bones], np.float64) - starts
+    turns: list[rr.Quaternion] = []  # the shortest from z to each
+    for bone in along:
+        length = float(np.linalg.norm(bone))
+        turn = np.array([0.0, 0.0, 0.0, 1.0])
+        if length and bone[2] <= -length * (1 - 1e-9):
+            turn = np.array([1.0, 0.0, 0.0, 0.0])
+        elif length:
+            x, y, z = bone / length
+            turn = np.array([-y, x, 0.0, 1 + z])
+            turn = turn / np.linalg.norm(turn)
+        turns.append(rr.Quaternion(xyzw=turn))
     return rr.Capsules3D(
         lengths=np.linalg.norm(along, axis=1),
         radii=radii,
         translations=starts,
-        quaternions=[rr.Quaternion(xyzw=_from_z(bone)) for bone in along],
+        quaternions=turns,
         colors=[color],
         fill_mode="solid",
     )
 
 
-def _from_z(along: Array) -> Array:
-    """Return the shortest rotation from z to a direction, a quaternion x, y, z, w, shape (4,)."""
-    length = float(np.linalg.norm(along))
-    if length == 0 or along[2] <= -length * (1 - 1e-9):
-        return np.array([1.0, 0.0, 0.0, 0.0]) if length else np.array([0.0, 0.0, 0.0, 1.0])
-    x, y, z = along / length
-    turn = np.array([-y, x, 0.0, 1 + z])
-    return turn / np.linalg.norm(turn)
-
-
 # ---- Charts of the nuisance terms, and of how much each joint feels the payload
 
-_PRIOR = (70, 74, 86)  # a grey behind the values: how large such terms usually are
-_CAP = 0.015  # half the width of an interval's ends, in heights of a chart
 _CHART_HEADROOM = 1.1  # of a chart's axis, over the largest value
 _BAR = 0.3  # half a bar's width, of the width that a joint has
 
 
-@dataclass(frozen=True)
-class _Chart:
-    """Chart of terms of one kind, one per joint or more."""
-
-    endings: tuple[str, ...]  # of their names, before the joint's number
-    title: str  # with the unit
-    scale: float = 1.0  # from the fit's unit to the chart's
-
-
+# Of each kind of terms, one per joint or more: their names before the joint's number, the chart's
+# title, and the scale from the fit's unit to the chart's.
 _CHARTS = (
-    _Chart(("offset of joint",), "offset by joint [N·m]"),
-    _Chart(("viscous friction of joint",), "viscous friction by joint [N·m s/rad]"),
-    _Chart(("dry friction of joint",), "dry friction by joint [N·m]"),
-    _Chart(("gain of joint",), "gain error by joint [%]", 100.0),
-    _Chart(("mass of link",), "link heavier than the model's [%]", 100.0),
-    _Chart(
-        tuple(f"centre {axis} of link" for axis in "xyz"),
+    (("offset of joint",), "offset by joint [N·m]", 1.0),
+    (("viscous friction of joint",), "viscous friction by joint [N·m s/rad]", 1.0),
+    (("dry friction of joint",), "dry friction by joint [N·m]", 1.0),
+    (("gain of joint",), "gain error by joint [%]", 100.0),
+    (("mass of link",), "link heavier than the model's [%]", 100.0),
+    (
+        ("centre x of link", "centre y of link", "centre z of link"),
         "link's centre off the model's, x y z [mm]",
         1000.0,
     ),
-    _Chart(("drift of joint",), "drift of the zero since the tare [N·m]"),
+    (("drift of joint",), "drift of the zero since the tare [N·m]", 1.0),
 )
 
 
@@ -394,21 +353,21 @@ def log_terms(stream: rr.RecordingStream, data: PayloadReviewData) -> list[rrb.V
         (term.name.rpartition(" ")[0], term) for term in (data.fit.nuisances if data.fit else ())
     ]
     number = 0
-    for chart in _CHARTS:
-        terms = [[term for name, term in named if name == ending] for ending in chart.endings]
+    for endings, title, scale in _CHARTS:
+        terms = [[term for name, term in named if name == ending] for ending in endings]
         if all(terms):
-            _log_chart(stream, f"sheets/terms_{number}", chart, terms)
-            views.append(draw.chart_view(f"terms_{number}", chart.title))
+            _log_chart(stream, f"sheets/terms_{number}", scale, terms)
+            views.append(draw.chart_view(f"terms_{number}", title))
             number += 1
     return views
 
 
 def _log_chart(
-    stream: rr.RecordingStream, sheet: str, chart: _Chart, terms: list[list[Nuisance]]
+    stream: rr.RecordingStream, sheet: str, scale: float, terms: list[list[Nuisance]]
 ) -> None:
     """Log each term with its 95 % interval over that of its prior."""
     numbers = [[(term.value, term.sd, term.prior_sd) for term in row] for row in terms]
-    values, sds, priors = chart.scale * np.moveaxis(np.array(numbers), -1, 0)
+    values, sds, priors = scale * np.moveaxis(np.array(numbers), -1, 0)
     ends = TWO_SIDED * np.array([-sds, sds]) + values
     reach = _CHART_HEADROOM * max(float(np.abs(ends).max()), TWO_SIDED * float(priors.max()), 1e-9)
     count = len(terms[0])
@@ -419,27 +378,22 @@ def _log_chart(
     boxes = rr.Boxes2D(
         centers=np.column_stack([x, np.full(count, -0.5)]),
         half_sizes=np.column_stack([np.full(count, half), TWO_SIDED * priors[0] / (2 * reach)]),
-        colors=[_PRIOR],
+        colors=[(70, 74, 86)],  # a grey behind the values
         radii=draw.screen_radius(0.6),
     )
     stream.log(f"{sheet}/prior", boxes, static=True)
     aside = (np.arange(len(terms)) - (len(terms) - 1) / 2) * 2 * half / len(terms)
     across = (x + aside[:, None]).ravel()
     low, high = (-0.5 - ends / (2 * reach)).reshape(2, -1)
-    cap = min(_CAP, half / len(terms))
+    cap = min(0.015, half / len(terms))
     strips = []
     for at, bottom, top in zip(across.tolist(), low.tolist(), high.tolist(), strict=True):
         strips.append([[at, bottom], [at, top]])
         strips += [[[at - cap, end], [at + cap, end]] for end in (bottom, top)]
-    bars = rr.LineStrips2D(strips, colors=[draw.FITTED], radii=draw.screen_radius(0.9))
-    stream.log(f"{sheet}/intervals", bars, static=True)
-    dots = rr.Points2D(
-        np.column_stack([across, -0.5 - values.ravel() / (2 * reach)]),
-        colors=[draw.FITTED],
-        radii=draw.screen_radius(3.5 if len(terms) == 1 else 2.5),
-        draw_order=40.0,
-    )
-    stream.log(f"{sheet}/values", dots, static=True)
+    draw.log_strips(stream, f"{sheet}/intervals", strips, [draw.FITTED], 0.9)
+    dots = np.column_stack([across, -0.5 - values.ravel() / (2 * reach)])
+    size = 3.5 if len(terms) == 1 else 2.5
+    draw.log_dots(stream, f"{sheet}/values", dots, [draw.FITTED], size, 40.0)
 
 
 def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
@@ -451,27 +405,17 @@ def _log_felt(stream: rr.RecordingStream, data: PayloadReviewData) -> None:
     draw.log_grid(stream, "sheets/felt", draw.WIDTH, rows, marks)
     half = _BAR * draw.WIDTH / len(felt)
     # A bar below a thousandth of the axis is none.
-    slabs = [
-        draw.filled(at - half, at + half, -value / top, 0.0)
+    bars = [
+        (at - half, at + half, -value / top, 0.0)
         for at, value in zip(x, felt, strict=True)
         if value > 1e-3 * top
     ]
-    bars = rr.LineStrips2D(
-        [strip for strips, _ in slabs for strip in strips],
-        colors=[draw.mixed(data.result.color, 0.6)],
-        radii=[radius for strips, radius in slabs for _ in strips],
-        draw_order=10.0,
-    )
-    stream.log("sheets/felt/values", bars, static=True)
+    color = draw.mixed(data.simulated[-1].color, 0.6)
+    draw.log_filled(stream, "sheets/felt/values", bars, color, 10.0)
     if data.fitted is not None:
         rms_nm = np.sqrt(np.mean((data.fitted.effort_nm - data.observed_nm) ** 2, axis=0))
-        dots = rr.Points2D(
-            np.column_stack([x, -np.minimum(rms_nm / top, 1.0)]),
-            colors=[draw.FITTED],
-            radii=draw.screen_radius(4.0),
-            draw_order=40.0,
-        )
-        stream.log("sheets/felt/left", dots, static=True)
+        dots = np.column_stack([x, -np.minimum(rms_nm / top, 1.0)])
+        draw.log_dots(stream, "sheets/felt/left", dots, [draw.FITTED], 4.0, 40.0)
 
 
 def _joint_marks(count: int) -> tuple[Array, list[tuple[float, str]]]:
@@ -483,31 +427,14 @@ def _joint_marks(count: int) -> tuple[Array, list[tuple[float, str]]]:
 
 # ---- Plots of the torques, sheets of one iteration, and the layout of all
 
-# Of the residuals: what the axis must show, so that no spike makes it useless; and room beyond.
-_TYPICAL_QUANTILE, _HEADROOM = 0.98, 1.3
 # Joints that the first tab has room for, so that their axes have ticks; the others have a tab.
 _PLAYED = 4
-# Of the axes of torques, of a payload's part of them, and of residuals (half of it): less would
-# make noise look like torque.
-_MIN_SPAN_NM, _MIN_SHEET_NM, _MIN_REACH_NM = 2.0, 0.5, 0.05
-_ROOM = 0.05  # above and below the curves of a sheet, of what they span
-_ONE_COLUMN = 3  # joints whose charts lie one over the other; more take two columns
 
 
 def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
     """Log all views of a payload's review, and return their layout."""
     data = payload_review_data(tuning)
     masses_kg = [curve.mass_kg for curve in data.simulated]
-    # With a span under .02 kg steps of a gram would look large.
-    iterates = draw.Iterates(
-        parameter="payload mass",
-        unit=PAYLOAD_MASS.unit,
-        names=tuple(curve.name for curve in data.simulated),
-        values=tuple(masses_kg),
-        colors=tuple(curve.color for curve in data.simulated),
-        span=draw.span_of([*masses_kg, *(data.interval95 or ())], 0.02),
-        interval95=data.interval95,
-    )
     torques, residuals = _log_torques(stream, data)
     # Log the legend of the curves.
     entries: list[tuple[str, list[draw.Color]]] = [("observed", [draw.OBSERVED])]
@@ -516,7 +443,17 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         entries.append((data.fitted.label, [data.fitted.color]))
     key = draw.log_key(stream, entries)
     arm = log_arm(stream, data)
-    draw.log_iterates(stream, iterates, float(data.seconds[0]))
+    mass = draw.log_iterates(
+        stream,
+        f"{quantity('payload mass', PAYLOAD_MASS.unit)} by iteration",
+        [curve.name for curve in data.simulated],
+        masses_kg,
+        [curve.color for curve in data.simulated],
+        # With a span under .02 kg steps of a gram would look large.
+        draw.span_of([*masses_kg, *(data.interval95 or ())], 0.02),
+        data.interval95,
+        float(data.seconds[0]),
+    )
     # What the iteration's payload adds to the empty arm's torque, over the observed torque.
     sheets: list[rrb.View] = []
     for joint in data.order:
@@ -525,7 +462,8 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         simulated = [curve.effort_nm[:, joint] - empty for curve in data.simulated]
         fitted = data.fitted and (data.fitted.effort_nm[:, joint] - empty, data.fitted.color)
         shown = np.concatenate([observed, *simulated, [0.0]])
-        reach = max(float(np.ptp(shown)), _MIN_SHEET_NM) * (1 + 2 * _ROOM)
+        # With room for 5 % above and below; on a shorter axis noise would look like torque.
+        reach = max(float(np.ptp(shown)), 0.5) * (1 + 2 * 0.05)
         low = float(shown.min() + shown.max() - reach) / 2
         draw.log_sheet(
             stream,
@@ -550,8 +488,8 @@ def log_payload(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container:
         name=f"overlay (timeline {draw.LOG_TIME})",
     )
     scrub = rrb.Horizontal(
-        rrb.Grid(*sheets, grid_columns=2 if len(sheets) > _ONE_COLUMN else 1),
-        rrb.Vertical(step, draw.iterates_view(iterates)),
+        rrb.Grid(*sheets, grid_columns=2 if len(sheets) > 3 else 1),
+        rrb.Vertical(step, mass),
         column_shares=[5, 4],
         name=f"scrub (timeline {draw.ITERATION})",
     )
@@ -578,10 +516,10 @@ def _log_torques(
     curves = {"iterations": data.simulated}
     if data.fitted is not None:
         curves["fit"] = (data.fitted,)
-    off = np.abs(data.result.effort_nm - data.observed_nm)
-    usual = np.quantile(off, _TYPICAL_QUANTILE, axis=0)
-    least = max(float(np.median(usual[data.used])), _MIN_REACH_NM)
-    best = data.fitted or data.result
+    off = np.abs(data.simulated[-1].effort_nm - data.observed_nm)
+    usual = np.quantile(off, 0.98, axis=0)  # or a spike would make the axis useless
+    least = max(float(np.median(usual[data.used])), 0.05)
+    best = data.fitted or data.simulated[-1]
     torques: list[rrb.View] = []
     residuals: list[rrb.View] = []
     for joint in data.order:
@@ -593,18 +531,16 @@ def _log_torques(
             draw.log_lines(stream, f"{torque}/{name}", data.seconds, values, style)
             off_nm = values - observed[:, None]
             draw.log_lines(stream, f"{residual}/{name}", data.seconds, off_nm, style)
-        points = rr.SeriesPoints(colors=[draw.OBSERVED], names=["observed"], marker_sizes=[size])
-        stream.log(f"{torque}/observed", points, static=True)
-        draw.send_scalars(stream, f"{torque}/observed", data.seconds, observed)
+        dots = "observed", draw.OBSERVED, size
+        draw.log_marks(stream, f"{torque}/observed", *dots, data.seconds, observed)
         shown = np.concatenate([observed, best.effort_nm[:, joint]])
         low, high = float(shown.min()), float(shown.max())
-        more = max(0.0, _MIN_SPAN_NM - (high - low)) / 2
-        reach = _HEADROOM * max(float(usual[joint]), least)
-        unused = "" if data.used[joint] else ", not used"
-        title = data.title(joint, "torque") + unused
-        torques.append(draw.plot_view(torque, title, (low - more, high + more)))
+        more = max(0.0, 2.0 - (high - low)) / 2  # less would make noise look like torque
+        reach = 1.3 * max(float(usual[joint]), least)
+        title = data.title(joint, "torque") + ("" if data.used[joint] else ", not used")
+        torques.append(draw.plot_view(torque, title, draw.ticked(low - more, high + more)))
         title = data.title(joint, "simulated - observed")
-        residuals.append(draw.plot_view(residual, title, (-reach, reach)))
+        residuals.append(draw.plot_view(residual, title, draw.ticked(-reach, reach)))
     return torques, residuals
 
 

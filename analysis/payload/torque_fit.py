@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, ndtr, ndtri
 
 from tunenet_logs.analysis.payload.noise import (
     Noises,
@@ -57,10 +57,7 @@ from tunenet_logs.recorders.simulators.arm.description import PAYLOAD_RADIUS_M, 
 Three = tuple[float, float, float]
 Pair = tuple[float, float]
 MIN_MASS_KG = 0.05  # below which a payload has no centre of mass that torques show
-# Of each axis of a centre of mass: its interval is then narrower than a hand.
-_IDENTIFIABLE_SD_M = 0.012
-# Bodies that are drawn, and how many of them there must be.
-_DRAWS, _MIN_DRAWS, _SEED = 4000, 200, 17
+_IDENTIFIABLE_SD_M = 0.012  # of each axis of a centre: its interval is then narrower than a hand
 
 
 @dataclass(frozen=True)
@@ -68,11 +65,11 @@ class Centre:
     """Centre of mass of the payload in the tool frame."""
 
     com_m: Three  # x, y, z [m]
-    sds_m: Three  # standard deviation of each [m]
-    mass_kg: float  # that it is the centre of
+    sds_m: tuple[float, ...]  # standard deviation of each [m]
+    mass_kg: float  # that it is the centre of, as fitted
     # error of a mass that is fitted with the centre in the tool frame, per metre that the centre
     # is off along x, y, z
-    kg_for_m: Three
+    kg_for_m: tuple[float, ...]
 
     @property
     def is_identifiable(self) -> bool:
@@ -85,15 +82,6 @@ class Centre:
         # No hand holds a thing by a point half a metre away.
         can_be = self.mass_kg > MIN_MASS_KG and max(map(abs, self.com_m)) < 0.5
         return self.com_m if can_be else (0.0, 0.0, 0.0)
-
-    @property
-    def loose(self) -> tuple[str, ...]:
-        """Axes along which it is not identifiable, with their standard deviations."""
-        return tuple(
-            f"{axis} (sd {1000 * sd:.0f} mm)"
-            for axis, sd in zip("xyz", self.sds_m, strict=True)
-            if sd >= _IDENTIFIABLE_SD_M
-        )
 
     @property
     def interval95(self) -> tuple[Pair, ...]:
@@ -125,54 +113,46 @@ class Held:
 def held(means: Array, covariance: Array) -> Held:
     """Build a payload from the Gaussian posterior of its terms, shapes (10,) and (10, 10)."""
     signed_kg, sd_kg = float(means[MASS]), float(np.sqrt(covariance[MASS, MASS]))
-    # Divide first moments by the mass, with first-order error propagation.
-    mass_kg = max(float(means[MASS]), MIN_MASS_KG)
+    # Divide first moments by the mass; the error of a quotient to first order.
+    mass_kg = max(signed_kg, MIN_MASS_KG)
     com_m = means[CENTRE] / mass_kg
-    # The error of a quotient to first order: its Jacobian by mass and first moments.
     to_com = np.concatenate([-com_m[:, None], np.eye(3)], axis=1) / mass_kg
     own = covariance[: CENTRE.stop, : CENTRE.stop]
     sds_m = np.sqrt(np.diag(to_com @ own @ to_com.T))
     precision = np.linalg.inv(own)
     kg_for_m = precision[MASS, CENTRE] / precision[MASS, MASS] * mass_kg
     x, y, z = com_m.tolist()
-    sd_x, sd_y, sd_z = sds_m.tolist()
-    kg_x, kg_y, kg_z = kg_for_m.tolist()
-    centre = Centre((x, y, z), (sd_x, sd_y, sd_z), float(means[MASS]), (kg_x, kg_y, kg_z))
+    centre = Centre((x, y, z), tuple(sds_m.tolist()), signed_kg, tuple(kg_for_m.tolist()))
     inertia = _inertia(means, covariance) if centre.is_identifiable else None
     # The 95 % interval of a Gaussian, truncated at 0 if its mean is hardly above.
-    from scipy.special import ndtr, ndtri
-
-    if signed_kg > TWO_SIDED * sd_kg:
-        interval95 = signed_kg - TWO_SIDED * sd_kg, signed_kg + TWO_SIDED * sd_kg
-    else:
+    interval95 = signed_kg - TWO_SIDED * sd_kg, signed_kg + TWO_SIDED * sd_kg
+    if signed_kg <= TWO_SIDED * sd_kg:
         above = float(ndtr(signed_kg / sd_kg))
         # Far below 0, the part above it is an exponential's: the quantile by its tail.
-        end = signed_kg - sd_kg * float(ndtri(0.05 * above))
-        interval95 = 0.0, end
+        interval95 = 0.0, signed_kg - sd_kg * float(ndtri(0.05 * above))
     return Held(max(signed_kg, 0.0), interval95, signed_kg, sd_kg, centre, inertia)
 
 
 def _inertia(means: Array, covariance: Array) -> Inertia | None:
     """Average sampled inertias with a positive semidefinite pseudo-inertia."""
-    rng = np.random.default_rng(_SEED)
-    drawn = rng.multivariate_normal(means, covariance, _DRAWS, method="eigh")
-    tensors = np.einsum("nk,kij->nij", drawn[:, INERTIA], np.stack(moments()))
+    rng = np.random.default_rng(17)
+    drawn = rng.multivariate_normal(means, covariance, 4000, method="eigh")
+    tensors = np.einsum("nk,kij->nij", drawn[:, INERTIA], moments())
     tensors += 0.4 * PAYLOAD_RADIUS_M**2 * drawn[:, MASS, None, None] * np.eye(3)
     masses, firsts = drawn[:, MASS], drawn[:, CENTRE]
-    pseudo = np.zeros((_DRAWS, 4, 4))
+    pseudo = np.zeros((len(drawn), 4, 4))
     traces = np.trace(tensors, axis1=1, axis2=2)
     pseudo[:, :3, :3] = 0.5 * traces[:, None, None] * np.eye(3) - tensors
     pseudo[:, :3, 3] = pseudo[:, 3, :3] = firsts
     pseudo[:, 3, 3] = masses
     there = np.linalg.eigvalsh(pseudo)[:, 0] >= 0
-    if np.count_nonzero(there) < _MIN_DRAWS:
+    if np.count_nonzero(there) < 200:  # too few that can be to average over
         return None
     masses, firsts = masses[there, None, None], firsts[there]
     about = np.einsum("ni,ni->n", firsts, firsts)[:, None, None] * np.eye(3)
     own = tensors[there] - (about - np.einsum("ni,nj->nij", firsts, firsts)) / masses
     rows = own[:, *np.tril_indices(3)]
-    # Standard deviation of a moment of inertia, by the largest one: with more it is
-    # unidentifiable
+    # Unidentifiable with a standard deviation of more than a fifth of the largest moment.
     if np.std(rows, axis=0).max() > 0.2 * np.abs(np.mean(rows, axis=0)).max():
         return None
     lows, highs = np.quantile(rows, (0.025, 0.975), axis=0)
@@ -200,8 +180,7 @@ class Nuisance:
 class FitResidual:
     """Residual of a fit to the torques of one run."""
 
-    # measured less predicted, of the joints that were fitted [N·m], shape (T, U)
-    residual_nm: Array
+    residual_nm: Array  # measured less predicted, of the fitted joints [N·m], shape (T, U)
     effort_nm: Array  # as measured, of the same [N·m], shape (T, U)
     scales_nm: Array  # rated torque of these joints [N·m], shape (U,)
 
@@ -226,8 +205,7 @@ class PayloadFit:
     used: NDArray[np.bool_]  # joints that were fitted, shape (J,)
     lag_s: float  # of the torques behind the positions [s]
     tare_residuals: tuple[FitResidual, ...]  # of the empty runs' torques
-    # what all runs identify of the arm's own terms (`Terms.arms`), for later logs
-    learnt: NormalEquations
+    learnt: NormalEquations  # of the arm's own terms (`Terms.arms`), by all runs, for later logs
 
     @property
     def residual_nm(self) -> Array:
@@ -252,25 +230,24 @@ class PayloadFit:
             return f"{told}; its inertia needs faster turns of the hand, there and back in a second"
         if centre.mass_kg <= MIN_MASS_KG:
             return "the payload is too light for its centre of mass to show"
+        loose = (
+            f"{axis} (sd {1000 * sd:.0f} mm)"
+            for axis, sd in zip("xyz", centre.sds_m, strict=True)
+            if sd >= _IDENTIFIABLE_SD_M
+        )
         most_g = 10 * max(abs(kg_for_m) for kg_for_m in centre.kg_for_m)
         remedy = "turn the hand by 90° about two axes in the motion (the last three joints)"
         if not self.tare_residuals:
             remedy = f"record the empty gripper too (--tare), and {remedy}"
         return (
             f"the log cannot separate the payload's mass from its centre along "
-            f"{', '.join(centre.loose)}: 1 cm off the tool frame is {most_g:.0f} g; {remedy}"
+            f"{', '.join(loose)}: 1 cm off the tool frame is {most_g:.0f} g; {remedy}"
         )
 
 
 # ---- Difference and mean of a log and a tare along one path, which separate unmodelled effects
 # Ripple, hoses and other unmodelled effects depend on the arm's configuration. Of two runs in the
 # same places at the same times, such effects are in the mean alone, not in the difference.
-
-_OVERLAP = 0.9  # of the log that a tare along its path covers at least
-# Of the search for the time by which the one began later: positions a second, shifts that are
-# tried, and how often the step between them is halved then.
-_COARSE_HZ, _MAX_SHIFTS, _HALVINGS = 20.0, 400, 12
-_DRIFTS, _LAG = slice(-2, None), -OWN_TERMS - 3  # columns of a run's own terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,7 +262,7 @@ class TorqueRows:
     used: NDArray[np.bool_]  # joints that count, shape (J,)
 
     def after_nm(self, change: Array) -> Array:
-        """Return the residual, (T, J), after the terms have changed by `change`, shape (N,)."""
+        """Return the residual, (T, J), after the terms have changed by `change`, (N,)."""
         return self.left_nm - np.einsum("tjc,jc->tj", self.slopes, change[self.columns])
 
 
@@ -296,7 +273,7 @@ def rows_of(
     rows = [
         TorqueRows(
             run.motion.seconds,
-            run.torques_nm(convention) - line.predicted_nm,
+            convention.sign * run.motion.effort - line.predicted_nm,
             line.columns,
             line.slopes,
             np.arange(line.columns.shape[1])[-OWN_TERMS - 2 :],
@@ -308,35 +285,33 @@ def rows_of(
     if beside is None:
         return rows
     log, tare, inside = rows[0], rows.pop(beside.run), beside.covered
-    lags, drifts = tare.columns[:, _LAG, None], tare.columns[:, _DRIFTS]
-    columns = np.hstack([log.columns, lags, drifts])
-    alone = np.concatenate([tare.slopes[..., _LAG, None], tare.slopes[..., _DRIFTS]], axis=-1)
+    lag, drifts = -OWN_TERMS - 3, slice(-2, None)  # columns of a run's own terms
+    columns = np.hstack([log.columns, tare.columns[:, lag, None], tare.columns[:, drifts]])
+    alone = np.concatenate([tare.slopes[..., lag, None], tare.slopes[..., drifts]], axis=-1)
     shared = tare.slopes.copy()
-    shared[..., _LAG] = 0.0
-    shared[..., _DRIFTS] = 0.0
+    shared[..., lag] = 0.0
+    shared[..., drifts] = 0.0
     own = np.append(log.own, len(columns[0]) + np.array([-2, -1]))
-    used = log.used & tare.used
     pair = []
     for of_log, of_tare, counted in ((1.0, -1.0, own[-4:]), (0.5, 0.5, own)):
         slopes = of_log * log.slopes + of_tare * shared
-        both = np.concatenate([slopes, of_tare * alone], axis=-1)
-        left_nm = of_log * log.left_nm + of_tare * tare.left_nm
-        seconds = log.seconds[inside]
-        pair.append(TorqueRows(seconds, left_nm[inside], columns, both[inside], counted, used))
-    rows[0] = pair[0]
-    rows.insert(1, pair[1])
-    return rows
+        both = np.concatenate([slopes, of_tare * alone], axis=-1)[inside]
+        left_nm = (of_log * log.left_nm + of_tare * tare.left_nm)[inside]
+        used = log.used & tare.used
+        pair.append(TorqueRows(log.seconds[inside], left_nm, columns, both, counted, used))
+    return [*pair, *rows[1:]]
 
 
 def along(motion: ArmMotion, tare: ArmMotion) -> tuple[ArmMotion, NDArray[np.bool_]] | None:
     """Resample a tare at the log's own times, and say which it covers; None if elsewhere."""
     seconds = motion.seconds
     length_s = float(seconds[-1] - seconds[0])
-    step_s = 1 / _COARSE_HZ
+    step_s = 0.05  # between the shifts in time that are tried, at most 400 of them
+    overlap = 0.9  # of the log that a tare along its path covers at least
     grid = np.arange(seconds[0], seconds[-1], max(step_s, length_s / 500))
     where = motion.spline(grid)
     first, last = float(tare.seconds[0]), float(tare.seconds[-1])
-    slack_s = (1 - _OVERLAP) * length_s
+    slack_s = (1 - overlap) * length_s
     low, high = first - seconds[0] - slack_s, last - seconds[-1] + slack_s
     if high < low:
         return None
@@ -344,21 +319,20 @@ def along(motion: ArmMotion, tare: ArmMotion) -> tuple[ArmMotion, NDArray[np.boo
     def off(shift: float) -> tuple[float, float]:
         at = grid + shift
         inside = (at >= first) & (at <= last)
-        if np.mean(inside) < _OVERLAP:
+        if np.mean(inside) < overlap:
             return np.inf, np.inf
         away = np.abs(where[inside] - tare.spline(at[inside]))
         return float(np.sqrt(np.mean(away**2))), float(away.max())
 
-    count = int(min(np.ceil((high - low) / step_s) + 1, _MAX_SHIFTS))
+    count = int(min(np.ceil((high - low) / step_s) + 1, 400))
     shifts = np.linspace(low, high, count)
     best = min(shifts.tolist(), key=off)
     step = float(shifts[1] - shifts[0]) if count > 1 else step_s
-    for _ in range(_HALVINGS):
+    for _ in range(12):
         step /= 2
         best = min((best - step, best, best + step), key=off)
     rms, worst = off(best)
-    # Root mean square and greatest distance of two runs along one path: how a controller repeats
-    # [rad]
+    # How well a controller repeats a path, rms and at most [rad].
     if rms > 0.01 or worst > 0.05:
         return None
     at = seconds + best
@@ -370,10 +344,6 @@ def along(motion: ArmMotion, tare: ArmMotion) -> tuple[ArmMotion, NDArray[np.boo
 # ---- Gauss-Newton over all terms at once: their values, their prior scales, and the noise
 
 
-# Noise before anything is fitted, and of the best sensor, by what a joint is built for.
-_START_SHARE, _MIN_SHARE = 0.02, 2e-5
-
-
 @dataclass(frozen=True, eq=False)
 class GaussNewton:
     """Gauss-Newton iterate of all terms."""
@@ -381,8 +351,7 @@ class GaussNewton:
     runs: tuple[LoggedArm, ...]  # the log and its tares
     terms: Terms  # the unknowns
     convention: Convention  # the driver's torque convention
-    # prior information on the arm, about terms of 0; None for nothing
-    known: NormalEquations | None
+    known: NormalEquations | None  # on the arm, about terms of 0; None for nothing
     noises: tuple[Noises, ...]  # of each series of rows (`rows_of`) and joint
     found: TermPosterior  # posterior of the terms
     logs: Mapping[str, float] = field(default_factory=dict)  # logarithms of the scale of each group
@@ -401,8 +370,9 @@ class GaussNewton:
         log_s = runs[0].motion.seconds
         paired = [log_s[beside]] * 2 if beside is not None else [log_s]
         others = [run.motion.seconds for run in runs[1:] if run.covered is None]
+        # Before anything is fitted: a fiftieth of what a joint is built for.
         noises = tuple(
-            tuple(unknown(seconds, _START_SHARE * scale) for scale in terms.scales_nm.tolist())
+            tuple(unknown(seconds, 0.02 * scale) for scale in terms.scales_nm.tolist())
             for seconds in (*paired, *others)
         )
         sds = terms.sds
@@ -410,20 +380,22 @@ class GaussNewton:
         return cls(runs, terms, convention, known, noises, nothing)
 
     def fitted(self, rows: Sequence[TorqueRows], at: Array, *, roughly: bool) -> GaussNewton:
-        """Solve linear models for the terms, their groups' scales, then the noise of the residual.
-
-        `at` (N,).
-        """
+        """Solve for the terms about `at`, (N,), their groups' scales, then the residual's noise."""
         normal = self.normal_equations(rows, at)
+        # At scale 1, the payload's centre and inertia go by its mass.
+        usual_sds = self.terms.sds.copy()
+        mass_kg = max(abs(float(self.found.means[MASS])), MIN_MASS_KG)
+        usual_sds[CENTRE] *= mass_kg
+        usual_sds[INERTIA] *= mass_kg
         searched = self.groups
         if roughly:
             del searched["offset"]
         # The search for scales goes on where the last one ended. With 3 steps it stood still for
         # some, and a wrong convention looked likelier by 130.
-        logs = likeliest_scales(normal, self._sds, searched, self.logs, 12)
+        logs = likeliest_scales(normal, usual_sds, searched, self.logs, 12)
         # With this logarithm of its scale an offset explains any constant torque.
         logs["offset"] = 2.5 if roughly else logs["offset"]
-        sds = scaled(self._sds, self.groups, logs)
+        sds = scaled(usual_sds, self.groups, logs)
         found = posterior(normal, sds)
         told = 1 - found.variances / np.maximum(sds, 1e-150) ** 2
         # A mass is 0 or more: its prior is half a normal one.
@@ -436,10 +408,10 @@ class GaussNewton:
         means = found.means.copy()
         # Torques are linear in lags [s], tilts and encoders' zeros [rad] only while they are small.
         for name in ("lag", "tilt", "zeros"):
-            indices, most = self.terms.of[name], 0.2
-            means[indices] = np.clip(means[indices], -most, most)
+            indices = self.terms.of[name]
+            means[indices] = np.clip(means[indices], -0.2, 0.2)
         found = replace(found, means=means)
-        least_nm = _MIN_SHARE * self.terms.scales_nm
+        least_nm = 2e-5 * self.terms.scales_nm  # the best sensor's, by what a joint is built for
         noises: list[Noises] = []
         for own, series in zip(self.noises, rows, strict=True):
             residual_nm = series.after_nm(found.means - at)
@@ -450,21 +422,11 @@ class GaussNewton:
     @property
     def groups(self) -> dict[str, NDArray[np.int64]]:
         """Terms that share a scale; the payload's mass and terms fixed at 0 have none."""
-        of = self.terms.of
         return {
             name: indices
-            for name, indices in of.items()
+            for name, indices in self.terms.of.items()
             if name != "payload" and self.terms.sds[indices].all()
         }
-
-    @property
-    def _sds(self) -> Array:
-        """Prior deviations at scale 1, shape (N,); the payload's centre and inertia go by mass."""
-        sds = self.terms.sds.copy()
-        mass_kg = max(abs(float(self.found.means[MASS])), MIN_MASS_KG)
-        sds[CENTRE] *= mass_kg
-        sds[INERTIA] *= mass_kg
-        return sds
 
     def normal_equations(self, rows: Sequence[TorqueRows], at: Array) -> NormalEquations:
         """Accumulate the normal equations of the terms, linear about `at`."""
@@ -482,17 +444,8 @@ class GaussNewton:
                 gradient[columns] += weighed.T @ target[:, joint]
         return NormalEquations(precision, gradient)
 
-    def residual_nm(self, run: int, lines: Sequence[Linearization], change: Array) -> Array:
-        """Return the residual after a `change` from the linearisation point, shape (T, J)."""
-        measured_nm = self.runs[run].torques_nm(self.convention)
-        return measured_nm - lines[run].predicted_nm - lines[run].moved_nm(change)
-
 
 # ---- Fit of the payload: the likeliest convention, refined
-
-# Fits of linear models to choose a convention: of all four, then of those that may still win; and
-# of Gauss-Newton with the best.
-_COMPARISONS, _MORE_COMPARISONS, _ITERATIONS = 3, 6, 3
 
 
 def fit_payload(
@@ -528,7 +481,7 @@ def fit_payload(
     )
     best, odds, arm_odds = _likeliest(runs, conventions, known)
     at, lines, rows = best.found.means, [], []
-    for _ in range(_ITERATIONS):
+    for _ in range(3):
         at = best.found.means
         lines = [run.linearized(at, best.convention) for run in runs]
         rows = rows_of(runs, lines, best.convention)
@@ -547,8 +500,8 @@ def _likeliest(
 ) -> tuple[GaussNewton, float, float]:
     """Fit all conventions, and return the likeliest allowed one with its log evidence ratios.
 
-    The first is over every other convention (below 0 if one that was excluded is likelier), the
-    second over a model without an arm.
+    They are over every other convention (below 0 if an excluded one is likelier), and over a model
+    without an arm.
     """
     nothing = np.zeros(len(runs[0].terms.sds))
     lines = {
@@ -557,12 +510,10 @@ def _likeliest(
     }
     rows = {convention: rows_of(runs, lines[convention], convention) for convention in CONVENTIONS}
     fits = {
-        convention: _compared(
-            GaussNewton.start(runs, convention, known), rows[convention], _COMPARISONS
-        )
+        convention: _compared(GaussNewton.start(runs, convention, known), rows[convention], 3)
         for convention in CONVENTIONS
     }
-    for _ in range(_MORE_COMPARISONS):
+    for _ in range(6):
         leader = max(fit.log_evidence for fit in fits.values())
         # Log evidence by which a convention may be behind and still win: noise settles slowly
         near = [one for one, fit in fits.items() if fit.log_evidence > leader - 50.0]
@@ -583,7 +534,7 @@ def _likeliest(
         for line in lines[best]
     ]
     start = GaussNewton.start(runs, best, known)
-    no_arm = _compared(start, rows_of(runs, bare, best), _COMPARISONS)
+    no_arm = _compared(start, rows_of(runs, bare, best), 3)
     odds = evidence - max(others), evidence - no_arm.log_evidence
     # From here on sensor offsets have their usual prior again.
     return replace(fits[best], logs={**fits[best].logs, "offset": 0.0}), *odds
@@ -596,27 +547,6 @@ def _compared(fit: GaussNewton, rows: Sequence[TorqueRows], count: int) -> Gauss
     return fit
 
 
-def _payload(fit: GaussNewton, normal: NormalEquations) -> tuple[Array, Array, float]:
-    """Return means of the payload's terms, shape (10,), covariance, (10, 10), and a bound [kg].
-
-    Averages two models: an arm with all nuisance terms, and a simulated one, without any.
-    """
-    own = np.arange(PAYLOAD_TERMS)
-    means, covariance = averaged(fit.found, fit.groups, fit.logs, own)
-    if len(fit.runs) > 1 or fit.known is not None:
-        # Factor on standard deviations where runs share an arm: what a model of it lacks is in
-        # none of them alone. By made arms of another generator, whose intervals held 88 to 92 %
-        # without it
-        covariance = 1.2**2 * covariance
-    ideal, weight = without(normal, fit.found, fit.groups, fit.logs, NOT_SIMULATED)
-    off = ideal.means[own] - means
-    covariance = (1 - weight) * covariance + weight * ideal.covariance[np.ix_(own, own)]
-    likelier = ideal if weight > 0.5 else fit.found
-    bound_kg = float(np.sqrt(likelier.covariance[MASS, MASS]))
-    means = means + weight * off
-    return means, covariance + weight * (1 - weight) * np.outer(off, off), bound_kg
-
-
 def _result(
     fit: GaussNewton,
     lines: Sequence[Linearization],
@@ -626,26 +556,41 @@ def _result(
     learnt: NormalEquations,
     common: float,
 ) -> PayloadFit:
-    """Args: odds: of the convention, and of the arm. common: error of all torques, a fraction."""
-    terms, found = fit.terms, fit.found
-    means, covariance, bound_kg = _payload(fit, normal)
+    """Average two models: an arm with all nuisance terms, and a simulated one, without any.
+
+    `odds` are of the convention, and of the arm; `common` is an error of all torques, a fraction.
+    """
+    terms, found, motion = fit.terms, fit.found, fit.runs[0].motion
+    own = np.arange(PAYLOAD_TERMS)
+    means, covariance = averaged(found, fit.groups, fit.logs, own)
+    if len(fit.runs) > 1 or fit.known is not None:
+        # Factor on standard deviations where runs share an arm: what a model of it lacks is in
+        # none of them alone. By made arms of another generator, whose intervals held 88 to 92 %
+        # without it
+        covariance = 1.2**2 * covariance
+    ideal, weight = without(normal, found, fit.groups, fit.logs, NOT_SIMULATED)
+    off = ideal.means[own] - means
+    covariance = (1 - weight) * covariance + weight * ideal.covariance[np.ix_(own, own)]
+    likelier = ideal if weight > 0.5 else found
+    means = means + weight * off
+    covariance = covariance + weight * (1 - weight) * np.outer(off, off)
     covariance = covariance + common**2 * np.outer(means, means)
-    change = found.means - at
-    log = fit.runs[0]
-    residual_nm = fit.residual_nm(0, lines, change)
-    tare_residuals = []
-    for run in fit.runs[1:]:
-        counted = np.ix_(run.inside, run.motion.used)
-        tare_residuals.append(
-            FitResidual(
-                fit.residual_nm(run.run, lines, change)[counted],
-                run.torques_nm(fit.convention)[counted],
-                terms.scales_nm[run.motion.used],
-            )
+    residuals: list[FitResidual] = []
+    for run, line in zip(fit.runs, lines, strict=True):
+        effort_nm, change = (
+            fit.convention.sign * run.motion.effort,
+            (found.means - at)[line.columns],
         )
-    effort_nm = log.torques_nm(fit.convention)
+        left_nm = effort_nm - line.predicted_nm - np.einsum("tjc,jc->tj", line.slopes, change)
+        residuals.append(FitResidual(left_nm, effort_nm, terms.scales_nm))
+    tare_residuals: list[FitResidual] = []
+    for run, whole in zip(fit.runs[1:], residuals[1:], strict=True):
+        inside = np.ones(len(run.motion.seconds), bool) if run.covered is None else run.covered
+        counted, scales_nm = np.ix_(inside, run.motion.used), terms.scales_nm[run.motion.used]
+        left_nm, effort_nm = whole.residual_nm[counted], whole.effort_nm[counted]
+        tare_residuals.append(FitResidual(left_nm, effort_nm, scales_nm))
     sds = np.sqrt(np.diag(found.covariance))
-    lag = int(terms.of["lag"][0])
+    effort_nm = residuals[0].effort_nm
     return PayloadFit(
         held=held(means, covariance),
         convention=fit.convention,
@@ -658,14 +603,14 @@ def _result(
             for k, name in enumerate(terms.names)
             if k >= PAYLOAD_TERMS and terms.sds[k]
         ),
-        bound_kg=bound_kg,
+        bound_kg=float(np.sqrt(likelier.covariance[MASS, MASS])),
         scales={name: float(np.exp(log)) for name, log in fit.logs.items()},
         scales_nm=terms.scales_nm,
-        seconds=log.motion.seconds,
+        seconds=motion.seconds,
         effort_nm=effort_nm,
-        predicted_nm=effort_nm - residual_nm,
-        used=log.motion.used,
-        lag_s=float(found.means[lag]),
+        predicted_nm=effort_nm - residuals[0].residual_nm,
+        used=motion.used,
+        lag_s=float(found.means[int(terms.of["lag"][0])]),
         tare_residuals=tuple(tare_residuals),
         learnt=learnt,
     )

@@ -2,9 +2,7 @@
 
 They are those of a rigid arm (link parameters near the model's, a base not quite level, encoders
 off zero) and of its rotors and gears, times a gain, delayed by a lag, plus what sensors and hoses
-add. A run with an empty gripper has the same terms, without the payload.
-
-The rigid part is Pinocchio's joint-torque regressor: torques are linear in the masses, first
+add. The rigid part is Pinocchio's joint-torque regressor: torques are linear in the masses, first
 moments and inertias of links and payload (Atkeson, An and Hollerbach 1986).
 """
 
@@ -14,13 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from tunenet_logs.analysis.payload.arm_log import MIN_KNOT_S, ArmLog, most_knots
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 from tunenet_logs.errors import NotFoundError
 from tunenet_logs.recorders.simulators.arm.description import (
     PAYLOAD_RADIUS_M,
@@ -37,14 +36,7 @@ if TYPE_CHECKING:
 # Degree 5 on even knots, third differences as the penalty, so that accelerations are smooth too,
 # and its weight by generalised cross-validation (Craven and Wahba 1979), for each joint.
 
-# Left out at both ends: a spline's second derivative is poor where samples are on one side.
-_ENDS_S = 0.25
-_MIN_TORQUES = 20  # samples; fewer do not determine the terms of a fit
-_MAX_TORQUES = 700  # samples of a fit: more cost time and add nothing, as an arm's motion is slow
 _DEGREE = 5  # of the spline: its second derivative is a cubic, smooth itself
-# Penalty weights that are compared: from interpolation to a parabola, four a decade.
-_STIFFNESSES = np.logspace(-9, 7, 65)
-_WINDOW_KNOTS = 300  # over which the stiffness is chosen; a long recording has the same throughout
 _RIDGE = 1e-10  # fraction of the penalty that keeps knots without a sample determined
 
 
@@ -59,22 +51,17 @@ class ArmMotion:
 
     def at(self, seconds: Array) -> tuple[Array, Array, Array]:
         """Return positions [rad], velocities [rad/s] and accelerations [rad/s^2], each (T, J)."""
-        position, velocity, acceleration = (self.spline(seconds, order) for order in range(3))
-        return position, velocity, acceleration
+        return self.spline(seconds, 0), self.spline(seconds, 1), self.spline(seconds, 2)
 
 
 def arm_motion(log: ArmLog) -> ArmMotion:
-    """Smooth the positions by P-splines, with generalised cross-validation.
-
-    The first and last quarter of a second are left out, and torques in gaps of the positions.
-    """
+    """Smooth the positions, and average the torques that have positions about them."""
     positions, efforts = log.position.seconds, log.effort.seconds
     angles = log.position.values
     # Single samples at which no arm can have been between the two beside them.
     off = np.zeros(len(angles))
     aside = np.abs(angles[1:-1] - (angles[2:] + angles[:-2]) / 2)
-    # A single sample is an outlier where it is off the middle of its neighbours by more than this
-    # angle and this multiple of the median [rad]
+    # By how much it is off their middle: this multiple of the median, and this angle [rad].
     usual = np.maximum(20.0 * np.median(aside, axis=0), 0.05)
     off[1:-1] = np.max(aside / usual, axis=1)
     most = np.maximum(off, np.maximum(np.roll(off, 1), np.roll(off, -1)))
@@ -84,17 +71,19 @@ def arm_motion(log: ArmLog) -> ArmMotion:
     gaps = np.diff(positions)
     # A gap of the positions within which the motion is unknown: longer than both [s]
     most_s = max(5.0 * float(np.median(gaps)), 0.25)
-    inside = (efforts > positions[0] + _ENDS_S) & (efforts < positions[-1] - _ENDS_S)
+    # A spline's second derivative is poor within a quarter of a second of its ends.
+    inside = (efforts > positions[0] + 0.25) & (efforts < positions[-1] - 0.25)
     keep = inside & (gaps[after - 1] < most_s)
-    if np.count_nonzero(keep) < _MIN_TORQUES:
+    least, most = 20, 700  # torques: fewer tell too little; more add nothing to a slow motion
+    if np.count_nonzero(keep) < least:
         raise NotFoundError(
             f"{np.count_nonzero(keep)} torques have positions about them (wanted: "
-            f"{_MIN_TORQUES} or more): record both at once, for 5 s"
+            f"{least} or more): record both at once, for 5 s"
         )
     seconds, effort = efforts[keep], log.effort.values[keep]
-    if len(seconds) > _MAX_TORQUES:  # means over short spans
+    if len(seconds) > most:  # means over short spans
         since = seconds - seconds[0]
-        width = float(since[-1]) / (_MAX_TORQUES - 1)
+        width = float(since[-1]) / (most - 1)
         spans = (since / width).astype(np.int64)
         # Over .05 s the torques of an arm hardly change: such spans are averaged.
         near = since - spans * width < 0.05
@@ -117,55 +106,45 @@ def smoothing_spline(seconds: Array, values: Array, late_s: float = 0.0) -> BSpl
     from scipy.sparse import dia_array
     from scipy.sparse.linalg import splu
 
-    step = max(float(np.median(np.diff(seconds))), MIN_KNOT_S)
+    step = max(median_step(seconds), MIN_KNOT_S)
     cells = int(np.ceil((seconds[-1] - seconds[0]) / step))
     cells = min(max(cells, _DEGREE), most_knots(len(seconds)))
     step = (seconds[-1] - seconds[0]) / cells
     knots = seconds[0] + step * np.arange(-_DEGREE, cells + _DEGREE + 1)
     design = BSpline.design_matrix(seconds, knots, _DEGREE, extrapolate=True).tocsc()
     count = cells + _DEGREE
-    weights = np.tile([[-1.0], [3.0], [-3.0], [1.0]], count)
-    third = dia_array((weights, np.arange(4)), shape=(count - 3, count))
+    steps = np.tile([[-1.0], [3.0], [-3.0], [1.0]], count)
+    third = dia_array((steps, np.arange(4)), shape=(count - 3, count))
     normal, penalty = (design.T @ design).tocsc(), (third.T @ third).tocsc()
     speeds = np.diff(values, axis=0) / np.diff(seconds)[:, None]
     floor = late_s**2 / 12 * np.mean(speeds**2, axis=0)  # variance of a uniform delay, times speed
-    early = seconds <= knots[_DEGREE + min(cells, _WINDOW_KNOTS)]
-    size = min(cells, _WINDOW_KNOTS) + _DEGREE
+    # The stiffness is chosen over the first 300 knots: a long recording has the same throughout.
+    window = min(cells, 300)
+    early = seconds <= knots[_DEGREE + window]
+    size = window + _DEGREE
     inner = third.tocsr()[: size - 3, :size].toarray()  # a difference cut off would pull to 0
-    stiffnesses = _stiffnesses(
-        design[early][:, :size].toarray(), inner.T @ inner, values[early], floor
-    )
-    right_sides = design.T @ values
-    coefficients = [
-        splu(normal + (stiffness + _RIDGE) * penalty).solve(column)
-        for stiffness, column in zip(stiffnesses, right_sides.T, strict=True)
-    ]
-    return BSpline(knots, np.column_stack(coefficients), _DEGREE, extrapolate=True)
-
-
-def _stiffnesses(design: Array, penalty: Array, values: Array, floor: Array) -> Array:
-    """Choose each column's penalty weight, shape (C,), by generalised cross-validation.
-
-    In the basis that makes both matrices diagonal (Demmler and Reinsch 1975) a stiffness only
-    shrinks each coordinate, so that all of them are compared at the cost of one. `design` (T, K),
-    `penalty` (K, K).
-    """
-    from scipy.linalg import eigh
-
-    normal = design.T @ design
-    powers, basis = eigh(penalty, normal + _RIDGE * penalty)
+    # In the basis that makes both matrices diagonal (Demmler and Reinsch 1975) a stiffness only
+    # shrinks each coordinate: all of them are compared at the cost of one.
+    weights = np.logspace(-9, 7, 65)  # from interpolation to a parabola, four a decade
+    shown, seen = design[early][:, :size].toarray(), values[early]
+    first_penalty = inner.T @ inner
+    powers, basis = eigh(first_penalty, shown.T @ shown + _RIDGE * first_penalty)
     powers = np.maximum(powers, 0.0)
-    curves = design @ basis
-    amounts = curves.T @ values
-    shrinkage = 1 / (1 + _STIFFNESSES[:, None] * powers)
-    squares = np.sum(values**2, axis=0) - 2 * shrinkage @ amounts**2 + shrinkage**2 @ amounts**2
+    amounts = (shown @ basis).T @ seen
+    shrinkage = 1 / (1 + weights[:, None] * powers)
+    squares = np.sum(seen**2, axis=0) - 2 * shrinkage @ amounts**2 + shrinkage**2 @ amounts**2
     # A degree of freedom costs 1.4: with 1, cross-validation follows noise too often (Gu 2002).
-    freedom = len(values) - 1.4 * shrinkage.sum(axis=1)
+    freedom = len(seen) - 1.4 * shrinkage.sum(axis=1)
     scores = np.maximum(squares, 0.0) / np.maximum(freedom, 1e-3)[:, None] ** 2
     scores[freedom <= 0] = np.inf
-    variance = squares / np.maximum(len(values) - shrinkage.sum(axis=1), 1.0)[:, None]
+    variance = squares / np.maximum(len(seen) - shrinkage.sum(axis=1), 1.0)[:, None]
     scores[(variance < floor) & (variance < variance[-1])] = np.inf
-    return _STIFFNESSES[np.argmin(scores, axis=0)]
+    stiffnesses = weights[np.argmin(scores, axis=0)]
+    coefficients = [
+        splu(normal + (stiffness + _RIDGE) * penalty).solve(column)
+        for stiffness, column in zip(stiffnesses, (design.T @ values).T, strict=True)
+    ]
+    return BSpline(knots, np.column_stack(coefficients), _DEGREE, extrapolate=True)
 
 
 # ---- Terms beside the model's, with priors in groups of one scale each
@@ -177,8 +156,6 @@ PAYLOAD_TERMS = 10
 MASS = 0
 CENTRE = slice(1, 4)
 INERTIA = slice(4, 10)
-CENTRE_SD_M = 0.05  # of a kilogram: where in a hand its centre may be
-INERTIA_SD_M2 = 0.003  # of a kilogram: how long it may be
 WAVES = 8  # harmonics of a joint's angle: hoses that pull, and the slower part of a gear's ripple
 # Of dry friction over speed, beside its sign: Stribeck's peak at three widths, and unevenness.
 SHAPES = 4
@@ -198,10 +175,6 @@ _SIZES = {
 # Of a torque that a driver reports, and of one made of a motor's current: constants that two
 # laboratories published for one kind of arm are 13 to 49 % apart.
 GAIN, CURRENT_GAIN = 0.02, 0.12
-# Errors of an arm's description: fractions, and of a centre for an arm of 1 m.
-_LINK_MASS, _LINK_CENTRE_M, _LINK_INERTIA = 0.04, 0.003, 0.2
-# Of a base about each level axis, of an encoder, of torques behind positions.
-_TILT_RAD, _ZERO_RAD, _LAG_S = 0.01, 0.005, 0.02
 # Of the highest torque of the joint that works hardest: where no log comes near it, the limits of a
 # description are nobody's.
 _MIN_LOAD = 0.25
@@ -209,10 +182,7 @@ _MIN_LOAD = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Unknowns of some runs of one arm, the payload's first.
-
-    Those of one joint are stored together, in the order of `_of_joint`.
-    """
+    """Unknowns of some runs of one arm, the payload's first; those of one joint are together."""
 
     joints: int  # number of joints
     runs: int  # number of runs; the first one is the log, the others are its tares
@@ -254,35 +224,52 @@ def make_terms(arm: Arm, scales_nm: Array, runs: int, *, drifts: bool, gain: flo
 
     Where other runs share the offsets, each has its own drift of them.
     """
-    numbers = range(1, len(arm.joints) + 1)
-    axes = ("x", "y", "z")
+    numbers, axes = range(1, len(arm.joints) + 1), ("x", "y", "z")
     arm_kg = sum(joint.link.mass_kg for joint in arm.joints)
     reach_m = sum(float(np.linalg.norm(joint.origin_m)) for joint in arm.joints)
-    table: list[tuple[str, str, float]] = [("payload", "payload", arm_kg)]
-    table += [(f"centre {axis}", "centre", CENTRE_SD_M) for axis in axes]
-    table += [(f"inertia {axis}", "inertia", INERTIA_SD_M2) for axis in _MOMENTS]
-    table += [(f"mass of link {n}", "links", _LINK_MASS) for n in numbers]
-    table += [
-        (f"centre {axis} of link {n}", "links", _LINK_CENTRE_M * reach_m)
-        for n in numbers
-        for axis in axes
+    table: list[tuple[str, str, float]] = [
+        ("payload", "payload", arm_kg),
+        # Of a kilogram: where in a hand its centre may be [m], how long it may be [m²].
+        *((f"centre {axis}", "centre", 0.05) for axis in axes),
+        *((f"inertia {axis}", "inertia", 0.003) for axis in ("xx", "xy", "yy", "xz", "yz", "zz")),
+        # Errors of the arm's description: fractions, and of a centre for an arm of 1 m.
+        *((f"mass of link {n}", "links", 0.04) for n in numbers),
+        *(
+            (f"centre {axis} of link {n}", "links", 0.003 * reach_m)
+            for n in numbers
+            for axis in axes
+        ),
+        *((f"inertia of link {n}", "links", 0.2) for n in numbers),
+        # Of a base about each level axis, and of an encoder [rad].
+        *((f"tilt of the base about {axis}", "tilt", 0.01) for axis in axes[:2]),
+        *((f"zero of encoder {n}", "zeros", 0.005) for n in numbers),
     ]
-    table += [(f"inertia of link {n}", "links", _LINK_INERTIA) for n in numbers]
-    table += [(f"tilt of the base about {axis}", "tilt", _TILT_RAD) for axis in axes[:2]]
-    table += [(f"zero of encoder {n}", "zeros", _ZERO_RAD) for n in numbers]
-    for n, scale in zip(numbers, scales_nm.tolist(), strict=True):
-        table += _of_joint(n, scale, gain)
+    slow, load, pull = "friction at low speed", "friction under load", "hoses and gears"
+    scaled = list(zip(numbers, scales_nm.tolist(), strict=True))
+    for n, scale_nm in scaled:  # in the order of `_BESIDE` and the indices before it
+        sizes_nm = {what: size * scale_nm for what, size in _SIZES.items()}
+        own = [
+            ("offset", "offset", sizes_nm["offset"]),
+            ("viscous friction", "friction", sizes_nm["viscous friction"]),
+            ("dry friction", "friction", sizes_nm["dry friction"]),
+            *((f"{slow} ({shape})", slow, sizes_nm[slow]) for shape in range(1, SHAPES + 1)),
+            (load, load, _SIZES[load]),
+            ("rotor", "rotor", sizes_nm["rotor"]),
+            ("gain", "gain", gain),
+            *(
+                (f"hoses and gear ({turn} {wave})", pull, sizes_nm[pull] / wave)
+                for wave in range(1, WAVES + 1)
+                for turn in ("cos", "sin")
+            ),
+        ]
+        table += [(f"{what} of joint {n}", group, size) for what, group, size in own]
     for run in range(runs):
         of = "" if run == 0 else f" of tare {run}" if runs > 2 else " of the tare"
-        table.append((f"lag{of}", "lag", _LAG_S))
-        for what in ("drift", "warming"):
+        table.append((f"lag{of}", "lag", 0.02))  # of torques behind positions [s]
+        for what, is_there in (("drift", drifts), ("warming", True)):
             table += [
-                (
-                    f"{what} of joint {n}{of}",
-                    what,
-                    _SIZES[what] * scale * (drifts or what != "drift"),
-                )
-                for n, scale in zip(numbers, scales_nm.tolist(), strict=True)
+                (f"{what} of joint {n}{of}", what, _SIZES[what] * scale_nm * is_there)
+                for n, scale_nm in scaled
             ]
     names, groups, sds = zip(*table, strict=True)
     return Terms(len(arm.joints), runs, names, groups, np.array(sds), scales_nm)
@@ -299,49 +286,16 @@ NOT_SIMULATED = (
     *("offset", "friction", "friction at low speed", "friction under load", "rotor", "gain"),
     *("links", "tilt", "zeros", "hoses and gears", "drift", "warming"),
 )
-_MOMENTS = ("xx", "xy", "yy", "xz", "yz", "zz")
 # Of one joint: offset, viscous and dry friction, its shapes, load, rotor, gain, waves.
 OWN_TERMS = 6 + SHAPES + 2 * WAVES
 
 
-def _of_joint(number: int, scale_nm: float, gain: float) -> list[tuple[str, str, float]]:
-    def sized(what: str) -> float:
-        return _SIZES[what] * scale_nm
-
-    of = f"of joint {number}"
-    table = [(f"offset {of}", "offset", sized("offset"))]
-    table.append((f"viscous friction {of}", "friction", sized("viscous friction")))
-    table.append((f"dry friction {of}", "friction", sized("dry friction")))
-    slow = sized("friction at low speed")
-    table += [
-        (f"friction at low speed ({shape}) {of}", "friction at low speed", slow)
-        for shape in range(1, SHAPES + 1)
-    ]
-    table.append(
-        (f"friction under load {of}", "friction under load", _SIZES["friction under load"])
-    )
-    table.append((f"rotor {of}", "rotor", sized("rotor")))
-    table.append((f"gain {of}", "gain", gain))
-    pull = sized("hoses and gears")
-    for wave in range(1, WAVES + 1):
-        table += [
-            (f"hoses and gear ({turn} {wave}) {of}", "hoses and gears", pull / wave)
-            for turn in ("cos", "sin")
-        ]
-    return table
-
-
 # ---- Torques of a run, rigid and of the joints' own terms, linearised about any values
 
-# Speeds over which friction falls from its peak: Stribeck's are between them.
-_SHAPE_RAD_S = (0.03, 0.1, 0.3)
-# Of one body in Pinocchio: mass, first moments (3), and the inertia about the joint's frame as xx,
-# xy, yy, xz, yz, zz, which is its lower triangle by rows.
-_BODY_PARAMETERS = 10
 # Of a joint's own terms: what is a gear's, between the arm and the sensor; and what is not.
-_OFFSET, _LOAD_WAY, _LOAD, _GAIN = 0, 2, 7, 9
+_LOAD_WAY, _LOAD, _GAIN = 2, 7, 9
 _GEAR = slice(1, 9)
-_BESIDE = [_OFFSET, *range(10, OWN_TERMS)]
+_BESIDE = [0, *range(10, OWN_TERMS)]
 
 
 @dataclass(frozen=True)
@@ -355,8 +309,7 @@ class Convention:
 CONVENTIONS = tuple(Convention(sign, full) for full in (True, False) for sign in (1, -1))
 
 
-@dataclass(frozen=True, eq=False)
-class RigidTorques:
+class RigidTorques(NamedTuple):
     """Torques of a rigid arm along a motion, with its links and payload as fitted."""
 
     total_nm: Array  # shape (T, J)
@@ -374,7 +327,9 @@ class ArmModel:
         # The last body's inertial parameters by the payload's terms, shape (10, 10).
         rotation = rotation_from_rpy(arm.tool_from_last_rpy)
         tool = np.array(arm.tool_from_last_m)
-        parameters = np.zeros((_BODY_PARAMETERS, PAYLOAD_TERMS))
+        # Of one body in Pinocchio: mass, first moments (3), and the inertia about the joint's frame
+        # as xx, xy, yy, xz, yz, zz, which is its lower triangle by rows.
+        parameters = np.zeros((10, PAYLOAD_TERMS))
         parameters[0, MASS] = 1.0
         parameters[1:4, MASS] = tool
         parameters[1:4, CENTRE] = rotation
@@ -398,15 +353,13 @@ class ArmModel:
     def gravity_nm(self, position: Array) -> Array:
         """Compute gravity torques of the arm as described [N·m], shape (T, J)."""
         self._become(self._links, np.zeros(2))
-        return self._held_nm(position)
+        compute = self._library.computeGeneralizedGravity
+        return np.stack([compute(self._model, self._data, row).copy() for row in position])
 
     def torques(
         self, position: Array, velocity: Array, acceleration: Array, values: Array, *, held: bool
     ) -> RigidTorques:
-        """Compute torques along a motion, with their derivatives by the terms (regressor).
-
-        `position` (T, J) [rad], `velocity` (T, J) [rad/s], `acceleration` (T, J) [rad/s^2],
-        """
+        """Compute torques along a motion, (T, J), and their slopes by the terms (regressor)."""
         count = position.shape[1]
         first = PAYLOAD_TERMS
         masses, centres_m, inertias, tilt = np.split(
@@ -423,7 +376,7 @@ class ArmModel:
         for row in zip(position, velocity, acceleration, strict=True):
             regressors.append(library.computeJointTorqueRegressor(model, data, *row).copy())
             by_angle.append(library.computeRNEADerivatives(model, data, *row)[0].copy())
-        regressor = np.stack(regressors).reshape(*position.shape, count, _BODY_PARAMETERS)
+        regressor = np.stack(regressors).reshape(*position.shape, count, 10)
         slopes = np.zeros((*position.shape, first + 6 * count + 2))
         if held:
             slopes[..., :first] = regressor[:, :, -1] @ self._payload
@@ -439,13 +392,12 @@ class ArmModel:
         at += count
         for axis in range(2):
             model.gravity.linear = GRAVITY_M_S2 * np.eye(3)[axis]
-            slopes[..., at + axis] = self._held_nm(position)
+            held_nm = [
+                library.computeGeneralizedGravity(model, data, row).copy() for row in position
+            ]
+            slopes[..., at + axis] = np.stack(held_nm)
         slopes[..., at + 2 :] = np.stack(by_angle)
         return RigidTorques(np.einsum("tjlp,lp->tj", regressor, bodies), slopes)
-
-    def _held_nm(self, position: Array) -> Array:
-        compute = self._library.computeGeneralizedGravity
-        return np.stack([compute(self._model, self._data, row).copy() for row in position])
 
     def _become(self, bodies: Array, tilt: Array) -> None:
         """Set the links' parameters, shape (J, 10), and the tilt of gravity, shape (2,)."""
@@ -458,19 +410,11 @@ class ArmModel:
             self._model.inertias[index] = self._library.Inertia.FromDynamicParameters(own)
 
 
-def moments() -> list[Array]:
-    """Return the unit tensors of the six moments of inertia, in order, each (3, 3)."""
-    tensors = []
-    for row, column in zip(*np.tril_indices(3), strict=True):
-        tensor = np.zeros((3, 3))
-        tensor[row, column] = tensor[column, row] = 1.0
-        tensors.append(tensor)
+def moments() -> Array:
+    """Return the unit tensors of the six moments of inertia, in order, shape (6, 3, 3)."""
+    each, (rows, columns), tensors = np.arange(6), np.tril_indices(3), np.zeros((6, 3, 3))
+    tensors[each, rows, columns] = tensors[each, columns, rows] = 1.0
     return tensors
-
-
-def smooth_sign(velocity: Array) -> Array:
-    """Return the sign of velocities [rad/s], smoothed about 0, which is known to .015 rad/s."""
-    return np.tanh(velocity / 0.015)
 
 
 @dataclass(frozen=True, eq=False)
@@ -480,10 +424,6 @@ class Linearization:
     predicted_nm: Array  # at these values [N·m], shape (T, J)
     columns: NDArray[np.int64]  # terms that each joint's slopes are by, shape (J, C)
     slopes: Array  # derivatives, shape (T, J, C)
-
-    def moved_nm(self, change: Array) -> Array:
-        """Return the change of torques, (T, J), for a change of the terms, shape (N,)."""
-        return np.einsum("tjc,jc->tj", self.slopes, change[self.columns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -497,39 +437,27 @@ class LoggedArm:
     # for a tare along the log's path, which of the log's times it covers; None for any other run
     covered: NDArray[np.bool_] | None = None
 
-    @property
-    def inside(self) -> NDArray[np.bool_]:
-        """Measured samples, shape (T,): a tare along the log's path may not cover it."""
-        return np.ones(len(self.motion.seconds), bool) if self.covered is None else self.covered
-
-    def torques_nm(self, convention: Convention) -> Array:
-        """Return measured torques with the joint's sign [N·m], shape (T, J)."""
-        return convention.sign * self.motion.effort
-
-    @property
-    def columns(self) -> NDArray[np.int64]:
-        """Indices of the terms that each joint's torques depend on, shape (J, C).
-
-        First what all joints share, the lag last of it; then the joint's own; then its drifts.
-        """
-        joints = self.terms.joints
+    def linearized(self, values: Array, convention: Convention) -> Linearization:
+        """Linearise the torques about values of the terms, shape (N,)."""
+        joints, seconds = self.terms.joints, self.motion.seconds
+        # The terms that each joint's torques depend on, shape (J, C): first what all joints share,
+        # the lag last of it; then the joint's own; then its drifts.
         common = np.arange(PAYLOAD_TERMS + 6 * joints + 2)
         own = len(common) + np.arange(joints)[:, None] * OWN_TERMS + np.arange(OWN_TERMS)
         lag = len(common) + joints * OWN_TERMS + self.run * (1 + 2 * joints)
         drifts = lag + 1 + np.arange(joints)[:, None] + joints * np.arange(2)
-        return np.hstack([np.tile(np.append(common, lag), (joints, 1)), own, drifts])
+        columns = np.hstack([np.tile(np.append(common, lag), (joints, 1)), own, drifts])
 
-    def linearized(self, values: Array, convention: Convention) -> Linearization:
-        """Linearise the torques about values of the terms, shape (N,)."""
-        columns, joints, seconds = self.columns, self.terms.joints, self.motion.seconds
         first = columns.shape[1] - OWN_TERMS - 2
         of_joint = values[columns[:, first : first + OWN_TERMS]]
         zeros = values[first - 1 - joints : first - 1]
         said, velocity, acceleration = self.motion.at(seconds - values[columns[0, first - 1]])
         rigid = self.model.torques(said + zeros, velocity, acceleration, values, held=self.run == 0)
-        # The regressors of the joints' own terms, (T, J, OWN_TERMS); gains are 0.
-        way = smooth_sign(velocity)
-        slow = [way * np.exp(-((velocity / width) ** 2)) for width in _SHAPE_RAD_S]
+        # The regressors of the joints' own terms, (T, J, OWN_TERMS); gains are 0. The sign of a
+        # velocity is smoothed about 0, which is known to .015 rad/s; Stribeck's widths, over which
+        # friction falls from its peak, are between these [rad/s].
+        way = np.tanh(velocity / 0.015)
+        slow = [way * np.exp(-((velocity / width) ** 2)) for width in (0.03, 0.1, 0.3)]
         angles = [wave * said for wave in range(1, WAVES + 1)]
         waves = [turn(angle) for angle in angles for turn in (np.cos, np.sin)]
         ones, load = np.ones_like(way), np.abs(rigid.total_nm) * way

@@ -20,7 +20,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from tunenet_logs.analysis.campaign import strobe
+from tunenet_logs.analysis.campaign import reduced, strobe
 from tunenet_logs.analysis.compare import (
     ComparedGroup,
     ComparedValue,
@@ -31,7 +31,7 @@ from tunenet_logs.analysis.compare import (
 from tunenet_logs.analysis.presentation import quantity
 from tunenet_logs.analysis.record import Record
 from tunenet_logs.analysis.review.drawing import ReviewedFilm, ReviewedTorque
-from tunenet_logs.episode import Array, Picture
+from tunenet_logs.episode import Array, Picture, median_step
 from tunenet_logs.errors import LogError
 from tunenet_logs.images import decode_image
 from tunenet_logs.terminal import short_name
@@ -122,9 +122,7 @@ def drawable(text: str, most: int = 28) -> str:
 
 # ---- Drop: heights, bounces and iterations, from the record alone.
 
-_MAX_CURVE_POINTS = 700  # of one curve: more cannot be told apart, and make a page large
 _MAX_BOUNCES = 60  # drawn
-_MM = 1000.0
 
 
 def in_metres(record: Record) -> bool:
@@ -132,8 +130,8 @@ def in_metres(record: Record) -> bool:
     return "drag" not in record.motion.unknown
 
 
-def thinned(count: int, most: int = _MAX_CURVE_POINTS) -> slice:
-    """Return a slice that decimates so many samples to at most `most`."""
+def thinned(count: int, most: int = 700) -> slice:
+    """Return a slice that decimates so many samples to at most `most`; more make a page large."""
     return slice(None, None, max(1, -(-count // most)))
 
 
@@ -143,7 +141,7 @@ def curves_drawing(record: Record) -> Drawing | None:
     curves, fit = record.motion.curves, record.motion.fit
     if curves is None:
         return None
-    unit, factor, small = ("m", _MM, "mm") if in_metres(record) else ("drop heights", 100.0, "%")
+    unit, factor, small = ("m", 1e3, "mm") if in_metres(record) else ("drop heights", 100.0, "%")
     part = thinned(len(curves.seconds))
     seconds = curves.seconds[part]
     observed, simulated = curves.observed_m[part], curves.simulated_m[part]
@@ -270,11 +268,6 @@ def iterations_drawing(record: Record) -> Drawing | None:
 
 # ---- Several logs: their curves over each other, their values with intervals.
 
-_MAX_CURVES = 14  # over each other: more cannot be told apart
-_MAX_OVERLAY_POINTS = 300  # drawn of each of them
-_MAX_ROWS = 40  # of a chart of values
-_MAX_CHARTS = 6
-
 
 @styled
 def overlay_drawing(comparison: Comparison) -> Drawing | None:
@@ -286,7 +279,7 @@ def overlay_drawing(comparison: Comparison) -> Drawing | None:
         if record.motion.curves is not None and record.rebounds and record.estimates
     ]
     metres = [one for one in numbered if in_metres(one[2])]
-    shown = (metres or numbered)[:_MAX_CURVES]
+    shown = (metres or numbered)[:14]  # more cannot be told apart
     if len(shown) < 2:
         return None
     figure = new_figure(WIDE_IN, 3.0)
@@ -294,7 +287,7 @@ def overlay_drawing(comparison: Comparison) -> Drawing | None:
     for place, (number, label, record, curves) in enumerate(shown):
         color = SERIES[place % len(SERIES)]
         pattern = PATTERNS[place // len(SERIES) % len(PATTERNS)]
-        part = thinned(len(curves.seconds), _MAX_OVERLAY_POINTS)
+        part = thinned(len(curves.seconds), 300)
         first_s = (record.window or {}).get("impact_s", record.rebounds[0].impact_s)
         seconds, name = curves.seconds[part] - first_s, f"{number}  {drawable(label)}"
         axes.plot(seconds, curves.observed_m[part], ".", color=color, markersize=2, alpha=0.5)
@@ -315,10 +308,10 @@ def overlay_drawing(comparison: Comparison) -> Drawing | None:
 @styled
 def values_drawing(comparison: Comparison, group: ComparedGroup) -> Drawing | None:
     """Plot a group's values with their intervals, a chart each; None for a single log."""
-    charts = [one for one in group.quantities if len(one.values) > 1][:_MAX_CHARTS]
+    charts = [one for one in group.quantities if len(one.values) > 1][:6]
     if not charts:
         return None
-    labels = group.labels[:_MAX_ROWS]
+    labels = group.labels[:40]
     columns = min(3, len(charts))
     rows = -(-len(charts) // columns)
     width_in = WIDE_IN if columns > 1 else COLUMN_IN
@@ -368,14 +361,8 @@ def comparison_drawings(comparison: Comparison) -> list[Drawing]:
 _TRACK, _IMPACT = "#ffffff", "#56b4e9"
 
 _STROBES, _MAX_FRAMES = 20, 8  # pictures in the strobe picture; single frames
-_ROOM = 0.18  # around the ball's path, of its longer side
-_NARROWEST = 0.45  # width over height of a crop: what a ball falls beside is still seen
-_TALLEST_IN = 4.6  # of the strobe picture
 _FRAME_IN, _TITLE_IN, _TIME_IN = 2.6, 0.17, 0.5  # highest frame; the time above it, and its width
-_FRAME_COLUMNS = 4  # frames side by side: on a phone they are still seen
-_SLIM = 4.0  # height over width of a crop from which all frames stand in one row
 _MIN_PX = 24  # sides of a crop
-_MAX_PX = 1280  # longer side of a picture in memory: a figure shows no more
 
 
 class _Frame(NamedTuple):
@@ -394,9 +381,8 @@ def strobe_drawing(film: ReviewedFilm) -> Drawing | None:
         return None
     picture = strobe([frame.picture for frame in frames])
     box = _box(film, frames[0].size_px)
-    left, right, bottom, top = box
-    ratio = (bottom - top) / (right - left)
-    width_in = min(COLUMN_IN, _TALLEST_IN / ratio)
+    ratio = (box[2] - box[3]) / (box[1] - box[0])
+    width_in = min(COLUMN_IN, 4.6 / ratio)  # of the strobe picture
     height_in = width_in * ratio
     figure = new_figure(width_in, height_in)
     figure.set_layout_engine("none")
@@ -411,7 +397,7 @@ def strobe_drawing(film: ReviewedFilm) -> Drawing | None:
         axes.plot(*film.impacts_px.T, "x", color=_IMPACT, markersize=5, markeredgewidth=1.3)
     line = "the track" if film.is_refused else "the tuned ball's way"
     seen = f"{len(frames)} pictures from {frames[0].at_s:.2f} to {frames[-1].at_s:.2f} s in one"
-    circles = f", circles where {_found(film)}" if len(film.track_s) else ""
+    circles = _circles(film, "circles")
     caption = f"{seen}{circles}, as a line {line}." if film.paths_px else f"{seen}{circles}."
     if len(film.impacts_px):
         caption += " Crosses mark impacts."
@@ -425,9 +411,9 @@ def frames_drawing(film: ReviewedFilm, record: Record) -> Drawing | None:
     if len(frames) < 2:
         return None
     box = _box(film, frames[0].size_px)
-    left, right, bottom, top = box
-    ratio = (bottom - top) / (right - left)
-    columns = min(len(frames), _FRAME_COLUMNS if ratio < _SLIM else _MAX_FRAMES)
+    ratio = (box[2] - box[3]) / (box[1] - box[0])
+    # Four side by side are still seen on a phone; slim crops stand in one row.
+    columns = min(len(frames), 4 if ratio < 4.0 else _MAX_FRAMES)
     rows = -(-len(frames) // columns)
     wide_in = max(min(WIDE_IN / columns, _FRAME_IN / ratio), _TIME_IN)
     figure = new_figure(wide_in * columns, (wide_in * ratio + _TITLE_IN) * rows)
@@ -440,14 +426,16 @@ def frames_drawing(film: ReviewedFilm, record: Record) -> Drawing | None:
         axes.set_title(f"{frame.at_s:.3f} s", pad=2)
     times = ", ".join(f"{frame.at_s:.2f}" for frame in frames)
     which = "at the release, impacts and highest points" if record.rebounds else "evenly in time"
-    circles = f", with a circle where {_found(film)}" if len(film.track_s) else ""
+    circles = _circles(film, "with a circle")
     caption = f"Single pictures, {which}{circles}."
     alt = f"Pictures of the recording at {times} s{circles}."
     return Drawing("frames", "Frame by frame", caption, alt, figure, is_photo=True)
 
 
-def _found(film: ReviewedFilm) -> str:
-    return "something was taken for the ball" if film.is_refused else "the ball was found"
+def _circles(film: ReviewedFilm, before: str) -> str:
+    """Say what the circles mean; "" without any."""
+    found = "something was taken for the ball" if film.is_refused else "the ball was found"
+    return f", {before} where {found}" if len(film.track_s) else ""
 
 
 def key_times(film: ReviewedFilm, record: Record) -> Array:
@@ -469,12 +457,7 @@ def _span(film: ReviewedFilm) -> tuple[float, float]:
 
 
 def _frames(film: ReviewedFilm, times: Array) -> list[_Frame]:
-    """Read the frames nearest to some times, each once, those of equal size that can be read.
-
-    They are downsampled to what a figure shows.
-    """
-    import cv2
-
+    """Read the frames nearest to some times, each once, those of equal size that can be read."""
     count = min(len(film.pictures), len(film.seconds))
     if not count:
         return []
@@ -485,11 +468,9 @@ def _frames(film: ReviewedFilm, times: Array) -> list[_Frame]:
             height, width = picture.shape[:2]
             if frames and (width, height) != frames[0].size_px:
                 continue
-            scale = min(1.0, _MAX_PX / max(width, height))
-            size = (max(1, round(width * scale)), max(1, round(height * scale)))
-            small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
             at_s = float(film.seconds[index])
-            frames.append(_Frame(at_s, np.asarray(small, np.uint8), (width, height)))
+            # A figure shows no more pixels.
+            frames.append(_Frame(at_s, reduced(picture, 1280), (width, height)))
     return frames
 
 
@@ -503,8 +484,9 @@ def _box(film: ReviewedFilm, size_px: tuple[int, int]) -> tuple[float, float, fl
     low = film.centers_px.min(axis=0) - reach
     high = film.centers_px.max(axis=0) + reach
     longer = max(float((high - low).max()), _MIN_PX)
-    half = (high - low) / 2 + _ROOM * longer
-    half[0] = max(half[0], _NARROWEST * half[1])
+    half = (high - low) / 2 + 0.18 * longer  # around the ball's path, of its longer side
+    # Wide enough that what a ball falls beside is still seen.
+    half[0] = max(half[0], 0.45 * half[1])
     middle = (low + high) / 2
     left, top = np.maximum(middle - half, -0.5).tolist()
     right, bottom = np.minimum(middle + half, (width - 0.5, height - 0.5)).tolist()
@@ -514,10 +496,7 @@ def _box(film: ReviewedFilm, size_px: tuple[int, int]) -> tuple[float, float, fl
 
 
 def _show(
-    axes: Axes,
-    picture: Picture,
-    size_px: tuple[int, int],
-    box: tuple[float, float, float, float],
+    axes: Axes, picture: Picture, size_px: tuple[int, int], box: tuple[float, float, float, float]
 ) -> None:
     width, height = size_px
     whole = (-0.5, width - 0.5, height - 0.5, -0.5)
@@ -533,7 +512,7 @@ def _circle(axes: Axes, film: ReviewedFilm, at_s: float, thickness: float) -> No
     if not len(film.track_s):
         return
     index = int(np.argmin(np.abs(film.track_s - at_s)))
-    usual_s = float(np.median(np.diff(film.track_s))) if len(film.track_s) > 1 else 0.0
+    usual_s = median_step(film.track_s) if len(film.track_s) > 1 else 0.0
     if abs(float(film.track_s[index]) - at_s) > usual_s:
         return
     center, radius = film.centers_px[index].tolist(), float(film.radii_px[index])
@@ -544,23 +523,19 @@ def _circle(axes: Axes, film: ReviewedFilm, at_s: float, thickness: float) -> No
 
 # ---- Arm: torques by joint, from the review.
 
-_MAX_TORQUE_POINTS = 250  # drawn of one joint
-_TORQUE_COLUMNS = 2
-
 
 @styled
 def torques_drawing(torques: Sequence[ReviewedTorque]) -> Drawing | None:
     """Plot measured and simulated torques, a chart per joint; None without any."""
     if not torques:
         return None
-    rows = -(-len(torques) // _TORQUE_COLUMNS)
-    columns = min(_TORQUE_COLUMNS, len(torques))
+    rows, columns = -(-len(torques) // 2), min(2, len(torques))
     figure = new_figure(WIDE_IN, 1.15 * rows + 0.5)
     grid: Any = figure.subplots(rows, columns, squeeze=False, sharex=True)
     for axes in grid.flat[len(torques) :]:
         axes.set_axis_off()
     for axes, torque in zip(grid.flat, torques, strict=False):
-        part = thinned(len(torque.seconds), _MAX_TORQUE_POINTS)
+        part = thinned(len(torque.seconds), 250)
         seconds = torque.seconds[part]
         axes.plot(seconds, torque.observed_nm[part], ".", color=OBSERVED, markersize=1.8)
         axes.plot(seconds, torque.simulated_nm[part], color=SIMULATED, linewidth=0.9)

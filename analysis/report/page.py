@@ -10,7 +10,8 @@ import base64
 import io
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -26,8 +27,9 @@ from tunenet_logs.analysis.campaign import (
     TuningFile,
     ball_rates,
     campaign_of,
+    files_of,
     holds_campaign,
-    in_order,
+    natural,
     overall_rates,
     read_tunings,
     restitutions_by_ball,
@@ -61,7 +63,7 @@ from tunenet_logs.analysis.report.figures import (
     styled,
     torques_drawing,
 )
-from tunenet_logs.analysis.result_files import check_place, in_words, logs_of, mark, marked
+from tunenet_logs.analysis.result_files import Logs, check_place, in_words, logs_of, mark, marked
 from tunenet_logs.analysis.review.drawing import ReviewedLog, read_back
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import real_path
@@ -76,25 +78,16 @@ _MAX_ATTEMPTS = 300  # the others are counted
 def campaign_blocks(campaign: Campaign) -> list[Block]:
     """Make the blocks of a campaign."""
     attempts = campaign.attempts
-    rates = [
-        (
-            rate.name,
-            f"{rate.successes} of {rate.count}",
-            f"{100 * rate.fraction:.0f} %",
-            "{:.0f} to {:.0f} %".format(*(100 * end for end in rate.interval95)),
-        )
-        for rate in (*overall_rates(attempts), *ball_rates(attempts))
-        if rate.count
-    ]
-    balls = [
-        (
-            ball.name,
-            f"{ball.mean:.4f}",
-            f"{ball.sd:.4f}" if len(ball.values) > 1 else "-",
-            str(len(ball.values)),
-        )
-        for ball in restitutions_by_ball(attempts)
-    ]
+    rates: list[Cells] = []
+    for rate in (*overall_rates(attempts), *ball_rates(attempts)):
+        if rate.count:
+            low, high = rate.interval95
+            counted = f"{rate.successes} of {rate.count}", f"{100 * rate.fraction:.0f} %"
+            rates.append((rate.name, *counted, f"{100 * low:.0f} to {100 * high:.0f} %"))
+    balls: list[Cells] = []
+    for ball in restitutions_by_ball(attempts):
+        sd = f"{ball.sd:.4f}" if len(ball.values) > 1 else "-"
+        balls.append((ball.name, f"{ball.mean:.4f}", sd, str(len(ball.values))))
     blocks: list[Block] = [Heading("Campaign", 2)]
     if rates:
         heads = ("attempts", "successes", "rate", "95 % interval (Wilson)")
@@ -136,7 +129,7 @@ def _attempt_row(attempt: Attempt) -> Cells:
         attempt.ball,
         drops or "-",
         "-" if value is None else f"{value:.4f}{doubts}",
-        "-" if ends is None else interval_words(*ends),
+        interval_words(ends),
         said,
         (outcome.reason or "") if outcome is not None else "",
     )
@@ -145,10 +138,6 @@ def _attempt_row(attempt: Attempt) -> Cells:
 # ---- Rendering: a figure to bytes for a page, or to a file for a paper.
 
 Kind = Literal["png", "pdf"]
-
-_PAGE_DPI = 200  # of pictures in a page: sharp on a phone's screen
-_PAPER_DPI = 300  # of a PNG, and of what is no line in a PDF
-_JPEG_QUALITY = 82  # 0 to 100
 
 
 class DataUri(str):
@@ -161,13 +150,9 @@ class DataUri(str):
 def embedded(drawing: Drawing) -> DataUri:
     """Render a figure for a page: lines as SVG, images as JPEG."""
     file = io.BytesIO()
-    if drawing.is_photo:
-        drawing.figure.savefig(
-            file,
-            format="jpg",
-            dpi=_PAGE_DPI,
-            pil_kwargs={"quality": _JPEG_QUALITY, "optimize": True},
-        )
+    if drawing.is_photo:  # sharp on a phone's screen
+        quality = {"quality": 82, "optimize": True}
+        drawing.figure.savefig(file, format="jpg", dpi=200, pil_kwargs=quality)
         kind = "jpeg"
     else:
         drawing.figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
@@ -178,15 +163,12 @@ def embedded(drawing: Drawing) -> DataUri:
 
 @styled
 def write_figure(figure: Figure, path: Path, kind: Kind, made: str) -> None:
-    """Write a figure for a paper, with the mark `made` by which it is known as ours.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """Write a figure for a paper, with the mark `made` by which it is known as ours."""
     metadata = {"Software": made} if kind == "png" else {"Creator": made}
     if kind == "pdf":
         metadata["CreationDate"] = None  # pyright: ignore[reportArgumentType] (leaves it out)
-    figure.savefig(path, format=kind, dpi=_PAPER_DPI, metadata=metadata)
+    # 300 dpi for a PNG, and for what is no line in a PDF.
+    figure.savefig(path, format=kind, dpi=300, metadata=metadata)
 
 
 # ---- Figures of a page, within a budget of bytes.
@@ -201,11 +183,6 @@ class EmbeddedFigures:
 
     kind: ClassVar = "figures"
     drawn: Sequence[tuple[Drawing, DataUri, str]]
-
-    @property
-    def size(self) -> int:
-        """Bytes of all."""
-        return sum(len(source) for _, source, _ in self.drawn)
 
 
 def figures_within(drawings: Sequence[Drawing], left: int) -> tuple[EmbeddedFigures, list[str]]:
@@ -236,25 +213,25 @@ def reviewed(record: Record, tuning: Path) -> tuple[ReviewedLog, str]:
 def drawings_of(record: Record, seen: ReviewedLog) -> list[Drawing]:
     """Draw all figures of a tuning and its review, the most important first."""
     film = seen.film
-    makers: list[Callable[[], Drawing | None]] = [lambda: curves_drawing(record)]
-    if film is not None:
-        makers.append(lambda: strobe_drawing(film))
-    makers += [lambda: torques_drawing(seen.torques), lambda: bounces_drawing(record)]
-    if film is not None:
-        makers.append(lambda: frames_drawing(film, record))
-    makers.append(lambda: iterations_drawing(record))
+    makers: list[Callable[[], Drawing | None]] = [
+        lambda: curves_drawing(record),
+        lambda: film and strobe_drawing(film),
+        lambda: torques_drawing(seen.torques),
+        lambda: bounces_drawing(record),
+        lambda: film and frames_drawing(film, record),
+        lambda: iterations_drawing(record),
+    ]
     drawn: list[Drawing] = []
     for make in makers:
-        try:  # invalid values may be too large for any chart
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                drawing = make()
-                if drawing is not None:  # laid out once, not at each saving
-                    drawing.figure.draw_without_rendering()
-                    drawing.figure.set_layout_engine("none")
-        except (ArithmeticError, ValueError, MemoryError):
-            continue
-        drawn += [] if drawing is None else [drawing]
+        # Invalid values may be too large for any chart.
+        with (
+            suppress(ArithmeticError, ValueError, MemoryError),
+            warnings.catch_warnings(action="ignore"),
+        ):
+            if (drawing := make()) is not None:  # laid out once, not at each saving
+                drawing.figure.draw_without_rendering()
+                drawing.figure.set_layout_engine("none")
+                drawn.append(drawing)
     return drawn
 
 
@@ -279,7 +256,7 @@ def missing_words(record: Record, seen: ReviewedLog, why: str, refused: Sequence
     return words
 
 
-# ---- Contents of a report: tunings, and a campaign if outcomes are among the files.
+# ---- Report: tunings, and a campaign if outcomes are among the files, written as asked for.
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,36 +265,74 @@ class Reported:
 
     title: str | None  # of the page; None for that of its tunings
     tunings: Sequence[TuningFile]  # in their order
-    # blocks of the one whose outcomes are among the files; none without
-    campaign: Sequence[Block] = ()
+    campaign: Sequence[Block] = ()  # whose outcomes are among the files; none without
 
 
-def read_reported(
-    places: Sequence[Path], jobs: int | None, progress: Progress, warn: Callable[[str], None]
-) -> Reported:
-    """Read tunings, folders of them, or a campaign.
+def write_report(
+    places: Sequence[Path],
+    page: Path | None,
+    figures: Mapping[Kind, Path | None],
+    progress: Progress,
+    warn: Callable[[str], None],
+    *,
+    jobs: int | None,
+    overwrite: bool,
+    asked_by: str = "--overwrite",
+    option: str = "-o",
+    elsewhere: str = "give -o another file",
+) -> list[Path]:
+    """Read tunings, folders of them, or a campaign; write a page, figures, or both.
 
-    Raises:
-        UsageError: Nothing in them can be reported.
+    No file is written before its place is checked, the page's even before the reading.
     """
+    inputs = list(files_of(places, warn))
+
+    def page_place(path: Path, logs: Logs, *, overwrite: bool) -> OutputPlace:
+        knows = marked("html", PAGE, logs)
+        return OutputPlace(path, "page", knows, in_words(logs), elsewhere, overwrite, asked_by)
+
+    if page:  # a campaign takes a while, and then says of which logs it is
+        check_place(page_place(page, {}, overwrite=True), option, (".html",), inputs)
     title = real_path(places[0]).name if places[0].is_dir() else None
     if not holds_campaign(places):
-        return Reported(title, read_tunings(places, warn))
-    campaign = campaign_of(places, jobs, progress, warn)
-    drops = [drop for attempt in campaign.attempts for drop in attempt.drops]
-    known = dict.fromkeys(drop.tuning for drop in drops if drop.tuning is not None)
-    tunings = in_order(read_tunings(list(known), warn)) if known else ()
-    return Reported(title, tunings, campaign_blocks(campaign))
+        reported = Reported(title, read_tunings(places, warn))
+    else:
+        campaign = campaign_of(places, jobs, progress, warn)
+        drops = [drop for attempt in campaign.attempts for drop in attempt.drops]
+        known = dict.fromkeys(drop.tuning for drop in drops if drop.tuning is not None)
+        tunings = read_tunings(list(known), warn) if known else ()
+        tunings = sorted(tunings, key=lambda one: natural(one.label))
+        reported = Reported(title, tunings, campaign_blocks(campaign))
+    logs = logs_of(one.record for one in reported.tunings)
+    place = page and page_place(page, logs, overwrite=overwrite)
+    if place:
+        place.check()
+    written: list[Path] = []
+    for kind, figure in figures.items():
+        if figure is not None:
+            taken = marked(kind, _FIGURE, logs), in_words(logs), f"give --{kind} another file"
+            drawn = _drawn(figure, kind, reported.tunings)
+            files = [
+                (OutputPlace(path, "figure", *taken, overwrite, asked_by), drawing)
+                for path, drawing in drawn.items()
+            ]
+            for file, _ in files:
+                check_place(file, f"--{kind}", (f".{kind}",), inputs)
+            for file, drawing in files:
+                with file.replacing() as partial:
+                    write_figure(drawing.figure, partial, kind, mark(_FIGURE, logs))
+            written += drawn
+    if place:
+        with place.replacing() as partial:
+            partial.write_text(report_page(reported), "utf-8")
+        written.insert(0, place.path)
+    return written
 
 
 # ---- Page: render its blocks by a template.
 
 PAGE, COMPARISON = "page", "comparison"  # kinds of pages, as their marks have them
 _MAX_BYTES = 2_800_000  # of the figures and words of a page
-_WORDS_BYTES = 12_000  # of the words of one tuning, usually
-_COMPARED_BYTES = 900_000  # of the figures of a comparison
-_MAX_DETAILED = 24  # tunings with a part of their own on a page; the overview has all
-_MAX_TEXT_CHARACTERS = 1500  # of one text: it may be a stranger's
 
 
 @dataclass(frozen=True)
@@ -335,9 +350,9 @@ class PagePart:
 def report_page(reported: Reported) -> str:
     """Render the page of one tuning, of several, or of a campaign."""
     tunings = reported.tunings
-    detailed = tunings[:_MAX_DETAILED]
+    detailed = tunings[:24]  # tunings with a part of their own on a page; the overview has all
     compared: list[Block | EmbeddedFigures] = []
-    left = _MAX_BYTES - _WORDS_BYTES * len(detailed)
+    left = _MAX_BYTES - 12_000 * len(detailed)  # of the words of one tuning, usually
     if len(tunings) > 1:
         labels = [one.label for one in tunings]
         compared, taken = _compared(compare([one.record for one in tunings], labels))
@@ -374,8 +389,10 @@ def comparison_page(comparison: Comparison) -> str:
 
 def _compared(comparison: Comparison) -> tuple[list[Block | EmbeddedFigures], int]:
     """Make the blocks of a comparison; return the bytes of its figures, too."""
-    figures, _ = figures_within(comparison_drawings(comparison), _COMPARED_BYTES)
-    return [Heading("Comparison", 2), figures, *comparison_blocks(comparison)], figures.size
+    # Bytes for the figures of a comparison.
+    figures, _ = figures_within(comparison_drawings(comparison), 900_000)
+    size = sum(len(source) for _, source, _ in figures.drawn)
+    return [Heading("Comparison", 2), figures, *comparison_blocks(comparison)], size
 
 
 def _part(tuning: TuningFile, room_bytes: int) -> PagePart:
@@ -398,8 +415,7 @@ def _overview(tunings: Sequence[tuple[str, Record]], detailed: int) -> list[Bloc
                 continue
             (part,) = known.components
             unit = "" if known.unit == "1" else f" {known.unit}"
-            ends = part.interval95
-            interval = "no interval" if ends is None else interval_words(*ends)
+            interval = interval_words(part.interval95, "no interval")
             words.append(f"{known.name} {number_words(part.value)}{unit} ({interval})")
         said = "; ".join(words) or record.reason or "no values"
         rows.append((str(number), label, record.verdict, said))
@@ -415,7 +431,7 @@ def _rendered(mark: str, **content: object) -> str:
     def shown(value: Any) -> Any:
         """Bound a text's length; numbers and our own markup stay as they are."""
         if isinstance(value, str) and not isinstance(value, DataUri | Markup):
-            return short_name(value, _MAX_TEXT_CHARACTERS)
+            return short_name(value, 1500)  # of one text: it may be a stranger's
         return value
 
     environment = Environment(
@@ -436,29 +452,12 @@ _FIGURE = "figure"  # kind of a figure, as its mark has it
 _MAX_TUNINGS = 100  # whose figures are written to one folder at a time
 
 
-@dataclass(frozen=True)
-class FigureOrder:
-    """Figures to write."""
-
-    place: Path  # a file with the kind's suffix for the main figure, else a folder for all
-    kind: Kind
-    inputs: Sequence[Path]  # files that are read, which nothing replaces
-    overwrite: bool  # whether figures of other logs may be replaced
-
-
-def write_figures(order: FigureOrder, tunings: Sequence[TuningFile]) -> list[Path]:
-    """Write the figures of tunings, and return the files in order.
-
-    Raises:
-        UsageError: There is nothing to draw, or it cannot be written.
-        OSError: It cannot be written.
-    """
-    suffix, option, kind = f".{order.kind}", f"--{order.kind}", order.kind
+def _drawn(place: Path, kind: Kind, tunings: Sequence[TuningFile]) -> dict[Path, Drawing]:
+    """Draw the main figure for a file with the kind's suffix, else all of them for a folder."""
     if len(tunings) > _MAX_TUNINGS:
         raise UsageError(f"{len(tunings)} tunings: draw at most {_MAX_TUNINGS} at a time")
-    logs = logs_of(one.record for one in tunings)
-    is_folder = order.place.is_dir() and not order.place.is_symlink()
-    is_file = order.place.suffix.lower() == suffix and not is_folder
+    is_folder = place.is_dir() and not place.is_symlink()
+    is_file = place.suffix.lower() == f".{kind}" and not is_folder
     # Draw all figures of tunings and of their comparison, by the names of their files.
     compared_only = is_file and len(tunings) > 1
     found: list[tuple[str, Drawing]] = []
@@ -477,21 +476,11 @@ def write_figures(order: FigureOrder, tunings: Sequence[TuningFile]) -> list[Pat
             number += 1
             free = f"{name}_{number}"
         drawn[free] = drawing
-    if not is_file and order.place.suffix and not order.place.is_dir():
-        raise UsageError(f"{order.place}: give {option} a folder, or a name that ends {suffix}")
+    if not is_file and place.suffix and not place.is_dir():
+        raise UsageError(f"{place}: give --{kind} a folder, or a name that ends .{kind}")
     if not drawn:
-        raise UsageError(f"{order.place}: these tunings have nothing to draw")
-    if not is_file:
-        order.place.mkdir(exist_ok=True)
-    knows, elsewhere = marked(kind, _FIGURE, logs), f"give {option} another file"
-    files: list[tuple[OutputPlace, Drawing]] = []
-    for name, drawing in list(drawn.items())[: 1 if is_file else None]:
-        path = order.place if is_file else order.place / f"{name}{suffix}"
-        of, overwrite = in_words(logs), order.overwrite
-        place = OutputPlace(path, "figure", knows, of, elsewhere, overwrite=overwrite)
-        check_place(place, option, (suffix,), order.inputs)
-        files.append((place, drawing))
-    for place, drawing in files:
-        with place.replacing() as partial:
-            write_figure(drawing.figure, partial, kind, mark(_FIGURE, logs))
-    return [place.path for place, _ in files]
+        raise UsageError(f"{place}: these tunings have nothing to draw")
+    if is_file:
+        return {place: next(iter(drawn.values()))}
+    place.mkdir(exist_ok=True)
+    return {place / f"{name}.{kind}": drawing for name, drawing in drawn.items()}

@@ -7,12 +7,12 @@ has a row, maybe an empty one, where an attempt or a drop begins: so it never sh
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isnan
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -29,7 +29,6 @@ from tunenet_logs.analysis.campaign import (
     restitutions_by_ball,
 )
 from tunenet_logs.analysis.presentation import markdown_table
-from tunenet_logs.analysis.record import Estimate
 from tunenet_logs.analysis.result_files import subject_of
 from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.episode import Array
@@ -54,10 +53,6 @@ class Shown:
     zero_s: float  # first time of its own clock that is shown
     end_s: float  # where it ends on `FILM`
 
-    def film_s(self, second: float) -> float:
-        """Convert a time of the drop's own clock to `FILM`."""
-        return self.start_s + second - self.zero_s
-
     def wall_ns(self, second: float) -> int:
         """Convert a time of the drop's own clock, if a wall clock's, to `WALL`."""
         assert self.drop.wall_ns is not None
@@ -80,18 +75,8 @@ class Slot:
     begin_ns: int | None  # where it begins on `WALL`; None if nothing of it has a wall clock
 
     @property
-    def shot_s(self) -> float:
-        """Where the shot is on `FILM`."""
-        return self.tuned_s + _STEP_S
-
-    @property
-    def outcome_s(self) -> float:
-        """Where the outcome is on `FILM`."""
-        return self.tuned_s + 2 * _STEP_S
-
-    @property
     def end_s(self) -> float:
-        """Where the next attempt begins."""
+        """Where the next attempt begins on `FILM`."""
         return self.tuned_s + 4 * _STEP_S
 
     @property
@@ -108,14 +93,6 @@ class Slot:
     def drop_ns(self, shown: Shown | None) -> int | None:
         """Return where one of its drops is on `WALL`: where it happened, else where this begins."""
         return shown.begin_ns if shown and self.is_on_wall(shown) else self.begin_ns
-
-    @property
-    def end_ns(self) -> int | None:
-        """Where shot and outcome are on `WALL`."""
-        outcome = self.attempt.outcome
-        if self.begin_ns is None or outcome is None:
-            return self.begin_ns
-        return max(self.begin_ns, outcome.stamp_ns)
 
 
 def slots_of(attempts: Sequence[Attempt]) -> tuple[Slot, ...]:
@@ -176,9 +153,27 @@ def beginnings(slots: Sequence[Slot]) -> list[tuple[str, rr.TimeColumn, list[Beg
     return found
 
 
+def log_begun(
+    stream: rr.RecordingStream,
+    slots: Sequence[Slot],
+    entity: str,
+    style: Any,
+    columns_of: Callable[[str, list[Begun]], Any],
+) -> None:
+    """Log an entity's style, and the columns of what begins at each row of each timeline.
+
+    `columns_of` gets the timeline's name; it returns None to leave that out.
+    """
+    stream.log(entity, style, static=True)
+    for name, index, begun in beginnings(slots):
+        if (columns := columns_of(name, begun)) is not None:
+            stream.send_columns(entity, indexes=[index], columns=columns)
+
+
 def moments(slot: Slot, shown: Shown, seconds: Sequence[float]) -> list[rr.TimeColumn]:
     """Return indexes at times of a drop's own clock, on each timeline that plays it."""
-    found = [rr.TimeColumn(FILM, duration=[shown.film_s(second) for second in seconds])]
+    film_s = [shown.start_s + second - shown.zero_s for second in seconds]
+    found = [rr.TimeColumn(FILM, duration=film_s)]
     if slot.is_on_wall(shown):
         found.append(wall_column([shown.wall_ns(second) for second in seconds]))
     return found
@@ -195,26 +190,25 @@ def wall_column(stamps_ns: Sequence[int]) -> rr.TimeColumn:
 _PICTURES = "film/picture"
 
 
-def film_view() -> rrb.View:
-    """Return the view of the drop's images."""
-    title = "its video (timeline film_s plays it)"
-    return rrb.Spatial2DView(origin="/film", name=title, background=draw.GROUND)
-
-
-def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Log the entities of `film_view`.
+def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> rrb.View | None:
+    """Log the drops' images, and return their view; None without any.
 
     An attempt without images has a blank one: after an empty row, as after a `Clear`, Rerun 0.41
     goes on showing the last image wherever its chunk has more timelines than the row.
     """
     films = [shown.drop.film for slot in slots for shown in slot.drops if shown.drop.film]
     if not films:
-        return
+        return None
     blank = draw.blank_picture(films[0].size_px, "no video")
-    stream.log(_PICTURES, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
-    for name, index, begun in beginnings(slots):
-        columns = rr.EncodedImage.columns(blob=[_first(name, one, blank) for one in begun])
-        stream.send_columns(_PICTURES, indexes=[index], columns=columns)
+    log_begun(
+        stream,
+        slots,
+        _PICTURES,
+        rr.EncodedImage.from_fields(media_type="image/jpeg"),
+        lambda name, begun: rr.EncodedImage.columns(
+            blob=[_first(name, one, blank) for one in begun]
+        ),
+    )
     for slot in slots:
         for shown in slot.drops:
             film = shown.drop.film
@@ -222,6 +216,8 @@ def log_films(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
                 indexes = moments(slot, shown, film.seconds)
                 columns = rr.EncodedImage.columns(blob=list(film.pictures))
                 stream.send_columns(_PICTURES, indexes=indexes, columns=columns)
+    title = "its video (timeline film_s plays it)"
+    return rrb.Spatial2DView(origin="/film", name=title, background=draw.GROUND)
 
 
 def _first(timeline: str, begun: Begun, blank: bytes) -> bytes:
@@ -240,12 +236,6 @@ _TUNED: draw.Color = (255, 165, 40)
 _OVERLAY_WIDTH = 1.9  # of the chart of curves, in its heights: about the shape of its view
 
 
-def overlay_view() -> rrb.View:
-    """Return the view of the drop's observed and simulated height."""
-    title = "its drop: height above the table, observed (dots), tuned (line)"
-    return draw.chart_view("overlay", title, _OVERLAY_WIDTH)
-
-
 class _CurveAxes(NamedTuple):
     """Range of the chart: seconds from a drop's beginning, and height [m]."""
 
@@ -259,17 +249,11 @@ class _CurveAxes(NamedTuple):
         return np.column_stack([seconds / self.span_s * _OVERLAY_WIDTH, -heights_m / self.top_m])
 
 
-def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Log the entities of `overlay_view`."""
-    overlays = [
-        shown.drop.overlay
-        for slot in slots
-        for shown in slot.drops
-        if shown.drop.overlay is not None
-    ]
-    if not overlays:
-        axes = _CurveAxes(1.0, 1.0)
-    else:
+def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> rrb.View:
+    """Log each drop's observed and tuned height, or why it has none; return the view."""
+    overlays = [shown.drop.overlay for slot in slots for shown in slot.drops if shown.drop.overlay]
+    axes = _CurveAxes(1.0, 1.0)
+    if overlays:
         span_s = max(float(overlay.seconds[-1] - overlay.seconds[0]) for overlay in overlays)
         top_m = max(float(np.nanmax(overlay.observed_m, initial=0.0)) for overlay in overlays)
         axes = _CurveAxes(span_s, max(1.02 * top_m, 1e-3))
@@ -279,63 +263,44 @@ def log_overlays(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
         for second in draw.ticks(0.0, axes.span_s)
     ]
     draw.log_grid(stream, "sheets/overlay", _OVERLAY_WIDTH, rows, marks)
-    dots = rr.Points2D.from_fields(radii=draw.screen_radius(1.6))
-    stream.log("sheets/overlay/observed", dots, static=True)
-    line = rr.LineStrips2D.from_fields(
+
+    # A row per drop; an empty one clears the last drop's curve.
+    def dots(_: str, begun: list[Begun]) -> Any:
+        drops = [shown.drop if shown else None for _, shown in begun]
+        observed = [_curves(drop, axes)[0] for drop in drops]
+        colors = [
+            draw.FAILURE if drop is not None and drop.verdict == "rejected" else draw.OBSERVED
+            for drop, points in zip(drops, observed, strict=True)
+            for _ in points
+        ]
+        columns = rr.Points2D.columns(positions=np.concatenate(observed), colors=colors)
+        return columns.partition([len(points) for points in observed])
+
+    def lines(_: str, begun: list[Begun]) -> Any:
+        curves = [_curves(shown.drop if shown else None, axes)[1] for _, shown in begun]
+        columns = rr.LineStrips2D.columns(strips=[strip for strips in curves for strip in strips])
+        return columns.partition([len(strips) for strips in curves])
+
+    def words(_: str, begun: list[Begun]) -> Any:
+        texts = [_no_curve_words(shown.drop if shown else None) for _, shown in begun]
+        told = [text for text in texts if text]
+        middle = [[_OVERLAY_WIDTH / 2, -0.75]] * len(told)
+        columns = rr.Points2D.columns(positions=middle, labels=told)
+        return columns.partition([1 if text else 0 for text in texts])
+
+    style = rr.Points2D.from_fields(radii=draw.screen_radius(1.6))
+    log_begun(stream, slots, "sheets/overlay/observed", style, dots)
+    style = rr.LineStrips2D.from_fields(
         colors=[_TUNED], radii=draw.screen_radius(0.8), draw_order=25.0
     )
-    stream.log("sheets/overlay/simulated", line, static=True)
-    for _, index, begun in beginnings(slots):
-        _send_overlays(stream, index, [shown.drop if shown else None for _, shown in begun], axes)
-    # Log why there is no curve, in the middle of the chart; nothing if there is one.
-    entity = "sheets/overlay/words"
+    log_begun(stream, slots, "sheets/overlay/simulated", style, lines)
     style = rr.Points2D.from_fields(
         colors=[draw.MUTED], radii=draw.screen_radius(0.1), show_labels=True
     )
-    stream.log(entity, style, static=True)
-    for _, index, begun in beginnings(slots):
-        words = [_no_curve_words(shown.drop if shown else None) for _, shown in begun]
-        told = [text for text in words if text]
-        columns = rr.Points2D.columns(
-            positions=[[_OVERLAY_WIDTH / 2, -0.75]] * len(told), labels=told
-        )
-        lengths = [1 if text else 0 for text in words]
-        stream.send_columns(entity, indexes=[index], columns=columns.partition(lengths))
+    log_begun(stream, slots, "sheets/overlay/words", style, words)
     _log_now(stream, slots, axes)
-
-
-def _send_overlays(
-    stream: rr.RecordingStream,
-    index: rr.TimeColumn,
-    drops: Sequence[TunedDrop | None],
-    axes: _CurveAxes,
-) -> None:
-    """Send a row per drop; an empty one clears the last drop's curve."""
-    curves = [_curves(drop, axes) for drop in drops]
-    observed, lines = [seen for seen, _ in curves], [line for _, line in curves]
-    colors = [
-        draw.FAILURE if drop is not None and drop.verdict == "rejected" else draw.OBSERVED
-        for drop, points in zip(drops, observed, strict=True)
-        for _ in points
-    ]
-    lengths = [len(points) for points in observed]
-    if not lengths:
-        return
-    stream.send_columns(
-        "sheets/overlay/observed",
-        indexes=[index],
-        columns=rr.Points2D.columns(
-            positions=np.concatenate(observed).reshape(-1, 2), colors=colors
-        ).partition(lengths),
-    )
-
-    stream.send_columns(
-        "sheets/overlay/simulated",
-        indexes=[index],
-        columns=rr.LineStrips2D.columns(
-            strips=[strip for strips in lines for strip in strips]
-        ).partition([len(strips) for strips in lines]),
-    )
+    title = "its drop: height above the table, observed (dots), tuned (line)"
+    return draw.chart_view("overlay", title, _OVERLAY_WIDTH)
 
 
 def _curves(drop: TunedDrop | None, axes: _CurveAxes) -> tuple[Array, list[Array]]:
@@ -363,11 +328,14 @@ def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _CurveAxes
     style = rr.Points2D.from_fields(
         colors=[draw.OBSERVED], radii=draw.screen_radius(5.0), draw_order=30.0
     )
-    stream.log(entity, style, static=True)
-    for name, index, begun in beginnings(slots):
-        if name != ATTEMPT:
-            empty = rr.Points2D.columns(positions=np.zeros((0, 2))).partition([0] * len(begun))
-            stream.send_columns(entity, indexes=[index], columns=empty)
+    empty = rr.Points2D.columns(positions=np.zeros((0, 2)))
+    log_begun(
+        stream,
+        slots,
+        entity,
+        style,
+        lambda name, begun: None if name == ATTEMPT else empty.partition([0] * len(begun)),
+    )
     for slot in slots:
         for shown in slot.drops:
             overlay = shown.drop.overlay
@@ -384,20 +352,20 @@ def _log_now(stream: rr.RecordingStream, slots: Sequence[Slot], axes: _CurveAxes
 # ---- Attempt under the cursor: its drop's curves, its images, and facts.
 
 
-def log_attempts(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Log the entities of `overlay_view`, `film_view` and `attempt_view`."""
-    log_overlays(stream, slots)
-    log_films(stream, slots)
-    style = rr.TextDocument.from_fields(media_type="text/markdown")
-    stream.log("attempt", style, static=True)
-    for _, index, begun in beginnings(slots):
-        words = [attempt_words(slot.attempt) for slot, _ in begun]
-        stream.send_columns("attempt", indexes=[index], columns=rr.TextDocument.columns(text=words))
-
-
-def attempt_view() -> rrb.View:
-    """Return the view of the attempt's facts."""
-    return rrb.TextDocumentView(origin="/attempt", name="the attempt")
+def log_attempts(stream: rr.RecordingStream, slots: Sequence[Slot]) -> list[rrb.View]:
+    """Log each attempt's curves, images if any has them, and facts; return their views."""
+    views = [log_overlays(stream, slots), log_films(stream, slots)]
+    log_begun(
+        stream,
+        slots,
+        "attempt",
+        rr.TextDocument.from_fields(media_type="text/markdown"),
+        lambda _, begun: rr.TextDocument.columns(
+            text=[attempt_words(slot.attempt) for slot, _ in begun]
+        ),
+    )
+    facts = rrb.TextDocumentView(origin="/attempt", name="the attempt")
+    return [*(view for view in views if view is not None), facts]
 
 
 def attempt_words(attempt: Attempt) -> str:
@@ -425,7 +393,13 @@ def attempt_words(attempt: Attempt) -> str:
         ends = attempt.interval95
         sure = f" (95 %: {ends[0]:.4f} to {ends[1]:.4f})" if ends is not None else ""
         lines.append(f"restitution **{attempt.value:.4f}**{sure}")
-        lines += [_other_words(known) for known in (used.others if used is not None else ())]
+        for known in used.others if used is not None else ():  # tuned with the restitution
+            assert isinstance(known.value, float)
+            unit = "" if known.unit == "1" else f" {one_line(known.unit)}"
+            words = f"{one_line(known.name).replace('_', ' ')} {known.value:.3f}{unit}"
+            ends = known.interval95
+            words += "" if ends is None else f" (95 %: {ends[0]:.3f} to {ends[1]:.3f})"
+            lines.append(words)
     for drop in attempt.drops:
         reason = f": {one_line(drop.reason)}" if drop.reason else ""
         lines.append(f"- {drop.state} {one_line(drop.name)}{reason}")
@@ -435,24 +409,12 @@ def attempt_words(attempt: Attempt) -> str:
     return "\n\n".join(line for line in lines if line)
 
 
-def _other_words(known: Estimate) -> str:
-    """Format another quantity that was tuned with the restitution."""
-    assert isinstance(known.value, float)
-    unit = "" if known.unit == "1" else f" {one_line(known.unit)}"
-    words = f"{one_line(known.name).replace('_', ' ')} {known.value:.3f}{unit}"
-    if known.interval95 is None:
-        return words
-    low, high = known.interval95
-    return f"{words} (95 %: {low:.3f} to {high:.3f})"
-
-
 # ---- Charts of a whole campaign, a row per ball: success rates, and restitutions.
 
 # Widths of the chart, of the names left of it, and of the figures right of it, in its heights.
 _WIDTH, _NAMES, _FIGURES = 0.85, 0.42, 0.56
 _HANG = 0.03  # chart heights: half a line, by which Rerun hangs a label from its point
 _MAX_ROWS = 12  # whose names do not overlap on a small screen; the tables have all
-_PAPER: draw.Color = (190, 150, 255)
 _HALF_ROW = 0.3  # half of what marks take up of a row: the rest keeps rows apart
 
 
@@ -494,22 +456,17 @@ def log_rates(stream: rr.RecordingStream, every: Sequence[Rate]) -> rrb.View:
         (rows.y(row), rows.x(rate.interval95[0]), rows.x(rate.interval95[1]))
         for row, rate in counted
     ]
-    # How high a bar is, as a fraction of its row
-    _log_bars(
-        stream, f"{sheet}/intervals", intervals, rows.pitch * 0.16, draw.mixed(draw.SUCCESS, 0.45)
-    )
+    color = draw.mixed(draw.SUCCESS, 0.45)
+    _log_bars(stream, f"{sheet}/intervals", intervals, rows.pitch * 0.16, color)
     dots = [(rows.x(rate.fraction), rows.y(row)) for row, rate in counted]
-    _log_dots(stream, f"{sheet}/shares", dots, draw.SUCCESS, 4.0)
-    published = [
-        (rows.x(rate.published), rows.y(row))
+    draw.log_dots(stream, f"{sheet}/shares", dots, [draw.SUCCESS], 4.0, 20.0)
+    half = _HALF_ROW * rows.pitch
+    strips = [
+        [[rows.x(rate.published), rows.y(row) + end] for end in (-half, half)]
         for row, rate in enumerate(every)
         if rate.published is not None
     ]
-    strips = [
-        [[x, y - _HALF_ROW * rows.pitch], [x, y + _HALF_ROW * rows.pitch]] for x, y in published
-    ]
-    marks = rr.LineStrips2D(strips, colors=[_PAPER], radii=draw.screen_radius(1.5), draw_order=18.0)
-    stream.log(f"{sheet}/published", marks, static=True)
+    draw.log_strips(stream, f"{sheet}/published", strips, [(190, 150, 255)], 1.5, 18.0)
     return _rows_view("rates", title)
 
 
@@ -548,9 +505,8 @@ def log_restitutions(stream: rr.RecordingStream, balls: Sequence[BallRestitution
             dots.append((rows.x(value), y))
             if pair is not None:
                 bars.append([[rows.x(end), y] for end in pair])
-    lines = rr.LineStrips2D(bars, colors=[_TUNED], radii=draw.screen_radius(0.7), draw_order=15.0)
-    stream.log(f"{sheet}/intervals", lines, static=True)
-    _log_dots(stream, f"{sheet}/values", dots, _TUNED, 2.2)
+    draw.log_strips(stream, f"{sheet}/intervals", bars, [_TUNED], 0.7, 15.0)
+    draw.log_dots(stream, f"{sheet}/values", dots, [_TUNED], 2.2, 20.0)
     if not balls:
         draw.log_labels(stream, f"{sheet}/words", [[_WIDTH / 2, -0.5]], ["no drop was tuned"])
     return _rows_view("spreads", title)
@@ -590,8 +546,7 @@ def _log_frame(
 ) -> None:
     """Log grid lines at the marks, names on the left, figures on the right."""
     grid = [[[rows.x(value), -1.0], [rows.x(value), 0.0]] for value, _ in marks]
-    lines = rr.LineStrips2D(grid, colors=[draw.GRID], radii=draw.screen_radius(0.5))
-    stream.log(f"{sheet}/grid", lines, static=True)
+    draw.log_strips(stream, f"{sheet}/grid", grid, [draw.GRID], 0.5)
     labels = [([rows.x(value), 0.02], text) for value, text in marks]
     for row, (name, figure) in enumerate(zip(names, figures, strict=True)):
         # As many as fit left of the chart
@@ -610,26 +565,9 @@ def _log_bars(
     color: draw.Color,
 ) -> None:
     """Log filled bars, each as (y, left, right)."""
-    strips: list[list[list[float]]] = []
-    radii: list[float] = []
-    for y, left, right in bars:
-        lines, radius = draw.filled(left, max(right, left + 0.004), y - thick / 2, y + thick / 2)
-        strips += lines
-        radii += [radius] * len(lines)
-    stream.log(
-        entity, rr.LineStrips2D(strips, colors=[color], radii=radii, draw_order=5.0), static=True
-    )
-
-
-def _log_dots(
-    stream: rr.RecordingStream,
-    entity: str,
-    positions: Sequence[tuple[float, float]],
-    color: draw.Color,
-    points: float,
-) -> None:
-    dots = rr.Points2D(positions, colors=[color], radii=draw.screen_radius(points), draw_order=20.0)
-    stream.log(entity, dots, static=True)
+    half = thick / 2
+    boxes = [(left, max(right, left + 0.004), y - half, y + half) for y, left, right in bars]
+    draw.log_filled(stream, entity, boxes, color, 5.0)
 
 
 # ---- Lanes: drop, tuning and outcome of each attempt as state timelines.
@@ -678,7 +616,7 @@ class _LaneChange(NamedTuple):
 
 
 def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
-    """Log the entities of `lane_view`."""
+    """Log drop, tuning and outcome of each attempt."""
     changes = [change for slot in slots for change in _changes(slot)]
     for lane in LANES:
         own = [change for change in changes if change.lane == lane]
@@ -718,14 +656,11 @@ def log_lanes(stream: rr.RecordingStream, slots: Sequence[Slot]) -> None:
             _send_states(stream, lane, wall_column(list(clock)), list(clock.values()))
 
 
-def lane_view(name: str) -> rrb.View:
-    """Return the view of all lanes, over the whole active timeline."""
-    return rrb.StateTimelineView(contents=[f"+ /{lane}" for lane in LANES], name=name)
-
-
 def _changes(slot: Slot) -> Iterator[_LaneChange]:
     attempt, outcome = slot.attempt, slot.attempt.outcome
-    number, begin_ns, end_ns = attempt.number, slot.begin_ns, slot.end_ns
+    number, begin_ns, end_ns = attempt.number, slot.begin_ns, slot.begin_ns
+    if end_ns is not None and outcome is not None:
+        end_ns = max(end_ns, outcome.stamp_ns)
     ball = one_line(attempt.ball)
     yield _LaneChange(BALL, f"{ball}, {attempt.of_ball}", ball, number, slot.start_s, begin_ns)
     for index, shown in enumerate(slot.drops):
@@ -738,9 +673,9 @@ def _changes(slot: Slot) -> Iterator[_LaneChange]:
     value = kind if attempt.value is None else f"{attempt.value:.3f}"
     yield _LaneChange(RESTITUTION, value, kind, number, slot.tuned_s, slot.drop_ns(slot.used))
     if attempt.was_shot:
-        yield _LaneChange(SHOT, "shot", "shot", number, slot.shot_s, None)
+        yield _LaneChange(SHOT, "shot", "shot", number, slot.tuned_s + _STEP_S, None)
     word = "not told" if outcome is None else outcome.word if attempt.was_shot else "given up"
-    yield _LaneChange(SHOT, word, word, number, slot.outcome_s, end_ns)
+    yield _LaneChange(SHOT, word, word, number, slot.tuned_s + 2 * _STEP_S, end_ns)
 
 
 def _send_states(
@@ -761,60 +696,42 @@ def campaign_words(campaign: Campaign) -> str:
     drops = {id(drop): drop for attempt in attempts for drop in attempt.drops}
     rejected = sum(drop.verdict == "rejected" for drop in drops.values())
     ended = sum(attempt.outcome is not None for attempt in attempts)
-    lines = [
-        f"# {one_line(campaign.name)}",
-        f"{len(attempts)} attempts, {len(drops)} drops ({rejected} rejected), {ended} outcomes",
-        "## Success",
-        _rate_table([*overall_rates(attempts), *ball_rates(attempts)]),
-        "## Restitution",
-        _restitution_table(restitutions_by_ball(attempts)),
-        "## Misses",
-        _miss_words(attempts),
-    ]
-    return "\n\n".join(lines)
-
-
-def _rate_table(rates: Sequence[Rate]) -> str:
-    rows = []
-    for rate in rates:
+    rates: list[tuple[str, ...]] = []
+    for rate in (*overall_rates(attempts), *ball_rates(attempts)):
         low, high = rate.interval95
         fraction = f"{100 * rate.fraction:.0f} %" if rate.count else "-"
         ends = f"{100 * low:.0f} to {100 * high:.0f} %" if rate.count else "-"
         paper = "" if rate.published is None else f"{100 * rate.published:.0f} %"
-        rows.append((one_line(rate.name), f"{rate.successes}/{rate.count}", fraction, ends, paper))
-    return markdown_table(("of", "successes", "rate", "95 % (Wilson)", "paper"), rows)
-
-
-def _restitution_table(balls: Sequence[BallRestitutions]) -> str:
-    if not balls:
-        return "none was tuned"
-    rows = []
-    for ball in balls:
+        rates.append((one_line(rate.name), f"{rate.successes}/{rate.count}", fraction, ends, paper))
+    rows: list[tuple[str, ...]] = []
+    for ball in restitutions_by_ball(attempts):
         halves = [(high - low) / 2 for pair in ball.intervals95 if pair for low, high in [pair]]
         interval = f"± {median(halves):.4f}" if halves else "-"
         sd = "-" if isnan(ball.sd) else f"{ball.sd:.4f}"
         ends = f"{min(ball.values):.4f} to {max(ball.values):.4f}"
-        rows.append(
-            (one_line(ball.name), str(len(ball.values)), f"{ball.mean:.4f}", sd, ends, interval)
-        )
-    return markdown_table(("ball", "drops", "mean", "sd", "least to most", "usual 95 %"), rows)
-
-
-def _miss_words(attempts: Sequence[Attempt]) -> str:
-    misses = sorted(
-        abs(attempt.outcome.miss_m)
-        for attempt in attempts
-        if attempt.outcome is not None and attempt.outcome.miss_m is not None
-    )
-    if not misses:
-        return "none was measured"
-    middle = 1000 * median(misses)
-    return f"{len(misses)} measured: median {middle:.0f} mm, largest {1000 * misses[-1]:.0f} mm"
+        figures = str(len(ball.values)), f"{ball.mean:.4f}", sd, ends, interval
+        rows.append((one_line(ball.name), *figures))
+    outcomes = [attempt.outcome for attempt in attempts if attempt.outcome is not None]
+    misses = sorted(abs(one.miss_m) for one in outcomes if one.miss_m is not None)
+    measured = "none was measured"
+    if misses:
+        measured = f"{len(misses)} measured: median {1000 * median(misses):.0f} mm, "
+        measured += f"largest {1000 * misses[-1]:.0f} mm"
+    head = ("ball", "drops", "mean", "sd", "least to most", "usual 95 %")
+    lines = [
+        f"# {one_line(campaign.name)}",
+        f"{len(attempts)} attempts, {len(drops)} drops ({rejected} rejected), {ended} outcomes",
+        "## Success",
+        markdown_table(("of", "successes", "rate", "95 % (Wilson)", "paper"), rates),
+        "## Restitution",
+        markdown_table(head, rows) if rows else "none was tuned",
+        "## Misses",
+        measured,
+    ]
+    return "\n\n".join(lines)
 
 
 # ---- Recording: all parts, and the blueprint that lays them out.
-
-_LANES_SHARE = 0.36  # of a tab's height: all lanes are in view on a small screen too
 
 
 def write_campaign(campaign: Campaign, path: Path) -> None:
@@ -827,29 +744,24 @@ def write_campaign(campaign: Campaign, path: Path) -> None:
         rates = (*overall_rates(campaign.attempts), *ball_rates(campaign.attempts))
         restitutions = restitutions_by_ball(campaign.attempts)
         charts = [log_rates(stream, rates), log_restitutions(stream, restitutions)]
-        log_attempts(stream, slots)
-        is_filmed = any(drop.film for attempt in campaign.attempts for drop in attempt.drops)
+        views = log_attempts(stream, slots)
         name = short_name(campaign.name, 40)  # in the titles of views
-        stream.send_blueprint(_blueprint(name, charts, is_filmed=is_filmed))
+        # All lanes, over the whole active timeline, above the charts and the attempt at the cursor.
+        shares = [0.36, 1 - 0.36]  # all lanes are in view on a small screen too
+        lanes = [
+            rrb.StateTimelineView(
+                contents=[f"+ /{lane}" for lane in LANES],
+                name=f"{name}: the attempts (a click goes to one{more})",
+            )
+            for more in ("; the next tab shows it", "")
+        ]
+        rows = rrb.Horizontal(*views, column_shares=[5, 3, 3][: len(views)])
+        overview = rrb.Vertical(
+            lanes[0], rrb.Horizontal(*charts), row_shares=shares, name="overview"
+        )
+        attempt = rrb.Vertical(lanes[1], rows, row_shares=shares, name="attempt")
+        summary = rrb.TextDocumentView(origin="/summary", name=f"{name}: all figures")
+        tabs = rrb.Tabs(overview, attempt, rrb.Horizontal(summary, name="tables"), active_tab=0)
+        time = rrb.TimePanel(state="collapsed", timeline=ATTEMPT, play_state="paused")
+        stream.send_blueprint(draw.blueprint(tabs, time))
         draw.log_words(stream, "summary", words)
-
-
-def _blueprint(name: str, charts: list[rrb.View], *, is_filmed: bool) -> rrb.Blueprint:
-    summary = rrb.TextDocumentView(origin="/summary", name=f"{name}: all figures")
-    overview = rrb.Vertical(
-        lane_view(f"{name}: the attempts (a click goes to one; the next tab shows it)"),
-        rrb.Horizontal(*charts),
-        row_shares=[_LANES_SHARE, 1 - _LANES_SHARE],
-        name="overview",
-    )
-    # The attempt under the cursor.
-    views = [overlay_view(), *([film_view()] if is_filmed else []), attempt_view()]
-    attempt = rrb.Vertical(
-        lane_view(f"{name}: the attempts (a click goes to one)"),
-        rrb.Horizontal(*views, column_shares=[5, 3, 3][: len(views)]),
-        row_shares=[_LANES_SHARE, 1 - _LANES_SHARE],
-        name="attempt",
-    )
-    tabs = rrb.Tabs(overview, attempt, rrb.Horizontal(summary, name="tables"), active_tab=0)
-    time = rrb.TimePanel(state="collapsed", timeline=ATTEMPT, play_state="paused")
-    return draw.blueprint(tabs, time)

@@ -9,7 +9,7 @@ import math
 import re
 import uuid
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,24 +21,32 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from tunenet_logs.analysis.experiment import Tuning
-from tunenet_logs.analysis.presentation import quantity
 from tunenet_logs.analysis.result_files import review_name
 from tunenet_logs.analysis.tracking.frames import kept_film, readable_frames
-from tunenet_logs.episode import Array, Episode, Frame
+from tunenet_logs.episode import Array, Episode, Frame, median_step
 from tunenet_logs.errors import LogError
 from tunenet_logs.terminal import short_name
 
 # ---- Camera: place that of a 3D view so that the whole scene is visible.
 
-_UP_RAD = 0.35  # of the camera, from the level: links hide each other less
+
+def scene_view(name: str, eye_m: Array, target_m: Array, origin: str = "/scene") -> rrb.View:
+    """Return a 3D view that looks from one point at another, z up."""
+    eye = rrb.EyeControls3D(
+        position=eye_m.tolist(), look_target=target_m.tolist(), eye_up=(0.0, 0.0, 1.0)
+    )
+    return rrb.Spatial3DView(
+        origin=origin, name=name, background=GROUND, line_grid=False, eye_controls=eye
+    )
 
 
-def eye_controls(points_m: Array, azimuth_rad: float, margin_m: float) -> rrb.EyeControls3D:
-    """Return a camera far enough away to see all points."""
+def eye_and_target(points_m: Array, azimuth_rad: float, margin_m: float) -> tuple[Array, Array]:
+    """Place a camera far enough away to see all points: where it is, and where it looks."""
     middle = (points_m.min(axis=0) + points_m.max(axis=0)) / 2
-    level = math.cos(_UP_RAD)
+    up_rad = 0.35  # from the level: links hide each other less
+    level = math.cos(up_rad)
     towards = np.array(
-        [level * math.cos(azimuth_rad), level * math.sin(azimuth_rad), math.sin(_UP_RAD)]
+        [level * math.cos(azimuth_rad), level * math.sin(azimuth_rad), math.sin(up_rad)]
     )
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
@@ -48,10 +56,7 @@ def eye_controls(points_m: Array, azimuth_rad: float, margin_m: float) -> rrb.Ey
         (np.abs(off @ across) + margin_m) / half + off @ towards
         for across, half in ((right, 0.36), (np.cross(towards, right), 0.5))
     ]
-    eye = middle + float(np.max(distances_m)) * towards
-    return rrb.EyeControls3D(
-        position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
-    )
+    return middle + float(np.max(distances_m)) * towards, middle
 
 
 # ---- Colours, timelines, and sizes on the screen.
@@ -94,41 +99,6 @@ def entity_of(*parts: str) -> str:
     return rr.new_entity_path([name for part in parts for name in part.split("/") if name])
 
 
-def application_id(kind: str) -> str:
-    """Return a unique application id for each review that is written.
-
-    Rerun shows another recording of the same id in the layout that it saw first, on disk until it
-    is reset, no matter what blueprint that recording has.
-    """
-    return f"tunenet {kind} {uuid.uuid4().hex[:16]}"
-
-
-def at_seconds(seconds: Array) -> rr.TimeColumn:
-    """Return the index of rows at these times on `LOG_TIME`, shape (T,) [s]."""
-    return rr.TimeColumn(LOG_TIME, duration=seconds)
-
-
-def by_iteration(count: int, first_s: float) -> list[tuple[rr.TimeColumn, range]]:
-    """Return each timeline's index of what is drawn per iteration, and the iterations it shows.
-
-    On `ITERATION` these are all of them; on `LOG_TIME` it is the last one, the result, from
-    `first_s` on.
-    """
-    return [
-        (rr.TimeColumn(ITERATION, sequence=np.arange(count)), range(count)),
-        (at_seconds(np.array([first_s])), range(count - 1, count)),
-    ]
-
-
-def plainly(value: float) -> str:
-    """Format with two significant digits and no power of ten: "5.5", "260"."""
-    return f"{float(f'{value:.2g}'):.10g}"
-
-
-# Steps between ticks that a low plot has room for; margin beyond its values, of their span.
-_MAX_TICKS, _AXIS_MARGIN = 5, 0.04
-
-
 def ticked(low: float, high: float) -> tuple[float, float]:
     """Widen [low, high] to a plot's axis with at least two ticks.
 
@@ -137,7 +107,7 @@ def ticked(low: float, high: float) -> tuple[float, float]:
     """
     span = high - low
     step = 10.0 ** math.floor(math.log10(span))
-    if span > _MAX_TICKS * step:
+    if span > 5 * step:  # a low plot has no room for more ticks
         step *= 10
     below, above = math.floor(low / step) * step, math.ceil(high / step) * step
     inside = math.floor(high / step) - math.ceil(low / step) + 1
@@ -147,7 +117,7 @@ def ticked(low: float, high: float) -> tuple[float, float]:
         high = above
     elif inside == 1:
         low = below
-    room = _AXIS_MARGIN * (high - low)
+    room = 0.04 * (high - low)
     return low - room, high + room
 
 
@@ -156,11 +126,67 @@ def screen_radius(points: float) -> Any:
     return [rr.Radius.ui_points(points)]
 
 
-def send_scalars(stream: rr.RecordingStream, entity: str, seconds: Array, values: Array) -> None:
-    """Send a series over the log's time: `seconds` (T,) [s]."""
-    stream.send_columns(
-        entity, indexes=[at_seconds(seconds)], columns=rr.Scalars.columns(scalars=values)
-    )
+def log_moving(
+    stream: rr.RecordingStream,
+    entity: str,
+    style: Any,
+    seconds: Array,
+    columns: Any,
+    timeline: str = LOG_TIME,
+) -> None:
+    """Log the style of an entity, and columns of what it draws at these times, shape (T,) [s]."""
+    stream.log(entity, style, static=True)
+    index = rr.TimeColumn(timeline, duration=seconds)
+    stream.send_columns(entity, indexes=[index], columns=columns)
+
+
+def log_by_iteration(
+    stream: rr.RecordingStream,
+    entity: str,
+    style: Any,
+    first_s: float,
+    columns_of: Callable[..., Any],
+    **components: Sequence[Any] | Array,
+) -> None:
+    """Log an entity's style, and its components, of each a row for each iteration.
+
+    On `ITERATION` these are all of them; on `LOG_TIME` it is the last one, the result, from
+    `first_s` on.
+    """
+    stream.log(entity, style, static=True)
+    count = len(next(iter(components.values())))
+    for index, begin in (
+        (rr.TimeColumn(ITERATION, sequence=np.arange(count)), 0),
+        (rr.TimeColumn(LOG_TIME, duration=[first_s]), count - 1),
+    ):
+        columns = columns_of(**{name: rows[begin:] for name, rows in components.items()})
+        stream.send_columns(entity, indexes=[index], columns=columns)
+
+
+def log_dots(
+    stream: rr.RecordingStream,
+    entity: str,
+    places: Any,
+    colors: Sequence[Color],
+    size: float,
+    order: float | None = None,
+) -> None:
+    """Log dots of a 2D view, of one colour or each of its own; `size` is their radius [points]."""
+    dots = rr.Points2D(places, colors=colors, radii=screen_radius(size), draw_order=order)
+    stream.log(entity, dots, static=True)
+
+
+def log_strips(
+    stream: rr.RecordingStream,
+    entity: str,
+    strips: Any,
+    colors: Sequence[tuple[int, ...]],
+    size: float,
+    order: float | None = None,
+) -> None:
+    """Log lines of a 2D view; `size` is half their width [points]."""
+    lines = rr.LineStrips2D(strips, colors=colors, radii=screen_radius(size), draw_order=order)
+    stream.log(entity, lines, static=True)
 
 
 def log_words(stream: rr.RecordingStream, entity: str, words: str) -> None:
@@ -171,21 +197,25 @@ def log_words(stream: rr.RecordingStream, entity: str, words: str) -> None:
 def log_labels(
     stream: rr.RecordingStream,
     entity: str,
-    positions: Sequence[Sequence[float]],
+    positions: Any,
     labels: Sequence[str],
     colors: Sequence[Color] = (MUTED,),
 ) -> None:
-    """Log texts that stand at points of a 2D view."""
-    points = rr.Points2D(
-        positions, labels=labels, colors=colors, radii=screen_radius(0.1), show_labels=True
-    )
-    stream.log(entity, points, static=True)
+    """Log texts that stand at points of a 2D view, or of a 3D one."""
+    points = rr.Points3D if len(positions) and len(positions[0]) == 3 else rr.Points2D
+    radii = screen_radius(0.1)
+    texts = points(positions, labels=labels, colors=colors, radii=radii, show_labels=True)
+    stream.log(entity, texts, static=True)
 
 
 @contextmanager
 def written(path: Path, kind: str, identity: str, name: str = "") -> Iterator[rr.RecordingStream]:
-    """Collect a recording in memory, then write it: Rerun's own sink waits on a full disk."""
-    stream = rr.RecordingStream(application_id(kind), recording_id=identity)
+    """Collect a recording in memory, then write it: Rerun's own sink waits on a full disk.
+
+    Its application id is unique. Rerun shows another recording of the same id in the layout that it
+    saw first, on disk until it is reset, no matter what blueprint that recording has.
+    """
+    stream = rr.RecordingStream(f"tunenet {kind} {uuid.uuid4().hex[:16]}", recording_id=identity)
     memory = stream.memory_recording()
     if name:
         stream.send_recording_name(name)
@@ -210,10 +240,6 @@ def blueprint(layout: rrb.View | rrb.Container, time_panel: rrb.TimePanel) -> rr
 # ---- Charts on any timeline: grid, filled areas, a parameter by iteration.
 
 WIDTH = 2.8  # of a chart, in its heights: about the shape of the views that charts are given
-# Lines that fill a rectangle: so thin that its corners, round by their radius, look square.
-_STRIPS = 12
-_FIGURE_WIDTH = 0.62  # chart heights; figures that would overlap are left out
-_FIGURE_RISE = 0.2  # chart heights from a dot up to the place that its figure hangs from
 
 
 def chart_view(name: str, title: str, width: float = WIDTH) -> rrb.View:
@@ -236,24 +262,32 @@ def log_grid(
 ) -> None:
     """Log lines across at the rows, ticks below at the marks, and the labels of both."""
     lines = [[[0, y], [width, y]] for y, _ in rows] + [[[x, 0.02], [x, 0]] for x, _ in marks]
-    grid = rr.LineStrips2D(lines, colors=[GRID], radii=screen_radius(0.5))
-    stream.log(f"{sheet}/grid", grid, static=True)
+    log_strips(stream, f"{sheet}/grid", lines, [GRID], 0.5)
     places = [[-0.09, y - hang] for y, _ in rows] + [[x, 0.04] for x, _ in marks]
     log_labels(stream, f"{sheet}/labels", places, [text for _, text in rows + marks])
 
 
-def filled(
-    left: float, right: float, top: float, bottom: float
-) -> tuple[list[list[list[float]]], float]:
-    """Fill a rectangle with lines, and return their radius: Rerun's 2D boxes have outlines only."""
-    width, height = right - left, bottom - top
-    radius = min(width, height) / (_STRIPS + 1)  # each line covers half of the one before
-    steps = [radius * (1 + k) for k in range(_STRIPS)]
-    if width > height:
-        ends = left + radius, right - radius
-        return [[[x, top + step] for x in ends] for step in steps], radius
-    ends = top + radius, bottom - radius
-    return [[[left + step, y] for y in ends] for step in steps], radius
+def log_filled(
+    stream: rr.RecordingStream,
+    entity: str,
+    boxes: Iterable[tuple[float, float, float, float]],
+    color: Color,
+    order: float,
+) -> None:
+    """Log rectangles, (left, right, top, bottom), filled: Rerun's 2D boxes have outlines only."""
+    strips: list[list[list[float]]] = []
+    radii: list[float] = []
+    for left, right, top, bottom in boxes:
+        # 12 lines, each over half of the one before: so thin that the round corners look square.
+        radius = min(right - left, bottom - top) / (12 + 1)
+        for step in (radius * (1 + k) for k in range(12)):
+            if right - left > bottom - top:
+                strips.append([[x, top + step] for x in (left + radius, right - radius)])
+            else:
+                strips.append([[left + step, y] for y in (top + radius, bottom - radius)])
+        radii += [radius] * 12
+    lines = rr.LineStrips2D(strips, colors=[color], radii=radii, draw_order=order)
+    stream.log(entity, lines, static=True)
 
 
 def mixed(color: Color, fraction: float) -> Color:
@@ -272,23 +306,6 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [round(k * step, 6) for k in range(first, last + 1)]
 
 
-@dataclass(frozen=True)
-class Iterates:
-    """One parameter at each iteration."""
-
-    parameter: str  # in words
-    unit: str  # "1" if it has none
-    names: tuple[str, ...]  # of the iterations, "k=3", "refined"
-    values: tuple[float, ...]  # of the parameter, in `unit`
-    colors: tuple[Color, ...]  # of the iterations
-    span: tuple[float, float]  # range of the chart
-    interval95: tuple[float, float] | None  # of the result; None if no valid one exists
-    chart: str = "convergence"  # name of the chart that shows them
-    title: str = ""  # of the chart; "" for the parameter's
-    figures: str = ".4f"  # number format
-    figure_width: float = _FIGURE_WIDTH  # width of a number, in heights of the chart
-
-
 def span_of(values: Sequence[float], least: float) -> tuple[float, float]:
     """Return a chart's range for these values, at least `least`, with room for labels."""
     low, high = min(values), max(values)
@@ -298,58 +315,54 @@ def span_of(values: Sequence[float], least: float) -> tuple[float, float]:
     return middle - (0.5 + 0.15) * reach, middle + (0.5 + 0.4) * reach
 
 
-def log_iterates(stream: rr.RecordingStream, iterates: Iterates, first_s: float) -> None:
-    """Log the entities of `iterates_view`; the log's time begins at `first_s`."""
-    low, high = iterates.span
-    count = len(iterates.values)
-    sheet, wide = f"sheets/{iterates.chart}", iterates.figure_width
-    # More in a chart whose figures are wide.
-    rise = _FIGURE_RISE * min(wide / _FIGURE_WIDTH, 1.6)
+def log_iterates(
+    stream: rr.RecordingStream,
+    title: str,
+    names: Sequence[str],
+    values: Sequence[float],
+    colors: Sequence[Color],
+    span: tuple[float, float],
+    interval95: tuple[float, float] | None,
+    first_s: float,
+    *,
+    chart: str = "convergence",
+    figures: str = ".4f",
+    wide: float = 0.62,
+) -> rrb.View:
+    """Log a parameter by iteration, with the result's interval as a band; return its view.
 
-    def y(value: float) -> float:
-        return -(value - low) / (high - low)
-
+    Of each iteration there are a name ("k=3"), a value and a colour. The chart shows the values of
+    `span`; the log's time begins at `first_s`. Figures have this number format, and are so wide
+    that none overlap, in heights of the chart.
+    """
+    low, high = span
+    count, sheet = len(values), f"sheets/{chart}"
+    # From a dot up to the place that its figure hangs from: more where figures are wide.
+    rise = 0.2 * min(wide / 0.62, 1.6)
     margin = max(WIDTH / (2 * count), wide / 2)
     x = np.linspace(margin, WIDTH - margin, count)
-    dots = np.column_stack([x, [y(value) for value in iterates.values]])
+    dots = np.column_stack([x, -(np.array(values) - low) / (high - low)])
     every = math.ceil(wide * (count - 1) / (WIDTH - 2 * margin)) if count > 1 else 1
     labelled = range(count - 1, -1, -every)  # backwards, so that the result is among them
-    rows = [(y(value), f"{value:g}") for value in ticks(low, high, 2)]
-    marks = [(float(x[k]), iterates.names[k]) for k in labelled]
+    rows = [(-(value - low) / (high - low), f"{value:g}") for value in ticks(low, high, 2)]
+    marks = [(float(x[k]), names[k]) for k in labelled]
     log_grid(stream, sheet, WIDTH, rows, marks)
-    if iterates.interval95 is not None:
-        ends = [y(end) for end in iterates.interval95]
-        # Chart heights: a narrower interval would not be seen
-        half = max(ends[0] - ends[1], 0.008) / 2
+    if interval95 is not None:
+        title += ", band: 95 %"
+        ends = [-(end - low) / (high - low) for end in interval95]
+        half = max(ends[0] - ends[1], 0.008) / 2  # a narrower interval would not be seen
         middle = sum(ends) / 2
-        strips, radius = filled(0.0, WIDTH, middle - half, middle + half)
-        # The band must not hide dots and grid.
-        color = mixed(iterates.colors[-1], 0.35)
-        band = rr.LineStrips2D(strips, colors=[color], radii=[radius], draw_order=1.0)
-        stream.log(f"{sheet}/interval", band, static=True)
-    line = rr.LineStrips2D([dots], colors=[MUTED], radii=screen_radius(0.8))
-    stream.log(f"{sheet}/line", line, static=True)
-    values = rr.Points2D(dots, colors=iterates.colors, radii=screen_radius(5.0), draw_order=20.0)
-    stream.log(f"{sheet}/values", values, static=True)
-    log_labels(
-        stream,
-        f"{sheet}/figures",
-        [dots[k] - [0, rise] for k in labelled],
-        [f"{iterates.values[k]:{iterates.figures}}" for k in labelled],
-        [iterates.colors[k] for k in labelled],
-    )
+        color = mixed(colors[-1], 0.35)  # it must not hide dots and grid
+        band = [(0.0, WIDTH, middle - half, middle + half)]
+        log_filled(stream, f"{sheet}/interval", band, color, 1.0)
+    log_strips(stream, f"{sheet}/line", [dots], [MUTED], 0.8)
+    log_dots(stream, f"{sheet}/values", dots, colors, 5.0, 20.0)
+    texts, places = [f"{values[k]:{figures}}" for k in labelled], dots[labelled] - [0, rise]
+    log_labels(stream, f"{sheet}/figures", places, texts, [colors[k] for k in labelled])
     ring = rr.Points2D.from_fields(colors=[OBSERVED], radii=screen_radius(8.0), draw_order=10.0)
-    stream.log(f"{sheet}/current", ring, static=True)
-    for index, shown in by_iteration(count, first_s):
-        columns = rr.Points2D.columns(positions=dots[shown])
-        stream.send_columns(f"{sheet}/current", indexes=[index], columns=columns)
-
-
-def iterates_view(iterates: Iterates) -> rrb.View:
-    """Return the view of the parameter by iteration, with the result's interval as a band."""
-    words = f"{quantity(iterates.parameter, iterates.unit)} by iteration"
-    title = iterates.title or words
-    return chart_view(iterates.chart, title + (", band: 95 %" if iterates.interval95 else ""))
+    current = f"{sheet}/current"
+    log_by_iteration(stream, current, ring, first_s, rr.Points2D.columns, positions=dots)
+    return chart_view(chart, title)
 
 
 # ---- Curves over the log's time, and the same ones of one iteration at a time.
@@ -360,7 +373,7 @@ def drawn_every(seconds: Array) -> int:
 
     More than 120 Hz and 3000 samples can neither be told apart nor be loaded soon.
     """
-    gap_s = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
+    gap_s = median_step(seconds) if len(seconds) > 1 else 1.0
     return max(round(1 / (gap_s * 120.0)) if gap_s > 0 else 1, -(-len(seconds) // 3000), 1)
 
 
@@ -374,18 +387,45 @@ def log_lines(
     """Log several curves, values (T, curves), as one entity; style: label, colour, width."""
     names, colors, widths = zip(*style, strict=True)
     lines = rr.SeriesLines(colors=colors, names=names, widths=widths, aggregation_policy="Off")
-    stream.log(entity, lines, static=True)
-    send_scalars(stream, entity, seconds, values)
+    log_moving(stream, entity, lines, seconds, rr.Scalars.columns(scalars=values))
 
 
-def plot_view(entity: str, title: str, span: tuple[float, float]) -> rrb.View:
-    """Build a plot of an entity's curves whose axis shows `span` and has ticks."""
-    return rrb.TimeSeriesView(
-        origin=f"/{entity}",
-        name=title,
-        axis_y=rrb.ScalarAxis(range=ticked(*span)),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
+def log_marks(
+    stream: rr.RecordingStream,
+    entity: str,
+    name: str,
+    color: Color,
+    size: float,
+    seconds: Array,
+    values: Array,
+    marker: str = "",
+) -> None:
+    """Log marks of a plot, dots unless another kind is named; nothing where there are none."""
+    if len(seconds):
+        kind: Any = {"markers": [marker]} if marker else {}
+        style = rr.SeriesPoints(colors=[color], names=[name], marker_sizes=[size], **kind)
+        log_moving(stream, entity, style, seconds, rr.Scalars.columns(scalars=values))
+
+
+def plot_view(
+    entity: str,
+    title: str,
+    span: tuple[float, float] | None = None,
+    shown_s: tuple[float, float] | None = None,
+    legend: rrb.PlotLegend | None = None,
+) -> rrb.View:
+    """Build a plot of an entity's curves: of the values of `span`, and of this log's time.
+
+    No legend is shown if none is given: it would hide curves on a small screen.
+    """
+    axes = {}
+    if shown_s is not None:
+        ends = (rrb.TimeRangeBoundary.absolute(seconds=at_s) for at_s in shown_s)
+        axes["axis_x"] = rrb.TimeAxis(view_range=rr.TimeRange(*ends))
+    if span is not None:
+        axes["axis_y"] = rrb.ScalarAxis(range=span)
+    legend = legend or rrb.PlotLegend(visible=False)
+    return rrb.TimeSeriesView(origin=f"/{entity}", name=title, plot_legend=legend, **axes)
 
 
 def log_sheet(
@@ -409,42 +449,40 @@ def log_sheet(
     start_s = float(seconds[0])
     width_s = max(float(seconds[-1]) - start_s, 1e-9)
     x = (seconds - start_s) / width_s * width
-
-    def points(values: Array) -> Array:
-        return np.column_stack([x, -(values - low) / reach])[np.isfinite(values)]
-
+    drawn = [observed, *curves.T] + ([fitted[0]] if fitted is not None else [])
+    points = [
+        np.column_stack([x, -(values - low) / reach])[np.isfinite(values)] for values in drawn
+    ]
     rows = [(-(value - low) / reach, f"{value:g}") for value in ticks(low, low + reach, 3)]
     marks = [
         ((second - start_s) / width_s * width, f"{second:g} s")
         for second in ticks(start_s, start_s + width_s, 5 if width == WIDTH else 3)
     ]
     log_grid(stream, sheet, width, rows, marks)
-    dots = rr.Points2D(points(observed), colors=[OBSERVED], radii=screen_radius(1.2))
-    stream.log(f"{sheet}/observed", dots, static=True)
+    log_dots(stream, f"{sheet}/observed", points[0], [OBSERVED], 1.2)
     if fitted is not None:
-        line = rr.LineStrips2D([points(fitted[0])], colors=[fitted[1]], radii=screen_radius(0.9))
-        stream.log(f"{sheet}/fit", line, static=True)
+        log_strips(stream, f"{sheet}/fit", points[-1:], [fitted[1]], 0.9)
     style = rr.LineStrips2D.from_fields(radii=screen_radius(1.4), draw_order=40.0)
-    stream.log(f"{sheet}/simulated", style, static=True)
-    for index, chosen in by_iteration(len(colors), start_s if first_s is None else first_s):
-        strips = rr.LineStrips2D.columns(
-            strips=[points(curves[:, k]) for k in chosen], colors=[colors[k] for k in chosen]
-        )
-        stream.send_columns(f"{sheet}/simulated", indexes=[index], columns=strips)
+    log_by_iteration(
+        stream,
+        f"{sheet}/simulated",
+        style,
+        start_s if first_s is None else first_s,
+        rr.LineStrips2D.columns,
+        strips=points[1 : 1 + len(colors)],
+        colors=colors,
+    )
 
 
 def log_steps(stream: rr.RecordingStream, words: Sequence[str], first_s: float) -> rrb.View:
     """Log each iteration's text in Markdown, and return its view."""
-    stream.log("step", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
-    for index, chosen in by_iteration(len(words), first_s):
-        columns = rr.TextDocument.columns(text=[words[k] for k in chosen])
-        stream.send_columns("step", indexes=[index], columns=columns)
+    style = rr.TextDocument.from_fields(media_type="text/markdown")
+    log_by_iteration(stream, "step", style, first_s, rr.TextDocument.columns, text=words)
     return rrb.TextDocumentView(origin="/step", name="iteration")
 
 
 # ---- Legend: a strip above curves, where it hides none of them.
 
-_KEY_LINE = 0.3  # length of an entry's line, of what the entry takes up
 KEY_SHARES = (0.6, 8.0)  # heights of a key and of what is below it
 
 
@@ -454,13 +492,12 @@ def log_key(
     """Log a legend of each entry's text and line colours, and return its view."""
     strips, colors = [], []
     for entry, (_, line_colors) in enumerate(entries):
-        width = _KEY_LINE / len(line_colors)
+        width = 0.3 / len(line_colors)  # of what an entry takes up
         for number, color in enumerate(line_colors):
-            begin = entry - _KEY_LINE / 2 + number * width
+            begin = entry - 0.3 / 2 + number * width
             strips.append([[begin, 0.0], [begin + width, 0.0]])
             colors.append(color)
-    lines = rr.LineStrips2D(strips, colors=colors, radii=screen_radius(2.0))
-    stream.log(f"{entity}/lines", lines, static=True)
+    log_strips(stream, f"{entity}/lines", strips, colors, 2.0)
     places = [[float(entry), 0.02] for entry in range(len(entries))]
     log_labels(stream, f"{entity}/words", places, [text for text, _ in entries])
     return rrb.Spatial2DView(
@@ -482,20 +519,16 @@ def log_recorded_film(stream: rr.RecordingStream, tuning: Tuning) -> bool:
     episode = tuning.episode
     if episode is None or episode.signals or not episode.picture_topics:
         return False
-    total = sum(
-        channel.messages
-        for channel in episode.channels
-        if channel.topic == episode.picture_topics[0]
-    )
+    topic = episode.picture_topics[0]
+    total = sum(channel.messages for channel in episode.channels if channel.topic == topic)
     every = max(1, -(-total // 240))  # where nothing was found: enough to see why, and soon loaded
     frames: list[Frame] = []
-    for index, frame in enumerate(frames_to_show(episode, episode.picture_topics[0])):
+    for index, frame in enumerate(frames_to_show(episode, topic)):
         if index % every == 0:
             with suppress(LogError):
                 frames.append(reduced(frame))
     if frames:
-        start_ns = frames[0].stamp_ns
-        send_pictures(stream, frames, start_ns)
+        send_pictures(stream, frames, frames[0].stamp_ns)
     return bool(frames)
 
 
@@ -513,7 +546,9 @@ def send_pictures(stream: rr.RecordingStream, frames: list[Frame], start_ns: int
     columns = rr.EncodedImage.columns(
         blob=[frame.data for frame in frames], media_type=["image/jpeg"] * len(frames)
     )
-    stream.send_columns("film/picture", indexes=[at_seconds(seconds)], columns=columns)
+    stream.send_columns(
+        "film/picture", indexes=[rr.TimeColumn(LOG_TIME, duration=seconds)], columns=columns
+    )
 
 
 def reduced(frame: Frame) -> Frame:
@@ -547,9 +582,7 @@ def blank_picture(size_px: tuple[int, int], words: str) -> bytes:
 # ---- Reading a review back.
 
 _MAX_REVIEW_BYTES = 512 * 1024 * 1024  # of a review; ours keep under 50 MB of pictures
-_MAX_PICTURES, _MAX_JOINTS, _MAX_SAMPLES = 20_000, 16, 1_000_000  # of one review
 _JOINT = re.compile(r"/torque/joint_(\d{1,2})/(observed|fit|iterations)")
-_STILL_ENTITIES = ("/film/path", "/film/track", "/film/impacts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -561,7 +594,7 @@ class ReviewedFilm:
     track_s: Array  # stamps of the track [s], shape (T,)
     centers_px: Array  # from the middle of an image's first pixel, shape (T, 2)
     radii_px: Array  # of the circle around it, in pixels of an image, shape (T,)
-    # the tuned ball's path, or the segments of a refused track, shape (N, 2) each
+    # The tuned ball's path, or the segments of a refused track, shape (N, 2) each.
     paths_px: tuple[Array, ...]
     impacts_px: Array  # points of impact, shape (I, 2)
     is_refused: bool  # whether the track shows no drop
@@ -607,7 +640,7 @@ def read_back(path: Path, log_sha256: str) -> ReviewedLog:
                     continue
                 if not chunk.is_static and "log_time_s" not in chunk.timeline_names:
                     continue
-                if chunk.num_rows > _MAX_SAMPLES:
+                if chunk.num_rows > 1_000_000:
                     raise LogError("the review has more samples than any log")
                 batch = chunk.to_record_batch()
                 columns = dict(zip(batch.schema.names, batch.columns, strict=True))
@@ -625,7 +658,7 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
     shown = moving.get("/film/picture")
     if shown is None:
         return None
-    seconds = _seconds(shown)[:_MAX_PICTURES]
+    seconds = _seconds(shown)[:20_000]
     pictures = tuple(bytes(_only(cell)) for cell in shown["EncodedImage:blob"].to_pylist())
     scale = still.get("/film/picture", {}).get("Transform3D:scale")
     scale = 1.0 if scale is None else float(_only(scale.to_pylist()[0])[0])
@@ -643,22 +676,23 @@ def _film(moving: dict[str, Any], still: dict[str, Any]) -> ReviewedFilm | None:
     for place, row in enumerate(rows):
         centers[place] = polygons[row][:-1].mean(axis=0)  # it ends where it begins
         radii[place] = np.hypot(*(polygons[row][0] - centers[place]))
-
-    paths = tuple(
-        _in_picture(strip, scale)
-        for entity in _STILL_ENTITIES[:2]
-        for strip in _strips(still.get(entity, {}).get("LineStrips2D:strips"))
-    )
+    paths: list[Array] = []
+    for entity in ("/film/path", "/film/track"):
+        column = still.get(entity, {}).get("LineStrips2D:strips")
+        strips = [] if column is None else column.to_pylist()
+        paths += [np.array(one, np.float64).reshape(-1, 2) for one in (strips[0] if strips else ())]
     marks = still.get("/film/impacts", {}).get("Points2D:positions")
     impacts = np.zeros((0, 2)) if marks is None else np.array(marks.to_pylist()[0], np.float64)
+    # From Rerun's origin, the corner of the first pixel, to ours, its middle; in the pixels of
+    # images, which may be smaller than the video.
     return ReviewedFilm(
         seconds=seconds,
         pictures=pictures[: len(seconds)],
         track_s=track_s,
-        centers_px=_in_picture(centers, scale),
+        centers_px=centers / scale - 0.5,
         radii_px=radii / scale,
-        paths_px=paths,
-        impacts_px=_in_picture(impacts.reshape(-1, 2), scale),
+        paths_px=tuple(path / scale - 0.5 for path in paths),
+        impacts_px=impacts.reshape(-1, 2) / scale - 0.5,
         is_refused="/film/track" in still,
     )
 
@@ -668,21 +702,10 @@ def _only(cell: Any) -> Any:
     return cell[0] if isinstance(cell, list) and len(cell) == 1 else cell
 
 
-def _strips(column: Any) -> list[Array]:
-    rows = [] if column is None else column.to_pylist()
-    return [np.array(strip, np.float64).reshape(-1, 2) for strip in (rows[0] if rows else [])]
-
-
-def _in_picture(points: Array, scale: float) -> Array:
-    """Convert pixels of the video to those of its images, which may be smaller."""
-    # From Rerun's origin, the corner of the first pixel, to ours, its middle [px]
-    return points / scale - 0.5
-
-
 def _torques(moving: dict[str, Any]) -> tuple[ReviewedTorque, ...]:
     joints = sorted({int(found[1]) for name in moving if (found := _JOINT.fullmatch(name))})
     torques: list[ReviewedTorque] = []
-    for joint in joints[:_MAX_JOINTS]:
+    for joint in joints[:16]:
         observed = moving.get(f"/torque/joint_{joint}/observed")
         simulated = moving.get(f"/torque/joint_{joint}/iterations")
         if observed is None or simulated is None:

@@ -39,16 +39,8 @@ from tunenet_logs.terminal import one_line, short_name
 Columns = Mapping[str, Sequence[Any]]
 _AS_TUNED = "as_tuned"  # the timeline of the logs as they were tuned
 _POINT_COLORS = {"ok": (80, 200, 120), "suspect": (240, 170, 50), "rejected": (230, 80, 80)}
-_KEY = "green ok, amber suspect, red rejected, grey 95 %, pink unlike the others"
-_OUTLIER, _END = (255, 60, 200), (130, 130, 150)
+_END = (130, 130, 150)  # of intervals
 _TABLES = ("table/log", "table/numbers")  # entities of the table's columns, from left to right
-_LOG_HEAD = "name_of_the_log_file"
-# Rerun makes a column as wide as its head.
-_TOLD_HEADS = {
-    "verdict": "verdict_of_it",
-    "reason": "reason_of_the_verdict",
-    "error": "error_in_short",
-}
 _MAX_NAMED = 10  # outliers, and widest intervals, in the text
 
 
@@ -56,8 +48,10 @@ def write_overview(columns: Columns, path: Path) -> None:
     """Write the overview of a ledger as a Rerun recording."""
     verdicts = np.array([str(one) for one in columns["verdict"]])
     logs = [one_line(Path(str(one)).name) for one in columns["log"]]
-    values = {name: _numbers(columns[name]) for name in _estimates(columns)}
-    # Each of a few estimates has a view.
+    # A few estimates that have intervals, those of most logs first; each has a view.
+    names = [name for name in columns if f"{name}_low" in columns]
+    names.sort(key=lambda name: -sum(one is not None for one in columns[name]))
+    values = {name: _numbers(columns[name]) for name in names}
     names = [name for name, its in values.items() if np.isfinite(its).any()][:6]
     values = {name: values[name] for name in names}
     # The rank of each log by the name of the order.
@@ -87,7 +81,7 @@ def write_overview(columns: Columns, path: Path) -> None:
                 there = np.isfinite(its) & (verdicts == verdict)
                 _log_points(recording, f"{name}/{verdict}", its, there, colour, orders)
             entity = f"{name}/unlike_others"
-            _log_points(recording, entity, its, outliers[name], _OUTLIER, orders, size=5.0)
+            _log_points(recording, entity, its, outliers[name], (255, 60, 200), orders, size=5.0)
         excess = _numbers(columns.get("fit_excess_percent", ()))
         is_known = np.isfinite(excess)
         _log_points(recording, "fit/excess_percent", excess, is_known, _END, orders)
@@ -95,13 +89,6 @@ def write_overview(columns: Columns, path: Path) -> None:
         _send_table(recording, columns, names, logs, orders)
         text = _overview_words(logs, columns, verdicts, values, outliers)
         draw.log_words(recording, "summary", text)
-
-
-def _estimates(columns: Columns) -> list[str]:
-    """List the estimates that have intervals, those of most logs first."""
-    names = [name for name in columns if f"{name}_low" in columns]
-    counts = {name: sum(one is not None for one in columns[name]) for name in names}
-    return sorted(names, key=lambda name: -counts[name])
 
 
 def _unlike(values: Array) -> NDArray[np.bool_]:
@@ -112,7 +99,6 @@ def _unlike(values: Array) -> NDArray[np.bool_]:
     middle = np.median(known)
     spread = 1.4826 * np.median(np.abs(known - middle))
     with np.errstate(invalid="ignore"):
-        # Robust standard deviations from the median: farther estimates are outliers
         return np.abs(values - middle) > 5.0 * max(float(spread), 1e-12)
 
 
@@ -129,11 +115,8 @@ def _log_points(
         return
     style = rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=size, names=entity)
     recording.log(entity, style, static=True)
-    recording.send_columns(entity, _times(orders, there), rr.Scalars.columns(scalars=values[there]))
-
-
-def _times(orders: Mapping[str, NDArray[Any]], there: NDArray[np.bool_]) -> list[rr.TimeColumn]:
-    return [rr.TimeColumn(name, sequence=places[there]) for name, places in orders.items()]
+    times = [rr.TimeColumn(name, sequence=places[there]) for name, places in orders.items()]
+    recording.send_columns(entity, times, rr.Scalars.columns(scalars=values[there]))
 
 
 def _send_table(
@@ -144,15 +127,16 @@ def _send_table(
     orders: Mapping[str, NDArray[Any]],
 ) -> None:
     """Send a table row per log: its identity, then its figures."""
-    times = _times(orders, np.ones(len(logs), bool))
-    told: dict[str, Any] = {_LOG_HEAD: list(logs)}
-    for name, head in _TOLD_HEADS.items():
+    times = [rr.TimeColumn(name, sequence=places) for name, places in orders.items()]
+    # Rerun makes a column as wide as its head.
+    told: dict[str, Any] = {"name_of_the_log_file": list(logs)}
+    heads = {"verdict": "verdict_of_it", "reason": "reason_of_the_verdict"}
+    for name, head in (heads | {"error": "error_in_short"}).items():
         if name in columns:
             told[head] = ["" if one is None else one_line(one) for one in columns[name]]
     recording.send_columns(_TABLES[0], times, rr.AnyValues.columns(**told))
     ends = [f"{name}_{end}" for name in names for end in ("low", "high")]
     wanted = (*names, *ends, "fit_excess_percent", "seconds")
-    # Decimals of figures in the table: more do not fit
     figures: dict[str, Any] = {
         f"{name}_value" if name in names else name: np.round(_numbers(columns[name]), 5)
         for name in wanted
@@ -171,7 +155,8 @@ def _overview_words(
 ) -> str:
     """Describe the ledger: counts, outliers, largest uncertainties."""
     counts = ", ".join(f"{int(np.sum(verdicts == one))} {one}" for one in _POINT_COLORS)
-    lines = [f"# {len(logs)} logs", "", f"{counts}.", "", f"Curves: {_KEY}."]
+    key = "green ok, amber suspect, red rejected, grey 95 %, pink unlike the others"
+    lines = [f"# {len(logs)} logs", "", f"{counts}.", "", f"Curves: {key}."]
     for name, its in values.items():
         known = its[np.isfinite(its)]
         if not len(known):
@@ -236,8 +221,6 @@ _BEST: draw.Color = (255, 196, 60)
 _PASSES: draw.Color = (70, 200, 150)
 _OFF_RIM: draw.Color = (225, 110, 90)
 _MISSES: draw.Color = (95, 100, 115)
-_BOARD: draw.Color = (120, 104, 84)
-_HOOP: draw.Color = (235, 90, 60)
 
 
 def write_shots(plan: Plan, path: Path) -> None:
@@ -248,21 +231,19 @@ def write_shots(plan: Plan, path: Path) -> None:
         stream.log("shots", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         plane, hoop = plan.rig.plane, plan.rig.hoop
         half_m = 3 * plan.rig.ball.radius_m
-        along = np.outer([-half_m, plane.downhill_m], plane.downhill)
-        across = np.array([[0.0, -half_m, 0.0], [0.0, half_m, 0.0]])
-        corners = [along[0] + across[0], along[1] + across[0], along[1] + across[1]]
-        corners.append(along[0] + across[1])
+        top, bottom = np.outer([-half_m, plane.downhill_m], plane.downhill)
+        left, right = np.array([[0.0, -half_m, 0.0], [0.0, half_m, 0.0]])
         board = rr.Mesh3D(
-            vertex_positions=corners,
+            vertex_positions=[top + left, bottom + left, bottom + right, top + right],
             triangle_indices=[[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]],
-            albedo_factor=_BOARD,
+            albedo_factor=(120, 104, 84),
         )
         stream.log("shots/plane", board, static=True)
         turns = np.linspace(0, 2 * np.pi, 73)
         ring = hoop.center_m + hoop.ring_radius_m * np.column_stack(
             [np.cos(turns), np.sin(turns), np.zeros_like(turns)]
         )
-        rim = rr.LineStrips3D([ring], colors=[_HOOP], radii=[hoop.rim_m / 2])
+        rim = rr.LineStrips3D([ring], colors=[(235, 90, 60)], radii=[hoop.rim_m / 2])
         stream.log("shots/hoop", rim, static=True)
         # Log one entity per outcome, so that each can be hidden.
         passing = plan.clearance_m > 0
@@ -278,7 +259,15 @@ def write_shots(plan: Plan, path: Path) -> None:
                 stream.log(f"shots/{name}", lines, static=True)
         _log_best(stream, plan)
         _log_misses(stream, plan)
-        draw.log_words(stream, "result", _shot_words(plan))
+        # The result in words.
+        best = plan.best
+        head = "# no height scores" if best is None else f"# let go {best.height_m:.3f} m above"
+        lines = [head, *(best_lines(plan) if best else ()), *ball_lines(plan)]
+        count = np.count_nonzero(passing)
+        lines.append(f"{count} of {len(plan.heights_m)} heights pass without touching the rim")
+        lines += [f"- {one_line(warning)}" for warning in plan.warnings]
+        lines.append("yellow: the best; green: passes; red: touches the rim; grey: misses")
+        draw.log_words(stream, "result", "\n\n".join(lines))
         stream.send_blueprint(_shot_blueprint(plan))
 
 
@@ -288,21 +277,15 @@ def _log_best(stream: rr.RecordingStream, plan: Plan) -> None:
     line = rr.LineStrips3D([path], colors=[_BEST], radii=draw.screen_radius(2.2))
     stream.log("shots/best/path", line, static=True)
     name = "nearest" if plan.best is None else "best"
-    start = rr.Points3D(
-        [path[0] + [0.0, 0.0, 2 * plan.rig.ball.radius_m]],
-        labels=[f"{name}: {plan.heights_m[index]:.3f} m"],
-        colors=[_BEST],
-        radii=draw.screen_radius(0.1),
-        show_labels=True,
-    )
-    stream.log("shots/best/label", start, static=True)
+    above = [path[0] + [0.0, 0.0, 2 * plan.rig.ball.radius_m]]
+    words = f"{name}: {plan.heights_m[index]:.3f} m"
+    draw.log_labels(stream, "shots/best/label", above, [words], [_BEST])
     ball = rr.Ellipsoids3D.from_fields(
         half_sizes=[[plan.rig.ball.radius_m] * 3], colors=[_BEST], fill_mode="solid"
     )
-    stream.log("shots/best/ball", ball, static=True)
-    seconds = rr.TimeColumn(SHOT_TIME, duration=np.arange(len(path)) * STEP_S)
+    seconds = np.arange(len(path), dtype=np.float64) * STEP_S
     centers = rr.Ellipsoids3D.columns(centers=path)
-    stream.send_columns("shots/best/ball", indexes=[seconds], columns=centers)
+    draw.log_moving(stream, "shots/best/ball", ball, seconds, centers, SHOT_TIME)
 
 
 def _shot_path(plan: Plan, index: int) -> Array:
@@ -324,37 +307,20 @@ def _log_misses(stream: rr.RecordingStream, plan: Plan) -> None:
     rows = [(-(at / reach + 1) / 2, f"{1000 * at:.0f}") for at in draw.ticks(-reach, reach, 4)]
     marks = [((at - low) / (high - low) * draw.WIDTH, f"{at:g}") for at in draw.ticks(low, high)]
     draw.log_grid(stream, "sheets/miss", draw.WIDTH, rows, marks)
-    colors = [_shot_color(plan, index) for index in range(len(heights))]
     known = np.flatnonzero(np.abs(miss) <= reach)  # NaN is not
-    dots = rr.Points2D(
-        np.column_stack([across, up])[known],
-        colors=[colors[index] for index in known],
-        radii=draw.screen_radius(2.5),
-        draw_order=20.0,
-    )
-    stream.log("sheets/miss/shots", dots, static=True)
+    colors: list[draw.Color] = []
+    for index in known:
+        if plan.best is not None and index == plan.best.index:
+            colors.append(_BEST)
+        elif plan.clearance_m[index] > 0:
+            colors.append(_PASSES)
+        else:
+            colors.append(_OFF_RIM if plan.flights.has_touched[index] else _MISSES)
+    places = np.column_stack([across, up])[known]
+    draw.log_dots(stream, "sheets/miss/shots", places, colors, 2.5, 20.0)
     if not len(known):
         words = "no ball comes down at the height of the hoop"
         draw.log_labels(stream, "sheets/miss/words", [[draw.WIDTH / 2, -0.75]], [words])
-
-
-def _shot_color(plan: Plan, index: int) -> draw.Color:
-    if plan.best is not None and index == plan.best.index:
-        return _BEST
-    if plan.clearance_m[index] > 0:
-        return _PASSES
-    return _OFF_RIM if plan.flights.has_touched[index] else _MISSES
-
-
-def _shot_words(plan: Plan) -> str:
-    best = plan.best
-    head = "# no height scores" if best is None else f"# let go {best.height_m:.3f} m above"
-    passing = int(np.count_nonzero(plan.clearance_m > 0))
-    lines = [head, *(best_lines(plan) if best else ()), *ball_lines(plan)]
-    lines.append(f"{passing} of {len(plan.heights_m)} heights pass without touching the rim")
-    lines += [f"- {one_line(warning)}" for warning in plan.warnings]
-    lines.append("yellow: the best; green: passes; red: touches the rim; grey: misses")
-    return "\n\n".join(lines)
 
 
 def _shot_blueprint(plan: Plan) -> rrb.Blueprint:
@@ -362,15 +328,7 @@ def _shot_blueprint(plan: Plan) -> rrb.Blueprint:
     middle = np.array([rig.hoop.forward_m / 2, 0.0, (rig.release.highest_m + rig.hoop.up_m) / 2])
     size = max(rig.release.highest_m - rig.hoop.up_m, rig.hoop.forward_m) + 0.2
     eye = middle + size * np.array([0.25, -1.05, 0.2])
-    scene = rrb.Spatial3DView(
-        origin="/shots",
-        name="shots",
-        background=draw.GROUND,
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
-        ),
-    )
+    scene = draw.scene_view("shots", eye, middle, "/shots")
     title = "miss [mm] by release height [m]: + beyond the hoop's centre, - short of it"
     right = rrb.Vertical(
         rrb.TextDocumentView(origin="/result", name="result"),
@@ -389,41 +347,50 @@ VERDICT_COLORS: dict[Verdict, draw.Color] = {  # green, amber, red
     "rejected": draw.FAILURE,
 }
 VERDICT_SHARE = 0.075  # of a review's height
-_INK: draw.Color = (16, 18, 24)
-_STRIP_PX = (3600, 90)  # width and height of its picture
-_FONT = 2  # OpenCV's number of a plain sans serif with two strokes
-_MAX_STRIP_LETTERS = 90  # that there is room for
-_MAX_NAME_LETTERS = 60
-_FIRST_WALL_NS = 10**17  # stamps from 1973 on are a wall clock's; smaller ones count from a start
 
 
 def log_verdict(stream: rr.RecordingStream, tuning: Tuning, record: Record) -> rrb.View:
     """Log the strip as static, so that it stays on any timeline, and return its view."""
     import cv2
 
+    # Estimates and failed checks, as many as fit, in letters that OpenCV draws.
+    failed = [check for check in record.checks if not check.passed]
+    failed.sort(key=lambda check: not check.fatal)
+    said = said_names(known.name for known in record.estimates)
+    told = [
+        f"{said[known.name]} {round(known.value, 3) + 0.0:.3f}"
+        + ("" if known.unit == "1" else f" {known.unit}")
+        for known in record.estimates
+        if not isinstance(known.value, tuple)
+    ]
+    parts = [", ".join(told)]
+    if failed:
+        parts.append("failed: " + ", ".join(check.name for check in failed))
+    elif record.reason:
+        parts.append(record.reason.partition("; at the next")[0])
+    words = "   ".join(filter(None, parts)).replace("·", " ").replace("²", "2")
+    words = words.encode("ascii", "replace").decode()
+    words = words if len(words) <= 90 else words[: 90 - 3] + "..."
+    # The strip: its verdict in large letters, then the words.
     color = VERDICT_COLORS[record.verdict]
-    width, height = _STRIP_PX
+    width, height = 3600, 90
     strip = np.full((height, width, 3), color, np.uint8)
-    left = height // 3
-    base = round(0.76 * height)
-    word = record.verdict.upper()
-    cv2.putText(strip, word, (left, base), _FONT, 2.6, _INK, 5, cv2.LINE_AA)
-    (wide, _), _ = cv2.getTextSize(word, _FONT, 2.6, 5)
+    left, base = height // 3, round(0.76 * height)
+    word, font = record.verdict.upper(), cv2.FONT_HERSHEY_DUPLEX
+    cv2.putText(strip, word, (left, base), font, 2.6, draw.GROUND, 5, cv2.LINE_AA)
+    (wide, _), _ = cv2.getTextSize(word, font, 2.6, 5)
     place = (left + wide + height // 2, base)
-    cv2.putText(strip, _strip_words(record), place, _FONT, 1.8, _INK, 3, cv2.LINE_AA)
-    image = rr.Image(strip).compress(jpeg_quality=95)
-    stream.log("verdict", image, static=True)
+    cv2.putText(strip, words, place, font, 1.8, draw.GROUND, 3, cv2.LINE_AA)
+    stream.log("verdict", rr.Image(strip).compress(jpeg_quality=95), static=True)
     # Format the log's name, its ball, and when it was recorded.
-    name = short_name(os.fsencode(tuning.log.name).decode(errors="replace"), _MAX_NAME_LETTERS)
-    parts = [name or "log"]
-    if record.ball:
-        parts.append(short_name(record.ball, _MAX_NAME_LETTERS))
+    name = os.fsencode(tuning.log.name).decode(errors="replace")
+    parts = [short_name(name, 60) or "log", *([short_name(record.ball, 60)] if record.ball else [])]
     signals = tuning.episode.signals.values() if tuning.episode else ()
     starts_ns = [int(one.stamps_ns[0]) for one in signals if len(one.stamps_ns)]
     found = tuning.detection or tuning.refused
     film_ns = getattr(found, "start_ns", None)  # of what was filmed alone
     starts_ns += [] if film_ns is None else [film_ns]
-    if starts_ns and min(starts_ns) > _FIRST_WALL_NS:
+    if starts_ns and min(starts_ns) > 10**17:  # from 1973 on: smaller stamps count from a start
         began = datetime.fromtimestamp(min(starts_ns) // 10**9, UTC)
         parts.append(f"recorded {began:%Y-%m-%d %H:%M} UTC")
     return rrb.Spatial2DView(
@@ -434,38 +401,7 @@ def log_verdict(stream: rr.RecordingStream, tuning: Tuning, record: Record) -> r
     )
 
 
-def _strip_words(record: Record) -> str:
-    """List estimates and failed checks, as many as fit, in letters that OpenCV draws."""
-    failed = [check for check in record.checks if not check.passed]
-    failed.sort(key=lambda check: not check.fatal)
-    said = said_names(known.name for known in record.estimates)
-    parts = [
-        ", ".join(
-            f"{said[known.name]} {round(known.value, 3) + 0.0:.3f}"
-            + ("" if known.unit == "1" else f" {known.unit}")
-            for known in record.estimates
-            if not isinstance(known.value, tuple)
-        )
-    ]
-    if failed:
-        parts.append("failed: " + ", ".join(check.name for check in failed))
-    elif record.reason:
-        parts.append(record.reason.partition("; at the next")[0])
-    words = "   ".join(filter(None, parts)).replace("·", " ").replace("²", "2")
-    plain = words.encode("ascii", "replace").decode()
-    return plain if len(plain) <= _MAX_STRIP_LETTERS else plain[: _MAX_STRIP_LETTERS - 3] + "..."
-
-
 # ---- Tuning: its recording and blueprint.
-
-_MAX_CURVES = 150  # where nothing was found: more can neither be told apart nor be loaded soon
-# What a unit measures.
-_QUANTITIES = {
-    "m": "positions",
-    "rad": "joint positions",
-    "rad/s": "joint velocities",
-    "N·m": "joint torques",
-}
 
 
 def write_review(tuning: Tuning, record: Record, path: Path) -> None:
@@ -487,20 +423,22 @@ def write_review(tuning: Tuning, record: Record, path: Path) -> None:
                 signals = {name: one for name, one in signals.items() if np.ptp(one.values)}
             curves = [(one, index) for one in signals.values() for index in range(len(one.columns))]
             by_unit: dict[str, list[str]] = {}
-            for signal, index in curves[:_MAX_CURVES]:
+            most = 150  # more can neither be told apart nor be loaded soon
+            for signal, index in curves[:most]:
                 column = signal.columns[index]
                 entity = draw.entity_of("recorded", signal.name, column)
                 label = one_line(f"{signal.name} {column}")
-                stream.log(entity, rr.SeriesLines(names=[label]), static=True)
-                draw.send_scalars(stream, entity, signal.seconds, signal.values[:, index])
+                style = rr.SeriesLines(names=[label])
+                columns = rr.Scalars.columns(scalars=signal.values[:, index])
+                draw.log_moving(stream, entity, style, signal.seconds, columns)
                 by_unit.setdefault(signal.unit, []).append(entity)
             last_s = max((float(one.seconds[-1]) for one in signals.values()), default=0.0)
             shown = list(by_unit.items())[:4]  # one for each unit: more would be too low to read
             # 24 names of all legends together fit beside the views on a laptop's screen.
             names = 24 // max(len(shown), 1)
             views = [_recorded_view(unit, some, last_s, names) for unit, some in shown]
-            left_out = max(0, len(curves) - _MAX_CURVES)
-            text += f"\n\n- {left_out} more curves are not drawn" if left_out else ""
+            if len(curves) > most:
+                text += f"\n\n- {len(curves) - most} more curves are not drawn"
             if layout is None and draw.log_recorded_film(stream, tuning):
                 views = [rrb.Spatial2DView(origin="/film", name="recorded pictures")]
             # The evidence over all that was recorded, beside the result.
@@ -524,25 +462,25 @@ def _time_panel(record: Record, *, has_film: bool) -> rrb.TimePanel:
     after opening; a paused one would show it at rest, where the recording ends.
     """
     curves = record.motion.curves
-    if curves is None:
-        play, loop = ("playing", "all") if has_film else (None, None)
-        return rrb.TimePanel(
-            state="collapsed", timeline=draw.LOG_TIME, play_state=play, loop_mode=loop
-        )
-    first_ns, last_ns = (round(1e9 * float(at_s)) for at_s in curves.seconds[[0, -1]])
-    # Half the true speed, at which a short bounce would be over before it is looked at.
-    return rrb.TimePanel(
-        state="collapsed",
-        timeline=draw.LOG_TIME,
-        playback_speed=0.5,
-        play_state="playing",
-        loop_mode="selection",
-        time_selection=AbsoluteTimeRange(first_ns, last_ns),
-    )
+    play: dict[str, Any] = {}
+    if curves is not None:
+        first_ns, last_ns = (round(1e9 * float(at_s)) for at_s in curves.seconds[[0, -1]])
+        play = {"loop_mode": "selection", "time_selection": AbsoluteTimeRange(first_ns, last_ns)}
+        # At the true speed a short bounce would be over before it is looked at.
+        play |= {"play_state": "playing", "playback_speed": 0.5}
+    elif has_film:
+        play = {"play_state": "playing", "loop_mode": "all"}
+    return rrb.TimePanel(state="collapsed", timeline=draw.LOG_TIME, **play)
 
 
 def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: int) -> rrb.View:
     """Return the view of one unit's curves, with a legend beside them if it fits."""
+    measured = {
+        "m": "positions",
+        "rad": "joint positions",
+        "rad/s": "joint velocities",
+        "N·m": "joint torques",
+    }
     has_legend = len(entities) <= most_names
     # With a legend beside its curves an axis is longer.
     begin, end = 0.0, max(last_s, 1e-3) * (1.6 if has_legend else 1.0)
@@ -553,7 +491,7 @@ def _recorded_view(unit: str, entities: list[str], last_s: float, most_names: in
     return rrb.TimeSeriesView(
         origin="/recorded",
         contents=[f"+ {one}" for one in entities],
-        name=one_line(f"recorded {_QUANTITIES.get(unit, 'values')} [{unit}]"),
+        name=one_line(f"recorded {measured.get(unit, 'values')} [{unit}]"),
         axis_x=rrb.TimeAxis(view_range=seconds),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=has_legend),
     )

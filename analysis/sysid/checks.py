@@ -12,7 +12,6 @@ import numpy as np
 from tunenet_logs.analysis.checks import Check, CheckSpec, Limit, at_least, at_most, table
 from tunenet_logs.analysis.sysid.fit import ComparedColumns, SimulatorFit, noise_of
 from tunenet_logs.episode import Array, Episode
-from tunenet_logs.recorders.simulators.base import Parameter
 from tunenet_logs.recorders.simulators.model.rollout import STOPPED
 from tunenet_logs.terminal import listed
 
@@ -133,11 +132,6 @@ SYSID = table(
     ),
 )
 
-_GOOD_JUMPY_SHARE = 0.1  # of a spread that jumps: a jump met a little early or late leaves some
-_STILL_SHARE = 1e-2  # least spread of a column, by the largest of the columns of its unit
-_NOISES = 1.3  # times the noise that a column may keep where that is more than its share
-_SLACK_SHARE = 0.02  # of a spread: a prediction that close is good whatever the fit left
-_EDGE_SHARE = 0.002  # of a range: a value that is closer to its end lies on it
 _FEW = 4  # names in a sentence
 
 
@@ -163,14 +157,15 @@ def match_check(target: ComparedColumns, residuals: Array) -> Check:
     spreads, noises, good = [], [], []
     for number, column in enumerate(target.columns):
         most = max(one.spread for one in target.columns if one.unit == column.unit)
-        spreads.append(max(column.spread, _STILL_SHARE * most, 1e-12))
+        spreads.append(max(column.spread, 1e-2 * most, 1e-12))  # by the largest of its unit
         # A servo's efforts jump with each command: by themselves they look like noise, of a size at
         # which any simulator would match. So of a column that jumps it is that of its residual.
         own = residuals[target.which == number]
         noise = noise_of(own[np.isfinite(own)]) if column.is_jumpy else column.noise
         noises.append(min(noise, column.noise))
-        good.append(_GOOD_JUMPY_SHARE if column.is_jumpy else spec.limit.value / 100)
-    limits = np.maximum(_NOISES * np.array(noises) / np.array(spreads), np.array(good))
+        # A jump met a little early or late leaves some.
+        good.append(0.1 if column.is_jumpy else spec.limit.value / 100)
+    limits = np.maximum(1.3 * np.array(noises) / np.array(spreads), np.array(good))
     place = int(np.argmax(left / np.array(spreads) / limits))
     share = left[place] / spreads[place]
     return spec.measured(100 * share, 100 * limits[place], column=target.columns[place].label)
@@ -187,7 +182,7 @@ def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
         limits = np.zeros(len(target.columns))
         for number, column in enumerate(target.columns):
             floor = max(inside[number], column.noise)
-            slack = floor + _SLACK_SHARE * column.spread
+            slack = floor + 0.02 * column.spread  # as close is good whatever the fit left
             limits[number] = max(spec.limit.value * floor, slack, 1e-12)
         place = int(np.argmax(held_out.rms / limits))
         column = target.columns[place]
@@ -203,13 +198,14 @@ def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
             )
         )
     # Values on the ends of their ranges.
-    values = found.solution.values
     tuned = found.parameters[: found.tuned]
-    edged = [
-        one.name
-        for one, value in zip(tuned, values, strict=False)
-        if _is_at_an_end(one, float(value))
-    ]
+    edged: list[str] = []
+    for one, value in zip(tuned, found.solution.values.tolist(), strict=False):
+        (low, high), (least, most) = one.training_range, one.bounds
+        slack = 0.002 * (high - low)
+        # Physical bounds aside.
+        if (value <= low + slack and low > least) or (value >= high - slack and high <= most):
+            edged.append(one.name)
     detail = f"on the end: {listed(edged, _FEW)}" if edged else "no value lies on its range's end"
     checks.append(SYSID["inside its range"].measured(len(edged), detail=detail))
     # Parameters that the motion does not tell, with those that each is confounded with.
@@ -236,11 +232,3 @@ def fit_checks(found: SimulatorFit) -> tuple[Check, ...]:
         step = SYSID["the step is short enough"]
         checks.append(step.measured(100 * ratios[place], name=name, shift=shift))
     return tuple(checks)
-
-
-def _is_at_an_end(parameter: Parameter, value: float) -> bool:
-    """Return whether a value is on or beyond its range's end, physical bounds aside."""
-    (low, high), (least, most) = parameter.training_range, parameter.bounds
-    slack = _EDGE_SHARE * (high - low)
-    is_low = value <= low + slack and low > least
-    return is_low or (value >= high - slack and high <= most)

@@ -100,13 +100,22 @@ def trained_network(
     parameters: tuple[Parameter, ...],
     tuned: int,
     digest: str,
-    count: int = ROLLOUTS,
 ) -> Model:
     """Train the network for one simulator and one log, or load it from the cache."""
+    count = ROLLOUTS
     shape = f"{_GRID} moments of {', '.join(column.label for column in target.columns)}"
     inputs = _GRID * len(target.columns)
     purpose = Purpose("simulator", "default", shape, inputs, tuned, (1.0,))
-    kept = _kept(target, parameters, digest, count) if digest else None
+    kept: Path | None = None
+    if digest:  # the cache's file, keyed by model, parameters, and log
+        root = os.environ.get("XDG_CACHE_HOME")
+        folder = Path(root) if root else Path.home() / ".cache"
+        state = hashlib.sha256(digest.encode())
+        state.update(f"{count} {_GRID}".encode())
+        for one in parameters:
+            state.update(f"{one.name} {one.training_range} {one.initial}".encode())
+        state.update(target.seconds.tobytes() + target.values.tobytes())
+        kept = folder / "tunenet-logs" / f"{state.hexdigest()[:32]}.safetensors"
     if kept is not None and kept.is_file():
         with suppress(TuneNetError):
             return load_model(kept, purpose)
@@ -131,24 +140,7 @@ def trained_network(
     return model
 
 
-def _kept(
-    target: ComparedColumns, parameters: tuple[Parameter, ...], digest: str, count: int
-) -> Path | None:
-    """Return the cache file, keyed by model, parameters, and log."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    folder = Path(root) if root else Path.home() / ".cache"
-    state = hashlib.sha256(digest.encode())
-    state.update(f"{count} {_GRID}".encode())
-    for parameter in parameters:
-        state.update(f"{parameter.name} {parameter.training_range} {parameter.initial}".encode())
-    state.update(target.seconds.tobytes() + target.values.tobytes())
-    return folder / "tunenet-logs" / f"{state.hexdigest()[:32]}.safetensors"
-
-
 # ---- Estimation problem of a simulator's parameters and uncertain initial state
-
-# Least noise of a column in a search's cost, by its spread: no simulator is right to all digits.
-_MIN_NOISE, _MIN_SPREAD = 0.01, 1e-12
 
 
 class SimulatorProblem(Problem):
@@ -159,8 +151,9 @@ class SimulatorProblem(Problem):
         simulator, target = connected.simulator, connected.target
         self._all = tuple(sorted(simulator.parameters, key=lambda one: one.prior_sd is not None))
         self._rest = np.array([one.initial for one in self._all[len(initial) :]])
-        shares = [one.noise / max(one.spread, _MIN_SPREAD) for one in target.columns]
-        self._noises = np.maximum(shares, _MIN_NOISE)
+        # Of each column, by its spread: no simulator is right to all digits.
+        shares = [one.noise / max(one.spread, 1e-12) for one in target.columns]
+        self._noises = np.maximum(shares, 0.01)
         super().__init__(
             observation(target, target.values),
             simulator,
@@ -174,7 +167,7 @@ class SimulatorProblem(Problem):
         self.parameters = self._all[: len(initial)]
 
     def evaluate(self, values: Array) -> Evaluation:
-        """Roll out once, by default from the initial state of the fit; see `Problem.evaluate`."""
+        """Roll out once, by default from the initial state of the fit."""
         self.rollouts += 1
         row = np.concatenate([values, self._rest[len(values) - len(self.parameters) :]])
         episode = self._connected.rollouts(row[None])[0]
@@ -188,7 +181,12 @@ class SimulatorProblem(Problem):
     @property
     def ranges(self) -> Array:
         """The user's ranges, and those of priors; widened to contain the start."""
-        low, high = np.array([_range(one) for one in self._all]).T
+        ends: list[tuple[float, float]] = []
+        for one in self._all:
+            reach = 3.0 * (one.prior_sd or 0.0)  # standard deviations to each side
+            near = max(one.initial - reach, one.bounds[0]), min(one.initial + reach, one.bounds[1])
+            ends.append(one.training_range if one.prior_sd is None else near)
+        low, high = np.array(ends).T
         return np.stack([np.minimum(low, self.start), np.maximum(high, self.start)], axis=1)
 
     @property
@@ -197,10 +195,7 @@ class SimulatorProblem(Problem):
         return np.concatenate([self.initial, self._rest])
 
     def misfit(self, evaluation: Evaluation) -> Array:
-        """See `Problem.misfit`; in units of each column's noise.
-
-        A column that a rollout loses at once has the largest residual there is.
-        """
+        """See `Problem.misfit`; by each column's noise, and the largest where one is lost."""
         is_lost = np.isnan(evaluation.observation.values) & np.isfinite(self.target.values)
         off = np.where(is_lost.ravel(), MAX_SPREADS, super().misfit(evaluation))
         return (off.reshape(is_lost.shape) / self._noises).ravel()
@@ -228,16 +223,6 @@ class SimulatorProblem(Problem):
         found: SimulatorFit = fit.detail
         self._rest = found.solution.values[len(start) :]
         return fit
-
-
-def _range(parameter: Parameter) -> tuple[float, float]:
-    """Return the search range of a parameter."""
-    if parameter.prior_sd is None:
-        return parameter.training_range
-    # Standard deviations to each side in which a search by trial looks
-    reach = 3.0 * parameter.prior_sd
-    low, high = parameter.bounds
-    return max(parameter.initial - reach, low), min(parameter.initial + reach, high)
 
 
 # ---- The experiment

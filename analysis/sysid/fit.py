@@ -23,11 +23,7 @@ from tunenet_logs.recorders.simulators.base import Parameter
 
 # ---- Columns of a log and of a rollout, paired by name, at the log's stamps
 
-_MAX_SAMPLES = 20_000  # of one column; more are thinned, as neighbours then tell the same
-_MIN_SAMPLES = 20
-# Of a column's spread: one that changes more from sample to sample jumps, as a servo's efforts with
-# each command, or is noise.
-_JUMPY = 0.25
+_MIN_SAMPLES = 20  # of one column
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +45,8 @@ class Column:
 
     @property
     def is_jumpy(self) -> bool:
-        """Whether it jumps, so that its `noise` is not only noise."""
-        return self.noise > _JUMPY * self.spread
+        """Whether it jumps with each sample, as a servo's efforts do, or is noise."""
+        return self.noise > 0.25 * self.spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,16 +85,14 @@ class ComparedColumns:
         """Interpolate a rollout at the same stamps, shape (N,); NaN where it has nothing."""
         found: list[Array] = []
         for column in self.columns:
-            signal = rollout.signals.get(column.signal)
-            if signal is None or column.name not in signal.columns:
-                found.append(np.full(len(column.seconds), np.nan))
-                continue
-            first, last = int(signal.stamps_ns[0]), int(signal.stamps_ns[-1])
-            at_s = (
-                signal.stamps_ns - (self.start_ns if first <= self.start_ns <= last else first)
-            ) * 1e-9
-            track = signal.values[:, signal.columns.index(column.name)]
-            found.append(np.interp(column.seconds, at_s, track, left=np.nan, right=np.nan))
+            signal, track = rollout.signals.get(column.signal), np.full(len(column.seconds), np.nan)
+            if signal is not None and column.name in signal.columns:
+                first, last = int(signal.stamps_ns[0]), int(signal.stamps_ns[-1])
+                start_ns = self.start_ns if first <= self.start_ns <= last else first
+                at_s, values = (signal.stamps_ns - start_ns) * 1e-9, signal.values
+                track = values[:, signal.columns.index(column.name)]
+                track = np.interp(column.seconds, at_s, track, left=np.nan, right=np.nan)
+            found.append(track)
         return np.concatenate(found)
 
     def rms(self, residuals: Array, chosen: NDArray[np.bool_] | None = None) -> Array:
@@ -126,7 +120,17 @@ def compared(observed: Episode, rollout: Episode) -> ComparedColumns:
             "name the simulator's signals and columns as the log's",
         )
     start_ns = min(int(observed.signals[name].stamps_ns[0]) for name, _ in shared)
-    columns = [_column(observed, name, column, start_ns) for name, column in shared]
+    columns: list[Column] = []
+    for name, column in shared:
+        signal = observed.signals[name]
+        values = signal.values[:, signal.columns.index(column)]
+        good = np.flatnonzero(np.isfinite(values))
+        noise = noise_of(values[good])
+        spread = float(np.std(values[good])) if len(good) else 0.0
+        # More are thinned: neighbours tell the same.
+        good = good[:: max(-(-len(good) // 20_000), 1)]
+        seconds = 1e-9 * (signal.stamps_ns[good] - start_ns).astype(np.float64)
+        columns.append(Column(name, column, signal.unit, seconds, values[good], noise, spread))
     kept = tuple(column for column in columns if len(column.values) >= _MIN_SAMPLES)
     if not kept:
         most = max(len(column.values) for column in columns)
@@ -137,17 +141,6 @@ def compared(observed: Episode, rollout: Episode) -> ComparedColumns:
     return ComparedColumns(start_ns, kept)
 
 
-def _column(observed: Episode, name: str, column: str, start_ns: int) -> Column:
-    signal = observed.signals[name]
-    values = signal.values[:, signal.columns.index(column)]
-    good = np.flatnonzero(np.isfinite(values))
-    noise = noise_of(values[good])
-    spread = float(np.std(values[good])) if len(good) else 0.0
-    good = good[:: max(-(-len(good) // _MAX_SAMPLES), 1)]
-    seconds = 1e-9 * (signal.stamps_ns[good] - start_ns).astype(np.float64)
-    return Column(name, column, signal.unit, seconds, values[good], noise, spread)
-
-
 def noise_of(values: Array) -> float:
     """Estimate the standard deviation of white noise in a sampled curve, by third differences.
 
@@ -155,17 +148,14 @@ def noise_of(values: Array) -> float:
     """
     if len(values) < 5:
         return 0.0
-    differences = np.abs(np.diff(values, 3))
     # Third differences have 1 + 9 + 9 + 1 times the variance of white noise.
-    noise = 1.4826 * float(np.median(differences)) / np.sqrt(20.0)  # of the median
+    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 3)))) / np.sqrt(20.0)  # of the median
     steps = np.abs(np.diff(np.unique(values)))
     resolution = float(steps.min()) / np.sqrt(12.0) if len(steps) else 0.0
     return max(noise, resolution)
 
 
 # ---- Finite differences of rollouts: slopes, second differences, and the cost's minimum
-
-_NEAR = 0.5  # steps of the differences within which slopes are reused
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,19 +166,9 @@ class Differences:
     residuals: Array  # there, shape (M,)
     moved: Array  # step of each parameter to one side, shape (P,)
     beside: Array  # residuals there, shape (P, M)
-    # step to the other side, below 0 where `moved` is above; 0 at a bound; shape (P,). None for
-    # one-sided differences.
+    # Step to the other side, below 0 where `moved` is above; 0 at a bound; None if one-sided; (P,).
     back: Array | None = None
     behind: Array | None = None  # residuals there, shape (P, M)
-
-    @property
-    def is_central(self) -> bool:
-        """Whether they are central."""
-        return self.back is not None
-
-    def is_near(self, values: Array, steps: Array) -> bool:
-        """Return whether their slopes hold at other values, (P,), for these steps, (P,)."""
-        return bool(np.all(np.abs(values - self.place) <= _NEAR * steps))
 
     @cached_property
     def slopes(self) -> Array:
@@ -208,8 +188,8 @@ class Differences:
     def lowest(self, cost: Callable[[Array, Array], float], least: float) -> Array | None:
         """Minimise the cost along one parameter by a parabola through three rollouts, shape (P,).
 
-        The most promising parabola counts; None if none lowers the cost of residuals (M,) and
-        values by `least`. Slopes over a kink may point uphill where it does not.
+        The most promising one that lowers the cost by `least`, or None. Slopes over a kink may
+        point uphill where it does not.
         """
         if self.back is None or self.behind is None:
             return None
@@ -233,44 +213,15 @@ class Differences:
         return best
 
 
-def differences(
-    residuals_at: Callable[[Array], Array],
-    place: Array,
-    residuals: Array,
-    steps: Array,
-    bounds: Array,
-    *,
-    is_central: bool,
-) -> Differences:
-    """Roll out beside a place, all at once; `residuals_at` maps places (N, P) to (N, M)."""
-    low, high = bounds
-    moved = np.where(place + steps > high, -steps, steps)
-    count = len(place)
-    if not is_central:
-        return Differences(place, residuals, moved, residuals_at(place + np.diag(moved)))
-    inside = (place - moved >= low) & (place - moved <= high)
-    back = np.where(inside, -moved, 0.0)
-    off = residuals_at(np.concatenate([place + np.diag(moved), place + np.diag(back)]))
-    return Differences(place, residuals, moved, off[:count], back, off[count:])
-
-
+# ---- Nonlinear least squares by rollouts: Levenberg-Marquardt
 # ---- Nonlinear least squares by rollouts: Levenberg-Marquardt
 # The columns' noise is not known beforehand: in the end, each is weighted by its residual.
 
 # Rollouts at values of shape (N, P) -> what they show at the log's stamps, shape (N, M).
 Run = Callable[[Array], Array]
-_MAX_STEPS, _FIRST_DAMPING = 25, 1e-4
+_FIRST_DAMPING = 1e-4
 _DAMPING = Damping(tries=7, raised_by=10, lowered_by=30, least=1e-7, raised_from=1e-3)
-# How often columns are weighed by what is left of them, and by how much that may still change.
-_WEIGHED, _SAME_NOISE = 3, 0.1
-_COARSE_SHARE, _JUMPY_FACTOR = 0.03, 5.0
-_MAX_STEP = 0.5  # of a parameter's range
-# Of the finite differences, as a share of a parameter's range; the first of a prior is 0.2.
-_FIRST_DIFFERENCE, _MIN_DIFFERENCE, _MAX_DIFFERENCE = 3e-3, 1e-5, 2e-2
-# Standard deviations, and a change of the cost, below which a step is the last.
-_STILL, _NO_GAIN = 0.05, 0.05
-# Of a column, as a share of its spread: a simulator is never weighed as more exact than this.
-_MIN_NOISE = 1e-3
+_NO_GAIN = 0.05  # of the cost: a step that lowers it by less is the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,11 +265,13 @@ class RolloutLeastSquares:
         ends = self.target.end_s if self.until_s is None else self.until_s
         self.chosen = self.target.seconds <= ends
         self._spread = np.array([column.spread for column in self.target.columns])
-        self._floor = np.maximum(_MIN_NOISE * self._spread, 1e-12)
+        # A simulator is never weighed as more exact than this share of a column's spread.
+        self._floor = np.maximum(1e-3 * self._spread, 1e-12)
+        # Of the finite differences, by a parameter's range or prior: least, most, and first.
         has_prior = self._precision > 0
-        self._least = _MIN_DIFFERENCE * self._scales
-        self._most = np.where(has_prior, 1.0, _MAX_DIFFERENCE) * self._scales
-        self._steps = np.where(has_prior, 0.2, _FIRST_DIFFERENCE) * self._scales
+        self._least = 1e-5 * self._scales
+        self._most = np.where(has_prior, 1.0, 2e-2) * self._scales
+        self._steps = np.where(has_prior, 0.2, 3e-3) * self._scales
         self._known: Differences | None = None
 
     def residuals(self, values: Array) -> Array:
@@ -329,10 +282,7 @@ class RolloutLeastSquares:
         return np.where(np.isfinite(off), off, lost)
 
     def cost(self, residuals: Array, values: Array, noise: Array) -> float:
-        """Return twice the negative log likelihood and prior, up to a constant.
-
-        `values` (P,), `noise` (C,).
-        """
+        """Return twice the negative log likelihood and prior, up to a constant, at values (P,)."""
         scaled = residuals / self.target.per_value(noise)
         fit = float(np.sum(scaled[self.chosen] ** 2))
         return fit + float(np.sum(self._precision * (values - self._centres) ** 2))
@@ -386,8 +336,8 @@ class RolloutLeastSquares:
         """
         noise = np.array([column.noise for column in self.target.columns])
         jumpy = np.array([column.is_jumpy for column in self.target.columns])
-        off = np.maximum(np.maximum(self._floor, _COARSE_SHARE * self._spread), noise)
-        return off if jumpy.all() else np.where(jumpy, _JUMPY_FACTOR * off, off)
+        off = np.maximum(np.maximum(self._floor, 0.03 * self._spread), noise)
+        return off if jumpy.all() else np.where(jumpy, 5.0 * off, off)
 
     def solve(self, start: Array) -> Solution:
         """Iterate from values of shape (P,) until steps are small beside the noise.
@@ -400,10 +350,10 @@ class RolloutLeastSquares:
         noise = self.coarse()
         if np.any(self.left(residuals) > noise):
             values, residuals = self._descend(values, residuals, noise, path)
-        for _ in range(_WEIGHED):
+        for _ in range(3):  # times that columns are weighed by what is left of them
             noise = self.left(residuals)
             values, residuals = self._descend(values, residuals, noise, path, is_central=True)
-            if np.allclose(self.left(residuals), noise, rtol=_SAME_NOISE):
+            if np.allclose(self.left(residuals), noise, rtol=0.1):
                 break
         seen = self._differences(values, residuals, is_central=True)
         return Solution(values, residuals, seen.slopes, noise, tuple(path), self.chosen, seen.bends)
@@ -419,11 +369,11 @@ class RolloutLeastSquares:
     ) -> tuple[Array, Array]:
         """Descend with fixed noise of each column; append each step to the path."""
         cost, damping = self.cost(residuals, values, noise), _FIRST_DAMPING
-        for _ in range(_MAX_STEPS):
+        for _ in range(25):
             beside = self._differences(values, residuals, is_central=is_central)
             normal, slope = self._equations(values, residuals, beside.slopes, noise)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * self._scales
-            still = _STILL * sd
+            still = 0.05 * sd  # a shorter step is the last
             seen = np.sqrt(np.diag(normal) / self.chosen.sum()) / self._scales
             # Once it is known, a step changes what is seen by half the noise, rms: contacts and dry
             # friction make rollouts rough where they are looked at more closely.
@@ -469,20 +419,29 @@ class RolloutLeastSquares:
         self, values: Array, residuals: Array, *, is_central: bool = False
     ) -> Differences:
         """Return differences, one-sided on the way, central at its end; reuse near ones."""
-        known = self._known
-        enough = known is not None and known.is_central >= is_central
-        if known is None or not enough or not known.is_near(values, self._steps):
-            known = differences(
-                self.residuals, values, residuals, self._steps, self._bounds, is_central=is_central
-            )
+        known, steps = self._known, self._steps
+        is_enough = known is not None and (known.back is not None or not is_central)
+        if known is not None and is_enough and np.all(np.abs(values - known.place) <= 0.5 * steps):
+            return known
+        # Roll out beside the place, all at once.
+        low, high = self._bounds
+        moved = np.where(values + steps > high, -steps, steps)
+        beside = values + np.diag(moved)
+        if is_central:
+            inside = (values - moved >= low) & (values - moved <= high)
+            back = np.where(inside, -moved, 0.0)
+            off = self.residuals(np.concatenate([beside, values + np.diag(back)]))
+            count = len(values)
+            known = Differences(values, residuals, moved, off[:count], back, off[count:])
+        else:
+            known = Differences(values, residuals, moved, self.residuals(beside))
         self._known = known
         return known
 
     def one_step(self, solution: Solution) -> tuple[Array, Array]:
         """Refit to the chosen samples by one Gauss-Newton step from another solution.
 
-        Its slopes are those of the other: if a solution explains what is left out, too, the step is
-        small.
+        With its slopes: if a solution explains what is left out, too, the step is small.
         """
         noise = self.left(solution.residuals)
         values = solution.values
@@ -511,14 +470,11 @@ class RolloutLeastSquares:
         part = normal[np.ix_(free, free)]
         step[free] = -np.linalg.solve(part + damping * np.diag(np.diag(part)), slope[free])
         tuned = np.abs(step[self._precision == 0]).max(initial=0.0)
-        return step * self._scales * min(1.0, _MAX_STEP / max(tuned, 1e-12))
+        return step * self._scales * min(1.0, 0.5 / max(tuned, 1e-12))  # half a range at most
 
 
 # ---- Sandwich covariance: Newey-West (1987), with Andrews' bandwidth (1991)
 # Residuals of a simulator are autocorrelated: noise is filtered, and no model is exact.
-
-# Precision of a parameter of which nothing is known, in its range: ten of these are one sd.
-_FLAT = 1e-2
 
 
 def covariance(
@@ -530,7 +486,8 @@ def covariance(
     slopes = solution.slopes * scales
     precision = np.array(
         [
-            _FLAT if one.prior_sd is None else (scale / one.prior_sd) ** 2
+            # Of a parameter of which nothing is known: ten ranges are one sd.
+            1e-2 if one.prior_sd is None else (scale / one.prior_sd) ** 2
             for one, scale in zip(parameters, scales, strict=True)
         ]
     )
@@ -545,7 +502,6 @@ def covariance(
     scores = sums
     # Andrews' bandwidth by an AR(1) model of each parameter's scores.
     influences = scores @ bread
-    count = len(influences)
     before, after = influences[:-1], influences[1:]
     power = np.sum(before**2, axis=0)
     share = np.where(power > 0, np.sum(before * after, axis=0) / np.maximum(power, 1e-300), 0.0)
@@ -572,12 +528,7 @@ def covariance(
 
 # ---- Fit of all parameters, its hold-out, and how sure each is
 
-_GOOD = 1.5  # times a column's noise: a solution that leaves less is not looked for elsewhere
-_SCREENED, _RESTARTS = 24, 2
-# Of the cost, twice a log likelihood: two standard deviations; how a walk goes on until then.
-_CONTRADICTS, _WALK_FACTOR, _MAX_WALKS = 4.0, 3.0, 8
-# Of a parameter's range: where 95 % reach further than this to each side, the log cannot tell.
-_UNTOLD_SHARE = 0.25
+_CONTRADICTS = 4.0  # of the cost, twice a log likelihood: two standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -610,15 +561,15 @@ class SimulatorFit:
 
     @property
     def unidentifiable(self) -> tuple[Parameter, ...]:
-        """Unidentifiable tuned parameters: known to no better than a quarter of their range.
+        """Unidentifiable tuned parameters: 95 % reach further than a quarter of their range.
 
         One that is confounded with others must be known within a quarter of its value.
         """
         own, half95 = slice(self.tuned), self.half95[: self.tuned]
-        wide = half95 > _UNTOLD_SHARE * ranges_of(self.parameters)[own]
+        wide = half95 > 0.25 * ranges_of(self.parameters)[own]
         values = np.abs(self.solution.values[own])
         # Times less sure than if all others were known: from there on it is seen with them alone
-        wide |= (self.inflation[own] > 40.0) & (half95 > _UNTOLD_SHARE * values)
+        wide |= (self.inflation[own] > 40.0) & (half95 > 0.25 * values)
         return tuple(one for one, is_wide in zip(self.parameters, wide, strict=False) if is_wide)
 
 
@@ -673,7 +624,7 @@ def fit_simulator(
         wide,
         half95,
         shift,
-        _held_out(run, target, parameters, solution, first),
+        _held_out(steps, solution, first),
         correlation,
         steps.inflation(solution),
     )
@@ -693,7 +644,7 @@ def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: i
         along = cov[:, number] / cov[number, number]
         curvature = steps.curvature(solution, along)
         reach, seen = np.sqrt(_CONTRADICTS / curvature), 0.0
-        for _ in range(_MAX_WALKS):
+        for _ in range(8):
             reach = min(reach, ranges[number])
             rises = [steps.follow(solution, number, side * reach, along) for side in (-1.0, 1.0)]
             moved = [(cost - start, far) for cost, far in rises if far > reach / 2]
@@ -701,7 +652,7 @@ def _walked(steps: RolloutLeastSquares, solution: Solution, cov: Array, tuned: i
             seen = max(rise, 0.0) / far**2
             if rise > _CONTRADICTS / 2 or reach >= ranges[number]:
                 break
-            reach *= _WALK_FACTOR
+            reach *= 3.0
         if seen < curvature / 2:
             factors[number] = np.sqrt(curvature / max(seen, 1e-12 * curvature))
     return factors
@@ -711,9 +662,9 @@ def _is_good(solution: Solution, target: ComparedColumns) -> bool:
     """Return whether every informative column is met about as well as its noise allows."""
     left = target.rms(solution.residuals, solution.chosen)
     every = all(column.is_jumpy for column in target.columns)
-    # Where the noise is less than a hundredth of a column's spread, that counts.
+    # A hundredth of a column's spread counts where its noise is less.
     return all(
-        rms <= max(_GOOD * column.noise, 0.01 * column.spread)
+        rms <= max(1.5 * column.noise, 0.01 * column.spread)
         for rms, column in zip(left, target.columns, strict=True)
         if every or not column.is_jumpy
     )
@@ -722,14 +673,14 @@ def _is_good(solution: Solution, target: ComparedColumns) -> bool:
 def _from_elsewhere(steps: RolloutLeastSquares, solution: Solution, tuned: int) -> Solution:
     """Restart from the best of many quasi-random (Halton) starts; keep the best solution."""
     low, high = np.array([one.training_range for one in steps.parameters[:tuned]]).T
-    places = qmc.scale(qmc.Halton(tuned, rng=0).random(_SCREENED), low, high)
+    places = qmc.scale(qmc.Halton(tuned, rng=0).random(24), low, high)
     rest = np.array([one.initial for one in steps.parameters[tuned:]])
-    starts = np.column_stack([places, np.repeat(rest[None], _SCREENED, axis=0)])
+    starts = np.column_stack([places, np.repeat(rest[None], len(places), axis=0)])
     off = steps.residuals(starts)
     coarse = steps.coarse()
     costs = [steps.cost(row, start, coarse) for row, start in zip(off, starts, strict=True)]
     least = steps.cost(solution.residuals, solution.values, coarse)
-    for place in np.argsort(costs)[:_RESTARTS]:
+    for place in np.argsort(costs)[:2]:
         other = steps.solve(starts[place])
         cost = steps.cost(other.residuals, other.values, coarse)
         if cost < least:
@@ -752,19 +703,13 @@ def _moved_by(
     return np.linalg.solve(normal, slopes.T @ (weights * change)) * scales
 
 
-def _held_out(
-    run: Run,
-    target: ComparedColumns,
-    parameters: tuple[Parameter, ...],
-    solution: Solution,
-    first: Array,
-) -> HeldOut | None:
+def _held_out(steps: RolloutLeastSquares, solution: Solution, first: Array) -> HeldOut | None:
     # A second fit to the first 60 % of the log is judged by what comes after.
-    from_s = 0.6 * target.end_s
+    target, from_s = steps.target, 0.6 * steps.target.end_s
     later = target.seconds > from_s
     if min(np.bincount(target.which[later], minlength=len(target.columns))) < 2:
         return None
-    _, residuals = RolloutLeastSquares(run, target, parameters, from_s).one_step(solution)
+    _, residuals = replace(steps, until_s=from_s).one_step(solution)
     return HeldOut(
         from_s,
         target.values + residuals,

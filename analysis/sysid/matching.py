@@ -10,14 +10,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.episode import Array, Episode, Signal
 from tunenet_logs.errors import NotFoundError, UsageError
-from tunenet_logs.recorders.simulators.model.parameters import element_names
+from tunenet_logs.recorders.simulators.model.parameters import MANY_SIDED, element_names
 from tunenet_logs.recorders.simulators.model.rollout import (
     Drive,
     Kind,
@@ -63,7 +62,7 @@ def named_as(name: str, names: Sequence[str]) -> str | None:
     """Match a name but for prefix, case and marks; None if ambiguous."""
     if name and name in names:
         return name
-    for plain in (_plain, _plain_last):
+    for plain in (_plain, lambda one: _plain(one.rpartition("/")[2])):
         wanted = plain(name)
         found = [one for one in names if one and plain(one) == wanted]
         if wanted and found:
@@ -83,11 +82,6 @@ def _plain(name: str) -> str:
     return re.sub(r"[\W_]", "", name).lower()
 
 
-def _plain_last(name: str) -> str:
-    """Remove the prefix too: `robot/elbow` and `elbow` are one."""
-    return _plain(name.rpartition("/")[2])
-
-
 # ---- Orientations to compare: those that the model begins with, too
 
 
@@ -98,16 +92,6 @@ class Turned:
     sensed: SensedSignal  # the body's x and z axes
     words: str  # description of its use
     is_sure: bool  # whether the user states that its axes are the body's
-
-    @property
-    def body(self) -> str:
-        """Body that it is of."""
-        return self.sensed.sensors[0].name
-
-    @property
-    def reference(self) -> str:
-        """Body that it is relative to; "" for the world."""
-        return self.sensed.sensors[0].reference
 
 
 def rotations(axes: Array) -> Array:
@@ -285,29 +269,25 @@ def doubts(sensed: Sequence[SensedSignal], rollout: Episode) -> tuple[str, ...]:
     found: list[str] = []
     for one in sensed:
         first = one.sensors[0]
-        if first.kind != "force" or not _is_opposed(one.signal, rollout.signals[one.signal.name]):
+        if first.kind != "force":
             continue
-        place = f"{'body' if first.is_at_body else 'site'}/{short_name(first.name)}"
-        target = f"{TURNED}{place}" if first.sign > 0 else place
-        found.append(
-            f"{one.signal.name}: at the start it points against what is simulated; of the other "
-            f"sign it is with --map {short_name(topic_of(one.signal.name))}={target}"
-        )
+        seen, simulated = _beginning(one.signal), _beginning(rollout.signals[one.signal.name])
+        sizes = float(np.linalg.norm(seen)), float(np.linalg.norm(simulated))
+        # A force under a fifth of the simulated one, as of a tared sensor, shows no sign.
+        is_seen = sizes[0] > 0.2 * sizes[1] > 0
+        # They are opposed by the cosine between them.
+        if is_seen and float(seen @ simulated) < -0.9 * sizes[0] * sizes[1]:
+            place = f"{'body' if first.is_at_body else 'site'}/{short_name(first.name)}"
+            target = f"{TURNED}{place}" if first.sign > 0 else place
+            found.append(
+                f"{one.signal.name}: at the start it points against what is simulated; of the "
+                f"other sign it is with --map {short_name(topic_of(one.signal.name))}={target}"
+            )
     return tuple(found)
 
 
-def _is_opposed(observed: Signal, rolled: Signal) -> bool:
-    seen, simulated = _beginning(observed), _beginning(rolled)
-    sizes = float(np.linalg.norm(seen)), float(np.linalg.norm(simulated))
-    # A force under a fifth of the simulated one, as of a tared sensor, shows no sign.
-    is_seen = sizes[0] > 0.2 * sizes[1] > 0
-    # They are opposed by the cosine between them.
-    return is_seen and float(seen @ simulated) < -0.9 * sizes[0] * sizes[1]
-
-
 def _beginning(signal: Signal) -> Array:
-    """Return the mean of a signal's first samples, shape (C,); 0 if it has none."""
-    # The first tenth of a second
+    """Return the mean of a signal's first tenth of a second, shape (C,); 0 if it has none."""
     first = signal.values[signal.stamps_ns <= signal.stamps_ns[0] + 100_000_000]
     good = first[np.isfinite(first).all(axis=1)]
     return good.mean(axis=0) if len(good) else np.zeros(signal.values.shape[1])
@@ -315,8 +295,7 @@ def _beginning(signal: Signal) -> Array:
 
 # ---- A whole episode: states, commands, poses and wrenches
 
-_JointKind = Literal["jointpos", "jointvel", "jointactuatorfrc"]
-_BY_QUANTITY: Mapping[str, _JointKind] = {
+_BY_QUANTITY: Mapping[str, Kind] = {
     "position": "jointpos",
     "velocity": "jointvel",
     "effort": "jointactuatorfrc",
@@ -325,8 +304,6 @@ _UNITS: Mapping[str, str] = {"rad/s": "velocity", "m/s": "velocity", "N·m": "ef
 # Units of what a user says is a joint, where its name does not tell the quantity.
 _PLACES = ("rad", "m", "1")
 _TARGETS = ("joint", "actuator", "body", "site")
-_MANY_SIDED = (0, 1)  # kinds of joints, free and ball, whose position is no number
-_TURN_RAD, _TURN_SLACK_RAD = 2 * np.pi, 0.05
 
 
 class Match:
@@ -341,7 +318,6 @@ class Match:
         self.joined: list[str] = []  # joint angles that were unwrapped, in words
         self._episode, self._model, self._told = episode, model, told
         self._names = {kind: element_names(model, kind) for kind in _TARGETS}
-        self._by_column: dict[tuple[str, str], list[str | None]] = {}
         check_told(told, episode.signals, self._names)
         states: list[Signal] = []
         for name, signal in self._episode.signals.items():
@@ -374,8 +350,9 @@ class Match:
 
     def starts(self) -> list[SensedSignal]:
         """List what a rollout starts from: orientations of freely moving bodies, too."""
-        free = [one for one in self.turned if free_joint(self._model, one.body) is not None]
-        return [*self.sensed, *(one.sensed for one in free)]
+        turned = [one.sensed for one in self.turned]
+        free = [one for one in turned if free_joint(self._model, one.sensors[0].name) is not None]
+        return [*self.sensed, *free]
 
     def choose_turned(self, qpos: Array) -> None:
         """Compare the orientations that the model begins with, too, at `qpos`, shape (nq,).
@@ -383,16 +360,16 @@ class Match:
         A tracker has axes of its own, which nobody may have turned as the model's.
         """
         for one in self.turned:
-            signal = one.sensed.signal
+            signal, (sensor, *_) = one.sensed.signal, one.sensed.sensors
             first = rotations(signal.values[np.isfinite(signal.values).all(axis=1)][:1])[0]
-            own = rotation_in(self._model, qpos, one.body, one.reference)
+            own = rotation_in(self._model, qpos, sensor.name, sensor.reference)
             cosine = (np.trace(first.T @ own) - 1) / 2
             degrees = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
             if one.is_sure or degrees <= 20.0:
                 self.sensed.append(one.sensed)
                 self.used.append(f"{signal.name}: compared with {one.words}")
                 continue
-            body = short_name(one.body)
+            body = short_name(sensor.name)
             self.unused.append(
                 f"{signal.name}: turned by {degrees:.0f} degrees from body/{body} at the start; "
                 f"where its axes are that body's, say --map {short_name(signal.name)}=body/{body}"
@@ -426,10 +403,18 @@ class Match:
         for place, (column, joint) in enumerate(
             zip(signal.columns, self._elements("joint", signal), strict=True)
         ):
-            if why := self._why_not(signal, place, joint):
+            why = ""
+            if self._told_of(signal, column) == IGNORE:
+                why = "left out by --map"
+            elif joint is None:
+                why = "no joint of the model is called so, or several are"
+            elif self._model.jnt_type[self._names["joint"].index(joint)] in MANY_SIDED:
+                why = "that joint has no single position"
+            elif np.isfinite(signal.values[:, place]).sum() < 2:
+                why = "fewer than two samples"
+            if why or joint is None:
                 reasons.setdefault(why, []).append(column)
             else:
-                assert joint is not None
                 columns.append((place, column, joint))
         for why, names in reasons.items():
             self.unused.append(f"{signal.name}: {listed(names, _FEW)}: {why}")
@@ -462,88 +447,69 @@ class Match:
         self._sense(SensedSignal(signal, names, sensors))
 
     def _joined(self, signal: Signal, columns: list[tuple[int, str, str]]) -> Signal:
-        """Unwrap angles of hinges without limits."""
+        """Unwrap angles of hinges without limits that were wrapped to one turn, such as at ±π.
+
+        They were if all lie within one turn, some jump by most of one, and the joint, unwrapped
+        there, is mostly as fast as elsewhere: glitches and steps are faster.
+        """
         values, cut = signal.values.copy(), []
         for place, column, joint in columns:
             number = self._names["joint"].index(joint)
             is_hinge = self._model.jnt_type[number] == int(mujoco().mjtJoint.mjJNT_HINGE)
-            if is_hinge and not self._model.jnt_limited[number]:
-                good = np.isfinite(values[:, place])
-                whole = joined_turns(signal.stamps_ns[good], values[good, place])
-                if whole is not None:
-                    values[good, place] = whole
-                    cut.append(column)
+            if not is_hinge or self._model.jnt_limited[number]:
+                continue
+            good = np.isfinite(values[:, place])
+            angles = values[good, place]
+            jumps = np.abs(np.diff(angles)) > np.pi
+            if not jumps.any() or jumps.all() or np.ptp(angles) > 2 * np.pi + 0.05:
+                continue
+            whole = np.unwrap(angles)
+            speeds = np.abs(np.diff(whole)) / np.diff(signal.stamps_ns[good])
+            # Where its angle is cut to one turn, a joint may be twice as fast as elsewhere.
+            if np.median(speeds[jumps]) <= 2.0 * speeds[~jumps].max():
+                values[good, place] = whole
+                cut.append(column)
         if not cut:
             return signal
         self.joined.append(f"{signal.name}: {listed(cut, _FEW)}: cut to one turn: joined")
         return replace(signal, values=values)
 
-    def _why_not(self, signal: Signal, place: int, joint: str | None) -> str:
-        """Say why a column of states is no joint's; "" if it is one's."""
-        if self._told_of(signal, signal.columns[place]) == IGNORE:
-            return "left out by --map"
-        if joint is None:
-            return "no joint of the model is called so, or several are"
-        number = self._names["joint"].index(joint)
-        if self._model.jnt_type[number] in _MANY_SIDED:
-            return "that joint has no single position"
-        few = np.isfinite(signal.values[:, place]).sum() < 2
-        return "fewer than two samples" if few else ""
-
     def _command(self, signal: Signal) -> None:
-        quantity = quantity_of(signal.name)
+        quantity, pairs, again = quantity_of(signal.name), list[tuple[int, int]](), list[str]()
         taken = {int(one) for drive in self.drives for one in drive.targets}
-        pairs: list[tuple[int, int]] = []
-        again: list[str] = []
+        actuators, joints = self._elements("actuator", signal), self._elements("joint", signal)
         for place, column in enumerate(signal.columns):
-            actuator = self._actuator(signal, column, quantity)
-            if actuator is None or not np.isfinite(signal.values[:, place]).any():
+            is_left_out = self._told_of(signal, column) == IGNORE
+            if is_left_out or not np.isfinite(signal.values[:, place]).any():
                 continue
+            # The actuator of its name, of its joint's, or of its number.
+            named, joint = actuators[place], joints[place]
+            near = [] if named is None else [self._names["actuator"].index(named)]
+            if joint is not None:
+                number = self._names["joint"].index(joint)
+                near += [one for one in range(self._model.nu) if self._joint_of(one) == number]
+            fits = (one for one in near if not quantity or self._wants(one) == quantity)
+            by_order = not quantity and len(signal.columns) == self._model.nu and column.isdecimal()
+            actuator = next(fits, place if by_order else None)
             if actuator in taken:
                 again.append(column)
-                continue
-            taken.add(actuator)
-            pairs.append((place, actuator))
+            elif actuator is not None:
+                taken.add(actuator)
+                pairs.append((place, actuator))
         if again:
             why = "another signal commands its actuator; leave one out with --map SIGNAL=-"
             self.unused.append(f"{signal.name}: {listed(again, _FEW)}: {why}")
-        if not pairs and again:
-            return
-        if not pairs:
-            wanted = listed(
-                {
-                    f"{name} ({self._wants(number)})" if name else f"{number}"
-                    for number, name in enumerate(self._names["actuator"])
-                },
-                _FEW,
-            )
-            why = f"no actuator of the model takes it (there is: {wanted or 'none'})"
+        if pairs:
+            columns, targets = np.array(pairs).T
+            self.drives.append(Drive(signal, columns, targets, is_effort=False))
+            names = [self._names["actuator"][target] or str(target) for target in targets]
+            self.used.append(f"{signal.name}: commands actuators {listed(names, _FEW)}")
+        elif not again:
+            numbered = enumerate(self._names["actuator"])
+            words = [f"{name} ({self._wants(one)})" if name else f"{one}" for one, name in numbered]
+            there = listed(dict.fromkeys(words), _FEW) or "none"
+            why = f"no actuator of the model takes it (there is: {there})"
             self.unused.append(f"{signal.name}: {why}")
-            return
-        columns, targets = np.array(pairs).T
-        self.drives.append(Drive(signal, columns, targets, is_effort=False))
-        names = [self._names["actuator"][target] or str(target) for target in targets]
-        self.used.append(f"{signal.name}: commands actuators {listed(names, _FEW)}")
-
-    def _actuator(self, signal: Signal, column: str, quantity: str) -> int | None:
-        """Find the actuator of a column: by its name, its joint's, or its number."""
-        if self._told_of(signal, column) == IGNORE:
-            return None
-        place = signal.columns.index(column)
-        fits = ("", quantity) if quantity else ("", "position", "velocity", "effort")
-        actuator = self._elements("actuator", signal)[place]
-        if actuator is not None:
-            number = self._names["actuator"].index(actuator)
-            if self._wants(number) in fits:
-                return number
-        joint = self._elements("joint", signal)[place]
-        if joint is not None:
-            joint_number = self._names["joint"].index(joint)
-            for one in range(self._model.nu):
-                if self._joint_of(one) == joint_number and self._wants(one) in fits:
-                    return one
-        by_order = not quantity and len(signal.columns) == self._model.nu
-        return place if by_order and column.isdecimal() else None
 
     def _joint_of(self, actuator: int) -> int | None:
         """Return the index of the joint that an actuator moves, or None."""
@@ -567,7 +533,7 @@ class Match:
 
     def _sense(self, sensed: SensedSignal, what: str = "") -> None:
         self.sensed.append(sensed)
-        what = what or f"{listed([one.name for one in sensed.sensors], _FEW)}"
+        what = what or listed([one.name for one in sensed.sensors], _FEW)
         self.used.append(f"{sensed.signal.name}: compared with {what}")
 
     def _told_of(self, signal: Signal, column: str) -> str:
@@ -580,23 +546,19 @@ class Match:
 
     def _elements(self, kind: str, signal: Signal) -> list[str | None]:
         """Match each column with an element, by the mapping or by name; each once."""
-        if (kind, signal.name) not in self._by_column:
-            names = self._names[kind]
-            told = [self._told_of(signal, column) for column in signal.columns]
-            found: list[str | None] = []
-            for column, target in zip(signal.columns, told, strict=True):
-                if target.startswith(f"{kind}/"):
-                    found.append(target.removeprefix(f"{kind}/"))
-                else:
-                    found.append(column if column and column in names else None)
-            sure = {one for one in found if one is not None}
-            guesses = [named_as(column, names) for column in signal.columns]
-            for place, guess in enumerate(guesses):
-                is_free = found[place] is None and guess not in sure and guesses.count(guess) == 1
-                if is_free:
-                    found[place] = guess
-            self._by_column[kind, signal.name] = found
-        return self._by_column[kind, signal.name]
+        names = self._names[kind]
+        found: list[str | None] = []
+        for column in signal.columns:
+            target = self._told_of(signal, column)
+            own = column if column and column in names else None
+            told = target.startswith(f"{kind}/")
+            found.append(target.removeprefix(f"{kind}/") if told else own)
+        sure = {one for one in found if one is not None}
+        guesses = [named_as(column, names) for column in signal.columns]
+        for place, guess in enumerate(guesses):
+            if found[place] is None and guess not in sure and guesses.count(guess) == 1:
+                found[place] = guess
+        return found
 
     def _refuse(self) -> None:
         of_log: Iterable[str] = dict.fromkeys(
@@ -613,18 +575,3 @@ class Match:
             f"bodies {bodies or 'none'})",
             "say what is what with --map SIGNAL.COLUMN=joint/NAME or --map TOPIC=body/NAME",
         )
-
-
-def joined_turns(stamps_ns: NDArray[np.int64], angles: Array) -> Array | None:
-    """Unwrap angles that were wrapped to one turn, such as at ±π; None if they were not.
-
-    They were if all lie within one turn, some jump by most of one, and the joint, unwrapped there,
-    is mostly as fast as elsewhere: glitches and steps are faster. `angles` (T,) [rad].
-    """
-    is_cut = np.abs(np.diff(angles)) > _TURN_RAD / 2
-    if not is_cut.any() or is_cut.all() or np.ptp(angles) > _TURN_RAD + _TURN_SLACK_RAD:
-        return None
-    whole = np.unwrap(angles)
-    speeds = np.abs(np.diff(whole)) / np.diff(stamps_ns)
-    # Where its angle is cut to one turn, a joint may be twice as fast as elsewhere.
-    return whole if np.median(speeds[is_cut]) <= 2.0 * speeds[~is_cut].max() else None

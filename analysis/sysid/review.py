@@ -40,8 +40,7 @@ from tunenet_logs.terminal import one_line, short_name
 
 def log_observed(stream: rr.RecordingStream, entity: str, seconds: Array, values: Array) -> None:
     """Log observations as a broad line, lowest as plots draw entities by name."""
-    # Width of what was observed [points]: it is seen beside a line that lies upon it
-    style: list[tuple[str, draw.Color, float]] = [("observed", draw.OBSERVED, 3.2)]
+    style: list[tuple[str, draw.Color, float]] = [("observed", draw.OBSERVED, 3.2)]  # points wide
     draw.log_lines(stream, f"{entity}/as_observed", seconds, values[:, None], style)
 
 
@@ -57,8 +56,6 @@ def log_upright(
 # ---- Data that the review draws: columns over the log's time
 
 MAIN = 4  # columns of the first tab: as many have axes with ticks; the others have a tab
-# Of one curve: more can neither be told apart nor be loaded soon.
-_MIN_NOISE = 1e-9  # of a column, as a share of its spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +66,7 @@ class Iterate:
     color: draw.Color  # of its line
     width: float  # of its line [points]
     values: Array  # of the tuned parameters, shape (P,)
-    # all parameters by name as simulated, those of the initial state, too
-    started: dict[str, float]
+    started: dict[str, float]  # all parameters by name, those of the initial state, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +82,7 @@ class ShownColumn:
     fitted: Array | None  # of a fit to the first part of the log, shape (T,); None if there is none
     given: Array | None  # of the simulator as given, likewise
     rms: Array  # residual of each iteration, shape (K,)
-    # hold-out residual of the fit to the first part, and of the simulator as given; None if there
-    # is none
+    # Hold-out residual of the fit to the first part, and of the simulator as given; None without.
     held_out_rms: tuple[float, float] | None
 
     def title(self, what: str = "") -> str:
@@ -122,11 +117,6 @@ class SimulatorReviewData:
         """Columns of the first tab."""
         return self.columns[:MAIN]
 
-    @property
-    def others(self) -> tuple[ShownColumn, ...]:
-        """Remaining columns."""
-        return self.columns[MAIN:]
-
 
 def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
     """Collect the data from a tuning that compared a log with a simulator."""
@@ -151,20 +141,21 @@ def simulator_review_data(tuning: Tuning) -> SimulatorReviewData:
                 dict(step.evaluation.episode.info.truth),
             )
         )
-    varying = [
-        -one.spread / max(one.noise, _MIN_NOISE * one.spread, 1e-300) for one in target.columns
-    ]
+    varying = [-one.spread / max(one.noise, 1e-9 * one.spread, 1e-300) for one in target.columns]
     # Those that vary most are drawn: more would be too small to read.
     order = np.argsort(varying, kind="stable")[:16]
-    # Shorten names to "position elbow"; longer if two are equal.
-    short = [f"{_last(one.signal)} {one.name}" for one in target.columns]
+    # Shorten names to "position elbow", or "tool/pose x" of /robot/tool/pose; longer if two are
+    # equal. In letters: a title's room in a laptop's view.
+    short: list[str] = []
+    for one in target.columns:
+        topic, _, measured = one.signal.rpartition(".")
+        last = measured if topic else "/".join(measured.strip("/").split("/")[-2:])
+        short.append(f"{last} {one.name}")
     counts = Counter(short)
-    chosen = [
-        name if counts[name] == 1 else one.label
+    names = [
+        short_name(name if counts[name] == 1 else one.label, 34)
         for name, one in zip(short, target.columns, strict=True)
     ]
-    # In letters: a title's room in a laptop's view
-    names = [short_name(name, 34) for name in chosen]
     columns = [_shown(number, names[number], found, seen, fit, held) for number in order.tolist()]
     # A few are drawn over the log's time; all of them can be scrubbed.
     lines = np.unique(np.linspace(0, count - 1, min(count, 8)).round().astype(int))
@@ -209,25 +200,35 @@ def _shown(
     )
 
 
-def _last(signal: str) -> str:
-    """Return the joint quantity, else the end of a topic: "tool/pose" of /robot/tool/pose."""
-    topic, _, quantity = signal.rpartition(".")
-    return quantity if topic else "/".join(signal.strip("/").split("/")[-2:])
-
-
 # ---- Hold-out views: prediction of a log's end by a fit to its beginning
 
-_GIVEN, _PREDICTED = (
-    draw.ramp(1, 6),
-    draw.ramp(5, 6),
-)  # cold, as the first iteration, and warm, as the result
-_ONE_COLUMN = 3
+# Cold, as the first iteration, and warm, as the result.
+_GIVEN, _PREDICTED = draw.ramp(1, 6), draw.ramp(5, 6)
+_ONE_COLUMN = 3  # charts that lie one over the other; more take two columns
 
 
 def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Container:
     """Log the hold-out predictions of the main columns, and their errors in words."""
-    assert data.held_out_s is not None
-    views = [_log_column(stream, data, number) for number in range(len(data.main))]
+    from_s = data.held_out_s
+    assert from_s is not None
+    views: list[rrb.View] = []
+    for number, column in enumerate(data.main):
+        assert column.fitted is not None
+        assert column.given is not None
+        entity, later = f"held_out/{number}", column.seconds > from_s
+        for name, values, color, width in (
+            ("given", column.given, _GIVEN, 0.8),
+            ("fitted", np.where(later, np.nan, column.fitted), draw.FITTED, 1.6),
+            ("predicted", np.where(later, column.fitted, np.nan), _PREDICTED, 1.6),
+        ):
+            if (good := np.isfinite(values)).any():
+                times_s, curve = column.seconds[good], values[good, None]
+                draw.log_lines(stream, f"{entity}/{name}", times_s, curve, [(name, color, width)])
+        span = column.shown(column.fitted)
+        log_observed(stream, entity, column.seconds, column.observed)
+        log_upright(stream, f"{entity}/begins", from_s, span)
+        title = column.title(f"predicted from {from_s:.2f} s")
+        views.append(draw.plot_view(entity, title, draw.ticked(*span)))
     entries: list[tuple[str, list[draw.Color]]] = [
         ("observed", [draw.OBSERVED]),
         ("simulator as given", [_GIVEN]),
@@ -243,7 +244,7 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
     ]
     head = ("rms", "predicted", "as given", "noise")
     words = [
-        f"# from {data.held_out_s:.2f} s on",
+        f"# from {from_s:.2f} s on",
         "The simulator was fitted a second time, to what is before; what comes after, it has not "
         "seen.",
         markdown_table(head, rows),
@@ -256,29 +257,6 @@ def log_held_out(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.C
         column_shares=[3, 1.6],
         name=f"held-out prediction (timeline {draw.LOG_TIME})",
     )
-
-
-def _log_column(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
-    column, entity = data.columns[number], f"held_out/{number}"
-    assert data.held_out_s is not None
-    assert column.fitted is not None
-    assert column.given is not None
-    later = column.seconds > data.held_out_s
-    span = column.shown(column.fitted)
-    for name, values, color, width in (
-        ("given", column.given, _GIVEN, 0.8),
-        ("fitted", np.where(later, np.nan, column.fitted), draw.FITTED, 1.6),
-        ("predicted", np.where(later, column.fitted, np.nan), _PREDICTED, 1.6),
-    ):
-        good = np.isfinite(values)
-        if good.any():
-            style: list[tuple[str, draw.Color, float]] = [(name, color, width)]
-            draw.log_lines(
-                stream, f"{entity}/{name}", column.seconds[good], values[good, None], style
-            )
-    log_observed(stream, entity, column.seconds, column.observed)
-    log_upright(stream, f"{entity}/begins", data.held_out_s, span)
-    return draw.plot_view(entity, column.title(f"predicted from {data.held_out_s:.2f} s"), span)
 
 
 # ---- Shapes of a model's bodies, each in its body's frame
@@ -300,25 +278,38 @@ def log_shapes(
     for kind, some in by_kind.items():
         if kind == "mesh":
             for number, shape in enumerate(some):
-                _log_mesh(stream, f"{entity}/mesh_{number}", shape, rgba)
+                assert shape.vertices_m is not None
+                assert shape.triangles is not None
+                # Each triangle has its own corners, so that its side is flat, shaded by one normal.
+                corners = shape.vertices_m[shape.triangles] @ shape.rotation.T + shape.position_m
+                normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+                normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+                mesh = rr.Mesh3D(
+                    vertex_positions=corners.reshape(-1, 3).astype(np.float32),
+                    vertex_normals=np.repeat(normals, 3, axis=0).astype(np.float32),
+                    albedo_factor=rgba,
+                )
+                stream.log(f"{entity}/mesh_{number}", mesh, static=True)
             continue
         sizes = np.array([shape.size_m for shape in some])
         middles = np.array([shape.position_m for shape in some])
+        turns = np.empty((len(some), 4))  # quaternions w, x, y, z
+        for turn, shape in zip(turns, some, strict=True):
+            mujoco().mju_mat2Quat(turn, np.ascontiguousarray(shape.rotation).ravel())
         style: dict[str, Any] = {
-            "quaternions": [rr.Quaternion(xyzw=_xyzw(shape.rotation)) for shape in some],
+            "quaternions": [rr.Quaternion(xyzw=turn[[1, 2, 3, 0]]) for turn in turns],
             "colors": [rgba],
             "fill_mode": "solid",
         }
+        lengths, radii = 2 * sizes[:, 2], sizes[:, 0]
         if kind == "box":
             drawn = rr.Boxes3D(centers=middles, half_sizes=sizes, **style)
         elif kind == "ellipsoid":
             drawn = rr.Ellipsoids3D(centers=middles, half_sizes=sizes, **style)
         elif kind == "cylinder":
-            lengths, radii = 2 * sizes[:, 2], sizes[:, 0]
             drawn = rr.Cylinders3D(centers=middles, lengths=lengths, radii=radii, **style)
         else:
             begins = middles - np.array([one.rotation[:, 2] * one.size_m[2] for one in some])
-            lengths, radii = 2 * sizes[:, 2], sizes[:, 0]
             drawn = rr.Capsules3D(translations=begins, lengths=lengths, radii=radii, **style)
         stream.log(f"{entity}/{kind}", drawn, static=True)
 
@@ -340,24 +331,7 @@ def _log_mesh(
     stream.log(entity, mesh, static=True)
 
 
-def _xyzw(rotation: Array) -> Array:
-    """Convert a rotation to a quaternion x, y, z, w, shape (4,)."""
-    found = np.empty(4)
-    mujoco().mju_mat2Quat(found, np.ascontiguousarray(rotation).ravel())
-    return found[[1, 2, 3, 0]]
-
-
 # ---- 3D scene of the model as observed, and as simulated after tuning
-
-_FIXED: draw.Color = (92, 98, 114)
-_FLOOR: draw.Color = (40, 43, 52)  # greys: what does not move
-_MAX_HZ, _MAX_MOMENTS = 30.0, 3000  # poses that are sent: a screen shows few more
-_ASIDE_RAD = 0.5  # of the camera, from the front of what moves
-_LEVEL = 0.3  # a normal less horizontal than this: it is seen from the front
-_THIN = 0.002  # half the thickness of a plane, of the scene's size
-_MARGIN = 0.08  # around what moves, of its size
-# How far around what was observed the simulated model is still looked at, of its size.
-_BEYOND = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,11 +356,11 @@ def log_scene(
     row = np.array([result.started.get(one.name, one.initial) for one in simulator.parameters])
     seconds, qpos = simulator.coordinates(row)
     start_ns = simulator.initial.stamp_ns
-    # The stamps of the poses, shape (T,) [s].
+    # At most 30 poses a second, 3000, and 300 000 of all bodies: a screen shows few more.
     end_s = float(seconds[-1])
-    # All bodies have 300 000 poses together at most.
-    most = min(_MAX_MOMENTS, max(300_000 // max(scene.model.nbody, 1), 2))
-    moments = np.linspace(0.0, end_s, int(np.clip(math.ceil(end_s * _MAX_HZ) + 1, 2, most)))
+    # A screen shows few more than 30 poses a second; all bodies have 300 000 together at most.
+    most = min(3000, max(300_000 // max(scene.model.nbody, 1), 2))
+    moments = np.linspace(0.0, end_s, int(np.clip(math.ceil(end_s * 30.0) + 1, 2, most)))
     # The last pose before each moment: rotations cannot be mixed number by number.
     qpos = qpos[np.clip(np.searchsorted(seconds, moments, "right") - 1, 0, None)]
     at_s = moments + found.offset_s + (start_ns - found.connected.target.start_ns) * 1e-9
@@ -398,7 +372,7 @@ def log_scene(
     if observed is not None:  # a simulated body that flies away is let go
         seen_corners = _corners(scene, observed)
         low, high = seen_corners.min(axis=0), seen_corners.max(axis=0)
-        beyond = _BEYOND * float(np.linalg.norm(high - low))
+        beyond = 0.3 * float(np.linalg.norm(high - low))
         near = np.clip(corners, low - beyond, high + beyond)
         corners = np.concatenate([seen_corners, near])
     size_m = max(float(np.linalg.norm(np.ptp(corners, axis=0))), 1e-3)
@@ -411,22 +385,19 @@ def log_scene(
     rest = "" if is_whole else ", the rest as simulated"
     title = f"white: as observed{rest}; warm: the tuned model"
     title = "the tuned model, dots: as observed" if observed is None else title
-    return rrb.Spatial3DView(
-        origin="/scene",
-        name=title,
-        background=draw.GROUND,
-        line_grid=False,
-        eye_controls=draw.eye_controls(corners, _azimuth_rad(corners), _MARGIN * size_m),
-    )
+    # Across the motion, by default on the side of -y, and a little aside.
+    normal = np.linalg.svd(np.cov(corners.T))[2][2]
+    flat = normal[:2] if np.linalg.norm(normal[:2]) >= 0.3 else np.array([0.0, -1.0])
+    if flat[1] > 0 or (flat[1] == 0 and flat[0] < 0):
+        flat = -flat
+    azimuth_rad = math.atan2(flat[1], flat[0]) + 0.5
+    return draw.scene_view(title, *draw.eye_and_target(corners, azimuth_rad, 0.08 * size_m))
 
 
 def _observed(
     model: Any, sensed: Sequence[SensedSignal], moments: Array, start_ns: int, simulated: Array
 ) -> tuple[Array | None, bool]:
-    """Return coordinates as observed, or as simulated where the log does not show them.
-
-    `moments` (T,) [s].
-    """
+    """Return coordinates as observed at (T,) [s], or as simulated where the log shows none."""
     qpos = simulated.copy()
     shown = np.zeros(model.nq, dtype=bool)
     for one in sensed:
@@ -472,15 +443,6 @@ def _corners(scene: ModelScene, motion: _Motion) -> Array:
     return np.concatenate(found) if found else motion.positions_m[some].reshape(-1, 3)
 
 
-def _azimuth_rad(points_m: Array) -> float:
-    """Choose the camera's azimuth: across the motion, by default on the side of -y."""
-    normal = np.linalg.svd(np.cov(points_m.T))[2][2]
-    flat = normal[:2] if np.linalg.norm(normal[:2]) >= _LEVEL else np.array([0.0, -1.0])
-    if flat[1] > 0 or (flat[1] == 0 and flat[0] < 0):
-        flat = -flat
-    return math.atan2(flat[1], flat[0]) + _ASIDE_RAD
-
-
 def _log_fixed(
     stream: rr.RecordingStream, scene: ModelScene, motion: _Motion, corners: Array, size_m: float
 ) -> None:
@@ -498,12 +460,12 @@ def _log_fixed(
         )
         stream.log(entity, place, static=True)
         solid = [shape for shape in shapes if shape.kind != "plane"]
-        log_shapes(stream, entity, solid, _FIXED, is_solid=True)
+        log_shapes(stream, entity, solid, (92, 98, 114), is_solid=True)  # greys: it does not move
         planes = [shape for shape in shapes if shape.kind == "plane"]
         if planes:
             turn, at = motion.rotations[0, body], motion.positions_m[0, body]
             boxes = [_slab(one, turn.T @ (middle - at), size_m) for one in planes]
-            log_shapes(stream, f"{entity}/planes", boxes, _FLOOR, is_solid=True)
+            log_shapes(stream, f"{entity}/planes", boxes, (40, 43, 52), is_solid=True)
 
 
 def _slab(plane: Shape, middle_m: Array, size_m: float) -> Shape:
@@ -513,9 +475,10 @@ def _slab(plane: Shape, middle_m: Array, size_m: float) -> Shape:
     half = np.where(has_end, np.minimum(plane.size_m[:2], 4 * reach), reach)
     off = plane.rotation.T @ (middle_m - plane.position_m)
     off[:2] = np.where(has_end, 0.0, off[:2])
-    off[2] = -_THIN * size_m
+    thin_m = 0.002 * size_m  # half its thickness
+    off[2] = -thin_m
     position = plane.position_m + plane.rotation @ off
-    size = np.array([*half, _THIN * size_m])
+    size = np.array([*half, thin_m])
     return Shape("box", plane.body, position, plane.rotation, size)
 
 
@@ -532,7 +495,7 @@ def _log_motion(
     by_body: dict[int, list[Shape]] = defaultdict(list)
     for shape in scene.shapes:
         by_body[shape.body].append(shape)
-    index = draw.at_seconds(motion.seconds)
+    index = rr.TimeColumn(draw.LOG_TIME, duration=motion.seconds)
     for body in scene.moving:
         if body not in by_body:
             continue
@@ -562,23 +525,18 @@ def _log_points(
         if len(known) == 3:
             entity = f"scene/points/{number}"
             style = rr.Points3D.from_fields(colors=[draw.OBSERVED], radii=draw.screen_radius(4.0))
-            stream.log(entity, style, static=True)
             columns = rr.Points3D.columns(positions=np.column_stack(known))
-            stream.send_columns(entity, indexes=[draw.at_seconds(at_s)], columns=columns)
+            draw.log_moving(stream, entity, style, at_s, columns)
 
 
 # ---- Views of one iteration at a time: its curves over the observed ones, and its values
 
-# Charts that lie one over the other; more take two columns, so wide in their heights.
-_STACKED, _NARROW = 3, 1.4
 _MAX_ROWS = 20  # of tables
-_ROOM = 0.05  # above and below the curves of a sheet, of what they span
-_MIN_SHARE = 0.02  # of a parameter's range: less is drawn as still
 
 
 def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Container:
     """Log the views of one iteration, and each parameter by iteration."""
-    width = draw.WIDTH if len(data.main) <= _STACKED else _NARROW
+    width = draw.WIDTH if len(data.main) <= _ONE_COLUMN else 1.4
     sheets: list[rrb.View] = []
     for number, column in enumerate(data.main):
         # An iteration's curve over the observed one; guesses are cut where they would widen the
@@ -587,7 +545,7 @@ def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Cont
         beyond = 0.5 * (high - low)
         guessed = np.clip(column.simulated, low - beyond, high + beyond)
         low, high = column.shown(guessed.ravel())
-        reach = (high - low) * (1 + 2 * _ROOM)
+        reach = (high - low) * (1 + 2 * 0.05)  # with room above and below
         bottom = (low + high - reach) / 2
         draw.log_sheet(
             stream,
@@ -607,9 +565,9 @@ def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Cont
     ]
     words = [_iteration_words(data, k) for k in range(len(data.iterates))]
     step = draw.log_steps(stream, words, data.first_s)
-    is_narrow = len(charts) <= _STACKED
+    is_narrow = len(charts) <= _ONE_COLUMN
     return rrb.Horizontal(
-        rrb.Grid(*sheets, grid_columns=1 if len(sheets) <= _STACKED else 2),
+        rrb.Grid(*sheets, grid_columns=1 if len(sheets) <= _ONE_COLUMN else 2),
         rrb.Grid(*charts, grid_columns=1 if is_narrow else 2),
         step,
         column_shares=[4.6, 3.2, 3.2] if is_narrow else [4.0, 4.2, 3.0],
@@ -620,32 +578,28 @@ def log_scrub(stream: rr.RecordingStream, data: SimulatorReviewData) -> rrb.Cont
 def _log_parameter(stream: rr.RecordingStream, data: SimulatorReviewData, number: int) -> rrb.View:
     """Log one parameter by iteration, and the result's interval."""
     parameter = data.parameters[number]
-    is_narrow = len(data.parameters) <= _STACKED
+    is_narrow = len(data.parameters) <= _ONE_COLUMN
     values = [float(one.values[number]) for one in data.iterates]
     interval = None
     if data.interval95 is not None:
         interval = (float(data.interval95[number, 0]), float(data.interval95[number, 1]))
     low, high = parameter.training_range
-    least = _MIN_SHARE * max(high - low, 1e-9)
-    # A number takes up more heights of a chart across, the smaller the chart is.
-    iterates = draw.Iterates(
-        parameter=parameter.name,
-        unit=parameter.unit,
-        names=tuple(one.name for one in data.iterates),
-        values=tuple(values),
-        colors=tuple(one.color for one in data.iterates),
-        span=draw.span_of([*values, *(interval or ())], least),
-        interval95=interval,
+    least = 0.02 * max(high - low, 1e-9)  # less is drawn as still
+    said = said_names(one.name for one in data.parameters)[parameter.name]
+    return draw.log_iterates(
+        stream,
+        quantity(short_name(said, 26), parameter.unit if is_narrow else "1"),
+        [one.name for one in data.iterates],
+        values,
+        [one.color for one in data.iterates],
+        draw.span_of([*values, *(interval or ())], least),
+        interval,
+        data.first_s,
         chart=f"parameter_{number}",
-        title=quantity(
-            short_name(said_names(one.name for one in data.parameters)[parameter.name], 26),
-            parameter.unit if is_narrow else "1",
-        ),
         figures=".4g",
-        figure_width=1.0 if is_narrow else 1.4,
+        # A number takes up more heights of a chart across, the smaller the chart is.
+        wide=1.0 if is_narrow else 1.4,
     )
-    draw.log_iterates(stream, iterates, data.first_s)
-    return draw.iterates_view(iterates)
 
 
 def _iteration_words(data: SimulatorReviewData, k: int) -> str:
@@ -738,7 +692,7 @@ def _log_plots(
         log_observed(stream, entity, column.seconds, column.observed)
         if data.held_out_s is not None:
             log_upright(stream, f"{entity}/held_out", data.held_out_s, span)
-        curves.append(draw.plot_view(entity, column.title(), span))
+        curves.append(draw.plot_view(entity, column.title(), draw.ticked(*span)))
         off = values - column.observed[:, None]
         draw.log_lines(stream, f"{residual}/iterations", column.seconds, off, style)
         band = _BAND * column.noise
@@ -752,7 +706,7 @@ def _log_plots(
         least = max(1e-6 * float(np.abs(column.observed).max()), 1e-9)
         reach = 1.3 * max(usual, band, least)
         title = column.title("simulated - observed")
-        residuals.append(draw.plot_view(residual, title, (-reach, reach)))
+        residuals.append(draw.plot_view(residual, title, draw.ticked(-reach, reach)))
     return curves, residuals
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,23 +40,18 @@ if TYPE_CHECKING:
 
 _SECONDS, _MAX_SAMPLES, _MIN_SAMPLES = 0.12, 40, 4
 _MISSES = 2.0  # standard deviations of noise, from which on it misses
-# For how long what begins at rest is looked at, and how much it may scatter, in its noise.
-_STAYS_S, _SCATTERS = 0.5, 2.0
 Samples = tuple[NDArray[np.int64], Array]  # stamps [ns] and values
 
 
 def beginning(
-    positions: Samples | None,
-    speeds: Samples | None,
-    stamp_ns: int,
-    noise: float | None = None,
+    positions: Samples | None, speeds: Samples | None, stamp_ns: int, noise: float | None = None
 ) -> tuple[tuple[float, float], tuple[float, float], bool] | None:
     """Estimate position and speed at a stamp, with sds, and whether a position was seen.
 
-    One parabola is fitted to the first positions and, by its slope, to the first speeds. The window
-    shrinks until it fits; the standard deviations include the misfit of the shortest one, and
-    disagreement of speeds and positions. `positions` (None if none were seen), `noise` (None to
-    estimate it by differences).
+    One parabola is fitted to the first positions (None if none were seen) and, by its slope, to the
+    first speeds, of this noise, or that of their differences. The window shrinks until it fits; the
+    standard deviations include the misfit of the shortest one, and disagreement of speeds and
+    positions.
     """
     at_s: list[Array] = []
     rows: list[Array] = []
@@ -68,7 +63,11 @@ def beginning(
         count = max(int(np.sum(seconds <= _SECONDS)), _MIN_SAMPLES)
         scatter = max(noise_of(samples[1]) if noise is None else noise, 1e-9)
         at_s.append(seconds[:count])
-        rows.append(_terms(seconds[:count], order) / scatter)
+        # Rows of 1, t, t²/2, t³/6 and t⁴/24, or of their slopes.
+        at = seconds[:count]
+        terms = [np.ones_like(at), at, at**2 / 2, at**3 / 6, at**4 / 24]
+        terms = [np.zeros_like(at), *terms[:4]] if order else terms
+        rows.append(np.column_stack(terms) / scatter)
         values.append(samples[1][:count] / scatter)
     if not rows:
         return None
@@ -91,12 +90,6 @@ def beginning(
             sds[1] = max(sds[1], abs(slope - found[1]))
     knows_position = positions is not None and len(positions[0]) >= _MIN_SAMPLES
     return (float(found[0]), float(found[1])), (float(sds[0]), float(sds[1])), knows_position
-
-
-def _terms(at_s: Array, order: int) -> Array:
-    """Return rows of 1, t, t²/2, t³/6 and t⁴/24, or of their slopes (order 1), shape (T, 5)."""
-    terms = [np.ones_like(at_s), at_s, at_s**2 / 2, at_s**3 / 6, at_s**4 / 24]
-    return np.column_stack([np.zeros_like(at_s), *terms[:4]] if order else terms)
 
 
 def _parabola(rows: Array, values: Array) -> tuple[Array, Array, float]:
@@ -124,8 +117,8 @@ def stays(samples: Samples | None, stamp_ns: int) -> bool:
     """Return whether a signal only scatters for a while after a stamp."""
     if samples is None:
         return True
-    first = samples[1][samples[0] <= stamp_ns + 1e9 * _STAYS_S]
-    return not len(first) or float(np.std(first)) <= _SCATTERS * noise_of(samples[1])
+    first = samples[1][samples[0] <= stamp_ns + 0.5e9]
+    return not len(first) or float(np.std(first)) <= 2.0 * noise_of(samples[1])
 
 
 # ---- Sources, and what connects them with a log
@@ -137,66 +130,32 @@ Rollouts = Callable[[Array], list[Episode]]  # values of all parameters, shape (
 class Connected:
     """Simulator that is driven as a log was."""
 
-    simulator: Simulator  # its parameters without a prior are those that are tuned; they come first
+    simulator: Simulator  # its tuned parameters, those without a prior, come first
     target: ComparedColumns  # columns of the log to compare with
     rollouts: Rollouts  # of it
     finer: Rollouts | None = None  # likewise with half the time step; None if there is none
-    # uncertainty of a parameter due to the time step, one standard deviation, by name
+    # Uncertainty of a parameter due to the time step, one standard deviation, by name.
     unresolved: Mapping[str, float] = field(default_factory=dict)
     used: tuple[str, ...] = ()  # each signal of the log that is used, and its use, in words
     unused: tuple[str, ...] = ()  # each that is not, and why
     doubts: tuple[str, ...] = ()  # which of the used ones may be meant otherwise
 
 
-class SimulatorSource(Protocol):
-    """Source of a simulator for a log."""
+@dataclass(frozen=True, eq=False)
+class GivenSimulator:
+    """Object with `parameters` and `rollout(values) -> Episode`, as a source of a simulator."""
+
+    simulator: Simulator  # that object
+    digest = ""  # no file's
 
     @property
     def name(self) -> str:
         """Name in results."""
-        ...
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters to tune.
-
-        Raises:
-            UsageError: There are none, or the file that names them cannot be read.
-        """
-        ...
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the model and of what is tuned; "" for an object."""
-        ...
-
-    def told_as(self) -> Mapping[str, Any]:
-        """Return its description in a result, as JSON values."""
-        ...
-
-    def connect(self, episode: Episode) -> Connected:
-        """Connect it to a log, which drives it and is compared with it.
-
-        Raises:
-            NotFoundError: The log shows nothing of it.
-        """
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class GivenSimulator:
-    """Object with `parameters` and `rollout(values) -> Episode`."""
-
-    simulator: Simulator  # that object
-
-    @property
-    def name(self) -> str:
-        """See `SimulatorSource`."""
         return type(self.simulator).__name__
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """See `SimulatorSource`."""
+        """Parameters to tune; UsageError where there are none."""
         found = tuple(one for one in self.simulator.parameters if one.prior_sd is None)
         if not found:
             raise UsageError(
@@ -204,17 +163,12 @@ class GivenSimulator:
             )
         return found
 
-    @property
-    def digest(self) -> str:
-        """See `SimulatorSource`."""
-        return ""
-
     def told_as(self) -> Mapping[str, Any]:
-        """See `SimulatorSource`."""
+        """Return its description in a result, as JSON values."""
         return {"simulator": self.name}
 
     def connect(self, episode: Episode) -> Connected:
-        """See `SimulatorSource`."""
+        """Connect it to a log, which is compared with it; NotFoundError where it shows nothing."""
         names = [one.name for one in self.simulator.parameters]
 
         def rollouts(values: Array) -> list[Episode]:
@@ -234,33 +188,32 @@ class GivenSimulator:
 
 @dataclass(frozen=True, eq=False)
 class ModelSource:
-    """MuJoCo model file."""
+    """MuJoCo model file, as a source of a simulator."""
 
     path: Path  # MJCF or URDF
     wanted: tuple[str, ...]  # parameters to tune, such as `joint/elbow.damping=0:5`
-    # mapping of the log's names to the model's; see `matching.Match`
-    told: Mapping[str, str] = field(default_factory=dict)
+    told: Mapping[str, str] = field(default_factory=dict)  # names in the log to the model's
 
     @property
     def name(self) -> str:
-        """See `SimulatorSource`."""
+        """Name in results."""
         return self.path.name
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """See `SimulatorSource`."""
+        """Parameters to tune; UsageError where there are none, or the file cannot be read."""
         return tuple(one.parameter for one in self._tuned)
 
     @property
     def digest(self) -> str:
-        """See `SimulatorSource`."""
+        """SHA-256 of the model and of what is tuned."""
         import hashlib
 
         text = self.spec.to_xml() + "\n".join(self.wanted)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def told_as(self) -> Mapping[str, Any]:
-        """See `SimulatorSource`."""
+        """Return its description in a result, as JSON values."""
         told = {"model": self.name, "parameters": list(self.wanted)}
         return {**told, "mapping": dict(self.told)} if self.told else told
 
@@ -298,7 +251,7 @@ class ModelSource:
         return model_parameters(self.model, self.wanted)
 
     def connect(self, episode: Episode) -> Connected:
-        """See `SimulatorSource`."""
+        """Connect it to a log, which drives it and is compared with it; NotFoundError likewise."""
         from tunenet_logs.analysis.sysid.matching import Match, doubts
         from tunenet_logs.recorders.simulators.model.parameters import DELAY, movable
         from tunenet_logs.recorders.simulators.model.rollout import ModelSimulator
@@ -321,8 +274,7 @@ class ModelSource:
         rollout = simulator.rollout({})
         seen = {one.signal.name: one.signal for one in match.sensed}
         target = compared(replace(episode, signals={**episode.signals, **seen}), rollout)
-        # A delay is unsure by .2 steps (sd): a command that comes within a step is spread over
-        # it.
+        # A delay is unsure by .2 steps (sd): a command that comes within a step is spread over it.
         return Connected(
             simulator,
             target,
@@ -333,6 +285,9 @@ class ModelSource:
             tuple(match.unused),
             (*match.joined, *doubts(match.sensed, rollout)),
         )
+
+
+SimulatorSource = GivenSimulator | ModelSource
 
 
 def part_of(episode: Episode, start_s: float | None, end_s: float | None) -> Episode:
@@ -346,9 +301,8 @@ def part_of(episode: Episode, start_s: float | None, end_s: float | None) -> Epi
     for name, signal in episode.signals.items():
         kept = (signal.stamps_ns >= low) & (signal.stamps_ns <= high)
         if kept.any():
-            signals[name] = replace(
-                signal, stamps_ns=signal.stamps_ns[kept], values=signal.values[kept]
-            )
+            stamps_ns, values = signal.stamps_ns[kept], signal.values[kept]
+            signals[name] = replace(signal, stamps_ns=stamps_ns, values=values)
     return replace(episode, signals=signals)
 
 
@@ -369,10 +323,7 @@ class SimulatorDetection:
     @property
     def window(self) -> Mapping[str, float]:
         """Times at which the comparison begins and ends [s since the log's first sample]."""
-        return {
-            "start": self.offset_s,
-            "end": self.offset_s + self.connected.target.end_s,
-        }
+        return {"start": self.offset_s, "end": self.offset_s + self.connected.target.end_s}
 
     @property
     def extent(self) -> tuple[str, str]:
@@ -431,8 +382,6 @@ def initial_turn(sensed: SensedSignal, stamp_ns: int) -> InitialTurn | None:
 
 # ---- Initial state: positions and speeds, with uncertainty
 
-_FAR = 50.0  # standard deviations from its estimate within which an initial value is looked for
-
 
 def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> InitialState:
     """Estimate the state of a compiled model at a stamp, by what the log shows right after.
@@ -461,41 +410,32 @@ def initial_state(model: Any, sensed: Sequence[SensedSignal], stamp_ns: int) -> 
         qvel[place_v] = speed
         unsure.append(_unsure(f"initial/{label}.velocity", f"{unit}/s", speed, speed_sd))
         places.append((True, place_v))
-    # Estimate the orientation of bodies with a free joint, by that joint.
-    turns: dict[int, InitialTurn] = {}
+    # Orientations of bodies with a free joint, by the first signal of each.
+    turned: set[int] = set()
     for one in sensed:
-        if one.sensors[0].kind != "framexaxis":
+        is_turn = one.sensors[0].kind == "framexaxis"
+        joint = free_joint(model, one.sensors[0].name) if is_turn else None
+        if joint is None or joint in turned or not (turn := initial_turn(one, stamp_ns)):
             continue
-        joint = free_joint(model, one.sensors[0].name)
-        if joint is not None and joint not in turns and (turn := initial_turn(one, stamp_ns)):
-            turns[joint] = turn
-    for joint, turn in turns.items():
+        turned.add(joint)
         place_q, place_v = int(model.jnt_qposadr[joint]) + 3, int(model.jnt_dofadr[joint]) + 3
         if turn.is_still(qpos[place_q : place_q + 4]):
             continue
         qpos[place_q : place_q + 4] = turn.quaternion
         qvel[place_v : place_v + 3] = turn.spin
-        own = _unsure_turn(model.body(int(model.jnt_bodyid[joint])).name, turn)
-        unsure += [one for one, _, _ in own]
-        places += [(is_spin, (place_v if is_spin else place_q) + at) for _, is_spin, at in own]
+        body = model.body(int(model.jnt_bodyid[joint])).name
+        # Three numbers of a quaternion suffice: they and its length determine the largest.
+        largest = int(np.argmax(np.abs(turn.quaternion)))
+        for number, axis in enumerate("wxyz"):
+            if number != largest:
+                value, name = float(turn.quaternion[number]), f"initial/{body}.orientation.{axis}"
+                unsure.append(_unsure(name, "1", value, turn.quaternion_sd))
+                places.append((False, place_q + number))
+        for number, axis in enumerate("xyz"):
+            value, sd = float(turn.spin[number]), float(turn.spin_sd[number])
+            unsure.append(_unsure(f"initial/{body}.spin.{axis}", "rad/s", value, sd))
+            places.append((True, place_v + number))
     return InitialState(stamp_ns, qpos, qvel, tuple(unsure), tuple(places))
-
-
-def _unsure_turn(body: str, turn: InitialTurn) -> list[tuple[Parameter, bool, int]]:
-    """List parameters of a body's orientation and spin: each, whether it is of the spin, its index.
-
-    Three numbers of a quaternion suffice: they and its length determine the largest.
-    """
-    largest = int(np.argmax(np.abs(turn.quaternion)))
-    found: list[tuple[Parameter, bool, int]] = []
-    for number, axis in enumerate("wxyz"):
-        if number != largest:
-            value, name = float(turn.quaternion[number]), f"initial/{body}.orientation.{axis}"
-            found.append((_unsure(name, "1", value, turn.quaternion_sd), False, number))
-    for number, axis in enumerate("xyz"):
-        value, sd = float(turn.spin[number]), float(turn.spin_sd[number])
-        found.append((_unsure(f"initial/{body}.spin.{axis}", "rad/s", value, sd), True, number))
-    return found
 
 
 def _shown(
@@ -503,44 +443,32 @@ def _shown(
 ) -> dict[tuple[str, str, int, int], tuple[Samples | None, Samples | None]]:
     """Collect each coordinate's samples: name, unit and addresses -> positions and speeds."""
     shown: dict[tuple[str, str, int, int], tuple[Samples | None, Samples | None]] = {}
-    kinds = mujoco().mjtJoint
     for one in sensed:
         for column, sensor in zip(one.columns, one.sensors, strict=True):
+            name, unit, joint = sensor.name, "rad", None
+            if sensor.kind == "framepos":
+                joint = free_joint(model, name)
+                name, unit = f"{name}.{'xyz'[sensor.axis]}", "m"
+            elif sensor.kind in ("jointpos", "jointvel"):
+                joint = int(model.joint(name).id)
+                is_sliding = model.jnt_type[joint] == mujoco().mjtJoint.mjJNT_SLIDE
+                unit = "m" if is_sliding else "rad"
+            if joint is None:
+                continue
             values = one.signal.values[:, one.signal.columns.index(column)]
             good = np.isfinite(values)
             samples = one.signal.stamps_ns[good], values[good]
-            if sensor.kind == "framepos":
-                joint = free_joint(model, sensor.name)
-                if joint is None:
-                    continue
-                axis = "xyz"[sensor.axis]
-                key = (
-                    f"{sensor.name}.{axis}",
-                    "m",
-                    int(model.jnt_qposadr[joint]) + sensor.axis,
-                    int(model.jnt_dofadr[joint]) + sensor.axis,
-                )
-                shown[key] = (samples, None)
-            elif sensor.kind in ("jointpos", "jointvel"):
-                joint = model.joint(sensor.name).id
-                unit = "m" if model.jnt_type[joint] == kinds.mjJNT_SLIDE else "rad"
-                key = (
-                    sensor.name,
-                    unit,
-                    int(model.jnt_qposadr[joint]),
-                    int(model.jnt_dofadr[joint]),
-                )
-                positions, speeds = shown.get(key, (None, None))
-                if sensor.kind == "jointpos":
-                    shown[key] = (samples, speeds)
-                else:
-                    shown[key] = (positions, samples)
+            place_q, place_v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+            key = name, unit, place_q + sensor.axis, place_v + sensor.axis
+            positions, speeds = shown.get(key, (None, None))
+            is_speed = sensor.kind == "jointvel"
+            shown[key] = (positions, samples) if is_speed else (samples, speeds)
     return shown
 
 
 def _unsure(name: str, unit: str, value: float, sd: float) -> Parameter:
     sd = max(sd, 1e-4)  # of a value that is known exactly
-    far = (value - _FAR * sd, value + _FAR * sd)
+    far = (value - 50.0 * sd, value + 50.0 * sd)  # within which it is looked for
     return Parameter(name, unit, far, (value - sd, value + sd), value, prior_sd=sd)
 
 

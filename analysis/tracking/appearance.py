@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,19 +42,9 @@ _LARGE, _LARGE_FRACTION, _STRICTER = 30.0, 0.35, 0.65
 # Inverse variances of the values that are fitted. Standard deviations: .25 of the logarithm of the
 # size, .2 of the light, as a whole, to the right and downward; of x and y nothing is known.
 _PRIOR = np.array([0.0, 0.0, 0.25**-2, 0.2**-2, 0.2**-2, 0.2**-2])
-# Starts around a given one: steps right and down, each .45 ball radii, and growth (logarithm).
-_STARTS = (
-    (0, 0, 0.0),
-    (1, 0, 0.0),
-    (-1, 0, 0.0),
-    (0, 1, 0.0),
-    (0, -1, 0.0),
-    (0, 0, 0.2),
-    (0, 0, -0.2),
-)
-_START_STEP = 0.45
-# Factors on `_LARGE` at first: from a start that may be far off, and from one about right.
-_WIDE, NARROW = 4.0, 1.6
+# Starts around a given one: right and down, in ball radii, and growth (logarithm).
+_STARTS = np.zeros((7, 6))
+_STARTS[1:, :3] = np.kron(np.diag([0.45, 0.45, 0.2]), [[1], [-1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +59,7 @@ class Patch:
     left: int  # of its first pixel, in the picture [px]
     top: int
     zoom: float  # its pixels per pixel of the picture
-
-    @cached_property
-    def is_cut(self) -> bool:
-        """Whether a part of the patch is out of the picture."""
-        return not self.inside.all()
+    is_cut: bool  # whether a part of it is out of the picture
 
     def here(self, x: float, y: float) -> tuple[float, float]:
         """Convert a position in the picture to the patch's pixels."""
@@ -107,20 +92,16 @@ def cut_patch(
     side = 2 * half + 1
     if left + side <= 0 or top + side <= 0 or left >= width or top >= height:
         return None
-    box = slice(max(top, 0), min(top + side, height)), slice(max(left, 0), min(left + side, width))
-    outside = (
-        box[0].start - top,
-        top + side - box[0].stop,
-        box[1].start - left,
-        left + side - box[1].stop,
-    )
+    above, below = max(-top, 0), max(top + side - height, 0)
+    before, beyond = max(-left, 0), max(left + side - width, 0)
+    box = slice(top + above, top + side - below), slice(left + before, left + side - beyond)
     small = max(5, round(side * zoom))
-    inside = np.ones((box[0].stop - box[0].start, box[1].stop - box[1].start), np.float32)
+    inside = np.ones((side - above - below, side - before - beyond), np.float32)
     reduced: list[FloatPicture] = []
     for part in (picture[box], background.picture[box], inside):
         fine = part.astype(np.float32)
-        if max(outside):
-            fine = cv2.copyMakeBorder(fine, *outside, cv2.BORDER_CONSTANT)
+        if max(above, below, before, beyond):
+            fine = cv2.copyMakeBorder(fine, above, below, before, beyond, cv2.BORDER_CONSTANT)
         if fine.shape[0] != small:
             fine = cv2.resize(fine, (small, small), interpolation=cv2.INTER_AREA)
         reduced.append(np.asarray(fine, np.float32))
@@ -129,7 +110,8 @@ def cut_patch(
     # A pixel of the patch is in the picture, but for rounding of its reduction.
     known = (reduced[2] > 0.99).astype(np.float32)
     apart = (seen - behind) * known
-    return Patch(seen, behind, apart, known, _mean_square(apart), left, top, small / side)
+    is_cut = not known.all()
+    return Patch(seen, behind, apart, known, _mean_square(apart), left, top, small / side, is_cut)
 
 
 def _mean_square(planes: FloatPicture) -> FloatPicture:
@@ -142,8 +124,7 @@ class DrawnBall:
     """Ball rendered in a patch, in the box around it."""
 
     box: tuple[slice, slice]  # rows and columns of the patch, N of them by M
-    # planes of the ball's colours times its fraction of each pixel, and of that fraction, shape
-    # (4, N, M)
+    # Its colours times its fraction of each pixel, and that fraction, shape (4, N, M).
     layers: FloatPicture
     behind: FloatPicture  # the background, shape (3, N, M)
     off: FloatPicture  # residual, what is seen beyond what would be, shape (3, N, M)
@@ -156,24 +137,15 @@ class DrawnBall:
         whole[self.box] = _mean_square(self.off)
         return whole
 
-    def inside(self, patch: Patch) -> NDArray[np.bool_]:
-        """Return which pixels are mostly ball and in the picture, shape (N, M)."""
-        return (self.layers[3] > 0.5) & (patch.inside[self.box] > 0)
+    def contrast(self, patch: Patch) -> tuple[float, NDArray[np.bool_]]:
+        """Return how far the ball stands out of the background (0 to 255), rms, at least 1.
 
-    def misfit(self, patch: Patch) -> float:
-        """Return the misfit, see `Placing`; infinite where no ball is in the picture."""
-        inside = self.inside(patch)
-        if not inside.any():
-            return np.inf
-        # Standard deviation of a pixel (0 to 255): that of compressed films, no misfit of the
-        # ball
-        beyond_noise = max(float(_mean_square(self.off)[inside].mean()) - 4.0**2, 0.0)
-        return math.sqrt(beyond_noise) / self.contrast(inside)
-
-    def contrast(self, inside: NDArray[np.bool_]) -> float:
-        """Return how far the ball stands out of the background (0 to 255), rms, at least 1."""
+        And which pixels are mostly ball and in the picture, shape (N, M).
+        """
+        inside = (self.layers[3] > 0.5) & (patch.inside[self.box] > 0)
         stands_out = (self.layers[:3] - self.behind * self.layers[3])[:, inside]
-        return math.sqrt(float(np.square(stands_out).mean()) + 1.0) if stands_out.size else 1.0
+        rms = math.sqrt(float(np.square(stands_out).mean()) + 1.0) if stands_out.size else 1.0
+        return rms, inside
 
     def jacobian(self, radius: float) -> FloatPicture:
         """Differentiate by the values of `draw_ball`, (6, 3, N, M); `radius` in patch px."""
@@ -235,11 +207,7 @@ def unlike(layers: FloatPicture, radius: float, patch: Patch, values: Array) -> 
 
 def best_start(layers: FloatPicture, radius: float, patch: Patch, start: Array) -> Array:
     """Return the best by `unlike` of a few starts around one that is off by a part of the ball."""
-    step = _START_STEP * radius
-    tried = [
-        start + np.array([right * step, down * step, growth, 0.0, 0.0, 0.0])
-        for right, down, growth in _STARTS
-    ]
+    tried = start + _STARTS * np.array([radius, radius, 1.0, 0.0, 0.0, 0.0])
     return min(tried, key=lambda values: unlike(layers, radius, patch, values))
 
 
@@ -249,13 +217,14 @@ def fit_ball(
     patch: Patch,
     start: Array,
     growth: float,
-    at_first: float = _WIDE,
+    at_first: float = 4.0,
 ) -> tuple[Array, float]:
     """Fit position, log size and light on the ball by reweighted Gauss-Newton steps.
 
-    Each step re-estimates the noise, and weighs residuals by Geman and McClure's function. The
-    arguments are those of `draw_ball`; `growth` is the prior mean of the log size, `at_first` a
-    factor on the residuals that count little, before the first step.
+    Returns them, and the misfit, see `Placing`; infinite where no ball is in the picture. Each step
+    re-estimates the noise, and weighs residuals by Geman and McClure's function. `growth`
+    is the prior mean of the log size, `at_first` a factor on the residuals that count little,
+    before the first step: 4 from a start that may be far off.
     """
     import cv2
 
@@ -264,7 +233,7 @@ def fit_ball(
     drawn = draw_ball(layers, radius, patch, values)
     if drawn is None:
         return values, np.inf
-    strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast(drawn.inside(patch)))
+    strict = max(_LARGE, _LARGE_FRACTION * drawn.contrast(patch)[0])
     for turn in range(10):  # most steps of Gauss-Newton
         squared = drawn.squared(patch)
         large = strict * max(1.0, at_first * _STRICTER**turn)
@@ -288,15 +257,16 @@ def fit_ball(
         # A shorter step is the last: OpenCV moves pictures by whole 32nds of a pixel [px]
         if large == strict and max(abs(step[0]), abs(step[1])) < 0.03:
             break
-    return values, drawn.misfit(patch)
+    contrast, inside = drawn.contrast(patch)
+    if not inside.any():
+        return values, np.inf
+    # A pixel of compressed films has a standard deviation of 4 (of 255): no misfit of the ball.
+    beyond_noise = max(float(_mean_square(drawn.off)[inside].mean()) - 4.0**2, 0.0)
+    return values, math.sqrt(beyond_noise) / contrast
 
 
 # ---- Fits of the appearance to pictures, and learning it from them
 
-_NEAR = 0.3  # ball radii between two fits of the same ball
-# Ball radii, and px more, from a start to its fit: what is farther off has another start.
-_MAX_MOVED, _MAX_MOVED_PX = 1.2, 2.0
-_SURE = 0.12  # misfit up to which the start was about right
 # Pictures of the ball: the median of fewer is one of them, with what was behind it.
 _MIN_SAMPLES = 3
 _RING_PX = 0.5  # half the width of a ring, and the step from one to the next
@@ -312,64 +282,31 @@ class Placing:
     misfit: float  # rms residual inside it, but for noise, over how far it stands out; 0 is perfect
 
     def is_near(self, x: float, y: float) -> bool:
-        """Return whether a position [px] is about this one."""
-        return math.hypot(x - self.x, y - self.y) < _NEAR * self.radius_px
-
-
-@dataclass(frozen=True, eq=False)
-class FitStart:
-    """Starting point of a fit."""
-
-    x: float  # near the ball's centre [px]
-    y: float
-    patch: Patch  # what is seen around
-    values: Array  # see `draw_ball`, shape (6,)
+        """Return whether a position [px] is about this one, of the same ball."""
+        return math.hypot(x - self.x, y - self.y) < 0.3 * self.radius_px
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
     """Template of the ball."""
 
-    # its colours (0 to 255) times its fraction of each pixel, and that fraction, shape (N, N, 4)
+    # Its colours (0 to 255) times its fraction of each pixel, and that fraction, shape (N, N, 4).
     layers: FloatPicture
     radius_px: float  # of its outline, in the pictures
     zoom: float  # its pixels per pixel of the pictures
 
-    def start(
-        self,
-        picture: Picture,
-        background: Background,
-        gain: float,
-        x: float,
-        y: float,
-        grown: float = 1.0,
-    ) -> FitStart | None:
-        """Cut the patch at which a fit may begin, near (x, y) [px]; None out of the picture.
-
-        `gain` is how much brighter the background is, `grown` about the radius over `radius_px`.
-        """
-        patch = cut_patch(picture, background, gain, (x, y), self.radius_px * grown, self.zoom)
-        if patch is None:
-            return None
-        values = np.array([*patch.here(x, y), math.log(grown), 0.0, 0.0, 0.0])
-        return FitStart(x, y, patch, values)
-
-    def unlikeness(self, begin: FitStart) -> float:
-        """Return the fraction of what is seen around a start that a ball does not explain."""
-        left = unlike(self.layers, self.radius_px * self.zoom, begin.patch, begin.values)
-        return left / begin.patch.inside.size
-
-    def place(self, begin: FitStart, known: Sequence[Placing] = ()) -> Placing | None:
-        """Fit the ball near a start; None where none is in view, or none that is not known.
+    def place(
+        self, x: float, y: float, patch: Patch, start: Array, known: Sequence[Placing]
+    ) -> Placing | None:
+        """Fit the ball near (x, y) [px]; None where none is in view, or none that is not known.
 
         What comes to one of the `known` fits from other starts, or is far worse, is dropped.
         """
-        patch, start = begin.patch, begin.values
         radius, growth = self.radius_px * self.zoom, float(start[2])
-        values, misfit = fit_ball(self.layers, radius, patch, start, growth, NARROW)
-        if misfit > _SURE:
+        values, misfit = fit_ball(self.layers, radius, patch, start, growth, at_first=1.6)
+        if misfit > 0.12:  # the start was not about right
             here = patch.there(values[0], values[1])
-            # Misfit over that of another fit: one that is as much worse is not looked into
+            # One that is half as bad again as another fit is not looked into.
             if any(misfit > 1.5 * fit.misfit or fit.is_near(*here) for fit in known):
                 return None
             start = best_start(self.layers, radius, patch, start)
@@ -377,12 +314,12 @@ class Appearance:
             here = patch.there(values[0], values[1])
             if any(fit.is_near(*here) and misfit > fit.misfit for fit in known):
                 return None
-        # Ball radii: a fit that moved farther is run once more from where it ended, at first wide
-        if np.hypot(*(values - start)[:2]) > 0.25 * radius:  # it was a long way
+        # A fit that moved a quarter of a radius is run once more from where it ended.
+        if np.hypot(*(values - start)[:2]) > 0.25 * radius:
             values, misfit = fit_ball(self.layers, radius, patch, values, growth)
         px, py = patch.there(values[0], values[1])
-        most_px = _MAX_MOVED * self.radius_px * math.exp(growth) + _MAX_MOVED_PX
-        if math.hypot(px - begin.x, py - begin.y) > most_px:
+        # What is farther off than 1.2 radii and 2 px has another start.
+        if math.hypot(px - x, py - y) > 1.2 * self.radius_px * math.exp(growth) + 2.0:
             return None
         return Placing(px, py, self.radius_px * math.exp(values[2]), misfit)
 
@@ -448,10 +385,8 @@ def _layers(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> F
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
     apart = np.hypot(x, y)
     fraction = np.clip(radius + 0.5 - apart, 0, 1)[:, :, None]
-    # The colour at the edge is half background's: that of the ring within goes on to the edge.
-    ring = np.maximum(apart, 1e-6)
-    # From the outline inward: the colour there is half the background's [px]
-    inward = np.minimum(1.0, max(radius - 1.2, 0.5) / ring)
+    # The colour at the edge is half background's: that of the ring 1.2 px within goes on to it.
+    inward = np.minimum(1.0, max(radius - 1.2, 0.5) / np.maximum(apart, 1e-6))
     rows = np.clip(np.round(y * inward + (side - 1) / 2).astype(int), 0, side - 1)
     columns = np.clip(np.round(x * inward + (side - 1) / 2).astype(int), 0, side - 1)
     return np.concatenate([colours[rows, columns] * fraction, fraction], axis=2).astype(np.float32)
@@ -462,21 +397,17 @@ def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> 
     side = 2 * int(np.ceil(1.6 * radius + 3)) + 1
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
     apart = np.hypot(x, y)
-    inner = np.median(
-        [
-            _straightened(patch.seen, fit, side)[apart < 0.8 * radius]
-            for patch, fit in zip(patches, fits, strict=True)
-        ],
-        axis=0,
-    ).mean(axis=0)
+    pairs = list(zip(patches, fits, strict=True))
+    straight = [_straightened(patch.seen, fit, side) for patch, fit in pairs]
+    inner = np.median([seen[apart < 0.8 * radius] for seen in straight], axis=0).mean(axis=0)
     fractions = []
-    for patch, fit in zip(patches, fits, strict=True):
-        seen, behind = _straightened(patch.seen, fit, side), _straightened(patch.behind, fit, side)
+    for seen, (patch, fit) in zip(straight, pairs, strict=True):
+        behind = _straightened(patch.behind, fit, side)
         towards = inner - behind
         size = (towards**2).sum(axis=2)
         fraction = ((seen - behind) * towards).sum(axis=2) / (size + 1.0)
-        # Squared difference of two colours (0 to 255, summed over RGB), 12 in each channel: with
-        # less, it cannot be said how much of a pixel is ball
+        # With less difference of two colours, 12 in each channel, it cannot be said how much of a
+        # pixel is ball.
         fractions.append(np.where(size > 400.0, np.clip(fraction, 0, 1), np.nan))
     with np.errstate(invalid="ignore"):
         stack = np.array(fractions)
@@ -487,7 +418,6 @@ def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> 
     for ring in rings:
         values = middle[np.abs(apart - ring) < _RING_PX]
         values = values[np.isfinite(values)]
-        # Pixels of a ring that make a median
         profile.append(float(np.median(values)) if len(values) >= 4 else np.nan)
     known = np.isfinite(profile)
     below = np.flatnonzero(known & (np.array(profile) < 0.5))
@@ -497,7 +427,7 @@ def _outline(patches: Sequence[Patch], fits: Sequence[Array], radius: float) -> 
     high, low = profile[at - 1], profile[at]
     part = (high - 0.5) / (high - low) if np.isfinite(high) and high > low else 0.5
     outline = rings[at - 1] + _RING_PX * part
-    # Least and most of the outline's radius over the last one: the patch shows no more
+    # The patch shows no more.
     return float(np.clip(outline, 0.75 * radius, 1.35 * radius))
 
 
@@ -509,25 +439,17 @@ def _straightened(picture: FloatPicture, values: Array, side: int) -> FloatPictu
     grow = float(np.exp(growth))
     middle = (side - 1) / 2
     turn = np.array([[grow, 0.0, x - grow * middle], [0.0, grow, y - grow * middle]])
+    planes = np.ascontiguousarray(picture.transpose(1, 2, 0))
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     straight = cv2.warpAffine(
-        np.ascontiguousarray(picture.transpose(1, 2, 0)),
-        turn,
-        (side, side),
-        flags=flags,
-        borderMode=cv2.BORDER_REPLICATE,
+        planes, turn, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE
     )
     return np.asarray(straight, np.float32)
 
 
 # ---- Detection of the ball in one picture: where it is expected, else anywhere
 
-# Least and most of such a start's radius over the ball's: a blob may be cut, or have grown together
-# with something else.
-_GROWN = (0.65, 1.5)
-# Radius to which a larger ball is reduced to look there; also, in reduced pixels, how far apart the
-# places are that are found.
-_COARSE_PX = 4.0
+_ENOUGH = 0.3  # misfit of a `Placing` below which nothing better is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -546,92 +468,80 @@ class BallDetector:
         """
         if self.appearance is None:
             return coloured_blobs(picture, self.background, self.ball, self.allowed)
-        placer = _Placer(picture, self.background, self.appearance, self.allowed)
+        gain = self.background.gain(picture)
         around = [(float(x), float(y)) for x, y in (expected_px, still_px) if np.isfinite(x)]
         if len(around) > 1 and math.dist(*around) < self.appearance.radius_px:
             del around[1]
-        placer.fit_from([(x, y, 1.0) for x, y in around])
-        if not placer.is_sure:
-            like = [(*at, 1.0) for near in around for at in _alike(self.appearance, picture, *near)]
-            # Blobs of its colour, the most alike first: x, y [px], and how much grown.
+        placed: list[Placing] = []
+        self._place(self.appearance, picture, gain, [(x, y, 1.0) for x, y in around], placed)
+        if not any(fit.misfit < _ENOUGH for fit in placed):
+            starts = [
+                (*at, 1.0) for near in around for at in _alike(self.appearance, picture, *near)
+            ]
+            # Three blobs of its colour, the most alike first: x, y [px], and how much grown. They
+            # may be cut, or have grown together with something else.
             found = coloured_blobs(picture, self.background, self.ball, self.allowed)
-            unlike = np.linalg.norm(found.colours - self.ball.colour, axis=1) / COLOUR_OFF
-            unlike += np.abs(np.log(found.areas_px / self.ball.area_px))
-            # A fit may start from three blobs of the ball's colour.
-            best = np.argsort(unlike)[:3]
-            grown = np.clip(np.sqrt(found.areas_px[best] / self.ball.area_px), *_GROWN)
+            apart = np.linalg.norm(found.colours - self.ball.colour, axis=1) / COLOUR_OFF
+            apart += np.abs(np.log(found.areas_px / self.ball.area_px))
+            best = np.argsort(apart)[:3]
+            grown = np.clip(np.sqrt(found.areas_px[best] / self.ball.area_px), 0.65, 1.5)
+            starts += np.column_stack([found.places_px[best], grown]).tolist()
             # Each start costs some milliseconds: five at most.
-            placer.fit_from([*like, *np.column_stack([found.places_px[best], grown]).tolist()], 5)
-        return placer.blobs()
-
-
-class _Placer:
-    """Fits of the ball to one picture.
-
-    Attributes:
-        placed: each place once.
-    """
-
-    def __init__(
-        self,
-        picture: Picture,
-        background: Background,
-        appearance: Appearance,
-        allowed: Picture | None,
-    ) -> None:
-        self._picture, self._background, self._allowed = picture, background, allowed
-        self._appearance = appearance
-        self._gain = background.gain(picture)
-        self.placed: list[Placing] = []
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether nothing better need be looked for."""
-        # Misfit of a `Placing` below which nothing better is looked for
-        return any(fit.misfit < 0.3 for fit in self.placed)
-
-    def fit_from(
-        self, places: Sequence[tuple[float, float, float]], most: int | None = None
-    ) -> None:
-        """Fit the ball near places (x, y [px], growth), or near the `most` that are most alike."""
-        begin = partial(self._appearance.start, self._picture, self._background, self._gain)
-        starts = [start for place in places if (start := begin(*place)) is not None]
-        if most is not None:
-            starts = sorted(starts, key=self._appearance.unlikeness)[:most]
-        for start in starts:
-            fit = self._appearance.place(start, self.placed)
-            if fit is None or not self._is_allowed(fit):
-                continue
-            if not any(other.is_near(fit.x, fit.y) for other in self.placed):
-                self.placed.append(fit)
-            if self.is_sure:
-                break
-
-    def _is_allowed(self, fit: Placing) -> bool:
-        if self._allowed is None:
-            return True
-        height, width = self._allowed.shape
-        row, column = round(fit.y), round(fit.x)
-        return 0 <= row < height and 0 <= column < width and bool(self._allowed[row, column])
-
-    def blobs(self) -> Blobs:
-        """Return what was placed, as candidates."""
-        height, width = self._picture.shape[:2]
-        positions = np.array([(fit.x, fit.y) for fit in self.placed]).reshape(-1, 2)
-        radii = np.array([fit.radius_px for fit in self.placed])
-        colours = np.zeros((len(self.placed), 3))
-        for at, fit in enumerate(self.placed):
-            # Half the side of a square that lies within the ball
+            self._place(self.appearance, picture, gain, starts, placed, most=5)
+        # What was placed, as candidates; its colour is that of a square that lies within the ball.
+        height, width = picture.shape[:2]
+        positions = np.array([(fit.x, fit.y) for fit in placed]).reshape(-1, 2)
+        radii = np.array([fit.radius_px for fit in placed])
+        colours = np.zeros((len(placed), 3))
+        for at, fit in enumerate(placed):
             half = max(1, round(0.6 * fit.radius_px))
             rows = slice(max(round(fit.y) - half, 0), round(fit.y) + half + 1)
             columns = slice(max(round(fit.x) - half, 0), round(fit.x) + half + 1)
-            part = self._picture[rows, columns]
+            part = picture[rows, columns]
             if part.size:
                 colours[at] = part.reshape(-1, 3).mean(axis=0)
         far = np.array([width, height]) - 1 - radii[:, None]
         whole = np.array(np.all((positions >= radii[:, None]) & (positions <= far), axis=1))
-        misfits = np.array([fit.misfit for fit in self.placed])
+        misfits = np.array([fit.misfit for fit in placed])
         return Blobs(positions, np.pi * radii**2, colours, whole, misfits)
+
+    def _place(
+        self,
+        ball: Appearance,
+        picture: Picture,
+        gain: float,
+        places: Sequence[tuple[float, float, float]],
+        placed: list[Placing],
+        most: int | None = None,
+    ) -> None:
+        """Fit the ball near places (x, y [px], radius over the ball's) until one is sure.
+
+        With `most`, near those that are most alike. Each place that is found and allowed is added
+        to those `placed`, once.
+        """
+        starts: list[tuple[float, float, Patch, Array]] = []
+        for x, y, grown in places:
+            reach_px = ball.radius_px * grown
+            patch = cut_patch(picture, self.background, gain, (x, y), reach_px, ball.zoom)
+            if patch is not None:
+                values = np.array([*patch.here(x, y), math.log(grown), 0.0, 0.0, 0.0])
+                starts.append((x, y, patch, values))
+        if most is not None:  # the fraction of what is seen around that a ball does not explain
+            radius = ball.radius_px * ball.zoom
+            starts.sort(key=lambda one: unlike(ball.layers, radius, *one[2:]) / one[2].inside.size)
+        for start in starts[:most]:
+            fit = ball.place(*start, placed)
+            if fit is None:
+                continue
+            if self.allowed is not None:
+                (height, width), row, column = self.allowed.shape, round(fit.y), round(fit.x)
+                inside = 0 <= row < height and 0 <= column < width
+                if not (inside and self.allowed[row, column]):
+                    continue
+            if not any(other.is_near(fit.x, fit.y) for other in placed):
+                placed.append(fit)
+            if any(known.misfit < _ENOUGH for known in placed):
+                break
 
 
 def _alike(ball: Appearance, picture: Picture, x: float, y: float) -> list[tuple[float, float]]:
@@ -642,7 +552,8 @@ def _alike(ball: Appearance, picture: Picture, x: float, y: float) -> list[tuple
     half = int(np.ceil(5.0 * ball.radius_px)) + 2
     left, top = max(round(x) - half, 0), max(round(y) - half, 0)
     part = picture[top : max(round(y) + half + 1, 0), left : max(round(x) + half + 1, 0)]
-    coarse = min(1.0, _COARSE_PX / ball.radius_px)
+    # A larger ball is reduced to a radius of 4 px; places that are found are as far apart.
+    coarse, near = min(1.0, 4.0 / ball.radius_px), 4
     own = ball.layers
     side = max(3, round(own.shape[0] * (coarse / ball.zoom)))
     if side < own.shape[0]:
@@ -657,7 +568,6 @@ def _alike(ball: Appearance, picture: Picture, x: float, y: float) -> list[tuple
     off = np.array(cv2.matchTemplate(small, colours, cv2.TM_SQDIFF, mask=fraction))
     found = []
     middle = (own.shape[0] - 1) / 2
-    near = int(_COARSE_PX)
     # Places there: a shadow or a reflection may be more like the ball than the ball
     for _ in range(2):
         row, column = np.unravel_index(int(off.argmin()), off.shape)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,7 @@ from tunenet_logs.episode import Array, Picture
 
 # Pixels that have been computed with: (height, width, 3), or (height, width).
 FloatPicture = NDArray[np.float32]
-# Of 255: outside, a pixel is clipped or mostly noise, and does not follow the light.
-_DARK, _BRIGHT = 20, 235
 _BLOCK = (3, 3)  # pixels that make one of a smooth picture
-_STRIP_ROWS = 32  # of all samples at once: the whole stack would take much memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,22 +28,21 @@ class Background:
 
     picture: Picture  # uint8, shape (H, W, 3)
     smooth: Picture  # the same, each pixel the mean of three by three
-    # uint8, shape (H, W): noise, flicker and the shaking of a hand-held camera, of smooth
-    # pictures
+    # uint8, shape (H, W): noise, flicker and the shaking of a hand-held camera, of smooth pictures.
     threshold: Picture
-    # how the second half of the recording looks, smooth, where `smooth` is of the first half;
-    # None where one picture is good for all
+    work: _Scratch  # for pictures of this shape
+    # How the second half of the recording looks, smooth, where `smooth` is of the first half; None
+    # where one picture is good for all.
     later: Picture | None = None
 
     def difference(self, picture: Picture) -> Picture:
         """Compute the largest difference of the three smooth colours, the light's changes undone.
 
-        Returns:
-            Shape (H, W); it is the same array, overwritten, for the next picture.
+        Shape (H, W); it is the same array, overwritten, for the next picture.
         """
         import cv2
 
-        work = self._scratch
+        work = self.work
         cv2.blur(picture, _BLOCK, dst=work.smooth)
         gain = self.gain(picture)
         # Light that changes the brightest pixel by less than half a level has not changed.
@@ -57,44 +53,34 @@ class Background:
         first = work.largest_difference(self.smooth).copy()
         return np.asarray(cv2.min(first, work.largest_difference(self.later)), np.uint8)
 
-    @cached_property
-    def _scratch(self) -> _Scratch:
-        return _Scratch.of(self.smooth)
-
     def gain(self, picture: Picture) -> float:
         """Return how much brighter the still picture is, by the median of its pixels."""
         height, width = picture.shape[:2]
-        # About so many pixels, on a grid, say how bright a picture is to a fraction of a level
-        # [px]
+        # So many pixels, on a grid, say how bright a picture is to a fraction of a level.
         every = max(1, math.isqrt(height * width // 1500))
         mine = self.picture[::every, ::every].astype(np.float32)
         theirs = picture[::every, ::every].astype(np.float32)
-        lit = (theirs > _DARK) & (theirs < _BRIGHT) & (mine > _DARK) & (mine < _BRIGHT)
-        # Pixels between the two that make a median; with fewer, the light is taken for constant
+        # Beyond 20 to 235 a pixel is clipped or mostly noise, and does not follow the light.
+        lit = (theirs > 20) & (theirs < 235) & (mine > 20) & (mine < 235)
+        # With fewer pixels between the two the light is taken for constant.
         return float(np.median(mine[lit] / theirs[lit])) if lit.sum() > 100 else 1.0
 
 
-@dataclass(frozen=True, eq=False)
 class _Scratch:
     """Arrays that are written to again and again: new ones take longer to get than to fill."""
 
-    smooth: Picture  # the picture, shape (H, W, 3)
-    apart: Picture  # its difference, likewise
-    planes: tuple[Picture, ...]  # of that difference, three of shape (H, W)
-
-    @classmethod
-    def of(cls, picture: Picture) -> _Scratch:
-        """Allocate arrays for pictures of this one's shape."""
-        planes = tuple(np.empty(picture.shape[:2], np.uint8) for _ in range(3))
-        return cls(np.empty_like(picture), np.empty_like(picture), planes)
+    def __init__(self, like: Picture) -> None:
+        self.smooth = np.empty_like(like)  # the picture, shape (H, W, 3)
+        self._apart = np.empty_like(like)  # its difference, likewise, and planes of that
+        self._planes = [np.empty(like.shape[:2], np.uint8) for _ in range(3)]
 
     def largest_difference(self, still: Picture) -> Picture:
         """Return the largest difference of the three colours; NumPy takes ten times as long."""
         import cv2
 
-        cv2.absdiff(self.smooth, still, dst=self.apart)
-        cv2.split(self.apart, self.planes)
-        red, green, blue = self.planes
+        cv2.absdiff(self.smooth, still, dst=self._apart)
+        cv2.split(self._apart, self._planes)
+        red, green, blue = self._planes
         cv2.max(red, green, dst=green)
         return np.asarray(cv2.max(green, blue, dst=blue), np.uint8)
 
@@ -112,13 +98,13 @@ def still_background(
     median = np.empty(samples[0].shape, np.uint8)
     spread = np.empty(median.shape[:2], np.float32)
     work: _Scratch | None = None
-    for top in range(0, len(median), _STRIP_ROWS):
-        strip = slice(top, top + _STRIP_ROWS)
+    for top in range(0, len(median), 32):  # the whole stack at once would take much memory
+        strip = slice(top, top + 32)
         values = [sample[strip] for sample in samples]
         median[strip] = middle = middle_of(values)
         still = _smooth(middle)
         if work is None or work.smooth.shape != middle.shape:
-            work = _Scratch.of(middle)
+            work = _Scratch(middle)
         apart: list[Picture] = []
         for part in values:
             cv2.blur(part, _BLOCK, dst=work.smooth)
@@ -131,7 +117,7 @@ def still_background(
     # noise; compression changes a still pixel by up to 14 of 255, however quiet its samples are.
     wanted = np.maximum(5.0 * 1.4826 * widened, 14)
     threshold = np.minimum(wanted, 255).astype(np.uint8)
-    return Background(median, _smooth(median), threshold)
+    return Background(median, _smooth(median), threshold, _Scratch(median))
 
 
 def halved_background(samples: Sequence[Picture]) -> Background:
@@ -222,10 +208,6 @@ def _smooth(picture: Picture) -> Picture:
 
 # ---- Candidates in one picture, and in all of them
 
-_MAX = 12  # candidates kept of each picture: people and shadows make many, and many more triples
-# Of the difference between a dark ball and what is behind it: a shadow may make as much of it.
-_SHADOW_FRACTION = 0.3
-
 
 @dataclass(frozen=True, eq=False)
 class Blobs:
@@ -252,20 +234,18 @@ class Candidates:
     @classmethod
     def of(cls, seconds: Array, blobs: Sequence[Blobs]) -> Candidates:
         """Put the blobs of T pictures, taken at `seconds` (shape (T,)), into one table."""
-        most = max((len(found.areas_px) for found in blobs), default=0)
-        positions = np.full((len(blobs), most, 2), np.nan)
-        areas = np.full((len(blobs), most), np.nan)
-        colours = np.full((len(blobs), most, 3), np.nan)
-        whole = np.zeros((len(blobs), most), dtype=bool)
-        misfits = np.zeros((len(blobs), most))
-        for row, found in enumerate(blobs):
-            count = len(found.areas_px)
-            positions[row, :count] = found.places_px
-            areas[row, :count] = found.areas_px
-            colours[row, :count] = found.colours
-            whole[row, :count] = found.whole
-            misfits[row, :count] = found.misfits
-        return cls(seconds, positions, areas, colours, whole, misfits)
+        shape = len(blobs), max((len(found.areas_px) for found in blobs), default=0)
+        columns: dict[str, NDArray[Any]] = {
+            "places_px": np.full((*shape, 2), np.nan),
+            "areas_px": np.full(shape, np.nan),
+            "colours": np.full((*shape, 3), np.nan),
+            "whole": np.zeros(shape, dtype=bool),
+            "misfits": np.zeros(shape),
+        }
+        for name, column in columns.items():
+            for row, found in zip(column, blobs, strict=True):
+                row[: len(found.areas_px)] = getattr(found, name)
+        return cls(seconds, **columns)
 
     def inside(self) -> Candidates:
         """Remove those that the picture's edge cuts: arms and people, not balls."""
@@ -275,14 +255,7 @@ class Candidates:
 
     def some(self, frames: NDArray[np.intp]) -> Candidates:
         """Return the candidates of the pictures with these numbers."""
-        return Candidates(
-            self.seconds[frames],
-            self.places_px[frames],
-            self.areas_px[frames],
-            self.colours[frames],
-            self.whole[frames],
-            self.misfits[frames],
-        )
+        return Candidates(*(getattr(self, one.name)[frames] for one in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,9 +298,8 @@ def coloured_blobs(
     still = background.picture.reshape(-1, 3)[there].astype(np.float32)
     off = picture.reshape(-1, 3)[there].astype(np.float32) - still
     fraction = np.zeros(mask.shape, np.float32)
-    fraction.reshape(-1)[there] = _ball_fraction(
-        off, ball.colour.astype(np.float32) - still, -still
-    )
+    towards = ball.colour.astype(np.float32) - still
+    fraction.reshape(-1)[there] = _ball_fraction(off, towards, -still)
     # A pixel that is ball by less than a quarter may be noise.
     solid = (fraction > 0.25).astype(np.uint8)
     return _components(picture, solid, fraction)
@@ -353,27 +325,17 @@ def _ball_fraction(
     off: NDArray[np.float32], towards: NDArray[np.float32], shade: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Solve non-negative least squares of two columns, pixel by pixel, clipped to [0, 1]."""
-    aa, bb, ab, ya, yb = (
-        np.einsum("ij,ij->i", first, second)
-        for first, second in (
-            (towards, towards),
-            (shade, shade),
-            (towards, shade),
-            (off, towards),
-            (off, shade),
-        )
-    )
+    pairs = (towards, towards), (shade, shade), (towards, shade), (off, towards), (off, shade)
+    aa, bb, ab, ya, yb = (np.einsum("ij,ij->i", *pair) for pair in pairs)
     aa += np.float32(1.0)
     bb += np.float32(1.0)
     determinant = np.maximum(aa * bb - ab**2, 1e-3 * aa * bb)
     fraction = (ya * bb - yb * ab) / determinant
     shadow = (yb * aa - ya * ab) / determinant
     fraction = np.where(shadow < 0, ya / aa, fraction)
-    # A dark ball differs from what is behind it as a shadow does, only by more.
-    # Squared sine of the angle between two differences of colour that cannot be told apart
-    indistinct = determinant < 0.06 * aa * bb
-    beyond_shadow = (ya / aa - _SHADOW_FRACTION) / (1 - _SHADOW_FRACTION)
-    fraction = np.where(indistinct, beyond_shadow, fraction)
+    # A dark ball differs from what is behind it as a shadow does, only by more: a shadow may make
+    # .3 of it. Squared sine of the angle between two differences that cannot be told apart: .06.
+    fraction = np.where(determinant < 0.06 * aa * bb, (ya / aa - 0.3) / (1 - 0.3), fraction)
     # Squared difference of two colours (0 to 255, summed over RGB): background that is nearer to
     # the ball's colour, about 10 in each channel, cannot say how much of a pixel is ball
     fraction = np.where(aa < 300.0, 0.0, fraction)
@@ -386,13 +348,11 @@ def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | P
 
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    # Pixels of its outline, likewise [px]
     boxes = [(cv2.boundingRect(outline), outline) for outline in outlines if len(outline) >= 4]
     boxes.sort(key=lambda boxed: boxed[0][2] * boxed[0][3], reverse=True)
     height, width = mask.shape
     rows: list[tuple[float, ...]] = []
-    # Outlines of a picture whose pixels are looked at, by the size of their boxes: bounds the
-    # time
+    # The largest by their boxes: it bounds the time.
     for (left, top, wide, tall), outline in boxes[:40]:
         box = slice(top, top + tall), slice(left, left + wide)
         filled = np.zeros((tall, wide), np.uint8)
@@ -415,7 +375,8 @@ def _components(picture: Picture, mask: Picture, weight: NDArray[np.float32] | P
         soft = total / float(mass.max()) if weight.dtype == np.uint8 else total
         rows.append((total, x, y, max(soft, 1.0), *colour, float(whole)))
     rows.sort(reverse=True)
-    table = np.array(rows[:_MAX], np.float64).reshape(-1, 8)
+    # Of more candidates (people and shadows make many) there would be many more triples.
+    table = np.array(rows[:12], np.float64).reshape(-1, 8)
     none = np.zeros(len(table))
     return Blobs(table[:, 1:3], table[:, 3], table[:, 4:7], table[:, 7] > 0, none)
 

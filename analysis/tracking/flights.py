@@ -9,24 +9,17 @@ is followed to both ends of the recording.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tunenet_logs.analysis.tracking.candidates import Candidates, ColorAndSize
-from tunenet_logs.episode import Array
+from tunenet_logs.episode import Array, median_step
 from tunenet_logs.errors import NotFoundError
 
 Index = NDArray[np.intp]
-# Between the pictures of a triple, in seconds and in pictures: how fast a film plays need not be
-# how fast it was filmed.
-_STRIDES_S = (0.016, 0.033, 0.06)
-_STRIDES = (1, 2, 4, 7)
 MIN_BEND_PX = 0.25  # of a triple: noise bends less
-# Pictures in which triples are looked for at once: it bounds the memory of a long film.
-_AT_ONCE = 2048
 # Distance in RGB (0 to 255): blur and light change a flying ball's colour by less.
 COLOUR_APART = 70.0
 # Of one candidate's area to the next one's: blur and a bad outline change it by less.
@@ -35,15 +28,17 @@ AREA_RATIO = 2.2
 
 def accelerated_triples(table: Candidates) -> tuple[Index, Array]:
     """Find triples of alike candidates on a parabola that others lie on; those with most first."""
-    period = float(np.median(np.diff(table.seconds)))
-    strides = sorted({*_STRIDES, *(max(1, round(stride / period)) for stride in _STRIDES_S)})
+    period = median_step(table.seconds)
+    # In pictures and in seconds: how fast a film plays need not be how fast it was filmed.
+    strides = {1, 2, 4, 7, *(max(1, round(stride_s / period)) for stride_s in (0.016, 0.033, 0.06))}
     seeds, bends, witnesses = [], [], []
-    for stride in strides:
-        # Pair every candidate with all that look like it one stride on, and two, shape (K, 6).
+    for stride in sorted(strides):
+        # Pair every candidate with all that look like it one stride on, and two, shape (K, 6); of
+        # so many pictures at once that the memory of a long film is bounded.
         count = len(table.seconds)
         parts = [np.empty((0, 6), np.intp)]
-        for begin in range(0, count - 2 * stride, _AT_ONCE):
-            part = table.some(np.arange(begin, min(begin + _AT_ONCE + 2 * stride, count)))
+        for begin in range(0, count - 2 * stride, 2048):
+            part = table.some(np.arange(begin, min(begin + 2048 + 2 * stride, count)))
             areas, colours = np.log(part.areas_px), part.colours
             ratio = np.abs(areas[:-stride, :, None] - areas[stride:, None])
             apart = np.linalg.norm(colours[:-stride, :, None] - colours[stride:, None], axis=3)
@@ -61,12 +56,10 @@ def accelerated_triples(table: Candidates) -> tuple[Index, Array]:
         # What stands travels less than 2 px in a triple.
         moving = (np.abs(bend).max(axis=1) > MIN_BEND_PX) & (travel > 2.0)
         triples, bend = triples[moving], bend[moving]
-        seen = sum(
-            (_witnessed(table, triples, step * stride) for step in (-2, -1, 3, 4)),
-            np.zeros(len(triples), int),
-        )
-        # Of a flight two of four further pictures at the same stride are on the triple's
-        # parabola.
+        seen = np.zeros(len(triples), int)
+        for step in (-2, -1, 3, 4):
+            seen += _witnessed(table, triples, step * stride)
+        # Of a flight two of these four pictures are on the triple's parabola.
         kept = seen >= 2
         seeds.append(triples[kept])
         bends.append(bend[kept])
@@ -107,26 +100,12 @@ def tolerance_px(area_px: Array | float) -> Array | float:
 # ---- Growth of the seeds to arcs, and the best of these
 
 MIN_FRAMES = 6  # pictures of a flight: three lie on a parabola by themselves, three more must agree
-# Triples that grow once, and arcs that grow to the end: they bound the time of a busy film.
-_MAX_SEEDS = 500
-_FINALISTS = 60
 _CAMOUFLAGED = (
     "the ball looks like what is behind it",
     "mark it with --hsv; at the next drop: film it before a plain background of another colour",
 )
-_MIN_POINTS = 3  # pictures that define a parabola
-# Pictures in a row without the ball that end a flight: a bounce or a hand comes between.
-_MAX_MISSES = 3
-# Rms distance from the parabola that halves a score: the sum of .3 px and .15 ball radii.
-_LOOSE_PX, _LOOSE = 0.3, 0.15
-# Px and ball radii, added: a flight sags more below the straight line between its ends.
-_MIN_SAG_PX, _MIN_SAG = 2.0, 0.3
-# Of the acceleration downward: a camera is turned by less than 35° from one of four directions.
-_MAX_SIDEWAYS = 0.7
 # Added to distances that a small ball's radius bounds: its position is no better than that.
 SLACK_PX = 2.0
-# Where down may be in a picture (x, y), and how much that is favoured: films are seldom turned.
-_DIRECTIONS = (((0.0, 1.0), 2.0), ((0.0, -1.0), 1.0), ((1.0, 0.0), 1.0), ((-1.0, 0.0), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,33 +127,27 @@ def longest_arc(table: Candidates, least_frames: int = MIN_FRAMES) -> Arc | None
         return None
     seeds, bends = accelerated_triples(table)
     best, best_score = None, 0.0
-    for down, factor in _DIRECTIONS:
-        down_px = np.array(down)
+    # Where down may be, and how much that is favoured: films are seldom turned.
+    for down, factor in (((0, 1), 2.0), ((0, -1), 1.0), ((1, 0), 1.0), ((-1, 0), 1.0)):
+        down_px = np.array(down, np.float64)
         towards = bends @ down_px
         sideways = np.abs(bends @ np.array([down_px[1], -down_px[0]]))
-        falling = seeds[(towards > MIN_BEND_PX) & (towards > sideways)]
-        for arc in _grown_arcs(table, falling[:_MAX_SEEDS]):
-            if _is_flight(table, arc, down_px, least_frames):
+        # So many triples grow once, and of the best arcs 60 to the end: it bounds the time.
+        falling = seeds[(towards > MIN_BEND_PX) & (towards > sideways)][:500]
+        tried: dict[bytes, tuple[float, int]] = {}
+        for index, seed in enumerate(falling):
+            arc = _grow(table, seed, 1)
+            if arc is not None and len(arc.frames) >= 5:
+                same = arc.frames.tobytes() + arc.chosen.tobytes()
+                score = tried[same][0] if same in tried else _score(table, arc)
+                tried[same] = (score, index)
+        for _, index in sorted(tried.values(), reverse=True)[:60]:
+            arc = _grow(table, falling[index], 4)
+            if arc is not None and _is_flight(table, arc, down_px, least_frames):
                 score = factor * _score(table, arc)
                 if score > best_score:
                     best, best_score = arc, score
     return best
-
-
-def _grown_arcs(table: Candidates, seeds: Index) -> Iterator[Arc]:
-    """Yield the arcs that triples grow to, of the best scores after one round of growing."""
-    tried: dict[bytes, tuple[float, int]] = {}
-    for index, seed in enumerate(seeds):
-        arc = _grow(table, seed, 1)
-        # Pictures of a triple that has grown once: with fewer it is not grown to the end
-        if arc is not None and len(arc.frames) >= 5:
-            same = arc.frames.tobytes() + arc.chosen.tobytes()
-            score = tried[same][0] if same in tried else _score(table, arc)
-            tried[same] = (score, index)
-    for _, index in sorted(tried.values(), reverse=True)[:_FINALISTS]:
-        arc = _grow(table, seeds[index], 4)
-        if arc is not None:
-            yield arc
 
 
 def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
@@ -189,7 +162,7 @@ def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
         clock = table.seconds[frames] - middle
         curve = _parabola(clock, table.places_px[frames, chosen])
         # A triple may be a short part of a flight; a longer arc about doubles in a round.
-        reach = (1.2 if len(frames) > _MIN_POINTS else 2.5) * float(np.ptp(clock))
+        reach = (1.2 if len(frames) > 3 else 2.5) * float(np.ptp(clock))
         low, high = np.searchsorted(table.seconds, [middle - reach, middle + reach])
         window = np.arange(low, high)
         times = (table.seconds[window] - middle)[:, None]
@@ -204,17 +177,18 @@ def _grow(table: Candidates, seed: Index, rounds: int) -> Arc | None:
         near[row[alike], one[alike]] = off[row[alike], one[alike]]
         nearest = near.argmin(axis=1)
         hit = np.isfinite(near[np.arange(len(window)), nearest])
+        # Three pictures in a row without it end a flight: a bounce or a hand comes between.
         begin = end = int(np.searchsorted(window, frames[len(frames) // 2]))
         misses = 0
-        while begin > 0 and misses < _MAX_MISSES:
+        while begin > 0 and misses < 3:
             begin -= 1
             misses = 0 if hit[begin] else misses + 1
         misses = 0
-        while end < len(hit) and misses < _MAX_MISSES:
+        while end < len(hit) and misses < 3:
             misses = 0 if hit[end] else misses + 1
             end += 1
         kept = np.arange(begin, end)[hit[begin:end]]
-        if len(kept) < _MIN_POINTS:
+        if len(kept) < 3:  # no parabola
             return None
         frames, chosen = window[kept], nearest[kept]
     return Arc(frames, chosen, 2 * curve[0])
@@ -243,7 +217,8 @@ def _score(table: Candidates, arc: Arc) -> float:
     curve = _parabola(clock - clock.mean(), positions)
     when = (clock - clock.mean())[:, None]
     off = positions - (curve[0] * when**2 + curve[1] * when + curve[2])
-    loose = np.sqrt((off**2).sum(axis=1).mean()) / (_LOOSE_PX + _LOOSE * np.sqrt(area / np.pi))
+    # As far from the parabola, rms, as .3 px and .15 ball radii halves the score.
+    loose = np.sqrt((off**2).sum(axis=1).mean()) / (0.3 + 0.15 * np.sqrt(area / np.pi))
     # A fall from rest travels 4 sags; more than 16 pictures do not make a flight likelier.
     return min(travel, 5.0 * sag) / (1 + loose**2) / (2 + np.sqrt(area)) * min(len(arc.frames), 16)
 
@@ -255,15 +230,14 @@ def _is_flight(table: Candidates, arc: Arc, down: Array, least_frames: int) -> b
     clock = table.seconds[arc.frames]
     area = float(np.median(table.areas_px[arc.frames, arc.chosen]))
     radius = float(np.sqrt(area / np.pi))
-    # Most acceleration [ball radii/s²]: a ball of 4 mm radius, falling on Earth, filmed at most
-    # at its true rate
+    # Most acceleration [ball radii/s²]: a ball of 4 mm radius, filmed at most at its true rate.
     if np.linalg.norm(arc.gravity_px) > 2500.0 * (radius + 2):
         return False
-    sag = float(arc.gravity_px @ down) * float(np.ptp(clock)) ** 2 / 8
+    falls = float(arc.gravity_px @ down)
+    sag = falls * float(np.ptp(clock)) ** 2 / 8  # below the straight line between its ends
     sideways = abs(float(arc.gravity_px @ np.array([down[1], -down[0]])))
-    return sag > _MIN_SAG_PX + _MIN_SAG * radius and (
-        sideways < _MAX_SIDEWAYS * float(arc.gravity_px @ down)
-    )
+    # A camera is turned by less than 35° from one of four directions.
+    return sag > 2.0 + 0.3 * radius and sideways < 0.7 * falls
 
 
 def same_arc(table: Candidates, frames: Index, gravity_px: Array, positions_px: Array) -> Arc:
@@ -278,8 +252,7 @@ def same_arc(table: Candidates, frames: Index, gravity_px: Array, positions_px: 
     nearest = apart.argmin(axis=1)
     area = float(np.nanmedian(table.areas_px[frames, nearest]))
     near = apart[np.arange(len(nearest)), nearest] < SLACK_PX + np.sqrt(area / np.pi)
-    # Pictures of a flight in which the ball is found again: they define a parabola
-    if near.sum() < 3:
+    if near.sum() < 3:  # no parabola
         raise NotFoundError(*_CAMOUFLAGED)
     return Arc(frames[near], nearest[near], gravity_px)
 
@@ -287,21 +260,17 @@ def same_arc(table: Candidates, frames: Index, gravity_px: Array, positions_px: 
 # ---- Tracking from the flight to both ends of the recording
 
 MIN_SEEN = 8  # pictures with the ball: fewer are no drop and no bounce
-_REACH = 1.3  # of the way at that speed: noise in it, and in the positions
-# Differences that count 1: in RGB (0 to 255), in the logarithm of the area, and of a `Placing`.
-COLOUR_OFF, _LOG_AREA, _MISFIT = 45.0, 0.6, 0.35
+COLOUR_OFF = 45.0  # difference in RGB (0 to 255) that counts 1
 
 
-def color_and_size(
-    table: Candidates, frames: NDArray[np.intp], chosen: NDArray[np.intp]
-) -> ColorAndSize:
+def color_and_size(table: Candidates, frames: Index, chosen: Index) -> ColorAndSize:
     """Return the medians of some candidates, one in each of these pictures."""
     colours = table.colours[frames, chosen]
     areas = table.areas_px[frames, chosen]
     return ColorAndSize(np.median(colours, axis=0), float(np.median(areas)))
 
 
-def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.intp], Array]:
+def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[Index, Array]:
     """Follow the ball from the middle of its flight to both ends of the recording.
 
     In each picture the candidate is taken that is most like the ball and nearest to where constant
@@ -315,17 +284,16 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
     chosen[core] = core_picks
     cost[core] = _unlike(table, core, core_picks, ball)
     seconds, gravity, radius = table.seconds, arc.gravity_px, ball.radius_px
-    # Without the ball, in seconds or in pictures, whichever is longer: the way is lost. It covers
-    # what passes before the ball, and slow films [s]
-    patience = max(0.4, 12 * float(np.median(np.diff(seconds))))
+    # After as many seconds or pictures without it the way is lost: something may pass before it.
+    patience = max(0.4, 12 * median_step(seconds))
     for step in (1, -1):
         frames, picks = core[::step], core_picks[::step]
         last, before = int(frames[-1]), int(frames[-2])
         position = table.places_px[last, picks[-1]]
         span = seconds[last] - seconds[before]
         velocity = (position - table.places_px[before, picks[-2]]) / span + gravity * span / 2
-        # Speeds, of which the largest bounds the next: a bounce between two pictures makes the
-        # way between them short, and the next one long
+        # The largest of four bounds the next: a bounce between two pictures makes the way between
+        # them short, and the next one long.
         speeds = deque([float(np.linalg.norm(velocity))], maxlen=4)
         frame = last + step
         while 0 <= frame < len(seconds) and abs(seconds[frame] - seconds[last]) < patience:
@@ -334,16 +302,14 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
             speed = max(speeds) + float(np.linalg.norm(gravity)) * abs(dt)
             off = np.linalg.norm(table.places_px[frame] - expected, axis=1)
             moved = np.linalg.norm(table.places_px[frame] - position, axis=1)
-            reach = _REACH * speed * abs(dt) + radius + SLACK_PX
-            # Squared distance from where it is expected, in ball radii, that counts at most: a
-            # bounce is not what was expected
+            reach = 1.3 * speed * abs(dt) + radius + SLACK_PX  # noise in the speed
+            # In ball radii; it counts 4 at most, as a bounce is not what was expected.
             near = np.minimum((off / (radius + 1)) ** 2, 4.0)
             against = near + _unlike(table, np.full(len(off), frame), np.arange(len(off)), ball)
             against = np.where(moved < reach, against, np.inf)
             against = np.where(np.isfinite(against), against, np.inf)
             best = int(against.argmin()) if len(against) else -1
-            # Sum of squares, each of about 1 for the ball, above which a candidate is none
-            if best >= 0 and against[best] < 12.0:
+            if best >= 0 and against[best] < 12.0:  # a sum of squares, each about 1 for the ball
                 new = table.places_px[frame, best]
                 velocity = (new - position) / dt + gravity * dt / 2
                 speeds.append(float(np.linalg.norm(velocity)))
@@ -354,8 +320,8 @@ def follow(table: Candidates, arc: Arc, ball: ColorAndSize) -> tuple[NDArray[np.
 
 
 def flight_and_rest(
-    seconds: Array, arc: Arc, chosen: NDArray[np.intp], positions_px: Array, radius_px: float
-) -> tuple[NDArray[np.intp], Array]:
+    seconds: Array, arc: Arc, chosen: Index, positions_px: Array, radius_px: float
+) -> tuple[Index, Array]:
     """Select pictures that show the moving ball, and where it may lie in the others.
 
     Before the flight it is where the flight's parabola, followed backwards, comes to rest, and on
@@ -370,11 +336,10 @@ def flight_and_rest(
     for at in range(first, end):
         apart = positions_px[shown] - positions_px[at] if shown else np.empty((0, 2))
         crowd = np.linalg.norm(apart, axis=1)
-        # Pictures with the ball within half a radius of one place that are enough: more of the
-        # same background teach nothing of the ball
+        # More than two before the same background teach nothing of the ball.
         if found[at] and (crowd < radius_px / 2).sum() < 2:
             shown.append(at)
-    # Pictures that the ball's appearance is learnt from: all of them are in memory at once
+    # 24 at most: all of them are in memory at once.
     some = np.linspace(0, len(shown) - 1, min(24, len(shown))).astype(int)
     clock = seconds[arc.frames] - seconds[first]
     curve = np.polyfit(clock, positions_px[arc.frames], 2)
@@ -389,10 +354,8 @@ def flight_and_rest(
     return np.array(shown, np.intp)[some], still
 
 
-def _unlike(
-    table: Candidates, frames: NDArray[np.intp], picks: NDArray[np.intp], ball: ColorAndSize
-) -> Array:
-    """Return the squared differences from the ball in colour, size and misfit, shape (N,)."""
+def _unlike(table: Candidates, frames: Index, picks: Index, ball: ColorAndSize) -> Array:
+    """Return the squared differences from the ball in colour, log size and misfit, shape (N,)."""
     colour = np.linalg.norm(table.colours[frames, picks] - ball.colour, axis=1) / COLOUR_OFF
-    size = np.log(table.areas_px[frames, picks] / ball.area_px) / _LOG_AREA
-    return colour**2 + size**2 + (table.misfits[frames, picks] / _MISFIT) ** 2
+    size = np.log(table.areas_px[frames, picks] / ball.area_px) / 0.6
+    return colour**2 + size**2 + (table.misfits[frames, picks] / 0.35) ** 2

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Set
+from collections.abc import Iterable, Iterator, Set
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.episode import Episode, Frame, Picture
 from tunenet_logs.errors import LogError, NotFoundError, UsageError
@@ -27,53 +27,27 @@ from tunenet_logs.timing.stamps import filmed_part
 _MAX_BYTES = 640 * 2**20
 
 
+@dataclass(eq=False)
 class KeptFilm:
-    """Pictures of one topic by their numbers in it: all that were looked at, or none.
+    """Pictures of one topic by their numbers in it: all that were looked at, or none."""
 
-    Args:
-        topic: of the film.
-        is_part: whether a part of it is looked at, beside which there are others.
-
-    Attributes:
-        pictures: RGB, reduced.
-        is_whole: whether there were no more than could be kept.
-    """
-
-    def __init__(self, topic: str, *, is_part: bool) -> None:
-        self.topic, self.is_part = topic, is_part
-        self.pictures: dict[int, Picture] = {}
-        self.is_whole = True
-        self.is_bare = False
-        self._stamps_ns: list[int] = []
-        self._bytes = 0
-
-    def keep(self, number: int, frame: Frame, picture: Picture) -> None:
-        """Keep one more; drop all of them when there are too many."""
-        self._bytes += picture.nbytes
-        if self._bytes > _MAX_BYTES:
-            self.is_whole = False
-            self.pictures.clear()
-        if self.is_whole:
-            self.is_bare = frame.size is not None
-            self.pictures[number] = picture
-            self._stamps_ns.append(frame.stamp_ns)
+    topic: str
+    is_part: bool  # whether a part of it is looked at, beside which there are others
+    pictures: dict[int, Picture] = field(default_factory=dict)  # RGB, reduced
+    is_whole: bool = True  # whether there were no more than could be kept
+    is_bare: bool = False  # whether they were recorded as pixels
+    stamps_ns: list[int] = field(default_factory=list)
 
     def frames(self) -> Iterator[Frame]:
         """Yield the pictures as frames of their reduced size."""
-        for stamp_ns, picture in zip(self._stamps_ns, self.pictures.values(), strict=True):
+        for stamp_ns, picture in zip(self.stamps_ns, self.pictures.values(), strict=True):
             height, width = picture.shape[:2]
             pixels = partial(mean_of_blocks, picture)
             yield Frame(stamp_ns, "rgb8", b"", (width, height), pixels)
 
 
+# The film that is looked through, by its episode; the one before is dropped.
 _last: WeakKeyDictionary[Episode, KeptFilm] = WeakKeyDictionary()
-
-
-def begin_film(episode: Episode, topic: str, *, is_part: bool) -> KeptFilm:
-    """Start the cache of a film that is about to be looked through; the one before is dropped."""
-    _last.clear()
-    film = _last[episode] = KeptFilm(topic, is_part=is_part)
-    return film
 
 
 def kept_film(episode: Episode, topic: str) -> KeptFilm | None:
@@ -93,27 +67,8 @@ _ROUNDED_S = 0.1  # by as much a time that somebody read off a player may lie ou
 class Pictures:
     """Decoded pictures of an episode, reduced to a size at which tracking is quick.
 
-    Attributes:
-        stamps_ns: when the pictures were taken, shape (T,), strictly increasing.
-        arrivals: the same, beside the recording's own stamps, which may have come late.
-        start_ns: stamp of the topic's first picture, in the part selected or not.
-        length_s: from there to the topic's last picture, in the part selected or not.
-        size_px: (width, height) before reduction, as most of the pictures claim it.
-        scale: by which they are reduced, a whole number.
-        other_size: number of pictures of another size than most, left out.
-        not_later: number of those that are stamped no later than the one before, left out.
-        opened: number of pictures of the topic that can be read, in the part selected or not.
-        jumps: where the clock jumps, in words; what lies beyond is left out. Empty if nowhere.
-        damaged: number of pictures that could not be decoded and are left out.
-        samples: 32 to 64 of the pictures, evenly over the recording (all of a short one), reduced.
-        sampled: their numbers, increasing, shape (N,).
-
-    Args:
-        episode: with frames.
-        topic: which of its picture topics.
-        start_s: leave out what comes before, in seconds since the first frame.
-        end_s: leave out what comes after.
-        span_ns: stamps of the first picture and of the last one to look at; None for all.
+    `start_s` and `end_s` select a part [s since the first frame], `span_ns` one by the stamps of
+    its first and its last picture.
 
     Raises:
         NotFoundError: there is none, or the part begins past the last one.
@@ -127,11 +82,8 @@ class Pictures:
         end_s: float | None = None,
         span_ns: tuple[int, int] | None = None,
     ) -> None:
-        self._episode = episode
-        self._topic = topic
-        self._start_s = start_s
-        self._end_s = end_s
-        self._span_ns = span_ns
+        self._episode, self._topic = episode, topic
+        self._start_s, self._end_s, self._span_ns = start_s, end_s, span_ns
         self._one_clock: Set[int] | None = None
         self._recorded_ns: list[int] = []
         reason: NotFoundError | None = None
@@ -140,7 +92,7 @@ class Pictures:
         except NotFoundError as why:  # a jump may hide the part that is selected
             reason = why
         part = filmed_part(np.array(self._recorded_ns, np.int64))
-        self.jumps = part.words
+        self.jumps = part.words  # where the clock jumps: what lies beyond is left out
         if part.words:
             self._one_clock = frozenset(part.keep.tolist())
             self._look_through()
@@ -148,19 +100,17 @@ class Pictures:
             raise reason
 
     def _look_through(self) -> None:
-        """Decode every picture once, for the stamps, the size and some samples.
-
-        Most pictures are taken to have the first one's size; where they have another, once more.
-        """
+        """Decode every picture once, for the stamps, the size and some samples."""
         sizes = self._look_for_pictures(None)
         usual = sizes.most_common(1)[0][0] if sizes else self.size_px
-        if usual != self.size_px:
+        if usual != self.size_px:  # not the first one's, as was assumed: once more
             self._look_for_pictures(usual)
         if not len(self.stamps_ns):
             raise NotFoundError(
                 "holds no picture that can be decoded (in the part selected)" + self._why,
                 "give --start and --end of a part with pictures, or record or copy it again",
             )
+        # The stamps beside the recording's own ones, which may have come late.
         self.arrivals = correct_late_stamps(
             self.stamps_ns,
             are_arrivals=self._episode.info.notes.get(STAMPS_NOTE, "").startswith(ARRIVALS),
@@ -169,15 +119,22 @@ class Pictures:
 
     def _look_for_pictures(self, usual: tuple[int, int] | None) -> Counter[tuple[int, int]]:
         """Look through the pictures of this size, of the first one's where it is None."""
-        self.size_px, self.scale = usual or (1, 1), _scale_of(usual or (1, 1))
-        self.start_ns = 0
-        self.length_s = 0.0
-        self.damaged = self.opened = self.other_size = self.not_later = 0
-        self._film = begin_film(self._episode, self._topic, is_part=self._span_ns is not None)
+        # (width, height) before reduction, and the whole number by which pictures are reduced.
+        self.size_px, self.scale = usual or (1, 1), 1
+        # Stamp of the topic's first picture, and from there to its last, in the part or not.
+        self.start_ns, self.length_s = 0, 0.0
+        # Pictures that can be read, in the part or not; those left out as they cannot be decoded,
+        # have another size than most, or are stamped no later than the one before.
+        self.opened = self.damaged = self.other_size = self.not_later = 0
+        _last.clear()
+        film = self._film = _last[self._episode] = KeptFilm(self._topic, self._span_ns is not None)
+        film_bytes = 0
         self._kept: list[int] = []
         self._why = ""
         stamps: list[int] = []
-        samples = _EvenSamples()
+        # 32 to 64 pictures, reduced, evenly over a film of unknown length; all of a short one.
+        self.samples: list[Picture] = []
+        every = 1
         sizes: Counter[tuple[int, int]] = Counter()
         total = sum(one.messages for one in self._episode.channels if one.topic == self._topic)
         for index, frame in told(self._selected(), "decoding the pictures", total):
@@ -185,7 +142,8 @@ class Pictures:
                 size = frame.size_px()
                 if usual is None:
                     usual = self.size_px = size
-                    self.scale = _scale_of(size)
+                # A ball is still found to a small part of a pixel.
+                self.scale = max(1, math.ceil(math.sqrt(math.prod(self.size_px) / 480_000)))
                 sizes[size] += 1
                 picture = frame.decode(self.scale) if size == self.size_px else None
             except LogError as error:
@@ -197,23 +155,30 @@ class Pictures:
             elif stamps and frame.stamp_ns <= stamps[-1]:
                 self.not_later += 1
             else:
-                samples.add(picture)
-                self._film.keep(index, frame, picture)
+                if len(stamps) % every == 0:
+                    self.samples.append(picture)
+                if len(self.samples) > _MAX_SAMPLES:
+                    self.samples, every = self.samples[::2], 2 * every
+                film_bytes += picture.nbytes
+                if film_bytes > _MAX_BYTES:  # too many: none of them
+                    film.is_whole = False
+                    film.pictures.clear()
+                if film.is_whole:
+                    film.is_bare = frame.size is not None
+                    film.pictures[index] = picture
+                    film.stamps_ns.append(frame.stamp_ns)
                 stamps.append(frame.stamp_ns)
                 self._kept.append(index)
-        self.samples, self.sampled = samples.pictures, samples.numbers
-        self.stamps_ns = np.array(stamps, np.int64)
+        self.sampled = every * np.arange(len(self.samples))
+        self.stamps_ns = np.array(stamps, np.int64)  # shape (T,), strictly increasing
         return sizes
 
     def __iter__(self) -> Iterator[Picture]:
-        return self._of(set(self._kept))
+        return self.some(range(len(self._kept)))
 
-    def some(self, numbers: Collection[int]) -> list[Picture]:
-        """Return the pictures of these numbers (of `stamps_ns`), in order, decoding no others."""
-        return list(self._of({self._kept[number] for number in numbers}))
-
-    def _of(self, wanted: Set[int]) -> Iterator[Picture]:
-        """Yield pictures by their numbers in the topic, in order."""
+    def some(self, numbers: Iterable[int]) -> Iterator[Picture]:
+        """Yield the pictures of these numbers (of `stamps_ns`), in order, decoding no others."""
+        wanted = {self._kept[number] for number in numbers}
         if self._film.is_whole:
             yield from (self._film.pictures[index] for index in self._kept if index in wanted)
             return
@@ -239,14 +204,7 @@ class Pictures:
         return mean_of_blocks(mask, self.scale)
 
     def scaled(self, ball_at: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Convert a position [px] and a time [s] to reduced pictures that begin at `stamps_ns[0]`.
-
-        Args:
-            ball_at: x, y in the picture as recorded, and seconds since the topic's first one.
-
-        Raises:
-            UsageError: the position is not in the picture, or the time not in the part selected.
-        """
+        """Convert x, y [px] and seconds since the first picture to reduced pictures of the part."""
         x, y, at_s = ball_at
         wide, tall = self.size_px
         if not (0 <= x < wide and 0 <= y < tall):
@@ -282,27 +240,6 @@ class Pictures:
         check_start(self._start_s, self.length_s)
 
 
-class _EvenSamples:
-    """At most `_MAX_SAMPLES` pictures of a film of unknown length, evenly over it."""
-
-    def __init__(self) -> None:
-        self.pictures: list[Picture] = []
-        self._every, self._count = 1, 0
-
-    @property
-    def numbers(self) -> NDArray[np.intp]:
-        """Numbers of the samples among the pictures."""
-        return self._every * np.arange(len(self.pictures))
-
-    def add(self, picture: Picture) -> None:
-        """Add the next picture of the film."""
-        if self._count % self._every == 0:
-            self.pictures.append(picture)
-        self._count += 1
-        if len(self.pictures) > _MAX_SAMPLES:
-            self.pictures, self._every = self.pictures[::2], 2 * self._every
-
-
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Run OpenCV in one thread: on pictures of this size more of them mostly wait, and spin."""
@@ -314,12 +251,6 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
-
-
-def _scale_of(size_px: tuple[int, int]) -> int:
-    """Return the factor by which pictures of a size are reduced."""
-    # Above that, pictures are reduced: a ball is still found to a small part of a pixel
-    return max(1, math.ceil(math.sqrt(math.prod(size_px) / 480_000)))
 
 
 def readable_frames(episode: Episode, topic: str) -> Iterator[Frame]:

@@ -90,19 +90,12 @@ def _selected(
 
 
 class _Thinning:
-    """Keeper of every n-th picture; n doubles, and every second is dropped, when too many.
-
-    Attributes:
-        size_px: of the first picture that can be decoded; None before it.
-        thumbnails: by the number of the picture.
-    """
+    """Keeper of every n-th picture; n doubles, and every second is dropped, when too many."""
 
     def __init__(self) -> None:
-        self.size_px: tuple[int, int] | None = None
-        self.thumbnails: dict[int, Thumbnail] = {}
-        self._step = 1
-        self._held_bytes = 0
-        self._reduced = 0
+        self.size_px: tuple[int, int] | None = None  # of the first that can be decoded
+        self.thumbnails: dict[int, Thumbnail] = {}  # by the number of the picture
+        self._step, self._held_bytes, self._reduced = 1, 0, 0
 
     def add(self, number: int, seconds: float, frame: Frame) -> None:
         """Keep a picture if it is its turn."""
@@ -113,27 +106,22 @@ class _Thinning:
             self.size_px = (width, height)
         elif frame.size_px() != self.size_px:
             return
-        self._put(number, _thumbnail(seconds, frame))
+        added = self.thumbnails[number] = _thumbnail(seconds, frame)
+        self._held_bytes += len(added.data)
+        self._reduced += added.is_reduced
         while len(self.thumbnails) > 1 and (
             self._held_bytes > MAX_BYTES or self._reduced > MAX_REDUCED
         ):
             self._step *= 2
-            thumbnails, self.thumbnails = self.thumbnails, {}
-            self._held_bytes = self._reduced = 0
-            for at, thumbnail in thumbnails.items():
-                if at % self._step == 0:
-                    self._put(at, thumbnail)
-
-    def _put(self, number: int, thumbnail: Thumbnail) -> None:
-        self.thumbnails[number] = thumbnail
-        self._held_bytes += len(thumbnail.data)
-        self._reduced += thumbnail.is_reduced
+            kept = {at: one for at, one in self.thumbnails.items() if at % self._step == 0}
+            self.thumbnails = kept
+            self._held_bytes = sum(len(one.data) for one in kept.values())
+            self._reduced = sum(one.is_reduced for one in kept.values())
 
 
 def _thumbnail(seconds: float, frame: Frame) -> Thumbnail:
     """Return the frame as recorded where that is a small JPEG, else made smaller."""
-    # A JPEG of no more is kept as it was recorded: to make it smaller takes time and gains little
-    # [bytes]
+    # To make a JPEG of so few bytes smaller takes time and gains little.
     if frame.size is None and len(frame.data) <= 200_000 and is_whole(frame.data):
         return Thumbnail(seconds, frame.data, is_reduced=False)
     import cv2
@@ -177,11 +165,7 @@ def mark_ball(
 
 
 class Marking:
-    """Page to mark the ball on, served on 127.0.0.1 alone, until `close`.
-
-    Attributes:
-        url: where it is.
-    """
+    """Page to mark the ball on, served on 127.0.0.1 alone, until `close`."""
 
     def __init__(self, album: Album) -> None:
         self._album = album
@@ -195,8 +179,6 @@ class Marking:
         """Wait for the user; return the mark, or None to go on without one."""
         while True:
             try:
-                # Between two looks at whether the page was closed: nobody notices that it is so
-                # late
                 return self._decided.get(timeout=0.2)
             except queue.Empty:
                 if self._is_closed():
@@ -213,7 +195,9 @@ class Marking:
             page = files("tunenet_logs.analysis.tracking").joinpath("ball_picker.html").read_bytes()
             return Answer(200, "text/html; charset=utf-8", page)
         if path == "/album":
-            return as_json(self._contents())
+            album = self._album
+            seconds = [round(thumbnail.seconds, 6) for thumbnail in album.thumbnails]
+            return as_json({"topic": album.topic, "size_px": album.size_px, "seconds": seconds})
         if path == "/here":
             return Answer()
         number = self._number(path.removeprefix("/picture/"))
@@ -231,14 +215,6 @@ class Marking:
         if path == "/tune" and (mark := self._mark(body)) is not None:
             return Answer(then=lambda: self._decided.put(mark))
         return None
-
-    def _contents(self) -> dict[str, Any]:
-        album = self._album
-        return {
-            "topic": album.topic,
-            "size_px": album.size_px,
-            "seconds": [round(thumbnail.seconds, 6) for thumbnail in album.thumbnails],
-        }
 
     def _number(self, text: object) -> int | None:
         """Return which picture a text names; None for none."""

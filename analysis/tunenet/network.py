@@ -61,7 +61,7 @@ class PaperNetwork:
         """See `Network.residual`."""
         of_proposed = relu(linear(weights, "proposed", proposed))
         of_target = relu(linear(weights, "target", target))
-        joint = relu(_joint(weights, "joint", of_proposed, of_target))
+        joint = relu(_joint(weights, of_proposed, of_target))
         return tanh(linear(weights, "out", joint))
 
 
@@ -87,8 +87,8 @@ class AntisymmetricNetwork:
         """See `Network.residual`."""
         of_proposed = relu(linear(weights, "curve", proposed))
         of_target = relu(linear(weights, "curve", target))
-        forth = relu(_joint(weights, "joint", of_proposed, of_target))
-        back = relu(_joint(weights, "joint", of_target, of_proposed))
+        forth = relu(_joint(weights, of_proposed, of_target))
+        back = relu(_joint(weights, of_target, of_proposed))
         return (linear(weights, "out", forth) - linear(weights, "out", back)) / 2
 
 
@@ -187,11 +187,11 @@ def linear(weights: Weights, name: str, values: Any) -> Any:
     return values @ weights[f"{name}.weight"] + weights[f"{name}.bias"]
 
 
-def _joint(weights: Weights, name: str, first: Any, second: Any) -> Any:
-    """Apply a linear layer to two concatenated inputs."""
-    matrix = weights[f"{name}.weight"]
+def _joint(weights: Weights, first: Any, second: Any) -> Any:
+    """Apply the layer "joint" to two concatenated inputs."""
+    matrix = weights["joint.weight"]
     half = matrix.shape[0] // 2
-    return first @ matrix[:half] + second @ matrix[half:] + weights[f"{name}.bias"]
+    return first @ matrix[:half] + second @ matrix[half:] + weights["joint.bias"]
 
 
 def relu(values: Any) -> Any:
@@ -272,10 +272,7 @@ def consecutive_pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def mixed_pairs(
     values: Array, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Draw pairs: half of any two rollouts, half close together, as the last iterations are.
-
-    `values` (N, P).
-    """
+    """Draw pairs: half of any two rollouts, half close together, as the last iterations are."""
     order = np.argsort(values[:, 0])
     proposed = rng.integers(len(values), size=count)
     anywhere = rng.integers(len(values), size=count)
@@ -307,8 +304,7 @@ class Recipe:
     decay: float = 1.0  # factor of the rate every `decay_epochs` ("sgd")
     decay_epochs: int = 1
     noise: float = 0.0  # up to this standard deviation is added to o_T, in the observation's unit
-    # share of pairs that begin late and end early, as a short recording does
-    cut_share: float = 0.0
+    cut_share: float = 0.0  # of pairs that begin late and end early, as short recordings do
 
 
 def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress: Progress) -> Model:
@@ -317,6 +313,7 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
     The same seed on the same machine gives the same weights.
     """
     import torch
+    from torch.optim.lr_scheduler import OneCycleLR, StepLR
 
     torch.set_num_threads(1)  # for networks this small, a second thread mostly waits for the first
     rng = np.random.default_rng(seed)
@@ -337,7 +334,14 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
     residuals = torch.tensor(wanted, dtype=torch.float32)
     proposed, target = torch.from_numpy(pairs.proposed), torch.from_numpy(pairs.target)
     batches = int(np.ceil(len(proposed) / recipe.batch))
-    optimizer, schedule = _optimizer(recipe, list(weights.values()), batches)
+    rate = recipe.learning_rate
+    settings: dict[str, Any] = {"lr": rate, "weight_decay": recipe.weight_decay}
+    if recipe.optimizer == "sgd":
+        optimizer = torch.optim.SGD(list(weights.values()), **settings)
+        schedule = StepLR(optimizer, step_size=recipe.decay_epochs, gamma=recipe.decay)
+    else:
+        optimizer = torch.optim.AdamW(list(weights.values()), **settings)
+        schedule = OneCycleLR(optimizer, max_lr=rate, total_steps=recipe.epochs * batches)
     generator = torch.Generator().manual_seed(seed)
     with progress.bar(recipe.epochs, "training", "epoch") as bar:
         for _ in range(recipe.epochs):
@@ -350,7 +354,10 @@ def train(network: Network, pairs: PairSet, recipe: Recipe, seed: int, progress:
                     o_p, o_t = o_p * both, o_t * both
                 o_p, o_t = _augment(o_p, o_t, noise, recipe.cut_share, generator)
                 found = network.residual(weights, o_p, o_t)
-                loss = _loss(recipe.loss, found, residuals[chosen])
+                off = found - residuals[chosen]
+                if recipe.loss == "relative":
+                    off = off / (residuals[chosen].abs() + 0.1)
+                loss = off.norm(dim=1).mean() if recipe.loss == "norm" else (off**2).mean()
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
@@ -370,26 +377,18 @@ def one_step_error(model: Model, pairs: PairSet) -> float:
 
 
 def _scaling(pairs: PairSet, how: str) -> Scaling:
-    flat = pairs.observations.reshape(len(pairs.values), -1)
-    none, one = np.zeros(1), np.ones(1)
+    seen, none, one = pairs.observations, np.zeros(1), np.ones(1)
+    flat = seen.reshape(len(pairs.values), -1)
     if how == "raw":
         return Scaling(none, one, none, one)
-    if how in ("unit-inputs", "z-score"):
-        # Offset and gain of each input, one pair per channel.
-        observations = pairs.observations
-        to_unit = how == "unit-inputs"
-        if to_unit:
-            offset = np.nanmin(observations, axis=(0, 1))
-            spread = np.nanmax(observations, axis=(0, 1)) - offset
-        else:
-            offset, spread = (
-                np.nanmean(observations, axis=(0, 1)),
-                np.nanstd(observations, axis=(0, 1)),
-            )
-        length = observations.shape[1]
-        return Scaling(
-            *(np.tile(offset, length), np.tile(1 / np.maximum(spread, 1e-12), length)), none, one
-        )
+    if how in ("unit-inputs", "z-score"):  # offset and gain of each input, one pair per channel
+        offset, spread = np.nanmean(seen, axis=(0, 1)), np.nanstd(seen, axis=(0, 1))
+        if how == "unit-inputs":
+            offset = np.nanmin(seen, axis=(0, 1))
+            spread = np.nanmax(seen, axis=(0, 1)) - offset
+        length = seen.shape[1]
+        gain = 1 / np.maximum(spread, 1e-12)
+        return Scaling(np.tile(offset, length), np.tile(gain, length), none, one)
     if how == "unit":
         low, high = np.array([np.nanmin(flat)]), np.array([np.nanmax(flat)])
         least, most = pairs.residuals.min(axis=0), pairs.residuals.max(axis=0)
@@ -397,19 +396,6 @@ def _scaling(pairs: PairSet, how: str) -> Scaling:
     spread = np.nanstd(flat, axis=0).mean()
     ranges = np.ptp(pairs.values, axis=0) if how == "ranges" else one
     return Scaling(np.nanmean(flat, axis=0), np.array([1 / spread]), none, ranges)
-
-
-def _optimizer(recipe: Recipe, weights: list[torch.Tensor], batches: int) -> tuple[Any, Any]:
-    import torch
-    from torch.optim.lr_scheduler import OneCycleLR, StepLR
-
-    settings: dict[str, Any] = {"lr": recipe.learning_rate, "weight_decay": recipe.weight_decay}
-    if recipe.optimizer == "sgd":
-        sgd = torch.optim.SGD(weights, **settings)
-        return sgd, StepLR(sgd, step_size=recipe.decay_epochs, gamma=recipe.decay)
-    adamw = torch.optim.AdamW(weights, **settings)
-    steps = recipe.epochs * batches
-    return adamw, OneCycleLR(adamw, max_lr=recipe.learning_rate, total_steps=steps)
 
 
 def _augment(
@@ -435,12 +421,3 @@ def _augment(
         seen = ~cut | ((places < end * length) & (places >= begin * length))
         proposed, target = proposed * seen, target * seen
     return proposed, target
-
-
-def _loss(kind: str, found: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    off = found - wanted
-    if kind == "squared":
-        return (off**2).mean()
-    if kind == "norm":
-        return off.norm(dim=1).mean()
-    return ((off / (wanted.abs() + 0.1)) ** 2).mean()

@@ -13,7 +13,7 @@ import math
 import re
 import struct
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -55,14 +55,29 @@ class WeightsFile:
             if name not in wanted:
                 raise self._wrong(f"tensor {short_name(name)!r} is none of this network")
         for name, shapes in wanted.items():
-            start, shape = self._place(name, shapes)
-            size = math.prod(shape) * _NUMPY_DTYPE.itemsize
+            entry = self.entries.get(name)
+            if entry is None:
+                raise self._wrong(f"tensor {name!r} is missing")
+            if not isinstance(entry, dict) or entry.keys() != {"dtype", "shape", "data_offsets"}:
+                raise self._wrong(f"tensor {name!r} has no dtype, shape and data_offsets")
+            kind, shape, offsets = entry["dtype"], entry["shape"], entry["data_offsets"]
+            if kind != _DTYPE:
+                what = short_name(kind)
+                raise self._wrong(f"tensor {name!r} has the dtype {what}, not {_DTYPE}")
+            if not _are_whole(shape) or tuple(shape) not in shapes:
+                known = " or ".join(map(str, sorted(set(shapes))))
+                raise self._wrong(f"tensor {name!r} is misshapen: {short_name(shape)}, not {known}")
+            count = math.prod(shape)
+            size = count * _NUMPY_DTYPE.itemsize
+            if not _are_whole(offsets) or len(offsets) != 2 or offsets[1] - offsets[0] != size:
+                what = short_name(offsets)
+                raise self._wrong(f"tensor {name!r} has data_offsets {what} for {size} bytes")
+            start = offsets[0]
             places.append((start, start + size, name))
             if start + size > len(self.data):
                 raise self._wrong(f"tensor {name!r} goes beyond the file's end")
-            found[name] = np.frombuffer(
-                self.data, _NUMPY_DTYPE, math.prod(shape), offset=start
-            ).reshape(shape)
+            flat = np.frombuffer(self.data, _NUMPY_DTYPE, count, offset=start)
+            found[name] = flat.reshape(shape)
         ends = [0, *(end for _, end, _ in sorted(places))]
         for (start, _, name), end_before in zip(sorted(places), ends, strict=False):
             if start != end_before:
@@ -73,26 +88,6 @@ class WeightsFile:
             if not np.all(np.abs(tensor) <= _MAX_SIZE):
                 raise self._wrong(f"tensor {name!r} is not finite, or beyond {_MAX_SIZE:g}")
         return found
-
-    def _place(self, name: str, shapes: Collection[tuple[int, ...]]) -> tuple[int, tuple[int, ...]]:
-        """Return first byte and shape of a tensor."""
-        entry = self.entries.get(name)
-        if entry is None:
-            raise self._wrong(f"tensor {name!r} is missing")
-        if not isinstance(entry, dict) or entry.keys() != {"dtype", "shape", "data_offsets"}:
-            raise self._wrong(f"tensor {name!r} has no dtype, shape and data_offsets")
-        if entry["dtype"] != _DTYPE:
-            what = short_name(entry["dtype"])
-            raise self._wrong(f"tensor {name!r} has the dtype {what}, not {_DTYPE}")
-        shape, offsets = entry["shape"], entry["data_offsets"]
-        if not _are_whole(shape) or tuple(shape) not in shapes:
-            known = " or ".join(map(str, sorted(set(shapes))))
-            raise self._wrong(f"tensor {name!r} is misshapen: {short_name(shape)}, not {known}")
-        size = math.prod(shape) * _NUMPY_DTYPE.itemsize
-        if not _are_whole(offsets) or len(offsets) != 2 or offsets[1] - offsets[0] != size:
-            what = short_name(offsets)
-            raise self._wrong(f"tensor {name!r} has data_offsets {what} for {size} bytes")
-        return offsets[0], tuple(shape)
 
     def _wrong(self, what: str) -> WeightsError:
         return WeightsError(f"{self.path}: {what}; {REMEDY}")
@@ -161,8 +156,7 @@ FORMAT = "tunenet-weights/1"
 _HEADER = re.compile(
     rb'.{8}\{[^{]{0,40000}"__metadata__": ?\{[^}]{0,40000}"format": ?"tunenet-weights/', re.DOTALL
 )
-_HEADER_BYTES = 65536
-_SCALING = ("input_offset", "input_gain", "output_offset", "output_gain")
+_SCALING = tuple(one.name for one in fields(Scaling))
 
 
 @dataclass(frozen=True)
@@ -197,7 +191,7 @@ def weights_place(path: Path) -> OutputPlace:
     """Return the output place of weights, which may replace other weights."""
 
     def knows(file: BinaryIO) -> Sequence[str] | None:
-        return () if _HEADER.match(file.read(_HEADER_BYTES)) else None
+        return () if _HEADER.match(file.read(65536)) else None
 
     return OutputPlace(path, "file of weights", knows)
 
@@ -222,7 +216,16 @@ def load_model(path: Path, purpose: Purpose) -> Model:
                 f"{path}: weights for {name} {one_line(told[:80])!r}, not {wanted!r}; "
                 f"make fitting ones with tunenet-train {purpose.task} --preset {purpose.preset}"
             )
-    if not _are_rates(header.get("rates_hz", "")):
+    try:
+        rates = parse_json(header.get("rates_hz", ""))
+    except ValueError:
+        rates = None
+    # A hundred rates of one network at most, up to 1 MHz.
+    if (
+        not isinstance(rates, list)
+        or not 0 < len(rates) <= 100
+        or not all(type(rate) in (int, float) and 0 < rate <= 1e6 for rate in rates)
+    ):
         raise WeightsError(f"{path}: rates_hz is no list of rates; {REMEDY}")
     digest = header.pop("digest", "")
     network = NETWORKS.get(header.get("network", ""))
@@ -244,26 +247,9 @@ def load_model(path: Path, purpose: Purpose) -> Model:
     return Model(network, {name: tensors[name] for name in shapes}, scaling, digest)
 
 
-def _are_rates(text: str) -> bool:
-    try:
-        rates = parse_json(text)
-    except ValueError:
-        return False
-    # A hundred rates of one network at most, up to 1 MHz.
-    return (
-        isinstance(rates, list)
-        and 0 < len(rates) <= 100
-        and all(type(rate) in (int, float) and 0 < rate <= 1e6 for rate in rates)
-    )
-
-
 def _strings(purpose: Purpose) -> dict[str, str]:
-    return {
-        "task": purpose.task,
-        "preset": purpose.preset,
-        "observation": purpose.observation,
-        "rates_hz": json.dumps(list(purpose.rates_hz)),
-    }
+    texts = {name: getattr(purpose, name) for name in ("task", "preset", "observation")}
+    return {**texts, "rates_hz": json.dumps(list(purpose.rates_hz))}
 
 
 def _digest(tensors: Mapping[str, NDArray[np.float64]], header: Mapping[str, str]) -> str:

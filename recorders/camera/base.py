@@ -1,7 +1,8 @@
-"""The interface of all frame sources, and what the live ones share."""
+"""The interface of all frame sources, and what most of them share."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
@@ -27,10 +28,7 @@ class Source(Protocol):
 
     @property
     def returns(self) -> bool:
-        """Whether reconnecting may bring more frames once this one is silent or has ended.
-
-        False for files and plugged-in cameras, and once a camera has ended its stream itself.
-        """
+        """Whether reconnecting may bring more frames; not once a camera ended its stream itself."""
         ...
 
     @property
@@ -53,11 +51,7 @@ class Source(Protocol):
         ...
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Yield the frames in order; call it once.
-
-        Raises:
-            TuneNetError: the source failed.
-        """
+        """Yield the frames in order, or raise TuneNetError; call it once."""
         ...
 
     def close(self) -> None:
@@ -65,7 +59,7 @@ class Source(Protocol):
         ...
 
 
-class LiveSource:
+class BaseSource(ABC):
     """A `Source` that is read in one thread and closed from any.
 
     A kind of camera yields its pictures from `_shots`, and frees what it holds in `_release`: once,
@@ -80,8 +74,7 @@ class LiveSource:
         self.returns = returns
         self.ended = ""
         self.damaged = 0
-        self._is_closed = False
-        self._is_read = False
+        self._is_closed = self._is_read = False
 
     def frames(self) -> Iterator[CapturedFrame]:
         """Yield the pictures as they come, until the stream ends or falls silent."""
@@ -100,8 +93,8 @@ class LiveSource:
         if not self._is_read:
             self._release()
 
-    def _shots(self) -> Iterator[CapturedFrame]:
-        raise NotImplementedError
+    @abstractmethod
+    def _shots(self) -> Iterator[CapturedFrame]: ...
 
-    def _release(self) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _release(self) -> None: ...

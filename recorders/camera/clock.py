@@ -34,6 +34,7 @@ from tunenet_logs.writing.writer import header_stamps_ns, restamp
 _HOLD_NS, _HOLD_BYTES = 500_000_000, 32 * 1024 * 1024
 # A jump of the camera's clock: no reordered frames are so far apart, no delay estimate so wrong.
 _MIN_LEAP_NS = 1_000_000_000
+_MIN_FRAMES = 50  # behind fewer no uniform clock is sought
 
 
 class Timed(NamedTuple):
@@ -100,27 +101,20 @@ class CameraTime:
 
     def due(self, now_ns: int) -> Iterator[Timed]:
         """Yield the held-back frames once they have been held for long enough."""
-        if self._held and (
-            now_ns - self._held[0].received_ns >= _HOLD_NS or self._held_bytes > _HOLD_BYTES
-        ):
+        is_full = self._held_bytes > _HOLD_BYTES
+        if self._held and (is_full or now_ns - self._held[0].received_ns >= _HOLD_NS):
             yield from self.rest()
 
     def rest(self) -> Iterator[Timed]:
         """Yield all frames that are still held back."""
         held, self._held, self._held_bytes = self._held, [], 0
         self.is_placed = False
-        told = [(one.received_ns, one.payload.source_stamp_ns) for one in held]
-        delays_ns = [
-            came_ns - source_stamp_ns
-            for came_ns, source_stamp_ns in told
-            if source_stamp_ns is not None
-        ]
-        if delays_ns:
-            first_ns = min(
-                source_stamp_ns for _, source_stamp_ns in told if source_stamp_ns is not None
-            )
+        came = [(one.received_ns, one.payload.source_stamp_ns) for one in held]
+        if told := [(came_ns, told_ns) for came_ns, told_ns in came if told_ns is not None]:
+            delay_ns = min(came_ns - told_ns for came_ns, told_ns in told)
             # What was read ahead is not placed among the pictures of the connection before.
-            self._anchor_ns = max(min(delays_ns), self._newest_ns + 1 - first_ns)
+            first_ns = min(told_ns for _, told_ns in told)
+            self._anchor_ns = max(delay_ns, self._newest_ns + 1 - first_ns)
         for item in held:
             yield self._placed(item)
 
@@ -147,12 +141,11 @@ class CameraTime:
         latest_ns, then_ns = self._latest
         if source_stamp_ns < latest_ns - _MIN_LEAP_NS:
             return True
-        if (
-            self._anchor_ns is None
-            or source_stamp_ns + self._anchor_ns <= arrived_ns + _MIN_LEAP_NS
-        ):
+        if self._anchor_ns is None:
             return False
-        return (source_stamp_ns - latest_ns) - (arrived_ns - then_ns) > _MIN_LEAP_NS
+        is_ahead = source_stamp_ns + self._anchor_ns > arrived_ns + _MIN_LEAP_NS
+        step_ns, waited_ns = source_stamp_ns - latest_ns, arrived_ns - then_ns
+        return is_ahead and step_ns - waited_ns > _MIN_LEAP_NS
 
     def _placed(self, item: Item[CapturedFrame]) -> Timed:
         frame, source_stamp_ns = item.payload.frame, item.payload.source_stamp_ns
@@ -170,11 +163,6 @@ class CameraTime:
         begins_anew, self._begins_anew = self._begins_anew, False
         self._newest_ns = max(self._newest_ns, stamp_ns)
         return Timed(replace(frame, stamp_ns=stamp_ns), arrived_ns, begins_anew)
-
-
-# ---- Uniform clock: restamp a finished log whose camera reports no times
-
-_MIN_FRAMES = 50  # frames; behind fewer no clock is sought
 
 
 def stamp_evenly(path: Path, notes: Mapping[str, str], spare_bytes: int) -> str:

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -14,7 +13,7 @@ from tunenet_logs.audio import is_sound_alone
 from tunenet_logs.episode import Frame, Sound
 from tunenet_logs.errors import CameraAwayError, CameraError, LogError
 from tunenet_logs.messages import compressed, from_bgr, is_whole
-from tunenet_logs.recorders.camera.base import CapturedFrame, LiveSource
+from tunenet_logs.recorders.camera.base import BaseSource, CapturedFrame
 from tunenet_logs.recorders.session import Closable
 from tunenet_logs.timing.stamps import wall_ns
 from tunenet_logs.video import open_video, video_notes
@@ -22,50 +21,36 @@ from tunenet_logs.video import open_video, video_notes
 if TYPE_CHECKING:
     import cv2
 
-
-# ---- Camera settings: requested, and as the camera accepted them
-
-_MANUAL_EXPOSURE = 1.0  # V4L2_EXPOSURE_MANUAL of V4L2
-_EXPOSURES_PER_MS = 10.0  # V4L2 gives an exposure in units of 100 µs
+    from tunenet_logs.recorders.camera.options import CameraOptions
 
 
-@dataclass(frozen=True)
-class Settings:
-    """Requested camera settings; None leaves one as it is."""
+SETTINGS = ("size_px", "rate_hz", "exposure_ms", "white_balance_k", "focus")  # of `CameraOptions`
 
-    size: tuple[int, int] | None = None  # (width, height) [px]
-    rate_hz: float | None = None
-    exposure_ms: float | None = None
-    white_balance_k: float | None = None  # colour temperature [K]
-    focus: float | None = None  # in the camera's own units
-
-    def asked(self) -> list[str]:
-        """Return the names of the requested settings."""
-        return [field.name for field in fields(self) if getattr(self, field.name) is not None]
+_MANUAL_EXPOSURE = 1.0  # V4L2_EXPOSURE_MANUAL; V4L2 gives an exposure in units of 100 µs
 
 
-def apply_settings(settings: Settings, capture: cv2.VideoCapture) -> None:
+def apply_settings(asked: CameraOptions, capture: cv2.VideoCapture) -> None:
     """Apply the settings, format and size first, because they reset the rate."""
     import cv2
 
     capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-    if settings.size is not None:
-        capture.set(cv2.CAP_PROP_FRAME_WIDTH, settings.size[0])
-        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, settings.size[1])
-    if settings.rate_hz is not None:
-        capture.set(cv2.CAP_PROP_FPS, settings.rate_hz)
-    if settings.exposure_ms is not None:
+    if asked.size_px is not None:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, asked.size_px[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, asked.size_px[1])
+    if asked.rate_hz is not None:
+        capture.set(cv2.CAP_PROP_FPS, asked.rate_hz)
+    if asked.exposure_ms is not None:
         capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
-        capture.set(cv2.CAP_PROP_EXPOSURE, round(settings.exposure_ms * _EXPOSURES_PER_MS))
-    if settings.white_balance_k is not None:
+        capture.set(cv2.CAP_PROP_EXPOSURE, round(10.0 * asked.exposure_ms))
+    if asked.white_balance_k is not None:
         capture.set(cv2.CAP_PROP_AUTO_WB, 0)
-        capture.set(cv2.CAP_PROP_WB_TEMPERATURE, settings.white_balance_k)
-    if settings.focus is not None:
+        capture.set(cv2.CAP_PROP_WB_TEMPERATURE, asked.white_balance_k)
+    if asked.focus is not None:
         capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)
-        capture.set(cv2.CAP_PROP_FOCUS, settings.focus)
+        capture.set(cv2.CAP_PROP_FOCUS, asked.focus)
 
 
-def describe_settings(settings: Settings, capture: cv2.VideoCapture) -> dict[str, str]:
+def describe_settings(asked: CameraOptions, capture: cv2.VideoCapture) -> dict[str, str]:
     """Describe requested and accepted settings for the log."""
     import cv2
 
@@ -73,19 +58,19 @@ def describe_settings(settings: Settings, capture: cv2.VideoCapture) -> dict[str
     width, height = get(cv2.CAP_PROP_FRAME_WIDTH), get(cv2.CAP_PROP_FRAME_HEIGHT)
     code = int(get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF
     is_manual = get(cv2.CAP_PROP_AUTO_EXPOSURE) == _MANUAL_EXPOSURE
-    exposure_ms = get(cv2.CAP_PROP_EXPOSURE) / _EXPOSURES_PER_MS
-    asked_size = None if settings.size is None else f"{settings.size[0]}x{settings.size[1]}"
+    exposure_ms = get(cv2.CAP_PROP_EXPOSURE) / 10.0
+    size = None if asked.size_px is None else "{}x{}".format(*asked.size_px)
     balance = _mode(get(cv2.CAP_PROP_AUTO_WB), get(cv2.CAP_PROP_WB_TEMPERATURE))
     focus = _mode(get(cv2.CAP_PROP_AUTOFOCUS), get(cv2.CAP_PROP_FOCUS))
     return {
         "format": code.to_bytes(4, "little").decode("latin-1").strip("\0 "),
-        "setting.size_px": _both(asked_size, f"{width:g}x{height:g}"),
-        "setting.rate_hz": _both(settings.rate_hz, f"{get(cv2.CAP_PROP_FPS):g}"),
+        "setting.size_px": _both(size, f"{width:g}x{height:g}"),
+        "setting.rate_hz": _both(asked.rate_hz, f"{get(cv2.CAP_PROP_FPS):g}"),
         "setting.exposure_ms": _both(
-            settings.exposure_ms, f"{'manual' if is_manual else 'automatic'} {exposure_ms:g}"
+            asked.exposure_ms, f"{'manual' if is_manual else 'automatic'} {exposure_ms:g}"
         ),
-        "setting.white_balance_k": _both(settings.white_balance_k, balance),
-        "setting.focus": _both(settings.focus, focus),
+        "setting.white_balance_k": _both(asked.white_balance_k, balance),
+        "setting.focus": _both(asked.focus, focus),
     }
 
 
@@ -102,17 +87,14 @@ def _both(asked: float | str | None, accepted: str) -> str:
     return f"asked {asked if isinstance(asked, str) else f'{asked:g}'}, accepted {accepted}"
 
 
-# ---- Plugged-in camera: Video4Linux through OpenCV
-
-
-class CameraDevice(LiveSource):
+class CameraDevice(BaseSource):
     """A Video4Linux camera; the JPEGs it makes are kept byte for byte.
 
     A frame's stamp is the driver's, which is monotonic and taken when the frame was received;
     where that is missing, when the frame was read.
     """
 
-    def __init__(self, path: Path, settings: Settings) -> None:
+    def __init__(self, path: Path, asked: CameraOptions) -> None:
         if not path.exists():
             raise CameraError(f"{path}: no such camera; {_those_there_are()}")
         import cv2
@@ -121,13 +103,11 @@ class CameraDevice(LiveSource):
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self._capture = cv2.VideoCapture(str(path), cv2.CAP_V4L2)
         if not self._capture.isOpened():
-            raise CameraError(
-                f"{path}: cannot be opened as a camera, or another program has it; "
-                + _those_there_are()
-            )
+            what = f"{path}: cannot be opened as a camera, or another program has it"
+            raise CameraError(f"{what}; {_those_there_are()}")
         super().__init__(f"camera {path}", returns=False)
-        apply_settings(settings, self._capture)
-        self._notes = describe_settings(settings, self._capture)
+        apply_settings(asked, self._capture)
+        self._notes = describe_settings(asked, self._capture)
         # Else OpenCV would decode the camera's JPEGs, only for them to be compressed again.
         self._makes_jpegs = self._notes["format"] in ("MJPG", "JPEG")
         self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0 if self._makes_jpegs else 1)
@@ -143,39 +123,33 @@ class CameraDevice(LiveSource):
         while not self._is_closed:
             is_read, picture = self._capture.read()
             monotonic_ns = time.monotonic_ns()
-            if not self._path.exists():  # after an unplug some drivers repeat the last frame
-                self.ended = "the camera was unplugged"
-                return
-            if not is_read:
-                self.ended = "the camera delivers no more frames"
+            is_there = self._path.exists()  # after an unplug some drivers repeat the last frame
+            if not is_there or not is_read:
+                self.ended = "the camera " + (
+                    "delivers no more frames" if is_there else "was unplugged"
+                )
                 return
             driver_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
             # A driver's stamp that is further from the monotonic clock is of another clock, or 0.
             is_driver = abs(driver_ns - monotonic_ns) < 5_000_000_000
             self._notes["stamps"] = "driver" if is_driver else "arrival"
-            is_decoded = picture.ndim == 3 and picture.shape[2] == 3
-            if is_decoded or not self._makes_jpegs:
+            if not self._makes_jpegs or (picture.ndim == 3 and picture.shape[2] == 3):
                 data = from_bgr(picture)
             else:
                 data = picture.tobytes().rstrip(b"\0")  # the rest of the driver's buffer
             if not is_whole(data):
                 self.damaged += 1
-            else:
-                stamp_ns = wall_ns(driver_ns if is_driver else monotonic_ns)
-                yield CapturedFrame(Frame(stamp_ns, "jpeg", data))
+                continue
+            stamp_ns = wall_ns(driver_ns if is_driver else monotonic_ns)
+            yield CapturedFrame(Frame(stamp_ns, "jpeg", data))
 
     def _release(self) -> None:
         self._capture.release()
 
 
 def _those_there_are() -> str:
-    devices = sorted(str(device) for device in Path("/dev").glob("video*"))
-    if not devices:
-        return "no camera is plugged in (there is no /dev/video*)"
-    return "there is " + ", ".join(devices)
-
-
-# ---- Opening in a thread: Ctrl-C and a deadline work even if a library blocks
+    devices = ", ".join(sorted(map(str, Path("/dev").glob("video*"))))
+    return f"there is {devices}" if devices else "no camera is plugged in (there is no /dev/video*)"
 
 
 Opened = TypeVar("Opened", bound=Closable)
@@ -206,25 +180,18 @@ def opened_within(
     try:
         wait([opening], seconds)
         if opening.cancel():
-            raise CameraAwayError(
-                f"{shown}: cannot be opened within {seconds:g} s; is the {what} on?"
-            )
+            said = f"{shown}: cannot be opened within {seconds:g} s; is the {what} on?"
+            raise CameraAwayError(said)
         return opening.result()
     except BaseException:
         opening.cancel()
         raise
 
 
-# ---- Video file: every frame, at the times that the file states
-
-
-class VideoFile:
+class VideoFile(BaseSource):
     """A video file."""
 
     live = False
-    returns = False
-    damaged = dropped = 0
-    ended = ""
 
     def __init__(self, path: Path, filmed_hz: float | None = None) -> None:
         if path.is_dir():
@@ -244,8 +211,7 @@ class VideoFile:
             raise CameraError(what, f"tune it as it is: tunenet-tune {path}") from error
         if not self._video.clock.is_timed:
             raise CameraError(f"{path}: does not say how many pictures a second it has; add --fps")
-        self._closed = False
-        self.name = f"video file {path.name}"
+        super().__init__(f"video file {path.name}", returns=False)
 
     def notes(self) -> dict[str, str]:
         """Return codec, size, rates and warnings."""
@@ -254,17 +220,13 @@ class VideoFile:
             notes["warnings"] = "; ".join(self._video.warnings)
         return notes
 
-    def frames(self) -> Iterator[CapturedFrame]:
-        """Yield all frames; the file's JPEGs as they are, all else recompressed."""
-        for frame in self._video.frames():
-            if self._closed:
-                return
-            yield CapturedFrame(compressed(frame))
+    def _shots(self) -> Iterator[CapturedFrame]:
+        # The file's JPEGs stay as they are, all else is recompressed.
+        return (CapturedFrame(compressed(frame)) for frame in self._video.frames())
+
+    def _release(self) -> None:
+        pass  # nothing is held open
 
     def sound(self) -> Sound | None:
         """Return the sound track, on the clock of the pictures; None where there is none."""
         return self._video.sound.sound() if self._video.sound else None
-
-    def close(self) -> None:
-        """End a running `frames`; nothing else is held open."""
-        self._closed = True

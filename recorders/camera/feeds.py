@@ -130,10 +130,7 @@ class ByteFeed(Protocol):
     def read(self, most: int) -> bytes:
         """Read up to `most` bytes as soon as there are any; b"" at the end.
 
-        Raises:
-            TimeoutError: none came in time.
-            OSError: the connection broke.
-            CameraError: the bytes are invalid.
+        TimeoutError: none came in time; OSError: it broke; CameraError: the bytes are invalid.
         """
         ...
 
@@ -203,12 +200,10 @@ class TcpFeed:
         self._socket.close()
 
 
-_UDP_ADDRESS = re.compile(r"udp://@?(\[[0-9a-f:.]+\]|[a-z0-9.-]*):(\d{1,5})/?", re.IGNORECASE)
 # Asked of the kernel for datagrams that wait: a key picture comes as hundreds of them at once.
 RECEIVE_BYTES = 8 * 1024 * 1024
 
 _ANY_4, _ANY_6 = "0.0.0.0", "::"  # noqa: S104 (which of its addresses a camera knows is open)
-_RTP = 0x80  # the first byte of an RTP packet; MPEG-TS has 0x47 there
 
 
 class UdpFeed:
@@ -219,7 +214,7 @@ class UdpFeed:
     """
 
     def __init__(self, text: str, deadline: Deadline) -> None:
-        found = _UDP_ADDRESS.fullmatch(text)
+        found = re.fullmatch(r"(?i)udp://@?(\[[0-9a-f:.]+\]|[a-z0-9.-]*):(\d{1,5})/?", text)
         if found is None or not 0 < int(found[2]) < 65536:
             raise UsageError(
                 "--camera: that is no udp address; write udp://@:5000 for what is sent to this "
@@ -248,7 +243,7 @@ class UdpFeed:
             if not data or sender != (self._sender or sender):
                 data = b""
                 continue
-            if self._sender is None and data[0] & 0xC0 == _RTP:
+            if self._sender is None and data[0] & 0xC0 == 0x80:  # of MPEG-TS it is 0x47
                 raise CameraError(
                     "sends RTP, which only its description (SDP) explains; give the camera's "
                     "rtsp:// address, or take it apart with GStreamer and pipe it in (--camera -)"
@@ -295,7 +290,6 @@ class UdpFeed:
 MAX_PICTURE_BYTES = 64 * 1024 * 1024
 
 _JPEG = b"\xff\xd8\xff"  # a JPEG's begin; inside a JPEG only an embedded thumbnail has it
-_LOOK_BYTES = 64 * 1024  # read at once while the second JPEG is sought
 
 
 class TimedFeed:
@@ -309,8 +303,8 @@ class TimedFeed:
         self._at_end = False
         self._given = 0
         self._most = MAX_PICTURE_BYTES
-        # Of each read, the position behind its last byte and when it was here [monotonic ns].
-        # Far more reads than a library reads ahead
+        # Of each read, the position behind its last byte and when it was here [monotonic ns]: of
+        # far more reads than a library reads ahead.
         self._times: deque[tuple[int, int]] = deque(maxlen=1 << 16)
 
     def format(self) -> str:
@@ -329,7 +323,7 @@ class TimedFeed:
             if self._at_end or len(self._held) > MAX_PICTURE_BYTES:
                 return self._at_end
             looked = len(self._held)
-            self._held += self._take(_LOOK_BYTES)
+            self._held += self._take(64 * 1024)
         return False
 
     def read(self, most: int) -> bytes:

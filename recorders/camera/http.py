@@ -12,27 +12,14 @@ from urllib.parse import SplitResult, quote, urljoin, urlsplit, urlunsplit
 
 from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraError
+from tunenet_logs.recorders.camera import network
 from tunenet_logs.recorders.camera.base import Source
 from tunenet_logs.recorders.camera.feeds import TimedFeed
-from tunenet_logs.recorders.camera.network import (
-    OPENING_S,
-    Deadline,
-    Login,
-    Trust,
-    answering,
-    connect,
-    refused,
-    sent_on,
-)
 from tunenet_logs.recorders.camera.streams import MjpegStream, stream_of
 from tunenet_logs.recorders.session import closed_on_failure
 
-_MOVED = (301, 302, 303, 307, 308)
 
-_HEADERS = {"Accept": "*/*", "Connection": "close", "User-Agent": "tunenet-record"}
-
-
-def answer_of(address: Address, trust: Trust, deadline: Deadline) -> HTTPResponse:
+def answer_of(address: Address, trust: network.Trust, deadline: network.Deadline) -> HTTPResponse:
     """Request an address; return the response (2xx), its body still to be read.
 
     Redirections are followed within the host alone: elsewhere may be what only this machine can
@@ -40,15 +27,16 @@ def answer_of(address: Address, trust: Trust, deadline: Deadline) -> HTTPRespons
     to http. There are no proxies: a camera stands in the same room.
     """
     parts = first = urlsplit(address.url)
-    login = Login.of(address)
+    login = network.Login.of(address)
     asked = 0
     while True:
         path = urlunsplit(("", "", parts.path or "/", parts.query, ""))
         connection = _Connection(parts, deadline, trust)
         proof = login.header("GET", path)
         with closed_on_failure(connection):
-            given = _HEADERS | ({"Authorization": proof} if proof else {})
-            connection.request("GET", path, headers=given)
+            headers = {"Accept": "*/*", "Connection": "close", "User-Agent": "tunenet-record"}
+            headers |= {"Authorization": proof} if proof else {}
+            connection.request("GET", path, headers=headers)
             response = connection.getresponse()
         if connection.sock is not None:  # the answer holds it open, and closes it
             connection.sock.close()
@@ -57,10 +45,10 @@ def answer_of(address: Address, trust: Trust, deadline: Deadline) -> HTTPRespons
             return response
         response.close()  # its body is not read: it may have no end
         place = response.headers.get("Location", "")
-        is_moved = bool(place) and response.status in _MOVED
+        is_moved = bool(place) and response.status in (301, 302, 303, 307, 308)
         asked += 1
         if asked > 8 or not (is_moved or response.status == 401):  # redirects, and the login
-            raise refused(response.status, response.reason)
+            raise network.refused(response.status, response.reason)
         if response.status == 401:
             login.take(response.headers.get_all("WWW-Authenticate", []))
         else:
@@ -70,36 +58,31 @@ def answer_of(address: Address, trust: Trust, deadline: Deadline) -> HTTPRespons
             is_there = parts.scheme in ("http", "https") and parts.hostname == first.hostname
             is_weaker = parts.scheme == "http" and first.scheme == "https" and login.is_known
             if not is_there or is_weaker:
-                raise sent_on(url, ("http", "https"))
+                raise network.sent_on(url, ("http", "https"))
 
 
 class _Connection(HTTPConnection):
     """An HTTP or HTTPS connection with a deadline."""
 
-    def __init__(self, parts: SplitResult, deadline: Deadline, trust: Trust) -> None:
+    def __init__(
+        self, parts: SplitResult, deadline: network.Deadline, trust: network.Trust
+    ) -> None:
         self.default_port = 443 if parts.scheme == "https" else 80
         super().__init__(parts.hostname or "", parts.port or self.default_port)
         self._deadline = deadline
         self._trust = trust if parts.scheme == "https" else None
 
     def connect(self) -> None:
-        self.sock = connect(self.host, self.port, self._deadline, self._trust)
+        self.sock = network.connect(self.host, self.port, self._deadline, self._trust)
 
 
-# ---- Opening: multipart as the response announces it, all else by its first bytes
-
-# In a Content-Type: what separates the parts, with quotes or without.
-_BOUNDARY = re.compile(r'boundary\s*=\s*(?:"([^"]*)"|([^;\s]*))', re.IGNORECASE)
-
-
-class HttpFeed:
+class _HttpFeed:
     """The body of an HTTP response."""
 
     def __init__(self, answer: HTTPResponse) -> None:
         self._answer = answer
 
     def read(self, most: int) -> bytes:
-        """Read what came of the body."""
         try:
             data = self._answer.read1(most)
         except HTTPException as error:
@@ -109,23 +92,23 @@ class HttpFeed:
         return data
 
     def close(self) -> None:
-        """Close the connection."""
         self._answer.close()
 
 
-def open_http(address: Address, timeout_s: float, trust: Trust) -> Source:
+def open_http(address: Address, timeout_s: float, trust: network.Trust) -> Source:
     """Open the video that a camera serves over HTTP."""
     # User and password in the address are sent when the camera asks for them, and go nowhere else.
-    deadline = Deadline(timeout_s, max(OPENING_S, timeout_s))
-    with answering(address.shown, deadline):
+    deadline = network.Deadline.opening(timeout_s)
+    with network.answering(address.shown, deadline):
         answer = answer_of(address, trust, deadline)
-    feed = TimedFeed(HttpFeed(answer), deadline, timeout_s)
+    feed = TimedFeed(_HttpFeed(answer), deadline, timeout_s)
     if answer.headers.get_content_maintype() == "multipart":
-        # A thousand characters of it are enough
-        found = _BOUNDARY.search(answer.headers.get("Content-Type", "")[:1000])
-        boundary = (found.group(1) or found.group(2) or "") if found else ""
+        # What separates the parts, with quotes or without; a thousand characters are enough.
+        boundary = r'(?i)boundary\s*=\s*(?:"([^"]*)"|([^;\s]*))'
+        found = re.search(boundary, answer.headers.get("Content-Type", "")[:1000])
+        boundary = (found[1] or found[2] or "") if found else ""
         return MjpegStream(feed, address.shown, boundary)
-    with closed_on_failure(feed), answering(address.shown, deadline):
+    with closed_on_failure(feed), network.answering(address.shown, deadline):
         is_jpeg = feed.format() == "mjpeg"
         if is_jpeg and (answer.length is not None or feed.is_one_jpeg()):
             raise CameraError("gives a single picture; give the address of its video stream")

@@ -19,12 +19,11 @@ from base64 import b64encode
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from hashlib import sha256
 from http.client import HTTPException
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 from urllib.parse import urlsplit
 
 from tunenet_logs.addresses import Address, scheme_of
@@ -77,9 +76,6 @@ def camera_address(text: str) -> Address:
 # ---- Deadline: shared by all reads of a connection
 
 
-_LOOK_S = 0.1  # between two looks whether a wait for a pipe or a datagram was broken off
-
-
 class Deadline:
     """A time by which the other side must have answered, and the longest silence until then."""
 
@@ -89,6 +85,11 @@ class Deadline:
         self._lock = threading.Lock()
         self._is_broken_off = False
         self.renew(whole_s)
+
+    @classmethod
+    def opening(cls, silence_s: float) -> Deadline:
+        """Return the deadline for redirections, login and headers together."""
+        return cls(silence_s, max(OPENING_S, silence_s))
 
     def renew(self, whole_s: float) -> None:
         """Restart the wait."""
@@ -111,7 +112,8 @@ class Deadline:
         until = time.monotonic() + self.next_s()
         while not self._is_broken_off:
             left_s = until - time.monotonic()
-            if select.select([readable], [], [], max(0.0, min(_LOOK_S, left_s)))[0]:
+            # Every 0.1 s, look whether the wait was broken off.
+            if select.select([readable], [], [], max(0.0, min(0.1, left_s)))[0]:
                 return True
             if left_s <= 0:
                 raise TimeoutError("nothing came")
@@ -155,8 +157,6 @@ def _shut(connected: socket.socket) -> None:
 
 # ---- TLS: verify the certificate before anything is sent
 
-_FINGERPRINT = re.compile(r"[0-9A-F]{64}")
-
 
 @dataclass(frozen=True)
 class Trust:
@@ -173,7 +173,7 @@ class Trust:
         if is_insecure:
             raise UsageError("--insecure or --fingerprint: believe any certificate, or one")
         digits = fingerprint.replace(":", "").replace(" ", "").upper()
-        if not _FINGERPRINT.fullmatch(digits):
+        if not re.fullmatch(r"[0-9A-F]{64}", digits):
             raise UsageError(
                 "--fingerprint: a certificate's SHA-256 is 64 hex digits; leave it out to see it"
             )
@@ -187,8 +187,7 @@ class Trust:
 
 # ---- Connection: plain or TLS; errors begin with the camera's address
 
-# For redirects, login and headers together, unless the user allows a longer silence.
-OPENING_S = 10.0
+OPENING_S = 10.0  # until a camera has opened, unless the user allows a longer silence
 
 # Status codes, of HTTP and RTSP, of a server that is starting or overloaded: worth another try.
 _PASSING = (404, 408, 425, 429, 453, 500, 502, 503, 504)
@@ -408,7 +407,6 @@ class Login:
         values = challenge.values
         realm, nonce = values.get("realm", ""), values.get("nonce", "")
         uses = f"{self._uses:08x}"
-
         is_session = challenge.algorithm.endswith("-SESS")
         kind = _HASHES[challenge.algorithm.removesuffix("-SESS")]
 
@@ -420,7 +418,7 @@ class Login:
             secret = hashed(secret, nonce, self._own_nonce)
         request = hashed(method, uri)
         fields = {"username": self._user, "realm": realm, "nonce": nonce, "uri": uri}
-        plain = {name: values[name] for name in ("algorithm",) if name in values}
+        plain = {"algorithm": values["algorithm"]} if "algorithm" in values else {}
         if challenge.qualities:
             fields["response"] = hashed(secret, nonce, uses, self._own_nonce, "auth", request)
             plain |= {"qop": "auth", "nc": uses}
@@ -430,24 +428,15 @@ class Login:
             fields["cnonce"] = self._own_nonce
         if "opaque" in values:
             fields["opaque"] = values["opaque"]
-        quoted = {
-            name: '"{}"'.format(re.sub(r'(["\\])', r"\\\1", value))
-            for name, value in fields.items()
-        }
-        return "Digest " + ", ".join(f"{name}={one}" for name, one in (quoted | plain).items())
+        escaped = {name: re.sub(r'(["\\])', r"\\\1", value) for name, value in fields.items()}
+        words = [f'{name}="{value}"' for name, value in escaped.items()]
+        return "Digest " + ", ".join([*words, *(f"{name}={one}" for name, one in plain.items())])
 
 
 # ---- Options of a network camera beyond its address
 
-# The option that names a file with a password, and the environment variable that holds one.
 PASSWORD_OPTION, PASSWORD_VARIABLE = "--password-file", "TUNENET_CAMERA_PASSWORD"
-
-
-class Transport(Enum):
-    """Transport of an RTSP camera's packets."""
-
-    TCP = "tcp"
-    UDP = "udp"
+Transport = Literal["tcp", "udp"]  # of an RTSP camera's packets
 
 
 @dataclass(frozen=True)
@@ -479,9 +468,7 @@ class NetworkOptions:
             raise UsageError(f"{self.trust.option} is for an https or rtsps camera; leave it out")
         if self.must_serve and scheme not in ("http", "https", "rtsp", "rtsps"):
             raise UsageError(f"{PASSWORD_OPTION} is for a camera that asks for one; leave it out")
-        if self.rtsp_transport is None:
-            return
-        if scheme not in ("rtsp", "rtsps"):
+        if self.rtsp_transport is not None and scheme not in ("rtsp", "rtsps"):
             raise UsageError("--rtsp-transport is for an rtsp camera; leave it out")
-        if scheme == "rtsps" and self.rtsp_transport is Transport.UDP:
+        if scheme == "rtsps" and self.rtsp_transport == "udp":
             raise UsageError("--rtsp-transport udp: rtsps encrypts TCP alone; leave it out")

@@ -1,28 +1,15 @@
-"""Options of `tunenet-record --camera`, and the recording they ask for."""
+"""Options of `tunenet-record --camera`."""
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from tunenet_logs.console import given, option
-from tunenet_logs.errors import UsageError
+from tunenet_logs.console import option
 from tunenet_logs.recorders.orders import Lasting, OfBall, Pictured, Sampled
-from tunenet_logs.recorders.simulators.known import BALLS, Ball
-from tunenet_logs.terminal import Progress
-
-if TYPE_CHECKING:
-    from tunenet_logs.recorders.camera.network import NetworkOptions
-    from tunenet_logs.recorders.local_page import Preview
-    from tunenet_logs.recorders.microphone import LiveSound
-
+from tunenet_logs.recorders.simulators.known import BALLS, UNKNOWN_BALL
 
 _of_camera = partial(option, group="camera")
 
@@ -64,7 +51,7 @@ class CameraOptions(OfBall, Pictured, Sampled, Lasting):
         metavar="HEX",
     )
     insecure: bool = _of_camera("believe any certificate of an https or rtsps camera", False)
-    rtsp_transport: str | None = _of_camera(
+    rtsp_transport: Literal["tcp", "udp"] | None = _of_camera(
         "what an rtsp camera's packets come by (default: tcp, and udp where the camera "
         "refuses that)",
         choices=("tcp", "udp"),
@@ -107,134 +94,12 @@ class CameraOptions(OfBall, Pictured, Sampled, Lasting):
     @property
     def rig(self) -> dict[str, float]:
         """What is known of ball and drop; what is measured overrides the table of balls."""
-        known = BALLS.get(self.ball or "", Ball())
-        diameter_m, mass_kg = self.ball_diameter_m, self.ball_mass_kg
-        ball = Ball(
-            known.diameter_m if diameter_m is None else diameter_m,
-            known.mass_kg if mass_kg is None else mass_kg,
-            known.drag_coefficient,
-        )
+        measured = {"diameter_m": self.ball_diameter_m, "mass_kg": self.ball_mass_kg}
+        known = {name: value for name, value in measured.items() if value is not None}
+        ball = replace(BALLS.get(self.ball or "", UNKNOWN_BALL), **known)
         rig = {
             "ball_diameter_m": ball.diameter_m,
             "ball_mass_kg": ball.mass_kg,
             "drop_height_m": self.drop_height_m,
         }
         return {name: value for name, value in rig.items() if value is not None}
-
-
-def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
-    """Record the camera; return the summary for the last line.
-
-    Raises:
-        TuneNetError: it cannot be opened, read or written.
-    """
-    from tunenet_logs.recorders.microphone import opened_microphone
-
-    asked = CameraOptions(**given(arguments, CameraOptions))
-    progress = Progress(quiet=arguments.quiet)
-    with opened_microphone(asked.microphone, arguments.camera, progress.say) as microphone:
-        return _recorded(arguments, asked, path, progress, microphone)
-
-
-def _recorded(
-    arguments: argparse.Namespace,
-    asked: CameraOptions,
-    path: Path,
-    progress: Progress,
-    microphone: LiveSound | None,
-) -> str:
-    from tunenet_logs.episode import EpisodeInfo
-    from tunenet_logs.recorders.camera.device import Settings
-    from tunenet_logs.recorders.camera.reconnecting import lasting_camera
-    from tunenet_logs.recorders.camera.recording import Limits, record_camera
-    from tunenet_logs.recorders.camera.sources import is_asked_again, open_source, shows_password
-    from tunenet_logs.writing.owned_path import check_log_name
-
-    limits = Limits(
-        seconds=asked.seconds,
-        stall_s=asked.stall_s,
-        wait_s=asked.wait_s,
-        min_free_bytes=round(arguments.min_free * 1e6),
-        stamps=asked.stamps,
-    )
-    info = EpisodeInfo(kind="drop", rig=asked.rig, notes={"ball": asked.ball} if asked.ball else {})
-    open_camera = partial(
-        open_source,
-        arguments.camera,
-        settings=Settings(
-            size=asked.size_px,
-            rate_hz=asked.rate_hz,
-            exposure_ms=asked.exposure_ms,
-            white_balance_k=asked.white_balance_k,
-            focus=asked.focus,
-        ),
-        filmed_hz=asked.fps,
-        timeout_s=limits.stall_s,
-        network=_network(asked, progress),
-        transcode=asked.transcode,
-    )
-    if is_asked_again(arguments.camera):
-        check_log_name(path, overwrite=arguments.overwrite)  # not after having waited
-        source = lasting_camera(
-            open_camera, wait_s=limits.wait_s, stall_s=limits.stall_s, say=progress.say
-        )
-    elif asked.wait_s:
-        raise UsageError("--wait is for a camera in a network; leave it out")
-    else:
-        source = open_camera()
-    if shows_password(arguments.camera):
-        progress.say(
-            "tunenet-record: the password in the address shows in the list of processes (ps); "
-            "write it into a file for --password-file, or into ~/.netrc"
-        )
-    with _preview(source.live) if asked.preview else nullcontext() as preview:
-        summary = record_camera(
-            source,
-            info,
-            path,
-            limits=limits,
-            overwrite=arguments.overwrite,
-            progress=progress,
-            preview=preview,
-            microphone=microphone,
-        )
-    return f"{source.name}; {summary.in_words('frames')}"
-
-
-def _network(asked: CameraOptions, progress: Progress) -> NetworkOptions:
-    """Collect the network camera's options, with its password."""
-    from tunenet_logs.passwords import read_password
-    from tunenet_logs.recorders.camera.network import (
-        PASSWORD_OPTION,
-        PASSWORD_VARIABLE,
-        NetworkOptions,
-        Transport,
-        Trust,
-    )
-
-    file = asked.password_file
-    password = os.environ.get(PASSWORD_VARIABLE) or None
-    if file is not None:
-        password, is_public = read_password(file, PASSWORD_OPTION)
-        if is_public:
-            progress.say(f"tunenet-record: {file}: others can read this password; chmod 600 {file}")
-    return NetworkOptions(
-        Trust.of(asked.fingerprint, asked.insecure),
-        Transport(asked.rtsp_transport) if asked.rtsp_transport else None,
-        password,
-        must_serve=file is not None,
-    )
-
-
-@contextmanager
-def _preview(is_live: bool) -> Iterator[Preview]:
-    if not is_live:
-        raise UsageError("--preview is for a live camera; a video can be looked at as it is")
-    from tunenet_logs.recorders.local_page import Preview
-
-    preview = Preview()
-    print(f"preview at {preview.url}", file=sys.stderr, flush=True)
-    try:
-        yield preview
-    finally:
-        preview.close()

@@ -14,7 +14,7 @@ from tunenet_logs.recorders.camera.streams import PacketStream
 from tunenet_logs.recorders.session import Item, TopicQueue
 from tunenet_logs.video import Packet, decoded
 
-# ---- Reading thread
+_MAX_WAITING_BYTES = 16 * 1024 * 1024  # compressed, before the decoder: some seconds of a camera
 
 
 class ReadingThread(threading.Thread):
@@ -39,27 +39,20 @@ class ReadingThread(threading.Thread):
             with closing(self.source.frames()) as shots:  # type: ignore[type-var]
                 for shot in shots:
                     arrived_ns, told_ns = shot.frame.stamp_ns, shot.source_stamp_ns
-                    if told_ns is None:
-                        told_ns = arrived_ns
                     if shot.connection != connection:  # in each the camera may count anew
-                        connection, ahead_ns = shot.connection, arrived_ns - told_ns
-                    is_told = shot.source_stamp_ns is not None
-                    stamp_ns = told_ns + ahead_ns if is_told else arrived_ns
+                        connection = shot.connection
+                        ahead_ns = 0 if told_ns is None else arrived_ns - told_ns
+                    stamp_ns = arrived_ns if told_ns is None else told_ns + ahead_ns
+                    size, alone = len(shot.frame.data), shot.stands_alone
                     if not self.queue.put(
-                        CAMERA_TOPIC,
-                        stamp_ns,
-                        shot,
-                        len(shot.frame.data),
-                        arrived_ns,
-                        stands_alone=shot.stands_alone,
+                        CAMERA_TOPIC, stamp_ns, shot, size, arrived_ns, stands_alone=alone
                     ):
                         return
         except TuneNetError as error:
             self.error = error
         except Exception as error:  # noqa: BLE001 (in a thread, else nobody would hear of it)
-            self.error = CameraError(
-                f"{self.source.name}: reading failed ({type(error).__name__}: {error})"
-            )
+            what = f"{type(error).__name__}: {error}"
+            self.error = CameraError(f"{self.source.name}: reading failed ({what})")
             self.error.__cause__ = error
         finally:
             self.queue.close()
@@ -79,11 +72,6 @@ class ReadingThread(threading.Thread):
         self.queue.close()
         self.source.close()
         self.join(0.3)  # [s]; Ctrl-C shall be quick though a camera is silent
-
-
-# ---- Transcoding: video to JPEGs, beside the thread that reads it
-
-_MAX_WAITING_BYTES = 16 * 1024 * 1024  # compressed, before the decoder: some seconds of a camera
 
 
 class Transcoded:
@@ -120,10 +108,8 @@ class Transcoded:
     @property
     def dropped(self) -> int:
         """Number not decoded in time; in the end also those that still waited."""
-        queue = self._reader.queue
-        if not self._is_over:
-            return queue.dropped
-        return queue.captured - self._before - self._shown - self._undecoded
+        queue, decoded_of = self._reader.queue, self._before + self._shown + self._undecoded
+        return queue.captured - decoded_of if self._is_over else queue.dropped
 
     def notes(self) -> dict[str, str]:
         """Return the source's notes, and that it was transcoded."""
@@ -178,8 +164,7 @@ class Transcoded:
         """Wait for the next picture; None at the end."""
         queue = self._reader.queue
         while not queue.is_done:
-            item = queue.take()
-            if item is not None:
+            if (item := queue.take()) is not None:
                 return item
             queue.pause()
         return None

@@ -16,8 +16,8 @@ from tunenet_logs.errors import CameraAwayError
 from tunenet_logs.recorders.camera.base import CapturedFrame, Source
 
 _LOOK_S = 0.1  # how often to look at the clock while nothing comes
-
-# ---- Links: one connection each, opened and read in its own thread while it is wanted
+_BETWEEN_S = 0.5  # from the start of one link to the next: more do not hurry a camera that is away
+_BRIEF_S = 1.0  # a brief connection is ended by the camera sooner than that after its first frame
 
 
 class CameraLink(threading.Thread):
@@ -70,35 +70,25 @@ class CameraLink(threading.Thread):
 Inbox = Queue[tuple[CameraLink, CapturedFrame | None]]
 
 
-# ---- Lasting camera: successive links as a single source
-
-_BETWEEN_S = 0.5  # from the start of one link to the next: more do not hurry a camera that is away
-
-# A connection is brief if the camera ends it sooner than that after its first frame. So many in a
-# row end the source: a drop takes longer, and the camera would be asked again for ever.
-_BRIEF_S, _MAX_BRIEF = 1.0, 10
-
-
 def lasting_camera(
     open_camera: Callable[[], Source], *, wait_s: float, stall_s: float, say: Callable[[str], None]
 ) -> Source:
     """Open a camera that reconnects where that can help."""
     until = time.monotonic() + wait_s
-    said = ""
+    is_said = False
     while True:
         next_at = time.monotonic() + _BETWEEN_S
         try:
             source = open_camera()
+            break
         except CameraAwayError as error:
             now = time.monotonic()
             if now >= until:
                 raise
-            if not said:
-                said = f"{_without_remedy(error)}; waiting for it, {wait_s:g} s at most"
-                say(said)
+            if not is_said:
+                say(f"{_without_remedy(error)}; waiting for it, {wait_s:g} s at most")
+                is_said = True
             time.sleep(max(0.0, min(until, next_at) - now))
-        else:
-            break
     if not source.returns:
         return source
     return ReconnectingCamera(source, open_camera, until=until, stall_s=stall_s, say=say)
@@ -166,8 +156,16 @@ class ReconnectingCamera:
                 self._try_when_due()
                 try:
                     link, shot = self._inbox.get(timeout=_LOOK_S)
-                except Empty:
-                    self._end_when_due()
+                except Empty:  # end where no more frames can come
+                    if self._failure is not None and not self._links:
+                        raise self._failure from None
+                    now = time.monotonic()
+                    if now - self._heard >= self._patience_s:
+                        whys = ": " + ", then ".join(filter(None, (self._lost, self._not_back)))
+                        ended = f"no frame for {self._patience_s:.1f} s{whys}"
+                        self.ended = ended.removesuffix(": ")
+                    elif now >= self._tries_until and not self._links:
+                        self.ended = self._lost
                     continue
                 if link.is_wanted and shot is None:
                     self._has_ended(link)
@@ -183,17 +181,6 @@ class ReconnectingCamera:
         for link in list(self._links):
             link.give_up()
 
-    def _end_when_due(self) -> None:
-        """End the source, or raise its failure, where no more frames can come."""
-        if self._failure is not None and not self._links:
-            raise self._failure
-        now = time.monotonic()
-        if now - self._heard >= self._patience_s:
-            whys = ": " + ", then ".join(filter(None, (self._lost, self._not_back)))
-            self.ended = f"no frame for {self._patience_s:.1f} s{whys}".removesuffix(": ")
-        elif now >= self._tries_until and not self._links:
-            self.ended = self._lost
-
     def _try_when_due(self) -> None:
         """Open a link where the camera is away or silent, and none is being opened."""
         now = time.monotonic()
@@ -205,14 +192,12 @@ class ReconnectingCamera:
             if now - self._heard < min(3.0, self._stall_s / 2):
                 return
             self._lose("fell silent")
-        for link in self._links:
-            if link is not self._delivering:
-                # A link has 10 s for its first frame, before another takes its place: as long as
-                # opening may take, and as key frames may be apart.
-                if now < self._tried + 10.0:
-                    return
-                self._give_up(link)
-                break
+        for link in [one for one in self._links if one is not self._delivering][:1]:
+            # A link has 10 s for its first frame, before another takes its place: as long as
+            # opening may take, and as key frames may be apart.
+            if now < self._tried + 10.0:
+                return
+            self._give_up(link)
         self._hanging = [link for link in self._hanging if link.is_alive()]
         # No more are opened while four that were given up still hang in a library.
         if len(self._hanging) < 4:
@@ -242,7 +227,10 @@ class ReconnectingCamera:
         source, error = link.source, link.error
         if error is not None and not isinstance(error, CameraAwayError):
             self._failure = error
-        why = self._short(error) if source is None or error else source.ended
+        if source is None or error:  # without the camera's name, which every line has
+            why = _without_remedy(error).removeprefix(f"{self.name.removeprefix('camera ')}: ")
+        else:
+            why = source.ended
         if link is not self._delivering:
             self._not_back = why
             return
@@ -252,9 +240,10 @@ class ReconnectingCamera:
             return
         is_brief = self._connection > 0 and self._heard - self._began < _BRIEF_S
         self._brief = self._brief + 1 if is_brief else 0
-        if self._brief == _MAX_BRIEF and self._failure is None:
+        # A drop takes longer, and the camera would be asked again for ever.
+        if self._brief == 10 and self._failure is None:
             so = f"within {_BRIEF_S:g} s of its first picture"
-            self.ended = f"{why}, {_MAX_BRIEF} times in a row {so}"
+            self.ended = f"{why}, {self._brief} times in a row {so}"
         else:
             self._lose(why)
 
@@ -277,10 +266,6 @@ class ReconnectingCamera:
         if link.source is not None:
             self._damaged += link.source.damaged
             self._dropped += link.source.dropped
-
-    def _short(self, error: Exception | None) -> str:
-        """Shorten an error: no camera name, which every line has, and no remedy."""
-        return _without_remedy(error).removeprefix(f"{self.name.removeprefix('camera ')}: ")
 
 
 def _without_remedy(error: Exception | None) -> str:

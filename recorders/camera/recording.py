@@ -1,28 +1,44 @@
 """Record a camera to a log: one thread reads, another writes, and losses are counted.
 
 `WritingLoop` takes the queued frames in the main thread, stamps them and writes them with the
-sound that belongs beside them; `record_camera` sets all up and sums up the counts.
+sound that belongs beside them; `record_camera` sets all up and sums up the counts;
+`record_camera_as_asked` does so as a command line wants it.
 """
 
 from __future__ import annotations
 
+import argparse
+import os
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tunenet_logs.audio import sound_blocks, sound_notes_of, why_not_kept
+from tunenet_logs.console import given
 from tunenet_logs.episode import EpisodeInfo, Sound
-from tunenet_logs.errors import CameraError, LogError, MicrophoneError
+from tunenet_logs.errors import CameraError, LogError, MicrophoneError, UsageError
 from tunenet_logs.images import image_size
 from tunenet_logs.messages import AUDIO_TOPIC, CAMERA_TOPIC, VIDEO_FORMATS, VIDEO_TOPIC, typestore
+from tunenet_logs.passwords import read_password
 from tunenet_logs.recorders.camera.base import Source
 from tunenet_logs.recorders.camera.clock import CameraTime, Timed, stamp_evenly
 from tunenet_logs.recorders.camera.device import VideoFile
+from tunenet_logs.recorders.camera.network import (
+    PASSWORD_OPTION,
+    PASSWORD_VARIABLE,
+    NetworkOptions,
+    Trust,
+)
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.reading import ReadingThread
+from tunenet_logs.recorders.camera.reconnecting import lasting_camera
+from tunenet_logs.recorders.camera.sources import is_asked_again, open_source, shows_password
 from tunenet_logs.recorders.session import Summary, stop_flag
 from tunenet_logs.terminal import Bar, Progress
 from tunenet_logs.timing.arrivals import STAMPS_NOTE
@@ -34,6 +50,7 @@ from tunenet_logs.timing.stamps import (
     measured_hz,
     now_ns,
 )
+from tunenet_logs.writing.owned_path import check_log_name
 from tunenet_logs.writing.writer import EpisodeWriter
 
 if TYPE_CHECKING:
@@ -41,7 +58,8 @@ if TYPE_CHECKING:
     from tunenet_logs.recorders.microphone import LiveSound
 
 
-# ---- Sound of a film: written in short blocks beside the frames
+_SPARE_S = 0.5  # of silence beyond what is allowed: for a source to end by itself, and to say why
+_MIN_REPORTED_LAG_S = 0.5  # with a longer one the recording falls behind
 
 
 class FilmSoundWriter:
@@ -74,12 +92,6 @@ class FilmSoundWriter:
 
     def tick(self, writer: EpisodeWriter) -> None:
         """Do nothing: the sound is written with the pictures."""
-
-
-# ---- Writing loop: queued frames go to the log until the recording ends
-
-_SPARE_S = 0.5  # of silence beyond what is allowed: for a source to end by itself, and to say why
-_MIN_REPORTED_LAG_S = 0.5  # with a longer one the recording falls behind
 
 
 class WritingLoop:
@@ -124,8 +136,15 @@ class WritingLoop:
                     pass
                 self._is_recording = True
                 queue.start()
-            if not ended and (ended := self._why_stopped(stop)):
-                queue.close()
+            if not ended:
+                if stop.is_set():
+                    ended = "stopped by a signal"
+                elif len(self.gaps) >= 1000:  # such a camera is of no use
+                    ended = f"the camera went and came back {len(self.gaps)} times"
+                elif self._preview is not None and self._preview.stop.is_set():
+                    ended = "stopped on the page"
+                if ended:
+                    queue.close()
             item = queue.take()
             if item is not None:
                 self._pass_on(self.clock.timed(item))
@@ -143,14 +162,6 @@ class WritingLoop:
         self._sound.finish(self._writer, 0 if is_cut else self._sound_until_ns)
         failure = "" if self._reader.error is None else str(self._reader.error)
         return ended or source.ended or failure
-
-    def _why_stopped(self, stop: threading.Event) -> str:
-        if stop.is_set():
-            return "stopped by a signal"
-        if len(self.gaps) >= 1000:  # such a camera is of no use
-            return f"the camera went and came back {len(self.gaps)} times"
-        is_pressed = self._preview is not None and self._preview.stop.is_set()
-        return "stopped on the page" if is_pressed else ""
 
     def _pass_on(self, pictures: Iterator[Timed]) -> None:
         queue, writer = self._reader.queue, self._writer
@@ -202,9 +213,6 @@ class WritingLoop:
         if begins_anew or (self._step_ns > longest_ns and self._reader.source.live):
             self.gaps.append(gap)
             self._writer.note_at_once(*gap_note(self.gaps))
-
-
-# ---- Recording: all of it, from the open source to its summary
 
 
 @dataclass(frozen=True)
@@ -332,3 +340,81 @@ def _nothing_came(source: Source, ended: str) -> str:
     damaged = f", {source.damaged} parts were no whole JPEG" if source.damaged else ""
     remedy = "try again with a longer --stall" if source.live else "is it whole?"
     return f"{source.name}: no frame came ({why}{damaged}); {remedy}"
+
+
+def record_camera_as_asked(arguments: argparse.Namespace, path: Path) -> str:
+    """Record the camera; return the summary for the last line.
+
+    Raises:
+        TuneNetError: it cannot be opened, read or written.
+    """
+    from tunenet_logs.recorders.microphone import opened_microphone
+
+    asked = CameraOptions(**given(arguments, CameraOptions))
+    progress = Progress(quiet=arguments.quiet)
+    limits = Limits(
+        seconds=asked.seconds,
+        stall_s=asked.stall_s,
+        wait_s=asked.wait_s,
+        min_free_bytes=round(arguments.min_free * 1e6),
+        stamps=asked.stamps,
+    )
+    with ExitStack() as opened:
+        microphone = opened.enter_context(
+            opened_microphone(asked.microphone, arguments.camera, progress.say)
+        )
+        notes = {"ball": asked.ball} if asked.ball else {}
+        info = EpisodeInfo(kind="drop", rig=asked.rig, notes=notes)
+        network = _network(asked, progress)
+        open_camera = partial(open_source, arguments.camera, asked, network)
+        if is_asked_again(arguments.camera):
+            check_log_name(path, overwrite=arguments.overwrite)  # not after having waited
+            source = lasting_camera(
+                open_camera, wait_s=asked.wait_s, stall_s=asked.stall_s, say=progress.say
+            )
+        elif asked.wait_s:
+            raise UsageError("--wait is for a camera in a network; leave it out")
+        else:
+            source = open_camera()
+        if shows_password(arguments.camera):
+            progress.say(
+                "tunenet-record: the password in the address shows in the list of processes (ps); "
+                "write it into a file for --password-file, or into ~/.netrc"
+            )
+        summary = record_camera(
+            source,
+            info,
+            path,
+            limits=limits,
+            overwrite=arguments.overwrite,
+            progress=progress,
+            preview=opened.enter_context(_preview(source.live)) if asked.preview else None,
+            microphone=microphone,
+        )
+    return f"{source.name}; {summary.in_words('frames')}"
+
+
+def _network(asked: CameraOptions, progress: Progress) -> NetworkOptions:
+    """Collect the network camera's options, with its password."""
+    file = asked.password_file
+    password = os.environ.get(PASSWORD_VARIABLE) or None
+    if file is not None:
+        password, is_public = read_password(file, PASSWORD_OPTION)
+        if is_public:
+            progress.say(f"tunenet-record: {file}: others can read this password; chmod 600 {file}")
+    return NetworkOptions(
+        Trust.of(asked.fingerprint, asked.insecure),
+        asked.rtsp_transport,
+        password,
+        must_serve=file is not None,
+    )
+
+
+def _preview(is_live: bool) -> closing[Preview]:
+    if not is_live:
+        raise UsageError("--preview is for a live camera; a video can be looked at as it is")
+    from tunenet_logs.recorders.local_page import Preview
+
+    preview = Preview()
+    print(f"preview at {preview.url}", file=sys.stderr, flush=True)
+    return closing(preview)

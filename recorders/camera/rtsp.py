@@ -16,17 +16,15 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from urllib.parse import urlsplit
 
 from tunenet_logs.addresses import Address
 from tunenet_logs.errors import CameraAwayError, CameraError
 from tunenet_logs.recorders.camera.feeds import RECEIVE_BYTES
 from tunenet_logs.recorders.camera.network import (
-    OPENING_S,
     Deadline,
     Login,
     Transport,
@@ -125,8 +123,6 @@ class FragmentJoiner:
 
 # ---- UDP: one port for RTP, the next for RTCP
 
-_MAX_AT_ONCE = 256  # packets that are taken before anything else is looked after
-
 
 class RtpPorts:
     """A pair of UDP ports that receive from one host, and send to no other."""
@@ -173,7 +169,7 @@ class RtpPorts:
     def packets(self) -> Iterator[tuple[int, memoryview]]:
         """Yield (0, RTP packet) or (1, RTCP report); each is valid until the next."""
         for channel, one in enumerate(self.sockets):
-            for _ in range(_MAX_AT_ONCE):
+            for _ in range(256):  # before anything else is looked after
                 try:
                     size, sender = one.recvfrom_into(self._buffer)
                 except OSError:  # there is no more; or the host had said that a port is closed
@@ -191,15 +187,12 @@ class RtpPorts:
 
     def is_torn(self, ticks: int | None) -> bool:
         """Return whether packets were lost, or came late, within or beside a picture."""
-        if ticks is None:
-            return False
-        sent_ticks = self._first_ticks + ticks & 0xFFFFFFFF
-        return sent_ticks in self._torn
+        return ticks is not None and (self._first_ticks + ticks & 0xFFFFFFFF) in self._torn
 
     def _count(self, number: int, ticks: int) -> None:
         if self._next is None:
-            self._first_ticks = ticks
-        ahead = 0 if self._next is None else (number - self._next) & 0xFFFF
+            self._first_ticks, self._next = ticks, number
+        ahead = (number - self._next) & 0xFFFF
         if ahead:  # the end of one picture, the beginning of the next, or all between them
             self._torn += (self._last_ticks, ticks)
         self._last_ticks = ticks
@@ -214,10 +207,7 @@ class RtpPorts:
 
 _BUFFER_BYTES = 256 * 1024  # several packets; one has 65,539 at most
 _MAX_HEAD_BYTES = 16 * 1024
-_MAX_BODY_BYTES = 64 * 1024  # of a reply: cameras send a hundredth
-_VERSION = b"RTSP/1."
-_BLANK_LINE = re.compile(rb"\r?\n\r?\n")
-_DOLLAR = ord("$")  # what a packet begins with; after it one byte of channel and two of length
+_DOLLAR = ord("$")  # begins a packet; one byte of channel and two of length follow
 
 
 @dataclass(frozen=True)
@@ -273,35 +263,35 @@ class RtspWire:
     def take(self, *, is_playing: bool) -> memoryview | Reply | None:
         """Return a run of whole packets, or a reply; None where more has to come."""
         # Packets are valid until the next `fill`.
-        while self._used < self._filled and self._buffer[self._used] in b"\r\n":
+        buffer, last = self._buffer, self._filled - 4
+        while self._used < self._filled and buffer[self._used] in b"\r\n":
             self._used += 1
-        start = self._used
-        if self._used == self._filled:
+        start = at = self._used
+        if start == self._filled:
             return None
-        if self._buffer[start] == _DOLLAR:
-            buffer, at, last = self._buffer, self._used, self._filled - 4
+        if buffer[start] == _DOLLAR:
             while at <= last and buffer[at] == _DOLLAR:
                 end = at + 4 + (buffer[at + 2] << 8 | buffer[at + 3])
                 if end > self._filled:
                     break
                 at = end
             self._used = at
-            return self._view[start : self._used] if self._used > start else None
+            return self._view[start:at] if at > start else None
         try:
             return self._taken_reply()
         except ValueError as error:
             if not is_playing:
                 raise CameraError("does not speak RTSP; check the address") from error
-        found = self._buffer.find(_DOLLAR, start, self._filled)
+        found = buffer.find(_DOLLAR, start, self._filled)
         self._used = self._filled if found < 0 else found
         return self.take(is_playing=True) if found >= 0 else None
 
     def _taken_reply(self) -> Reply | None:
         """Parse the reply that begins here; None where it is incomplete."""
         head = bytes(self._view[self._used : self._filled][: _MAX_HEAD_BYTES + 4])
-        if not head.startswith(_VERSION[: len(head)]):
+        if not head.startswith(b"RTSP/1."[: len(head)]):
             raise ValueError("no reply")
-        if (found := _BLANK_LINE.search(head)) is None:
+        if (found := re.search(rb"\r?\n\r?\n", head)) is None:
             if len(head) > _MAX_HEAD_BYTES:
                 raise ValueError("a head without an end")
             return None
@@ -311,7 +301,7 @@ class RtspWire:
         headers = tuple((name.strip().lower(), value.strip()) for name, _, value in named)
         reply = Reply(int(code), reason, headers, b"")
         size = int(reply.header("content-length") or 0)
-        if not 0 <= size <= _MAX_BODY_BYTES:
+        if not 0 <= size <= 64 * 1024:  # cameras send a hundredth
             raise ValueError("a body without an end")
         start = self._used + found.end()
         if start + size > self._filled:
@@ -323,11 +313,9 @@ class RtspWire:
 # ---- SDP: parse what a session description (RFC 8866) says of its video, and no more
 
 _MEDIA = re.compile(r"m=video \S+ (\S+) (\d{1,3})\b")
-_PROTOCOLS = ("RTP/AVP", "RTP/AVPF", "RTP/AVP/TCP", "RTP/AVP/UDP")
 
 # Attributes that say how the video is coded: none of them names a place.
 _CODING = re.compile(r"a=(rtpmap|fmtp|framerate|framesize):[\x20-\x7e]{1,4000}")
-_CODEC = re.compile(r"a=rtpmap:\d{1,3}\s+([\w-]+)/")
 _CONTROL = re.compile(r"a=control:([\x21-\x7e]{1,1000})\s*")
 
 
@@ -347,7 +335,7 @@ class Description:
             if not (found := _MEDIA.match(section)):
                 continue
             protocol, kind = found.groups()
-            if protocol not in _PROTOCOLS:
+            if protocol not in ("RTP/AVP", "RTP/AVPF", "RTP/AVP/TCP", "RTP/AVP/UDP"):
                 known = short_name(protocol)
                 raise CameraError(f"sends its video by {known}; switch it to RTP/AVP")
             kept = [one[0] for one in map(_CODING.fullmatch, section.splitlines()) if one]
@@ -358,7 +346,7 @@ class Description:
     @property
     def codec(self) -> str:
         """RTP encoding name, such as "H264"; "" where the payload type implies it."""
-        found = (_CODEC.match(line) for line in self.coding)
+        found = (re.match(r"a=rtpmap:\d{1,3}\s+([\w-]+)/", line) for line in self.coding)
         return next((one[1].upper() for one in found if one), "")
 
     def text(self, control: str) -> str:
@@ -375,14 +363,10 @@ def _control(section: str) -> str:
 
 # ---- RTSP client: ask the camera, one host, to play its video over TCP, TLS or UDP
 
-_UNSUPPORTED_TRANSPORT = 461
-_PORTS = {"rtsp": 554, "rtsps": 322}  # of addresses that name none
-_CHANNELS = re.compile(r"\binterleaved\s*=\s*(\d{1,3})")
 _SERVER_PORTS = re.compile(r"\bserver_port\s*=\s*(\d{1,5})(?:-(\d{1,5}))?")
 _SESSION = re.compile(r"([\x21-\x3a\x3c-\x7e]{1,200})(?:\s*;\s*timeout\s*=\s*(\d{1,6}))?")
 _URL = re.compile(r"rtsps?://[\x21-\x7e]{1,1500}")
 
-_NO_HEADERS: Mapping[str, str] = MappingProxyType({})
 _REFRESH_S = (1.0, 30.0)  # shortest and longest time between two keep-alive requests
 
 
@@ -399,7 +383,7 @@ class RtspClient:
     ) -> None:
         parts = urlsplit(address.url)
         is_encrypted = parts.scheme == "rtsps"
-        port = parts.port or _PORTS[parts.scheme]
+        port = parts.port or (322 if is_encrypted else 554)
         self.ports: RtpPorts | None = None  # for packets by UDP; None if they are interleaved
         self.channel = 0  # of interleaved RTP; the next one is for RTCP
         self._place = address.url
@@ -412,7 +396,7 @@ class RtspClient:
         self.socket = connect(parts.hostname or "", port, deadline, trust if is_encrypted else None)
         self.wire = RtspWire(self.socket)
         with closed_on_failure(self):
-            self._play(Transport.TCP if is_encrypted else transport)
+            self._play("tcp" if is_encrypted else transport)
         deadline.renew(math.inf)
 
     def refresh(self) -> float:
@@ -440,7 +424,7 @@ class RtspClient:
         if self.ports is not None:
             self.ports.close()
 
-    def _send(self, method: str, place: str, headers: Mapping[str, str] = _NO_HEADERS) -> None:
+    def _send(self, method: str, place: str, **headers: str) -> None:
         """Send a request without waiting for its reply."""
         self._count += 1
         lines = [f"{method} {place} RTSP/1.0", f"CSeq: {self._count}", "User-Agent: tunenet-record"]
@@ -451,23 +435,17 @@ class RtspClient:
             lines.append(f"Authorization: {proof}")
         self.socket.sendall("\r\n".join((*lines, "", "")).encode())
 
-    def _ask(
-        self,
-        method: str,
-        place: str,
-        headers: Mapping[str, str] = _NO_HEADERS,
-        refusal: int | None = None,
-    ) -> Reply:
-        """Send a request; return its reply, with status 200 or `refusal`."""
-        tries = 0
-        while True:
-            self._send(method, place, headers)
-            reply = self.wire.reply()
-            tries += 1
-            if reply.status != 401 or tries == 3:  # without login, with it, with a fresh nonce
+    def _ask(self, method: str, place: str, **headers: str) -> Reply:
+        """Send a request; return its reply, with status 200, or 461 (Unsupported Transport)."""
+        self._send(method, place, **headers)
+        reply = self.wire.reply()
+        for _ in range(2):  # with the login, and with a fresh nonce
+            if reply.status != 401:
                 break
             self._login.take(reply.every("www-authenticate"))
-        if reply.status in (200, refusal):
+            self._send(method, place, **headers)
+            reply = self.wire.reply()
+        if reply.status == 200 or (reply.status == 461 and method == "SETUP"):
             return reply
         if 300 <= reply.status < 400:
             raise sent_on(reply.header("location"), ("rtsp", "rtsps"))
@@ -476,37 +454,36 @@ class RtspClient:
     def _play(self, transport: Transport | None) -> None:
         if "GET_PARAMETER" in self._ask("OPTIONS", self._place).header("public").upper():
             self._refresh = "GET_PARAMETER"
-        answer = self._ask("DESCRIBE", self._place, {"Accept": "application/sdp"})
+        answer = self._ask("DESCRIBE", self._place, Accept="application/sdp")
         self.description = Description.of(answer.body.decode("utf-8", "replace"))
         base = answer.header("content-base") or answer.header("content-location")
         base = base if _URL.fullmatch(base) else self._place
         self._place = _joined(base, self.description.whole)
         video = _joined(base, self.description.control)
-        wanted = (transport,) if transport else (Transport.TCP, Transport.UDP)
+        wanted: tuple[Transport, ...] = (transport,) if transport else ("tcp", "udp")
         if not any(self._is_set_up(video, one) for one in wanted):
-            refusing = " and ".join(one.name for one in wanted)
+            refusing = " and ".join(wanted).replace("tcp", "TCP").replace("udp", "UDP")
             raise CameraError(f"refuses {refusing} (461); leave out or change --rtsp-transport")
-        self._ask("PLAY", self._place, {"Range": "npt=0.000-"})
+        self._ask("PLAY", self._place, Range="npt=0.000-")
         self._next_refresh_s = time.monotonic() + self._refresh_s
 
     def _is_set_up(self, video: str, transport: Transport) -> bool:
         """Send SETUP; return whether the camera accepts the transport."""
         wanted = "/TCP;unicast;interleaved=0-1"
-        if transport is Transport.UDP:
+        if transport == "udp":
             self.ports = RtpPorts(self.socket)
             wanted = ";unicast;client_port={}-{}".format(*self.ports.numbers)
-        asked = {"Transport": f"RTP/AVP{wanted}"}
-        answer = self._ask("SETUP", video, asked, _UNSUPPORTED_TRANSPORT)
-        if answer.status == _UNSUPPORTED_TRANSPORT:
+        answer = self._ask("SETUP", video, Transport=f"RTP/AVP{wanted}")
+        if answer.status != 200:
             return False
         said = answer.header("transport")
         is_tcp = "/TCP" in said.upper()
-        if is_tcp is (transport is Transport.UDP) or "multicast" in said.lower():
+        if is_tcp is (transport == "udp") or "multicast" in said.lower():
             raise CameraError(
-                f"is asked for {transport.name} and sets up {short_name(said)}; "
+                f"is asked for {transport.upper()} and sets up {short_name(said)}; "
                 "try another --rtsp-transport"
             )
-        if found := _CHANNELS.search(said):
+        if found := re.search(r"\binterleaved\s*=\s*(\d{1,3})", said):
             self.channel = min(int(found[1]), 254)
         if self.ports and (found := _SERVER_PORTS.search(said)):
             self.ports.open_ways(int(found[1]), int(found[2] or 0))
@@ -526,9 +503,6 @@ def _joined(base: str, control: str) -> str:
 
 
 # ---- Relay: serve the camera's packets to FFmpeg on this machine alone
-
-_VIDEO = "video"  # control name of the one video, for FFmpeg
-_MAX_WAIT_S = 1.0  # for a packet, before anything else is looked after
 
 
 class RtspRelay:
@@ -609,7 +583,7 @@ class RtspRelay:
 
     def _greet(self, reader: socket.socket) -> None:
         """Answer FFmpeg's requests up to PLAY."""
-        description = self._client.description.text(_VIDEO)
+        description = self._client.description.text("video")
         channel = self._client.channel
         answers = {
             "OPTIONS": "Public: OPTIONS, DESCRIBE, SETUP, PLAY, TEARDOWN\r\n\r\n",
@@ -644,7 +618,7 @@ class RtspRelay:
                 reader.sendall(self._joiner.joined(packets))
                 passed_s = time.monotonic()
             left_s = passed_s + self._silence_s - time.monotonic()
-            wait_s = min(client.refresh(), left_s, _MAX_WAIT_S)
+            wait_s = min(client.refresh(), left_s, 1.0)
             if wait_s <= 0:
                 raise TimeoutError
             ready, _, _ = select.select([client.socket, reader, *udp], [], [], wait_s)
@@ -678,7 +652,6 @@ class RtspRelay:
 
 # ---- Stream: the relayed video, read by FFmpeg
 
-_SPARE_S = 2.0  # that FFmpeg waits longer than the relay, which can say why nothing comes
 _OPTIONS = {
     "rtsp_transport": "tcp",  # to the relay; the camera's may differ
     "protocol_whitelist": "tcp",
@@ -698,20 +671,17 @@ class RtspStream(PacketStream):
         from av.error import FFmpegError
 
         logging.set_level(None)  # errors come as exceptions
-        deadline = Deadline(timeout_s, max(OPENING_S, timeout_s))
+        deadline = Deadline.opening(timeout_s)
         with answering(address.shown, deadline):
             client = RtspClient(address, deadline, trust, transport)
         # None falls back to UDP where the camera refuses TCP.
-        self._transport = Transport.UDP if client.ports else Transport.TCP
+        self._transport = "udp" if client.ports else "tcp"
         self._relay = RtspRelay(client, timeout_s)
         with closed_on_failure(self._relay):
             try:
+                # It waits 2 s longer than the relay, which can say why nothing comes.
                 container = av.open(
-                    self._relay.url,
-                    "r",
-                    format="rtsp",
-                    options=_OPTIONS,
-                    timeout=timeout_s + _SPARE_S,
+                    self._relay.url, "r", format="rtsp", options=_OPTIONS, timeout=timeout_s + 2.0
                 )
             except FFmpegError as error:
                 why = self._relay.ended_by() or error.strerror
@@ -721,7 +691,7 @@ class RtspStream(PacketStream):
     def notes(self) -> dict[str, str]:
         """Return the codec, the transport, and the number of lost packets."""
         lost = {"lost_packets": str(self._relay.lost)} if self._relay.lost else {}
-        return super().notes() | {"transport": self._transport.value} | lost
+        return super().notes() | {"transport": self._transport} | lost
 
     def close(self) -> None:
         """End a running `frames`; the camera is told to stop."""

@@ -7,60 +7,32 @@ bytes, by TCP, UDP, a FIFO or standard input, is opened here; HTTP, RTSP and dev
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
 from tunenet_logs.addresses import scheme_of
+from tunenet_logs.console import options_in
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.camera.base import Source
-from tunenet_logs.recorders.camera.device import CameraDevice, Settings, VideoFile, opened_within
+from tunenet_logs.recorders.camera.device import SETTINGS, CameraDevice, VideoFile, opened_within
 from tunenet_logs.recorders.camera.feeds import ByteFeed, PipeFeed, TcpFeed, TimedFeed, UdpFeed
 from tunenet_logs.recorders.camera.network import (
-    OPENING_S,
     Deadline,
     NetworkOptions,
     answering,
     camera_address,
     with_scheme,
 )
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.reading import Transcoded
 from tunenet_logs.recorders.camera.streams import PacketStream, stream_of
 
-# By a setting's name, the option that asks for it: an error names what the user wrote.
-_SETTING_OPTIONS = {
-    "size": "--size",
-    "rate_hz": "--rate",
-    "exposure_ms": "--exposure",
-    "white_balance_k": "--white-balance",
-    "focus": "--focus",
-}
-
-# Beyond what opening a network camera allows: for name servers, and for its own, clearer error.
-_SPARE_S = 5.0
-
-
-@dataclass(frozen=True)
-class SourceOptions:
-    """Options of a source; see `open_source`."""
-
-    settings: Settings
-    filmed_hz: float | None
-    timeout_s: float
-    network: NetworkOptions
-    transcode: bool
-
 
 def open_source(
-    text: str,
-    *,
-    settings: Settings | None = None,
-    filmed_hz: float | None = None,
-    timeout_s: float = 5.0,
-    network: NetworkOptions | None = None,
-    transcode: bool = False,
+    text: str, asked: CameraOptions | None = None, network: NetworkOptions | None = None
 ) -> Source:
-    """Open a camera or a video file."""
+    """Open a camera or a video file, which may be silent for `asked.stall_s`."""
+    asked, network = asked or CameraOptions(), network or NetworkOptions()
     text = with_scheme(text)
     kind = _kind_of(text)
     if kind in _BY_OTHERS:
@@ -73,18 +45,16 @@ def open_source(
         raise UsageError(
             f"--camera: {kind}:// is not recorded; there is {known}, and files by their bare names"
         )
-    wishes = SourceOptions(
-        settings or Settings(), filmed_hz, timeout_s, network or NetworkOptions(), transcode
-    )
-    if kind != "a device" and wishes.settings.asked():
-        option = _SETTING_OPTIONS[wishes.settings.asked()[0]]
-        raise UsageError(f"{option} is for a camera that is plugged in; leave it out")
-    if kind != "a file" and wishes.filmed_hz is not None:
+    for name in SETTINGS:
+        if kind != "a device" and getattr(asked, name) is not None:
+            flag = options_in(CameraOptions)[name].flag_of(name)
+            raise UsageError(f"{flag} is for a camera that is plugged in; leave it out")
+    if kind != "a file" and asked.fps is not None:
         raise UsageError("--fps is for a video file; a camera's rate is measured")
-    if kind in ("a device", "a file") and wishes.transcode:
+    if kind in ("a device", "a file") and asked.transcode:
         raise UsageError("--transcode is for a camera that sends video; leave it out")
-    wishes.network.check(kind)
-    return OPENERS[kind](text, wishes)
+    network.check(kind)
+    return OPENERS[kind](text, asked, network)
 
 
 def is_asked_again(text: str) -> bool:
@@ -115,39 +85,35 @@ def _is_number(text: str) -> bool:
     return text.isascii() and text.isdecimal() and len(text) < 5
 
 
-def _device(text: str, wishes: SourceOptions) -> Source:
+def _device(text: str, asked: CameraOptions, _network: NetworkOptions) -> Source:
     path = Path(f"/dev/video{int(text)}" if _is_number(text) else text)
     # Drivers try for seconds, at each setting too.
-    return opened_within(30.0, str(path), lambda: CameraDevice(path, wishes.settings))
+    return opened_within(30.0, str(path), lambda: CameraDevice(path, asked))
 
 
-def _http(text: str, wishes: SourceOptions) -> Source:
+def _http(text: str, asked: CameraOptions, network: NetworkOptions) -> Source:
     from tunenet_logs.recorders.camera.http import open_http
 
-    address = wishes.network.known(camera_address(text))
-    return _opened(
-        address.shown, wishes, lambda: open_http(address, wishes.timeout_s, wishes.network.trust)
-    )
+    address = network.known(camera_address(text))
+    return _opened(address.shown, asked, lambda: open_http(address, asked.stall_s, network.trust))
 
 
-def _rtsp(text: str, wishes: SourceOptions) -> Source:
+def _rtsp(text: str, asked: CameraOptions, network: NetworkOptions) -> Source:
     from tunenet_logs.recorders.camera.rtsp import RtspStream
 
-    timeout_s, network = wishes.timeout_s, wishes.network
     address = network.known(camera_address(text))
     return _opened(
         address.shown,
-        wishes,
-        lambda: RtspStream(address, timeout_s, network.trust, network.rtsp_transport),
-        2 * timeout_s,  # to learn what the stream holds
+        asked,
+        lambda: RtspStream(address, asked.stall_s, network.trust, network.rtsp_transport),
+        2 * asked.stall_s,  # to learn what the stream holds
     )
 
 
-def _bytes(text: str, wishes: SourceOptions) -> Source:
+def _bytes(text: str, asked: CameraOptions, _network: NetworkOptions) -> Source:
     def opened() -> Source:
-        # The program that sends the first picture may have to start.
-        longest_s = max(OPENING_S, wishes.timeout_s)
-        deadline = Deadline(longest_s, longest_s)
+        deadline = Deadline.opening(asked.stall_s)
+        deadline.silence_s = deadline.whole_s  # the program that sends may have to start
         shown, live, scheme = text, True, scheme_of(text)
         feed: ByteFeed
         if scheme == "tcp":
@@ -160,33 +126,34 @@ def _bytes(text: str, wishes: SourceOptions) -> Source:
         else:
             feed = pipe = PipeFeed(text, deadline)
             shown, live = pipe.shown, pipe.is_written_to
-        source = stream_of(TimedFeed(feed, deadline, wishes.timeout_s), shown, live=live)
-        deadline.silence_s = wishes.timeout_s
+        source = stream_of(TimedFeed(feed, deadline, asked.stall_s), shown, live=live)
+        deadline.silence_s = asked.stall_s
         return source
 
-    return _opened(text, wishes, opened)
+    return _opened(text, asked, opened)
 
 
 def _opened(
-    shown: str, wishes: SourceOptions, opening: Callable[[], Source], more_s: float = 0.0
+    shown: str, asked: CameraOptions, opening: Callable[[], Source], more_s: float = 0.0
 ) -> Source:
     """Open a network or piped source, transcoded where asked, or where no log holds its codec."""
 
     def opened() -> Source:
         source = opening()
-        if isinstance(source, PacketStream) and (wishes.transcode or source.needs_decoding):
+        if isinstance(source, PacketStream) and (asked.transcode or source.needs_decoding):
             return Transcoded(source)
         return source
 
-    longest_s = max(OPENING_S, wishes.timeout_s) + more_s + _SPARE_S
+    # 5 s more are for name servers, and for the source's own, clearer error.
+    longest_s = Deadline.opening(asked.stall_s).whole_s + more_s + 5.0
     return opened_within(longest_s, shown, opened)
 
 
 # By an address's scheme, or by the kind of what has none.
-OPENERS: Mapping[str, Callable[[str, SourceOptions], Source]] = MappingProxyType(
+OPENERS: Mapping[str, Callable[[str, CameraOptions, NetworkOptions], Source]] = MappingProxyType(
     {
         "a device": _device,
-        "a file": lambda text, wishes: VideoFile(Path(text), wishes.filmed_hz),
+        "a file": lambda text, asked, _network: VideoFile(Path(text), asked.fps),
         "a pipe": _bytes,
         "http": _http,
         "https": _http,
@@ -197,8 +164,7 @@ OPENERS: Mapping[str, Callable[[str, SourceOptions], Source]] = MappingProxyType
     }
 )
 
-# Of these, those that can be reconnected.
-_ASKED_AGAIN = frozenset({"http", "https", "rtsp", "rtsps", "tcp"})
+_ASKED_AGAIN = frozenset({"http", "https", "rtsp", "rtsps", "tcp"})  # that can be reconnected
 
 _FFMPEG = "ffmpeg -loglevel error -i {}://... -c copy -f matroska -"
 

@@ -18,7 +18,7 @@ from tunenet_logs.errors import CameraError, LogError
 from tunenet_logs.images import MAX_PIXELS
 from tunenet_logs.media import Mp4Claims
 from tunenet_logs.messages import is_whole
-from tunenet_logs.recorders.camera.base import CapturedFrame, LiveSource, Source
+from tunenet_logs.recorders.camera.base import BaseSource, CapturedFrame, Source
 from tunenet_logs.recorders.camera.feeds import MAX_PICTURE_BYTES, MULTIPART, TimedFeed
 from tunenet_logs.recorders.camera.network import answering
 from tunenet_logs.recorders.session import closed_on_failure
@@ -61,26 +61,28 @@ def joined_units(packets: Iterable[Packet], arrived_ns: Callable[[Packet], int])
     """Yield one unit per run of packets with one timestamp, which in RTP is one picture."""
     # FFmpeg's parser, which would join them too, loses the time of the first picture, and returns
     # each so late that its arrival is the next one's.
-    pieces: list[bytes] = []
-    size = 0
-    unit = Unit(b"", None, 0, is_key=False, is_corrupt=False)
+    pieces: list[Packet] = []
+    came_ns = size = 0
+
+    def joined() -> Unit:
+        data = b"".join(map(bytes, pieces))
+        is_key = any(piece.is_keyframe for piece in pieces)
+        is_corrupt = any(piece.is_corrupt for piece in pieces)
+        return Unit(data, pieces[0].pts, came_ns, is_key, is_corrupt)
+
     for packet in packets:
         if not packet.size:
             continue
-        is_next = packet.pts is not None and packet.pts != unit.ticks
-        if pieces and (is_next or size > MAX_PICTURE_BYTES):
-            yield unit._replace(data=b"".join(pieces))
+        is_next = bool(pieces) and packet.pts is not None and packet.pts != pieces[0].pts
+        if is_next or size > MAX_PICTURE_BYTES:
+            yield joined()
             pieces, size = [], 0
         if not pieces:
-            unit = Unit(b"", packet.pts, arrived_ns(packet), is_key=False, is_corrupt=False)
-        pieces.append(bytes(packet))
+            came_ns = arrived_ns(packet)
+        pieces.append(packet)
         size += packet.size
-        unit = unit._replace(
-            is_key=unit.is_key or packet.is_keyframe,
-            is_corrupt=unit.is_corrupt or packet.is_corrupt,
-        )
     if pieces:
-        yield unit._replace(data=b"".join(pieces))
+        yield joined()
 
 
 # ---- H.264 and H.265: random access points and parameter sets (Rec. ITU-T, annex B)
@@ -94,19 +96,13 @@ _SETS = {"h264": (7, 8), "h265": (32, 33, 34)}
 _SLICES = {"h264": range(1, 6), "h265": range(32)}
 _STANDS_ALONE = {"h264": range(5, 6), "h265": range(16, 24)}
 
-# The type of an SEI unit, and the message by which H.264 says that a decoder can begin here.
-_H264_SEI, _RECOVERY_POINT = 6, 6
 
+def head_of(data: bytes, codec: str) -> tuple[bool, bytes]:
+    """Parse one picture's NAL units up to its first slice; `codec` is "h264" or "h265".
 
-class PictureHead(NamedTuple):
-    """What precedes a picture's first slice."""
-
-    stands_alone: bool  # whether it is a random access point, where a decoder can begin
-    parameter_sets: bytes  # those that it carries (VPS, SPS, PPS), with their start codes
-
-
-def head_of(data: bytes, codec: str) -> PictureHead:
-    """Parse one picture's NAL units up to its first slice; `codec` is "h264" or "h265"."""
+    Returns whether it is a random access point, where a decoder can begin, and the parameter sets
+    that it carries (VPS, SPS, PPS), with their start codes.
+    """
     recovers = False
     sets: list[bytes] = []
     at = data.find(_START)
@@ -116,34 +112,29 @@ def head_of(data: bytes, codec: str) -> PictureHead:
         at += 3
         kind = data[at] & 31 if codec == "h264" else data[at] >> 1 & 63
         if kind in _SLICES[codec]:
-            return PictureHead(recovers or kind in _STANDS_ALONE[codec], b"".join(sets))
-        if codec == "h264" and kind == _H264_SEI and data[at + 1] == _RECOVERY_POINT:
-            recovers = True
+            return recovers or kind in _STANDS_ALONE[codec], b"".join(sets)
+        # An SEI unit of H.264, and its message that a decoder can begin here.
+        recovers = recovers or (codec == "h264" and kind == 6 and data[at + 1] == 6)
         following = data.find(_START, at)
         if kind in _SETS[codec]:
             unit = data[at : following if following >= 0 else len(data)]
             sets += [b"\0", _START, unit.rstrip(b"\0")]
         at = following
-    return PictureHead(stands_alone=False, parameter_sets=b"".join(sets))
+    return False, b"".join(sets)
 
 
 # ---- Packets: the video of an open container
 
-# From FFmpeg's codec to the format that a log's messages of video have.
-_LOG_FORMATS = {"h264": "h264", "hevc": "h265", "vp9": "vp9", "av1": "av1"}
+# From FFmpeg's codec to the format that a log's messages have.
+_LOG_FORMATS = {"h264": "h264", "hevc": "h265", "vp9": "vp9", "av1": "av1", "mjpeg": "jpeg"}
 
 # By codec, the filter that rewrites packets of MP4, Matroska and the like, and leaves others.
 _TO_ANNEX_B = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
 
-# Containers whose packets are pieces of pictures, each with its RTP time; the options to open them.
-_RTP_CONTAINERS = frozenset({"rtsp", "rtp", "sdp"})
-NOT_PARSED = {"fflags": "noparse+nofillin"}
-
-# Containers whose packets need not be whole pictures: FFmpeg's parser cuts them.
-_CUT_CONTAINERS = frozenset({"mpegts", "mpeg"})
+NOT_PARSED = {"fflags": "noparse+nofillin"}  # to open RTP with
 
 
-class PacketStream(LiveSource):
+class PacketStream(BaseSource):
     """The video of an open container as it comes; nothing is decoded.
 
     H.264 and H.265 become Annex B pictures that carry their parameter sets at every random access
@@ -179,9 +170,10 @@ class PacketStream(LiveSource):
         self._codec = self._stream.codec_context.name
         self._format = _LOG_FORMATS.get(self._codec, self._codec)
         self._formats = frozenset(container.format.name.split(","))
-        self._is_rtp = bool(self._formats & _RTP_CONTAINERS)
+        # Whether packets are pieces of pictures, each with its RTP time.
+        self._is_rtp = bool(self._formats & {"rtsp", "rtp", "sdp"})
         # Whether the log cannot hold this codec.
-        self.needs_decoding = self._codec not in _LOG_FORMATS and self._codec != "mjpeg"
+        self.needs_decoding = self._codec not in _LOG_FORMATS
         self._has_times = not container.format.flags & Flags.no_timestamps.value
         self._sets = b""
         self._is_damaged = is_damaged
@@ -245,15 +237,15 @@ class PacketStream(LiveSource):
             self._sets = self._stream.codec_context.extradata or b""
             units = joined_units(self._packets(), self._arrived_ns)
         else:
-            is_cut = not self._formats.isdisjoint(_CUT_CONTAINERS)
+            # Of these packets need not be whole pictures: FFmpeg's parser cuts them.
+            is_cut = bool(self._formats & {"mpegts", "mpeg"})
             packets = self._as_annex_b(self._packets())
             units = whole_units(packets, self._arrived_ns, is_cut=is_cut)
         for unit in units:
             data, stands_alone = unit.data, unit.is_key
             if self._codec == "mjpeg":
                 if is_whole(data):
-                    frame = Frame(unit.arrived_ns, "jpeg", data)
-                    yield CapturedFrame(frame, self._told_ns(unit.ticks))
+                    yield self._shot(unit, data)
                 else:
                     self.damaged += 1
                 continue
@@ -271,14 +263,14 @@ class PacketStream(LiveSource):
                 self.damaged += 1
                 continue
             has_begun = True
-            if self.needs_decoding and self._is_rtp:  # where it can begin, its decoder alone knows
-                stands_alone = True
-            frame = Frame(unit.arrived_ns, self._format, data)
-            yield CapturedFrame(frame, self._told_ns(unit.ticks), stands_alone)
+            # Where it can begin, the decoder of a codec that is decoded here alone knows.
+            alone = stands_alone or (self.needs_decoding and self._is_rtp)
+            yield self._shot(unit, data, stands_alone=alone)
 
-    def _told_ns(self, ticks: int | None) -> int | None:
+    def _shot(self, unit: Unit, data: bytes, *, stands_alone: bool = True) -> CapturedFrame:
         base = self._stream.time_base if self._has_times else None
-        return None if base is None or ticks is None else round(ticks * base * 10**9)
+        told_ns = None if base is None or unit.ticks is None else round(unit.ticks * base * 10**9)
+        return CapturedFrame(Frame(unit.arrived_ns, self._format, data), told_ns, stands_alone)
 
 
 # ---- Containers (MPEG-TS, MP4, Matroska, FLV, ...) and bare streams (H.264, JPEG)
@@ -288,9 +280,6 @@ _OPTIONS = {
     "max_pixels": str(MAX_PIXELS),
     "protocol_whitelist": "",
 }
-
-# Formats without times: their pictures are stamped as they come, even from a file.
-_TIMELESS = frozenset({"h264", "hevc", "mjpeg"})
 
 
 class ContainerStream(PacketStream):
@@ -304,7 +293,8 @@ class ContainerStream(PacketStream):
             feed.timeout_s,
             arrived_ns=lambda packet: wall_ns(feed.arrived_ns(packet.pos)),
         )
-        self.live = live or kind in _TIMELESS  # else the container's timestamps are used
+        # Pictures of formats without times are stamped as they come, even from a file.
+        self.live = live or kind in ("h264", "hevc", "mjpeg")
         self.returns = self.live
         self._feed = feed
         self._shown = shown  # where the bytes come from, for errors
@@ -321,9 +311,8 @@ class ContainerStream(PacketStream):
             if self.live:
                 yield shot
             elif shot.source_stamp_ns is not None:
-                yield CapturedFrame(
-                    replace(shot.frame, stamp_ns=shot.source_stamp_ns), None, shot.stands_alone
-                )
+                frame = replace(shot.frame, stamp_ns=shot.source_stamp_ns)
+                yield CapturedFrame(frame, None, shot.stands_alone)
         broken = self._bytes.broken
         if isinstance(broken, CameraError):
             with answering(self._shown, self._feed.deadline):
@@ -397,11 +386,8 @@ _TAIL_BYTES = 512  # longer than any delimiter with its blanks: so much of what 
 # What a boundary may contain (RFC 2046), without the blank.
 _TOKEN = (string.ascii_letters + string.digits + "'()+_,./:=?-").encode()
 
-_BLANKS = b" \t\r\n\f\v\0"
 _ENDS = (b" ", b"\t", b"\r", b"\n")
 _JPEG_END = b"\xff\xd9"
-
-_MAX_HEADER_BYTES = 16 * 1024  # of the headers of one part: a camera sends about 100
 
 # Headers in which servers report a picture's time [s]; capture first, then sending.
 _TIMES = (
@@ -411,9 +397,6 @@ _TIMES = (
     b"x-timestamp",
     b"timestamp",
 )
-
-# A time to fractions of a second: whole seconds are no help.
-_SECONDS = re.compile(rb"(\d{1,11})\.(\d{1,9})\d*")
 
 
 class Part(NamedTuple):
@@ -455,7 +438,9 @@ class MultipartParser:
             stated = int(text[:18]) if text.isdigit() else 0
             has_length = 0 < stated <= MAX_PICTURE_BYTES
             data = self._take(stated) if has_length else self._until_delimiter()
-            told = (_SECONDS.fullmatch(headers.get(name, b"")) for name in _TIMES)
+            # A time to fractions of a second: whole seconds are no help.
+            seconds = re.compile(rb"(\d{1,11})\.(\d{1,9})\d*")
+            told = (seconds.fullmatch(headers.get(name, b"")) for name in _TIMES)
             stamps_ns = (int(one[1]) * 10**9 + int(one[2].ljust(9, b"0")) for one in told if one)
             yield Part(arrived_ns, data, next(stamps_ns, None))
 
@@ -495,18 +480,16 @@ class MultipartParser:
     def _headers(self) -> dict[bytes, bytes]:
         """Read a part's headers, by their names in lower case."""
         headers: dict[bytes, bytes] = {}
-        used = 0
+        left = 16 * 1024  # [bytes]; a camera sends about 100
         while True:
-            while (end := self._buffer.find(b"\n")) < 0:
-                if len(self._buffer) > _MAX_HEADER_BYTES:
-                    raise CameraError("sends a part whose headers have no end")
+            while (end := self._buffer.find(b"\n")) < 0 and len(self._buffer) <= 16 * 1024:
                 if not self._fill():
                     return headers
+            left -= max(end, 0)
+            if end < 0 or left < 0:
+                raise CameraError("sends a part whose headers have no end")
             line = bytes(self._buffer[:end]).strip()
             del self._buffer[: end + 1]
-            used += end
-            if used > _MAX_HEADER_BYTES:
-                raise CameraError("sends a part whose headers have no end")
             if not line:
                 return headers
             name, _, value = line.partition(b":")
@@ -516,7 +499,7 @@ class MultipartParser:
         while len(self._buffer) < length and self._fill():
             pass
         body = bytes(self._buffer[:length])
-        if not body.rstrip(b"\0 \t\r\n").endswith(b"\xff\xd9"):  # less came than was stated?
+        if not body.rstrip(b"\0 \t\r\n").endswith(_JPEG_END):  # less came than was stated?
             cut, _ = self._end_of_body(body, 0, is_all=True)
             body = body[:cut]
         del self._buffer[: len(body)]
@@ -572,7 +555,7 @@ def _ends_line(behind: bytes) -> bool | None:
 
 def _leads_to_any(behind: bytes) -> bool | None:
     """Return whether blanks and any delimiter follow; None as in `_ends_line`."""
-    rest = behind.lstrip(_BLANKS)
+    rest = behind.lstrip(b" \t\r\n\f\v\0")
     run = len(rest) - len(rest.lstrip(_TOKEN))
     if run == len(rest):
         return None if b"--".startswith(rest[:2]) and run <= _MAX_DASHES + _MAX_TOKEN else False
@@ -581,10 +564,6 @@ def _leads_to_any(behind: bytes) -> bool | None:
 
 
 # ---- Reported times: whether those that a server sends come from a clock
-
-# Times that go back, as a share of all, and so many beside it: a clock that is set goes back once;
-# what is no clock does so often.
-_MAX_FAULT_SHARE, _MAX_FREE_FAULTS = 0.01, 2
 
 
 class ToldTimes:
@@ -605,26 +584,24 @@ class ToldTimes:
             self._latest_ns = source_stamp_ns
             return source_stamp_ns
         self._count += 1
-        goes_on = source_stamp_ns > self._latest_ns
-        self._latest_ns = source_stamp_ns
-        if not goes_on:
+        latest_ns, self._latest_ns = self._latest_ns, source_stamp_ns
+        if source_stamp_ns <= latest_ns:
             self._faults += 1
             self._first = source_stamp_ns, arrived_ns
-            self.is_trusted = self._faults <= _MAX_FREE_FAULTS + _MAX_FAULT_SHARE * self._count
+            # A clock that is set goes back once; what is no clock does so often.
+            self.is_trusted = self._faults <= 2 + 0.01 * self._count
             return None
-        shortest_ns, longest_ns = sorted(
-            (source_stamp_ns - self._first[0], arrived_ns - self._first[1])
-        )
+        since = source_stamp_ns - self._first[0], arrived_ns - self._first[1]
+        shortest_ns, longest_ns = sorted(since)
         # Jitter and bursts are shorter than a second; no clock is wrong by half, another unit is.
-        is_short = longest_ns < 1_000_000_000
-        self.is_trusted = is_short or longest_ns < 2.0 * shortest_ns
+        self.is_trusted = longest_ns < 1_000_000_000 or longest_ns < 2.0 * shortest_ns
         return source_stamp_ns if self.is_trusted else None
 
 
 # ---- MJPEG (multipart/x-mixed-replace), as most cheap cameras send it
 
 
-class MjpegStream(LiveSource):
+class MjpegStream(BaseSource):
     """An MJPEG stream; its JPEGs are kept byte for byte.
 
     A frame's reported time is that of its part's headers, where those are a clock's.

@@ -12,19 +12,16 @@ from tunenet_logs.errors import UsageError
 from tunenet_logs.terminal import short_name
 
 _PREFIX = "rt/"  # of a topic's DDS name; services and actions have others
-# A topic from the root: words between slashes, none of which begins with a digit.
-_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-_MAX_CHARACTERS = 200  # of a topic: DDS takes 255, of which ROS 2 needs some for its prefixes
-
-# A type's DDS name: "sensor_msgs::msg::dds_::JointState_".
-_TYPE = re.compile(r"(\w+)::(msg|srv|action)::dds_::(\w+)_")
 
 
 def checked_topic(text: str) -> str:
     """Validate a topic name; return it as ROS 2 writes it, from the root."""
     topic = text.strip()
     topic = topic if topic.startswith("/") else f"/{topic}"
-    if len(topic) > _MAX_CHARACTERS or not _TOPIC.fullmatch(topic) or "__" in topic:
+    # Words between slashes, none of which begins with a digit. DDS takes 255 characters, of which
+    # ROS 2 needs some for its prefixes.
+    is_name = re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", topic) and "__" not in topic
+    if len(topic) > 200 or not is_name:
         raise UsageError(f"{short_name(text)!r} is no name of a ROS 2 topic, such as /joint_states")
     return topic
 
@@ -41,5 +38,6 @@ def ros_topic(dds_name: str) -> str | None:
 
 def ros_type(dds_name: str) -> str:
     """Return a type as in "sensor_msgs/msg/JointState"; one that is not ROS 2's as it is."""
-    found = _TYPE.fullmatch(dds_name)
+    # A DDS name is like "sensor_msgs::msg::dds_::JointState_".
+    found = re.fullmatch(r"(\w+)::(msg|srv|action)::dds_::(\w+)_", dds_name)
     return "/".join(found.groups()) if found else dds_name

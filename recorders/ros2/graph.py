@@ -91,19 +91,8 @@ WIRE_TYPES: dict[str, type[IdlStruct]] = {JOINT_STATE: JointState, JOINT_ANGLES:
 
 _ANY_STATE = SampleState.Any | ViewState.Any | InstanceState.Any  # each sample is taken once
 _MAX_AT_ONCE = 1000  # messages taken in one call: a second at 1 kHz; bounds memory after a pause
-_MAX_WAITING = 100_000  # messages of a topic; more than a minute and a half at 1 kHz
-
-# QoS policies that we request and a publisher may not offer, by DDS's numbers.
-_POLICIES = {
-    6: "ownership",
-    11: "reliability",
-    25: "encoding (it offers no XCDR1)",
-    24: "definition of the type",
-}
-
 # Takes samples as they came; None in a version of cyclonedds without it.
 _PRIVATE_TAKE: Any = getattr(import_module("cyclonedds._clayer"), "ddspy_take", None)
-
 _Taken = tuple[bytes, Any]  # CDR, and what DDS knows of it: a `cyclonedds.internal.SampleInfo`
 
 
@@ -126,8 +115,9 @@ class Subscription:
             else Policy.Reliability.BestEffort,
             Policy.Durability.Volatile,
             Policy.History.KeepAll,
+            # More than a minute and a half at 1 kHz.
             Policy.ResourceLimits(
-                max_samples=_MAX_WAITING, max_instances=-1, max_samples_per_instance=-1
+                max_samples=100_000, max_instances=-1, max_samples_per_instance=-1
             ),
             Policy.DataRepresentation(use_cdrv0_representation=True),
             Policy.TypeConsistency.AllowTypeCoercion(),
@@ -167,8 +157,11 @@ class Subscription:
     @property
     def why_unmatched(self) -> str:
         """The QoS policy in which the last of those is incompatible."""
+        # Those that we request and a publisher may not offer, by DDS's numbers.
+        named = {6: "ownership", 11: "reliability", 24: "definition of the type"}
+        named[25] = "encoding (it offers no XCDR1)"
         number = int(self._reader.get_requested_incompatible_qos_status().last_policy_id)
-        return _POLICIES.get(number, f"QoS policy {number}")
+        return named.get(number, f"QoS policy {number}")
 
 
 def take_raw(reader: DataReader[Any]) -> Sequence[_Taken]:

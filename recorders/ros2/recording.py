@@ -31,18 +31,9 @@ from tunenet_logs.terminal import Bar, Progress, listed, one_line
 # Intervals whose median is the usual one: 0.2 s at 1 kHz, so a rate that changes is followed.
 _MIN_INTERVALS = 5  # without which there is no usual one
 
-# A gap is longer than so many usual intervals: a sample is missing, whatever the jitter. And it is
-# longer than 10 ms: an arm does not get far in less, and without a real-time kernel computers are
-# late by that.
-_MIN_GAP_PERIODS, _MIN_GAP_NS = 2.5, 10_000_000
-
 
 class Pace:
-    """Sample rate and gaps, in constant memory.
-
-    DDS counts the samples it knows to be lost, but not those that overflowed its own buffer. So the
-    stamps are checked: a gap is an interval of more than 2.5 median ones, and of 10 ms.
-    """
+    """Sample rate and gaps, by the stamps: DDS does not count what overflowed its own buffer."""
 
     def __init__(self) -> None:
         self.samples = 0
@@ -98,7 +89,9 @@ class Pace:
             return
         fresh, self._fresh = self._fresh, []
         self._recent.extend(fresh)
-        longest_ns = max(_MIN_GAP_PERIODS * self._usual_ns(), _MIN_GAP_NS)
+        # In a longer one a sample is missing, whatever the jitter. An arm does not get far in
+        # 10 ms, and without a real-time kernel computers are late by that.
+        longest_ns = max(2.5 * self._usual_ns(), 10_000_000)
         gaps = [interval_ns for interval_ns in fresh if interval_ns > longest_ns]
         self._gaps += len(gaps)
         self._longest_gap_ns = max(self._longest_gap_ns, *gaps, 0)
@@ -108,8 +101,6 @@ class Pace:
 
 
 # ---- Recording: several topics to one log
-
-_MAX_WAIT_S = 0.1  # for a message: a signal to stop is heard within it
 
 
 @dataclass(frozen=True)
@@ -159,11 +150,7 @@ def record_joints(
 
 
 class _Topic:
-    """A topic while it is recorded: its pace, and what its messages say of joints.
-
-    It may have several publishers, such as an arm's and a gripper's: the first to come says nothing
-    of the others.
-    """
+    """A topic while it is recorded: its pace, and what its messages say of joints."""
 
     def __init__(self, subscription: Subscription, expected: Sequence[str]) -> None:
         self.subscription = subscription
@@ -258,8 +245,8 @@ class _Session:
             raise TopicError(self._not_published(published))
         types = {topic: _known_type(published[topic]) for topic in order.topics}
         self.heard = [
-            _Topic(self._node.subscribe(published[topic], types[topic]), order.joint_names)
-            for topic in order.topics
+            _Topic(self._node.subscribe(published[topic], kind), order.joint_names)
+            for topic, kind in types.items()
         ]
 
     def run(self) -> str:
@@ -279,23 +266,24 @@ class _Session:
     def count(self) -> None:
         """Write the counts to the log."""
         for heard in self.heard:
-            self._recording.count(f"received.{heard.name}", heard.pace.samples)
-            self._recording.count(f"gaps.{heard.name}", heard.pace.gaps)
-            self._recording.count(f"lost.{heard.name}", heard.subscription.lost)
-            gap_ms = round(heard.pace.longest_gap_s * 1000)
-            self._recording.count(f"longest_gap_ms.{heard.name}", gap_ms)
-            self._recording.note(f"measured_hz.{heard.name}", f"{heard.pace.rate_hz:.3f}")
-            if heard.subscription.unmatched:
-                self._recording.note(
-                    f"unmatched.{heard.name}",
-                    f"{heard.subscription.unmatched} publishers not heard",
-                )
+            pace, subscription = heard.pace, heard.subscription
+            for what, number in (
+                ("received", pace.samples),
+                ("gaps", pace.gaps),
+                ("lost", subscription.lost),
+                ("longest_gap_ms", round(pace.longest_gap_s * 1000)),
+            ):
+                self._recording.count(f"{what}.{heard.name}", number)
+            self._recording.note(f"measured_hz.{heard.name}", f"{pace.rate_hz:.3f}")
+            if subscription.unmatched:
+                said = f"{subscription.unmatched} publishers not heard"
+                self._recording.note(f"unmatched.{heard.name}", said)
 
     def _receive(self) -> str:
         turn_s = shown_s = time.monotonic()
         first_s: float | None = None
         while True:
-            self._node.wait(_MAX_WAIT_S)
+            self._node.wait(0.1)  # a signal to stop is heard within it
             is_stopped = self._stop.is_set()
             now_s = time.monotonic()
             # A process that was stopped was not waiting: a turn counts for a quarter of a second.

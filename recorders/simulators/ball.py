@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -22,8 +23,9 @@ from tunenet_logs.recorders.simulators.base import (
     BallWorld,
     ContactSettings,
     Parameter,
+    check_limits,
 )
-from tunenet_logs.recorders.simulators.known import ball_world
+from tunenet_logs.recorders.simulators.known import ball_world, engine
 
 # ---- Bounces in closed form: u'' = -2 - drag u' |u'|, in drop heights H and sqrt(2 H / g)
 #
@@ -140,7 +142,8 @@ class Bounce:
 
 # ---- Vertical flight in closed form: dv/dt = -g - k v |v|, with the drag k [1/m]
 #
-# Upward that is a tangent of time, downward a hyperbolic one; without drag it is a parabola.
+# Upward that is a tangent of time, downward a hyperbolic one; without drag it is a parabola. A fall
+# has the rate sqrt(g k) [1/s] and the terminal speed sqrt(g / k) [m/s].
 
 # With less drag a flight is a parabola: over 100 m the air changes it by 1e-7.
 _MIN_FLIGHT_DRAG_1_M = 1e-9
@@ -153,7 +156,7 @@ def flown(
     if drag_1_m < _MIN_FLIGHT_DRAG_1_M:
         after = speed_m_s - gravity_m_s2 * seconds
         return height_m + (speed_m_s + after) / 2 * seconds, after
-    rate, terminal = _scales(gravity_m_s2, drag_1_m)
+    rate, terminal = math.sqrt(gravity_m_s2 * drag_1_m), math.sqrt(gravity_m_s2 / drag_1_m)
     if speed_m_s > 0:
         angle = math.atan(speed_m_s / terminal)
         rises_s = angle / rate
@@ -176,7 +179,7 @@ def flown_heights_m(
     """Compute heights [m] after times of free flight; see `flown`."""
     if drag_1_m < _MIN_FLIGHT_DRAG_1_M:
         return height_m + (speed_m_s - gravity_m_s2 / 2 * seconds) * seconds
-    rate, terminal = _scales(gravity_m_s2, drag_1_m)
+    rate, terminal = math.sqrt(gravity_m_s2 * drag_1_m), math.sqrt(gravity_m_s2 / drag_1_m)
     heights_m = np.empty(len(seconds))
     rising, rises_s, top_m = 0, 0.0, height_m
     if speed_m_s > 0:
@@ -204,7 +207,7 @@ def lands_after_s(height_m: float, speed_m_s: float, gravity_m_s2: float, drag_1
     if drag_1_m < _MIN_FLIGHT_DRAG_1_M:
         reach = math.sqrt(speed_m_s**2 + 2 * gravity_m_s2 * height_m)
         return (speed_m_s + reach) / gravity_m_s2
-    rate, terminal = _scales(gravity_m_s2, drag_1_m)
+    rate, terminal = math.sqrt(gravity_m_s2 * drag_1_m), math.sqrt(gravity_m_s2 / drag_1_m)
     before_s = 0.0
     if speed_m_s > 0:
         before_s = math.atan(speed_m_s / terminal) / rate
@@ -212,15 +215,13 @@ def lands_after_s(height_m: float, speed_m_s: float, gravity_m_s2: float, drag_1
         speed_m_s = 0.0
     fallen_s = math.atanh(min(-speed_m_s / terminal, _MAX_TERMINAL_SHARE)) / rate
     fallen_m = _log_cosh(rate * fallen_s) / drag_1_m
-    return before_s + _arccosh_exp(drag_1_m * (height_m + fallen_m)) / rate - fallen_s
+    log_cosh = drag_1_m * (height_m + fallen_m)  # of the fall to come; e^it is out of range over 20
+    if log_cosh > 20:
+        return before_s + (log_cosh + math.log(2)) / rate - fallen_s
+    return before_s + math.asinh(math.sqrt(math.expm1(2 * log_cosh))) / rate - fallen_s
 
 
 _MAX_TERMINAL_SHARE = 1 - 1e-12  # a fall from rest comes no nearer to its terminal speed
-
-
-def _scales(gravity_m_s2: float, drag_1_m: float) -> tuple[float, float]:
-    """Return rate [1/s] and terminal speed [m/s] of a fall."""
-    return math.sqrt(gravity_m_s2 * drag_1_m), math.sqrt(gravity_m_s2 / drag_1_m)
 
 
 def _log_cosh(value: float) -> float:
@@ -228,13 +229,6 @@ def _log_cosh(value: float) -> float:
     if value < 1:
         return math.log1p(2 * math.sinh(value / 2) ** 2)
     return value + math.log1p(math.exp(-2 * value)) - math.log(2)
-
-
-def _arccosh_exp(value: float) -> float:
-    """Compute arccosh(e^value), exact for small values, too."""
-    if value > 20:
-        return value + math.log(2)
-    return math.asinh(math.sqrt(math.expm1(2 * value)))
 
 
 # ---- Restitution over impact speed
@@ -268,125 +262,79 @@ class SpeedLaw:
 # ---- Drop: flights in closed form, impacts solved by the engine
 
 TOPIC = "/ball/pose"
-# At the speed of the first impact, e.
-RESTITUTION = Parameter(
-    name="restitution", unit="1", bounds=(0.0, 1.0), training_range=(0.0, 1.0), initial=0.0
-)
+# Name, unit, bounds, range of the training, first guess. e: at the speed of the first impact.
+RESTITUTION = Parameter("restitution", "1", (0.0, 1.0), (0.0, 1.0), 0.0)
 # p of e (v / v_first)^-p: how the restitution falls with the impact's speed; see `SpeedLaw`.
-SLOPE = Parameter(
-    name="restitution_slope", unit="1", bounds=(-0.5, 0.5), training_range=(0.0, 0.15), initial=0.0
-)
+SLOPE = Parameter("restitution_slope", "1", (-0.5, 0.5), (0.0, 0.15), 0.0)
 # k of dv/dt = -g - k v |v|: rho Cd A / (2 m) of the air, the ball's area and its mass.
-DRAG = Parameter(name="drag", unit="1/m", bounds=(0.0, 2.0), training_range=(0.0, 0.3), initial=0.0)
+DRAG = Parameter("drag", "1/m", (0.0, 2.0), (0.0, 0.3), 0.0)
 
 REAL_BALL = (RESTITUTION, SLOPE, DRAG)  # what moves a real ball, in the order of its vector
-
-# From what a camera can see and an engine can simulate, to far more than anybody drops.
-_LIMITS = {
-    "gap_m": (0.01, 1000.0, "m"),
-    "radius_m": (0.001, 10.0, "m"),
-    "rate_hz": (1.0, 20_000.0, "Hz"),
-    "samples": (2, 1_000_000, ""),
-    "hold_s": (0.0, 600.0, "s"),
-    "speed_m_s": (-1000.0, 1000.0, "m/s"),
-}
-
-_MAX_S = 3600.0  # of a rollout at given times: a ball that keeps its height bounces for ever
 
 
 @dataclass(frozen=True)
 class DropRig:
-    """Set-up of a drop."""
+    """Set-up of a drop: from what a camera sees and an engine simulates, to what nobody drops."""
 
-    gap_m: float = 1.0  # height of the ball's underside over the plane when it is let go
-    radius_m: float = 0.05
+    gap_m: Annotated[float, 0.0, 1000.0, "m"] = 1.0  # from the plane to the ball's underside
+    radius_m: Annotated[float, 0.001, 10.0, "m"] = 0.05
     # Samples a second; with calibrated contacts the engine steps from impact to impact, else once a
     # sample.
-    rate_hz: float = 60.0
-    samples: int = 400
-    hold_s: float = 0.0  # how long the ball is held before it is let go
+    rate_hz: Annotated[float, 1.0, 20_000.0, "Hz"] = 60.0
+    samples: Annotated[int, 2, 1_000_000] = 400
+    hold_s: Annotated[float, 0.0, 600.0, "s"] = 0.0  # how long the ball is held
     start_ns: int = 0  # where the rig's clock is 0
     times_s: tuple[float, ...] = ()  # sample times instead [s], only with calibrated contacts
-    speed_m_s: float = 0.0  # upward speed then, only with calibrated contacts; 0 is a drop
+    # Upward, when it is let go; only with calibrated contacts. 0 is a drop.
+    speed_m_s: Annotated[float, -1000.0, 1000.0, "m/s"] = 0.0
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            if item.name in _LIMITS:
-                low, high, unit = _LIMITS[item.name]
-                value = getattr(self, item.name)
-                if item.name == "gap_m" and self.speed_m_s:
-                    low = 0.0  # it flies already
-                if not (math.isfinite(value) and low <= value <= high):
-                    raise UsageError(
-                        f"{item.name} {value:g} is not from {low:g} to {high:g} {unit}".rstrip()
-                    )
-        if self.times_s and not self.times_s[-1] <= _MAX_S:
-            raise UsageError(
-                f"its last sample is after {self.times_s[-1]:.4g} s, not within an hour"
-            )
-
-    def sample_s(self) -> Array:
-        """Return the sample times [s after the start], shape (T,)."""
-        if self.times_s:
-            return np.array(self.times_s)
-        return np.arange(self.samples) / self.rate_hz
+        if not self.speed_m_s and not 0.01 <= self.gap_m <= 1000:
+            raise UsageError(f"gap_m {self.gap_m:g} is not from 0.01 to 1000 m")
+        check_limits(self)
+        # A ball that keeps its height bounces for ever.
+        if self.times_s and not self.times_s[-1] <= 3600:
+            last_s = f"{self.times_s[-1]:.4g}"
+            raise UsageError(f"its last sample is after {last_s} s, not within an hour")
 
 
-class Flight:
-    """A bouncing ball: the engine solves its impacts, the flights between are in closed form.
+def bounced_heights_m(
+    world: BallWorld, rig: DropRig, law: SpeedLaw, drag_1_m: float, seconds: Array
+) -> Array:
+    """Compute the centre's heights [m] at increasing times since release, each of shape (T,).
 
-    The engine's step is v += -g dt, then z += v dt. It is given the speed with which that ends
-    where the ball is after dt by the closed form of a flight in air; so a step may be long, and
-    only has to end where the ball meets the plane. There one very short step lets the engine solve
-    the contact, with the restitution at the impact's speed. Between two steps, positions are in
-    closed form, too.
+    The engine solves the impacts, the flights between are in closed form. The engine's step is
+    v += -g dt, then z += v dt. It is given the speed with which that ends where the ball is after
+    dt by the closed form of a flight in air; so a step may be long, and only has to end where the
+    ball meets the plane. There one very short step lets the engine solve the contact, with the
+    restitution at the impact's speed.
     """
-
-    def __init__(
-        self, world: BallWorld, gap_m: float, speed_m_s: float, law: SpeedLaw, drag_1_m: float
-    ) -> None:
-        world.place(gap_m, law.restitution)
-        self._world = world
-        self._law = law
-        self._drag_1_m = drag_1_m
-        self._gravity = world.contact.gravity_m_s2
-        self._height_m = world.radius_m + gap_m
-        self._speed_m_s = speed_m_s
-
-    def heights_m(self, seconds: Array) -> Array:
-        """Compute the centre's heights at increasing times since release, shape (T,)."""
-        world, gravity, drag_1_m = self._world, self._gravity, self._drag_1_m
-        heights_m = np.empty(len(seconds))
-        now_s, first = 0.0, 0
-        while first < len(seconds):
-            gap_m = max(self._height_m - world.radius_m + OVERLAP_M, 0.0)
-            lasts_s = lands_after_s(gap_m, self._speed_m_s, gravity, drag_1_m)
-            last = int(np.searchsorted(seconds, now_s + lasts_s))
-            since_s = np.maximum(seconds[first:last] - now_s, 0.0)
-            heights_m[first:last] = flown_heights_m(
-                self._height_m, self._speed_m_s, since_s, gravity, drag_1_m
-            )
-            if last == len(seconds):
-                break
-            self._fly(lasts_s / 2)  # off the plane in the first half, and onto it in the second
-            self._fly(lasts_s / 2)
-            world.set_restitution(float(self._law.at(np.array(-self._speed_m_s))))
-            world.set_speed(self._speed_m_s + gravity * IMPACT_S)
-            self._height_m, self._speed_m_s = world.step(IMPACT_S)
-            now_s, first = now_s + lasts_s + IMPACT_S, last
-            if abs(self._speed_m_s) < world.contact.resting_speed_m_s:
-                heights_m[first:] = self._height_m  # the ground bears the weight
-                break
-        return heights_m
-
-    def _fly(self, seconds: float) -> None:
-        height_m, speed_m_s = flown(
-            self._height_m, self._speed_m_s, seconds, self._gravity, self._drag_1_m
-        )
-        kick = self._gravity * seconds
-        self._world.set_speed((height_m - self._height_m) / seconds + kick)
-        self._height_m, _ = self._world.step(seconds)
-        self._speed_m_s = speed_m_s
+    gravity = world.contact.gravity_m_s2
+    height_m, speed_m_s = world.radius_m + rig.gap_m, rig.speed_m_s
+    world.place(rig.gap_m, law.restitution)
+    heights_m = np.empty(len(seconds))
+    now_s, first = 0.0, 0
+    while first < len(seconds):
+        gap_m = max(height_m - world.radius_m + OVERLAP_M, 0.0)
+        lasts_s = lands_after_s(gap_m, speed_m_s, gravity, drag_1_m)
+        last = int(np.searchsorted(seconds, now_s + lasts_s))
+        since_s = np.maximum(seconds[first:last] - now_s, 0.0)
+        heights_m[first:last] = flown_heights_m(height_m, speed_m_s, since_s, gravity, drag_1_m)
+        if last == len(seconds):
+            break
+        half_s = lasts_s / 2
+        for _ in range(2):  # off the plane in the first half, and onto it in the second
+            end_m, after_m_s = flown(height_m, speed_m_s, half_s, gravity, drag_1_m)
+            world.set_speed((end_m - height_m) / half_s + gravity * half_s)
+            (height_m, _), speed_m_s = world.step(half_s), after_m_s
+        world.set_restitution(float(law.at(np.array(-speed_m_s))))
+        world.set_speed(speed_m_s + gravity * IMPACT_S)
+        height_m, speed_m_s = world.step(IMPACT_S)
+        now_s, first = now_s + lasts_s + IMPACT_S, last
+        if abs(speed_m_s) < 0.01:  # [m/s]; the ground bears the weight
+            heights_m[first:] = height_m
+            break
+    return heights_m
 
 
 class DropSimulator:
@@ -404,7 +352,7 @@ class DropSimulator:
         self.contact = contact  # how impacts are solved
         self.parameters = REAL_BALL if contact.meet_impacts else (RESTITUTION,)
         # With that ball and these contacts; one of the default engine if None.
-        self._world = world or ball_world(rig.radius_m, contact)
+        self._world = world or ball_world(engine(), rig.radius_m, contact)
         self.engine = self._world.engine
         self.step_hz = rig.rate_hz
 
@@ -421,36 +369,29 @@ class DropSimulator:
             takes = ", ".join(known)
             raise UsageError(f"a drop takes the values {takes}, not {sorted(values)}")
         truth = {name: one.checked(values.get(name, 0.0)) for name, one in known.items()}
-        seconds = self.rig.sample_s()
-        stamps_ns = self.rig.start_ns + np.round(seconds * 1e9).astype(np.int64)
+        rig, world, gravity = self.rig, self._world, self.contact.gravity_m_s2
+        seconds = np.array(rig.times_s) if rig.times_s else np.arange(rig.samples) / rig.rate_hz
+        stamps_ns = rig.start_ns + np.round(seconds * 1e9).astype(np.int64)
+        heights_m = np.full(len(seconds), rig.radius_m + rig.gap_m)
         if self.contact.meet_impacts:
-            heights_m = self._flown(truth, seconds)
-        else:
-            # The centre's heights after each plain step.
-            rig, world = self.rig, self._world
-            heights_m = np.full(rig.samples, rig.radius_m + rig.gap_m)
+            drag_1_m = truth[DRAG.name]
+            lands_s = lands_after_s(rig.gap_m, rig.speed_m_s, gravity, drag_1_m)
+            first = flown(rig.gap_m, rig.speed_m_s, lands_s, gravity, drag_1_m)
+            law = SpeedLaw(truth[RESTITUTION.name], truth[SLOPE.name], -first[1])
+            free = seconds > rig.hold_s
+            since_s = seconds[free] - rig.hold_s
+            heights_m[free] = bounced_heights_m(world, rig, law, drag_1_m, since_s)
+        else:  # after each plain step
             world.place(rig.gap_m, truth[RESTITUTION.name])
             held = min(round(rig.hold_s * rig.rate_hz), rig.samples)
             heights_m[held:] = world.steps(1.0 / rig.rate_hz, rig.samples - held)
-            stamps_ns += round(1e9 / self.rig.rate_hz)
+            stamps_ns += round(1e9 / rig.rate_hz)
         positions = np.column_stack([np.zeros((len(heights_m), 2)), heights_m])
         info = EpisodeInfo(
             kind="drop",
             source=self.engine,
             preset=self.contact.name,
-            rig={"ball_diameter_m": 2 * self.rig.radius_m, "drop_height_m": self.rig.gap_m},
+            rig={"ball_diameter_m": 2 * rig.radius_m, "drop_height_m": rig.gap_m},
             truth=truth,
         )
         return Episode(info, {TOPIC: Signal(TOPIC, stamps_ns, positions, ("x", "y", "z"), "m")})
-
-    def _flown(self, values: Mapping[str, float], seconds: Array) -> Array:
-        """Compute the centre's heights [m], shape (T,), each impact met."""
-        rig, drag_1_m = self.rig, values[DRAG.name]
-        lands_s = lands_after_s(rig.gap_m, rig.speed_m_s, self.contact.gravity_m_s2, drag_1_m)
-        first = flown(rig.gap_m, rig.speed_m_s, lands_s, self.contact.gravity_m_s2, drag_1_m)
-        law = SpeedLaw(values[RESTITUTION.name], values[SLOPE.name], -first[1])
-        flight = Flight(self._world, rig.gap_m, rig.speed_m_s, law, drag_1_m)
-        heights_m = np.full(len(seconds), rig.radius_m + rig.gap_m)
-        free = seconds > rig.hold_s
-        heights_m[free] = flight.heights_m(seconds[free] - rig.hold_s)
-        return heights_m

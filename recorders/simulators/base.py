@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cache
+from typing import Annotated, Any, Protocol, get_type_hints
 
 import numpy as np
 
@@ -41,6 +42,26 @@ class Parameter:
         return float(value)
 
 
+@cache
+def limits_of(kind: type) -> dict[str, tuple[float, float, str]]:
+    """Return what a dataclass's `Annotated` fields declare: least and greatest value, remark."""
+    hints = get_type_hints(kind, include_extras=True).items()
+    declared = {name: getattr(hint, "__metadata__", None) for name, hint in hints}
+    return {
+        name: (said[0], said[1], said[2] if len(said) > 2 else "")
+        for name, said in declared.items()
+        if said
+    }
+
+
+def check_limits(settings: Any) -> None:
+    """Raise UsageError where a dataclass's value is beyond the limits that its field declares."""
+    for name, (low, high, unit) in limits_of(type(settings)).items():
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            raise UsageError(f"{name} {value:g} is not from {low:g} to {high:g} {unit}".rstrip())
+
+
 class Simulator(Protocol):
     """An episode source that can be rolled out again with other parameters."""
 
@@ -60,11 +81,7 @@ class Simulator(Protocol):
         ...
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
-        """Roll out one episode; the same values give the same bits.
-
-        Raises:
-            UsageError: a value is missing, not finite or out of bounds.
-        """
+        """Roll out one episode; the same values give the same bits. UsageError for a bad value."""
         ...
 
 
@@ -79,10 +96,7 @@ class BallWorld(Protocol):
     contact: ContactSettings  # how contacts are solved
 
     def place(self, gap_m: float, restitution: float) -> None:
-        """Put the ball at rest with its underside `gap_m` over the plane.
-
-        Nothing of an earlier rollout remains: the same calls give the same bits.
-        """
+        """Put the ball at rest with its underside `gap_m` over the plane; forget what was."""
         ...
 
     def set_restitution(self, restitution: float) -> None:
@@ -109,14 +123,9 @@ class BallWorld(Protocol):
         friction: float,
         inertia_share: float,
     ) -> tuple[Array, Array]:
-        """Solve an impact on the plane: velocity and spin after it, each of shape (3,).
+        """Solve an impact on the plane; return velocity and spin after it, each of shape (3,).
 
-        Args:
-            velocity_m_s: before it, z towards the plane negative, shape (3,).
-            spin_rad_s: before it, shape (3,).
-            restitution: of the impact.
-            friction: Coulomb's coefficient.
-            inertia_share: the ball's moment of inertia over its mass and radius squared.
+        z points away from the plane; `inertia_share` is the moment of inertia over m r^2.
         """
         ...
 
@@ -137,27 +146,16 @@ class Engine(Protocol):
         payload: Payload | None,
         gravity_m_s2: tuple[float, float, float],
     ) -> Array:
-        """Compute the torques along a path: rigid links, no friction.
-
-        Returns:
-            Shape (T, J) [N·m], or [N] for a prismatic joint.
-        """
+        """Compute a path's torques, (T, J) [N·m], [N] if prismatic: rigid links, no friction."""
         ...
 
     def position_control(
         self, arm: Arm, path: JointPath, payload: Payload | None, settings: RolloutSettings
     ) -> Array:
-        """Simulate motors that follow the path; return the states after each step.
+        """Simulate motors that follow the path, from its first sample on, at `settings.times()`.
 
-        Args:
-            arm: starts at the path's first sample.
-            path: one sample more than steps, at `settings.times()`.
-            payload: None for an empty gripper.
-            settings: of engine and motors.
-
-        Returns:
-            Position [rad], velocity [rad/s] and the motor's torque in the step [N·m] of each
-            joint, shape (T - 1, J, 3).
+        Returns each joint's position [rad] and velocity [rad/s] after each step, and the motor's
+        torque in it [N·m], shape (T - 1, J, 3).
         """
         ...
 
@@ -167,16 +165,6 @@ class Engine(Protocol):
 # Gravity in the base's frame of an arm that stands upright.
 UPRIGHT_GRAVITY_M_S2 = (0.0, 0.0, -GRAVITY_M_S2)
 
-_LIMITS = (
-    ("step_hz", 10.0, 20_000.0),
-    ("burn_in", 1, 100_000),
-    ("samples", 2, 1_000_000),
-    ("force_nm", 0.0, 1e6),
-    ("position_gain", 0.0, 1.0),
-    ("velocity_gain", 0.0, 1.0),
-    ("solver_iterations", 1, 10_000),
-)
-
 
 @dataclass(frozen=True)
 class RolloutSettings:
@@ -184,20 +172,18 @@ class RolloutSettings:
 
     name: str  # the preset these belong to
     gravity_m_s2: tuple[float, float, float] = UPRIGHT_GRAVITY_M_S2  # of an arm that stands upright
-    step_hz: float = 240.0  # of the simulation
-    burn_in: int = 150  # steps before the first sample, while the arm converges to its path
-    samples: int = 1200  # steps that are recorded
-    force_nm: float = 500.0  # effort limit of a joint's motor
-    position_gain: float = 0.3  # share of a position error that a step takes away
-    velocity_gain: float = 1.0  # share of a velocity error likewise
-    solver_iterations: int = 200  # with 50, the default, an arm lags by up to 0.004 rad
+    step_hz: Annotated[float, 10.0, 20_000.0] = 240.0  # of the simulation
+    # Steps before the first sample, while the arm converges to its path, and those recorded.
+    burn_in: Annotated[int, 1, 100_000] = 150
+    samples: Annotated[int, 2, 1_000_000] = 1200
+    force_nm: Annotated[float, 0.0, 1e6] = 500.0  # effort limit of a joint's motor
+    position_gain: Annotated[float, 0.0, 1.0] = 0.3  # share of its error that a step takes away
+    velocity_gain: Annotated[float, 0.0, 1.0] = 1.0  # likewise
+    # With 50, the default, an arm lags by up to 0.004 rad.
+    solver_iterations: Annotated[int, 1, 10_000] = 200
     is_damped: bool = False  # with the engine's damping: 0.007 N·m rms on the circle
 
-    def __post_init__(self) -> None:
-        for name, low, high in _LIMITS:
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise UsageError(f"{name} {value:g} is not from {low:g} to {high:g}")
+    __post_init__ = check_limits
 
     def times(self) -> Array:
         """Return the times [s] the path is needed at, shape (burn_in + samples + 1,)."""
@@ -212,42 +198,20 @@ OVERLAP_M = 1e-9  # of a ball in a plane at an impact: engines act only on what 
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """How the engine solves contacts; None is the engine's default."""
+    """How the engine solves contacts."""
 
     name: str  # the preset these belong to
     gravity_m_s2: float  # downward acceleration
     # Cut the step that reaches the surface so that it ends there, and integrate flight exactly;
     # else plain fixed steps.
     meet_impacts: bool
-    resting_speed_m_s: float = 0.0  # rebounds slower than this are at rest (with `meet_impacts`)
-    contact_distance_m: float | None = None  # between surfaces, at which a contact is made
-    solver_distance_m: float | None = None  # from which the solver works on a contact
-    contact_slop_m: float | None = None  # overlap that the solver leaves
-    error_reduction: float | None = None  # fraction of an overlap that one step takes away
-    inelastic_below_m_s: float | None = None  # slower impacts have a restitution of 0
-    linear_damping: float | None = None  # fraction of its speed that a body loses in a second
-    angular_damping: float | None = None  # the same of its spin
 
 
-# The restitution that is set is the one that is got. An engine can lose or add energy at an impact
-# in four ways. A contact made ahead of the surfaces' meeting eats the rebound; error reduction
-# pushes out what has sunk in, which adds energy; a slop divided by a short step takes slop / dt off
-# the rebound speed; damping is a drag. All are off, and a step ends where it meets the surface.
-CALIBRATED = ContactSettings(
-    name="default",
-    gravity_m_s2=GRAVITY_M_S2,
-    meet_impacts=True,
-    resting_speed_m_s=0.01,
-    contact_distance_m=1e-4,
-    solver_distance_m=0.0,
-    contact_slop_m=0.0,
-    error_reduction=0.0,
-    inelastic_below_m_s=0.0,
-    linear_damping=0.0,
-    angular_damping=0.0,
-)
+# The restitution that is set is the one that is got: nothing else of the engine loses or adds
+# energy at an impact, and a step ends where the ball meets the surface.
+CALIBRATED = ContactSettings("default", GRAVITY_M_S2, meet_impacts=True)
 
 # The engine's defaults, stepped once a sample: the paper's simulator (PyBullet at 60 Hz).
-PAPER = ContactSettings(name="paper", gravity_m_s2=9.8, meet_impacts=False)
+PAPER = ContactSettings("paper", 9.8, meet_impacts=False)
 
 PRESETS = {settings.name: settings for settings in (CALIBRATED, PAPER)}

@@ -7,6 +7,7 @@ once, and the ball only where it is.
 
 from __future__ import annotations
 
+import colorsys
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -35,9 +36,9 @@ class PinholeCamera:
         for name in ("position_m", "target_m"):
             if not all(abs(value) < 1e4 for value in getattr(self, name)):
                 raise UsageError(f"camera: {name} {getattr(self, name)} is out of range")
-        low, high = 16, 8192  # a scene holds three pictures in memory, of 24 bytes a pixel
-        if not all(low <= value <= high for value in self.size_px):
-            raise UsageError(f"camera: size {self.size_px} is not from {low} to {high} px")
+        # A scene holds three pictures in memory, of 24 bytes a pixel.
+        if not all(16 <= value <= 8192 for value in self.size_px):
+            raise UsageError(f"camera: size {self.size_px} is not from 16 to 8192 px")
         if not 1 <= self.fov_deg <= 150:
             raise UsageError(f"camera: field of view {self.fov_deg:g} is not from 1 to 150 degrees")
         sideways = math.dist(self.position_m[:2], self.target_m[:2])
@@ -104,7 +105,6 @@ def random_camera(
 
 _OVERSAMPLING = 4  # rays per pixel along each side: 16 grey levels of an edge
 _MAX_RAYS = 2**17  # that are followed at once: it bounds the memory of a picture of any size
-_TEXTURE_PX = 512  # side of the floor's texture
 _LAID_PX = 128  # side of the part of the texture that covers the floor
 # Direction to the light, of any length: from above and a little aside, as lamps are.
 _LIGHT = np.array([0.35, -0.5, 2.5])
@@ -134,14 +134,15 @@ class BallScene:
         # Draw the floor's texture, grey, 0 to 255.
         import cv2
 
-        side = (_TEXTURE_PX, _TEXTURE_PX)
+        side = (512, 512)
         rough = cv2.resize(rng.normal(0, 12, (48, 48)), side, interpolation=cv2.INTER_CUBIC)
         fine = cv2.GaussianBlur(rng.normal(0, 10, side), (0, 0), 1.5)
         grey = np.clip(190 + rough + fine, 0, 255)
-        self._ground = _ground(
-            camera, floor_colour, grey[-_LAID_PX:, -_LAID_PX:].astype(np.float32)
-        )
-        self._ball_colour = 255 * _ball_colour(rng)
+        laid = grey[-_LAID_PX:, -_LAID_PX:].astype(np.float32)
+        self._ground = _ground(camera, floor_colour, laid)
+        # A saturated colour, as sold balls have.
+        hue, saturation, value = rng.random(), rng.uniform(0.6, 1.0), rng.uniform(0.5, 1.0)
+        self._ball_colour = 255 * np.array(colorsys.hsv_to_rgb(hue, saturation, value))
 
     def picture(self, centers_m: Array) -> Array:
         """Draw the ball equally long at each centre, (S, 3); RGB, 0 to 255, shape (H, W, 3)."""
@@ -209,14 +210,9 @@ def _ground(camera: PinholeCamera, colour: Array, texture: NDArray[np.float32]) 
             ((1 + np.where(hit, at, 0.0)) * (_LAID_PX / 2) - 0.5).astype(np.float32)
             for at in (u, v)
         )
-        flat = (-1, columns.shape[-1])
-        grey = cv2.remap(
-            texture,
-            columns.reshape(flat),
-            rows.reshape(flat),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        ).reshape(columns.shape)
+        x, y = (one.reshape(-1, columns.shape[-1]) for one in (columns, rows))
+        grey = cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        grey = grey.reshape(columns.shape)
         floor = np.where(hit, grey, 0.0).mean(axis=0)[:, :, None] * lit
         # What is neither floor nor ball is white: an overexposed wall or sky.
         ground[_inside(strip)] = floor + 255.0 * (1 - hit.mean(axis=0))[:, :, None]
@@ -303,11 +299,3 @@ def _inside(box: Box) -> tuple[slice, slice]:
     """Return the rows and columns of a box as slices."""
     left, top, right, bottom = box
     return slice(top, bottom), slice(left, right)
-
-
-def _ball_colour(rng: np.random.Generator) -> Array:
-    """Draw a saturated colour, as sold balls have; shape (3,), 0 to 1."""
-    import colorsys
-
-    colour = colorsys.hsv_to_rgb(rng.random(), rng.uniform(0.6, 1.0), rng.uniform(0.5, 1.0))
-    return np.array(colour)

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 AIR_KG_M3 = 1.2  # density of air at 20 degrees Celsius and sea level
-_MAX_RATIO = 1.2  # of two values of one quantity: balls of a kind differ by a few percent
 
 
 @dataclass(frozen=True)
@@ -72,8 +71,7 @@ class Ball:
     @property
     def is_denser_than_metal(self) -> bool:
         """Whether no ball is so dense: its mass is likely given in grams."""
-        # Osmium is the densest metal: a denser ball was given in grams.
-        return (self.density_kg_m3 or 0.0) > 22_590.0
+        return (self.density_kg_m3 or 0.0) > 22_590.0  # osmium, the densest metal
 
     @property
     def drag_1_m(self) -> float | None:
@@ -117,35 +115,32 @@ def ball_named(name: str) -> Ball:
 
 def recorded_ball(info: EpisodeInfo) -> Ball:
     """Return the ball as a log specifies it; impossible values count as unknown."""
-    known = BALLS.get(info.notes.get("ball", ""), Ball())
-    specified = {
-        field: value
-        for field in ("diameter_m", "mass_kg")
-        if (value := info.rig.get(f"ball_{field}")) is not None and 0 < value < inf
-    }
+    known = BALLS.get(info.notes.get("ball", ""), UNKNOWN_BALL)
+    said = {field: info.rig.get(f"ball_{field}", 0.0) for field in ("diameter_m", "mass_kg")}
     try:
-        return replace(known, **specified)
+        return replace(known, **{field: one for field, one in said.items() if 0 < one < inf})
     except UsageError:
-        return Ball()
+        return UNKNOWN_BALL
 
 
 def contradict(given: Ball, recorded: Ball) -> bool:
     """Return whether the user's and the log's diameter or mass differ by over a fifth."""
+    # Balls of a kind differ by a few percent.
     pairs = ((given.diameter_m, recorded.diameter_m), (given.mass_kg, recorded.mass_kg))
-    return any(user and log and max(user, log) > _MAX_RATIO * min(user, log) for user, log in pairs)
+    return any(user and log and max(user, log) > 1.2 * min(user, log) for user, log in pairs)
 
 
 def completed(given: Ball, recorded: Ball) -> Ball:
     """Complete the user's ball by what only the log specifies: the user may know better."""
-    if given == Ball():
+    if given == UNKNOWN_BALL:
         return recorded
-    diameter_m, mass_kg = given.diameter_m, given.mass_kg
+    missing = {
+        field: getattr(recorded, field)
+        for field in ("diameter_m", "mass_kg")
+        if getattr(given, field) is None
+    }
     try:
-        return replace(
-            given,
-            diameter_m=recorded.diameter_m if diameter_m is None else diameter_m,
-            mass_kg=recorded.mass_kg if mass_kg is None else mass_kg,
-        )
+        return replace(given, **missing)
     except UsageError:
         return given
 
@@ -180,29 +175,18 @@ def engine(name: str | None = None) -> Engine:
     )
 
 
-def ball_world(radius_m: float, contact: ContactSettings) -> BallWorld:
-    """Return a ball over a plane in the chosen engine; the last few worlds are cached.
+@lru_cache(maxsize=4)
+def ball_world(simulates: Engine, radius_m: float, contact: ContactSettings) -> BallWorld:
+    """Return a ball over a plane in an engine; the last few worlds are cached.
 
     A world costs more than many rollouts, and nothing of one remains in the next.
     """
-    return _ball_world(engine(), radius_m, contact)
-
-
-@lru_cache(maxsize=4)
-def _ball_world(simulates: Engine, radius_m: float, contact: ContactSettings) -> BallWorld:
     return simulates.ball_world(radius_m, contact)
 
 
 @contextmanager
 def simulated_by(name: str | None) -> Iterator[None]:
-    """Choose the engine within a block, also for processes started in it.
-
-    Args:
-        name: None keeps the current choice.
-
-    Raises:
-        UsageError: no such engine, or it is not installed.
-    """
+    """Choose the engine within a block, also for processes started in it; None keeps the choice."""
     before = os.environ.get(ENGINE_VARIABLE)
     if name is not None:
         engine(name)
@@ -227,9 +211,6 @@ def named_version(module: str, *packages: str) -> str:
         except PackageNotFoundError:
             continue
     return f"{module} of unknown version"
-
-
-# ---- The option of all commands that simulate
 
 
 def engine_option(group: argparse._ActionsContainer) -> argparse.Action:

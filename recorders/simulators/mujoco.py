@@ -35,20 +35,20 @@ if TYPE_CHECKING:
     from tunenet_logs.recorders.simulators.base import RolloutSettings
 
 
-# ---- The library, imported when first needed: that takes most of a second
+_NOT_OURS = (
+    "the preset {} is PyBullet's own behaviour, not MuJoCo's; take --engine pybullet, or "
+    "--preset default"
+)
 
 
 @cache
 def mujoco() -> ModuleType:
-    """Import the library's module, untyped: its stubs leave names out."""
+    """Import the library when first needed: most of a second. Its stubs leave names out."""
     import mujoco as module
 
     # what a stranger's model says in an old way, MuJoCo says at each compilation
     warnings.filterwarnings("ignore", "compiler attribute .* is deprecated", UserWarning)
     return module
-
-
-# ---- Arm: inverse dynamics along a path, and position control
 
 
 def inverse_dynamics(
@@ -75,10 +75,7 @@ def position_control(
     aims at: the joint's own, with a share of the errors of speed and position taken away.
     """
     if settings.is_damped:
-        raise UsageError(
-            f"the preset {settings.name} is PyBullet's own behaviour, not MuJoCo's; take "
-            "--engine pybullet, or --preset default"
-        )
+        raise UsageError(_NOT_OURS.format(settings.name))
     model, data = _model(arm, payload, settings.gravity_m_s2)
     solve, step = mujoco().mj_inverse, mujoco().mj_step
     model.opt.timestep = period_s = 1.0 / settings.step_hz
@@ -117,30 +114,22 @@ def _model(arm: Arm, payload: Payload | None, gravity_m_s2: Sequence[float]) -> 
 
 def _body(parent: Any, origin_m: Sequence[float], rpy: Sequence[float], weight: Inertial) -> Any:
     moments, axes = weight.principal()
+    turns = np.zeros((2, 4))  # w, x, y, z: of the body, and of its principal axes
+    for turn, rotation in zip(turns, (rotation_from_rpy(rpy), axes), strict=True):
+        mujoco().mju_mat2Quat(turn, rotation.ravel())
     return parent.add_body(
         pos=origin_m,
-        quat=_quaternion(rotation_from_rpy(rpy)),
+        quat=turns[0],
         explicitinertial=True,
         mass=weight.mass_kg,
         ipos=weight.com_m,
-        iquat=_quaternion(axes),
+        iquat=turns[1],
         # MuJoCo takes no body without inertia; this one moves no torque by 1e-9 N·m.
         inertia=np.maximum(moments, 1e-12),
     )
 
 
-def _quaternion(rotation: Array) -> Array:
-    """Convert a rotation, shape (3, 3), to w, x, y, z."""
-    quaternion = np.zeros(4)
-    mujoco().mju_mat2Quat(quaternion, rotation.ravel())
-    return quaternion
-
-
-# ---- Ball over a plane
-
-# `solimp` of a contact that is as hard as MuJoCo makes one, at every depth.
-_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-
+# The contact's `solimp`: as hard as MuJoCo makes one, at every depth.
 _BALL_MODEL = """
 <mujoco>
   <option gravity="0 0 {gravity!r}" cone="elliptic"/>
@@ -152,7 +141,8 @@ _BALL_MODEL = """
     </body>
   </worldbody>
   <contact>
-    <pair geom1="plane" geom2="ball" condim="3" friction="0 0 0 0 0" solimp="{impedance}"/>
+    <pair geom1="plane" geom2="ball" condim="3" friction="0 0 0 0 0"
+      solimp="0.9999 0.9999 0.001 0.5 2.0"/>
   </contact>
 </mujoco>
 """
@@ -163,29 +153,20 @@ class _MujocoBallWorld:
 
     def __init__(self, radius_m: float, contact: ContactSettings) -> None:
         if contact.name != CALIBRATED.name:
-            raise UsageError(
-                f"the preset {contact.name} is PyBullet's own behaviour, not MuJoCo's; take "
-                "--engine pybullet, or --preset default"
-            )
+            raise UsageError(_NOT_OURS.format(contact.name))
         self.engine = named_version("mujoco")
         self.radius_m = radius_m
         self.contact = contact
-        self._model = mujoco().MjModel.from_xml_string(
-            _BALL_MODEL.format(
-                gravity=-contact.gravity_m_s2,
-                radius=radius_m,
-                impedance=" ".join(map(repr, _IMPEDANCE)),
-            )
-        )
-        self._data = mujoco().MjData(self._model)
-        self._reset, self._step = mujoco().mj_resetData, mujoco().mj_step
-        self._derive = mujoco().mj_setConst
+        text = _BALL_MODEL.format(gravity=-contact.gravity_m_s2, radius=radius_m)
+        self._model = model = mujoco().MjModel.from_xml_string(text)
+        self._data = mujoco().MjData(model)
+        self._step = mujoco().mj_step
         self._position, self._velocity = self._data.qpos, self._data.qvel
-        self._damping = self._model.pair_solref
+        self._damping = model.pair_solref
         self._restitution = 0.0
 
     def place(self, gap_m: float, restitution: float) -> None:
-        self._reset(self._model, self._data)
+        mujoco().mj_resetData(self._model, self._data)
         self._position[2] = self.radius_m + gap_m
         self._restitution = restitution
 
@@ -206,8 +187,8 @@ class _MujocoBallWorld:
         heights_m: list[float] = []
         for _ in range(count):
             step(model, data)
-            heights_m.append(position[2])
-        return [float(height_m) for height_m in heights_m]
+            heights_m.append(float(position[2]))
+        return heights_m
 
     def impact(
         self,
@@ -226,7 +207,7 @@ class _MujocoBallWorld:
         moment = inertia_share * self.radius_m**2
         if self._model.body_inertia[1, 0] != moment:
             self._model.body_inertia[1] = moment
-            self._derive(self._model, self._data)
+            mujoco().mj_setConst(self._model, self._data)
             self.place(-OVERLAP_M, restitution)
         self._model.pair_friction[0, :2] = friction
         slip_m_s = velocity_m_s + np.cross(spin_rad_s, [0.0, 0.0, -self.radius_m])
@@ -241,8 +222,6 @@ class _MujocoBallWorld:
         self._model.opt.timestep = period_s
         self._damping[0] = 0.0, -(1 + self._restitution) / period_s
 
-
-# ---- Names that an `Engine` has beside the functions above
 
 name = named_version("mujoco")
 ball_world = _MujocoBallWorld

@@ -11,9 +11,9 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,13 @@ from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import UsageError
 from tunenet_logs.files import read_small_file
 from tunenet_logs.recorders.simulators.ball import RESTITUTION, TOPIC, SpeedLaw
-from tunenet_logs.recorders.simulators.base import CALIBRATED, GRAVITY_M_S2, BallWorld, Parameter
+from tunenet_logs.recorders.simulators.base import (
+    CALIBRATED,
+    GRAVITY_M_S2,
+    Parameter,
+    check_limits,
+    limits_of,
+)
 from tunenet_logs.recorders.simulators.known import Ball, engine
 from tunenet_logs.terminal import one_line, short_name
 
@@ -31,39 +37,24 @@ from tunenet_logs.terminal import one_line, short_name
 # The origin is where the ball touches the plane. x points horizontally towards the hoop, down the
 # plane, y to the left, z up.
 
-_Range = tuple[float, float]
+# Of each quantity: smallest and largest value, and what a rig's file says of it.
 
 _NULLABLE = ("ball.mass_kg", "ball.drag_1_m")  # what need not be known
-_LIMITS: dict[str, dict[str, _Range]] = {
-    "ball": {
-        "radius_m": (0.002, 0.5),
-        "mass_kg": (1e-4, 50.0),
-        "drag_coefficient": (0.01, 3.0),
-        "inertia_share": (0.2, 0.7),
-        "drag_1_m": (0.0, 10.0),
-    },
-    "plane": {"incline_deg": (0.0, 80.0), "downhill_m": (0.001, 10.0), "friction": (0.0, 5.0)},
-    "hoop": {
-        "forward_m": (0.01, 10.0),
-        "up_m": (-10.0, 10.0),
-        "free_radius_m": (0.002, 5.0),
-        "rim_m": (0.0005, 0.5),
-        "restitution": (0.0, 1.0),
-        "friction": (0.0, 5.0),
-    },
-    "release": {"lowest_m": (0.005, 50.0), "highest_m": (0.005, 50.0), "height_sd_m": (0.0, 0.5)},
-}
 
 
 @dataclass(frozen=True)
 class ShotBall:
     """The ball."""
 
-    radius_m: float = 0.03
-    mass_kg: float | None = 0.040  # for the air's drag; None to leave it out, or for `drag_1_m`
-    drag_coefficient: float = 0.47  # Cd; .47 is a smooth sphere's at these speeds
-    inertia_share: float = 0.4  # moment of inertia over m r^2: 2/5 if solid, 2/3 of a thin shell
-    drag_1_m: float | None = None  # measured, deceleration over speed squared; else computed
+    radius_m: Annotated[float, 0.002, 0.5] = 0.03
+    mass_kg: Annotated[float | None, 1e-4, 50.0, "for the air's drag; null leaves the air out"] = (
+        0.04
+    )
+    drag_coefficient: Annotated[float, 0.01, 3.0, "0.47: a smooth sphere's at these speeds"] = 0.47
+    inertia_share: Annotated[float, 0.2, 0.7, "over m r^2: 0.4 solid, 0.667 a thin shell"] = 0.4
+    drag_1_m: Annotated[
+        float | None, 0.0, 10.0, "measured [1/m]; null: by size, mass and drag_coefficient"
+    ] = None
 
     @property
     def air_drag_1_m(self) -> float:
@@ -80,9 +71,11 @@ class ShotBall:
 class Plane:
     """The inclined plane."""
 
-    incline_deg: float = 25.0  # from the horizontal, down towards the hoop
-    downhill_m: float = 0.15  # how far it goes on from the impact point, along its slope
-    friction: float = 0.25  # Coulomb's coefficient between ball and plane
+    incline_deg: Annotated[float, 0.0, 80.0, "from the horizontal, down towards the hoop"] = 25.0
+    downhill_m: Annotated[
+        float, 0.001, 10.0, "from the impact point to its lower edge, along its slope"
+    ] = 0.15
+    friction: Annotated[float, 0.0, 5.0, "Coulomb's coefficient between ball and plane"] = 0.25
 
     @property
     def normal(self) -> Array:
@@ -101,12 +94,12 @@ class Plane:
 class Hoop:
     """A horizontal hoop, its rim a torus."""
 
-    forward_m: float = 0.45  # its centre from the impact point, horizontally
-    up_m: float = -0.10  # likewise, vertically; negative where it is below
-    free_radius_m: float = 0.066  # of the opening
-    rim_m: float = 0.005  # thickness of the rim
-    restitution: float = 0.6  # of the ball on the rim
-    friction: float = 0.25  # likewise
+    forward_m: Annotated[float, 0.01, 10.0, "its centre, horizontally"] = 0.45
+    up_m: Annotated[float, -10.0, 10.0, "negative: below the impact point"] = -0.10
+    free_radius_m: Annotated[float, 0.002, 5.0, "of the opening"] = 0.066
+    rim_m: Annotated[float, 0.0005, 0.5, "how thick the rim is"] = 0.005
+    restitution: Annotated[float, 0.0, 1.0, "of the ball on the rim"] = 0.6
+    friction: Annotated[float, 0.0, 5.0, "likewise"] = 0.25
 
     @property
     def center_m(self) -> Array:
@@ -121,15 +114,13 @@ class Hoop:
 
 @dataclass(frozen=True)
 class Release:
-    """Heights from which the ball can be released.
+    """Heights of release: how far the ball falls until it touches the plane."""
 
-    A height is how far the ball falls until it touches the plane: 0 where the gripper holds it
-    against the impact point.
-    """
-
-    lowest_m: float = 0.25  # smallest height
-    highest_m: float = 0.85  # largest height
-    height_sd_m: float = 0.002  # standard deviation of the robot's heights
+    lowest_m: Annotated[float, 0.005, 50.0, "how far the ball falls until it touches the plane"] = (
+        0.25
+    )
+    highest_m: Annotated[float, 0.005, 50.0] = 0.85
+    height_sd_m: Annotated[float, 0.0, 0.5, "how well the robot keeps a height"] = 0.002
 
 
 @dataclass(frozen=True)
@@ -140,35 +131,32 @@ class ShotRig:
     plane: Plane = field(default_factory=Plane)
     hoop: Hoop = field(default_factory=Hoop)
     release: Release = field(default_factory=Release)
-    gravity_m_s2: float = GRAVITY_M_S2
+    gravity_m_s2: Annotated[float, 0.1, 100.0] = GRAVITY_M_S2
 
     def __post_init__(self) -> None:
-        if not 0.1 <= self.gravity_m_s2 <= 100:
-            raise UsageError(f"gravity_m_s2 {self.gravity_m_s2:g} is not from 0.1 to 100")
-        for part, limits in _LIMITS.items():
-            one = getattr(self, part)
-            for item in fields(one):
-                name, value = f"{part}.{item.name}", getattr(one, item.name)
-                low, high = limits[item.name]
+        check_limits(self)
+        for part, kind in _PARTS.items():
+            for item, (low, high, _) in limits_of(kind).items():
+                name, value = f"{part}.{item}", getattr(getattr(self, part), item)
                 if value is None and name in _NULLABLE:
                     continue
-                if value is None or not (math.isfinite(value) and low <= value <= high):
+                if value is None or not low <= value <= high:
                     told = "missing" if value is None else f"{value:g}"
                     raise UsageError(f"{name} {told} is not a number from {low:g} to {high:.6g}")
-        if self.release.lowest_m >= self.release.highest_m:
+        hoop, ball, release = self.hoop, self.ball, self.release
+        if release.lowest_m >= release.highest_m:
             raise UsageError(
-                f"release.lowest_m {self.release.lowest_m:g} is not below release.highest_m "
-                f"{self.release.highest_m:g}"
+                f"release.lowest_m {release.lowest_m:g} is not below release.highest_m "
+                f"{release.highest_m:g}"
             )
-        if self.hoop.free_radius_m <= self.ball.radius_m:
+        if hoop.free_radius_m <= ball.radius_m:
             raise UsageError(
-                f"hoop.free_radius_m {self.hoop.free_radius_m:g} lets no ball of ball.radius_m "
-                f"{self.ball.radius_m:g} through; make the hoop wider"
+                f"hoop.free_radius_m {hoop.free_radius_m:g} lets no ball of ball.radius_m "
+                f"{ball.radius_m:g} through; make the hoop wider"
             )
         # Check that the hoop is clear of the ball's fall, from the highest release.
-        hoop, ball = self.hoop, self.ball
         across = abs(hoop.forward_m - float(self.touch_m[0]))
-        highest_m = float(self.touch_m[2]) + self.release.highest_m
+        highest_m = float(self.touch_m[2]) + release.highest_m
         near_m = math.hypot(max(across - hoop.ring_radius_m, 0.0), max(hoop.up_m - highest_m, 0.0))
         if near_m <= ball.radius_m + hoop.rim_m:
             raise UsageError(
@@ -176,7 +164,7 @@ class ShotRig:
                 "plane; move it away"
             )
         try:
-            _ = self.ball.body
+            _ = ball.body
         except UsageError as error:
             raise UsageError(f"ball.mass_kg: {error}") from error
 
@@ -190,7 +178,12 @@ class ShotRig:
         return self.ball.radius_m * self.plane.normal
 
 
+_PARTS: Mapping[str, type] = {"ball": ShotBall, "plane": Plane, "hoop": Hoop, "release": Release}
+
+
 # ---- Contact with plane and rim: Newton restitution and Coulomb friction
+
+Which = NDArray[np.int64]  # numbers of balls
 
 _MIN_REBOUND_M_S = 0.01  # of a ball that would stay (5 um high): it rolls on in small hops
 _MIN_M = 1e-9  # below any length here: it only keeps a direction from being divided by 0
@@ -207,7 +200,7 @@ class BallStates:
 
 def collide(
     balls: BallStates,
-    which: NDArray[np.int64],
+    which: Which,
     normals: Array,
     restitution: Array,
     friction: float,
@@ -235,41 +228,14 @@ def collide(
 
 
 # Functions that do what `collide` does.
-Collide = Callable[[BallStates, NDArray[np.int64], Array, Array, float, ShotBall], None]
-
-
-def solved_by(world: BallWorld) -> Collide:
-    """Make a `collide` that solves impacts in the engine of `world`, one after another."""
-
-    def collide(
-        balls: BallStates,
-        which: NDArray[np.int64],
-        normals: Array,
-        restitution: Array,
-        friction: float,
-        ball: ShotBall,
-    ) -> None:
-        for index, normal, wanted in zip(which.tolist(), normals, restitution, strict=True):
-            # The axes of a frame whose z is the normal, as rows, shape (3, 3).
-            aside = np.eye(3)[int(np.argmin(np.abs(normal)))]
-            x = np.cross(aside, normal)
-            x /= np.linalg.norm(x)
-            axes = np.array([x, np.cross(normal, x), normal])
-            velocity, spin = axes @ balls.velocity_m_s[index], axes @ balls.spin_rad_s[index]
-            least = _MIN_REBOUND_M_S / max(-float(velocity[2]), 1e-9)
-            rebound = max(float(wanted), least)
-            velocity, spin = world.impact(velocity, spin, rebound, friction, ball.inertia_share)
-            balls.velocity_m_s[index], balls.spin_rad_s[index] = axes.T @ velocity, axes.T @ spin
-
-    return collide
+Collide = Callable[[BallStates, Which, Array, Array, float, ShotBall], None]
 
 
 class Board:
-    """The inclined plane, taken as infinite; `holds` says where it ends."""
+    """The inclined plane, taken as infinite."""
 
     def __init__(self, rig: ShotRig) -> None:
-        self._normal, self._downhill = rig.plane.normal, rig.plane.downhill
-        self._radius_m, self._end_m = rig.ball.radius_m, rig.plane.downhill_m
+        self._normal, self._radius_m = rig.plane.normal, rig.ball.radius_m
 
     def gaps_m(self, positions_m: Array) -> Array:
         """Compute signed gaps from the ball to the plane, (N, 3) -> (N,) [m]."""
@@ -278,10 +244,6 @@ class Board:
     def normals(self, positions_m: Array) -> Array:
         """Return the unit normals towards the balls, shape (N, 3)."""
         return np.broadcast_to(self._normal, positions_m.shape)
-
-    def holds(self, positions_m: Array) -> NDArray[np.bool_]:
-        """Return whether the board reaches as far down as the balls are, shape (N,)."""
-        return positions_m @ self._downhill <= self._end_m
 
 
 class Rim:
@@ -293,23 +255,19 @@ class Rim:
 
     def gaps_m(self, positions_m: Array) -> Array:
         """Compute signed gaps from the ball to the rim, (N, 3) -> (N,) [m]."""
-        out, up = self._from_ring(positions_m)
+        out, up = self.from_ring(positions_m)
         return np.hypot(out, up) - self._reach_m
 
     def normals(self, positions_m: Array) -> Array:
         """Compute unit normals from the rim to the balls' centres, (N, 3) -> (N, 3)."""
         offset = positions_m - self._center_m
-        out, up = self._from_ring(positions_m)
+        out, up = self.from_ring(positions_m)
         across = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), _MIN_M)
         away = np.maximum(np.hypot(out, up), _MIN_M)
         flat = offset[:, :2] * (out / across / away)[:, None]
         return np.column_stack([flat, up / away])
 
-    def is_within(self, positions_m: Array) -> NDArray[np.bool_]:
-        """Return whether centres are nearer to the hoop's axis than the rim, shape (N,)."""
-        return self._from_ring(positions_m)[0] < 0
-
-    def _from_ring(self, positions_m: Array) -> tuple[Array, Array]:
+    def from_ring(self, positions_m: Array) -> tuple[Array, Array]:
         """Return offsets from the rim's centre line, outwards and up, each of shape (N,)."""
         offset = positions_m - self._center_m
         return np.hypot(offset[:, 0], offset[:, 1]) - self._ring_m, offset[:, 2]
@@ -318,7 +276,6 @@ class Rim:
 # ---- Flights: many shots at once, from release to below the hoop
 
 Mask = NDArray[np.bool_]
-
 STEP_S = 0.002  # between positions that are kept
 COARSE_S = 0.004  # step where none is kept: it moves where a ball passes by less than 0.02 mm
 
@@ -357,7 +314,7 @@ def fly(
     run = _Run(rig, law, released, shifts, drags_1_m, has_rim, impacts)
     kept = [released.position_m.copy()] if keep else []
     # Bound a flight's duration by the fall, with drag, from the highest start.
-    low_m = min(_floor_m(rig), float(rig.touch_m[2]))
+    low_m = min(run.floor_m, float(rig.touch_m[2]))
     fall_m = float(released.position_m[:, 2].max(initial=low_m)) - low_m
     drag = float(drags_1_m.max(initial=0.0))
     fall_s = np.sqrt(2 * fall_m / rig.gravity_m_s2)
@@ -372,19 +329,7 @@ def fly(
             kept.append(released.position_m.copy())
         if run.is_over.all():
             break
-    return Flights(
-        offset_m=run.offset_m,
-        gap_m=run.gap_m,
-        is_through=run.is_through,
-        has_touched=run.has_touched,
-        impact_m_s=run.impact_m_s,
-        positions_m=np.array(kept).reshape(-1, len(shifts), 3),
-    )
-
-
-def _floor_m(rig: ShotRig) -> float:
-    # From three radii below the hoop no ball comes back.
-    return rig.hoop.up_m - 3.0 * rig.ball.radius_m
+    return replace(run.found, positions_m=np.array(kept).reshape(-1, len(shifts), 3))
 
 
 class _Run:
@@ -404,14 +349,17 @@ class _Run:
         self._rig, self._law, self._balls, self._shifts = rig, law, balls, shifts
         self._drags_1_m, self._has_air = drags_1_m, bool(drags_1_m.any())
         self._board, self._rim, self._has_rim = Board(rig), Rim(rig), has_rim
+        self.floor_m = rig.hoop.up_m - 3.0 * rig.ball.radius_m  # from so low no ball comes back
         count = len(shifts)
-        self._is_past_board = np.zeros(count, dtype=bool)
-        self.is_over = np.zeros(count, dtype=bool)
-        self.has_touched = np.zeros(count, dtype=bool)
-        self.is_through = np.zeros(count, dtype=bool)
-        self.offset_m = np.full((count, 2), np.nan)
-        self.gap_m = np.full(count, np.inf)
-        self.impact_m_s = np.full(count, np.nan)
+        self._is_past_board, self.is_over = np.zeros((2, count), dtype=bool)
+        self.found = Flights(
+            offset_m=np.full((count, 2), np.nan),
+            gap_m=np.full(count, np.inf),
+            is_through=np.zeros(count, dtype=bool),
+            has_touched=np.zeros(count, dtype=bool),
+            impact_m_s=np.full(count, np.nan),
+            positions_m=np.empty((0, count, 3)),
+        )
 
     def step(self, step_s: float) -> None:
         """Advance all unfinished balls by one step, through all impacts in it."""
@@ -421,11 +369,11 @@ class _Run:
             left = self._advance(going, left)
             going, left = going[left > 0], left[left > 0]
         # Finish the balls that fall below the hoop after their impact.
-        is_low = self._balls.position_m[:, 2] < _floor_m(self._rig)
+        is_low = self._balls.position_m[:, 2] < self.floor_m
         falls = is_low & (self._balls.velocity_m_s[:, 2] < 0)
-        self.is_over |= falls & (self._is_past_board | ~np.isnan(self.impact_m_s))
+        self.is_over |= falls & (self._is_past_board | ~np.isnan(self.found.impact_m_s))
 
-    def _advance(self, going: NDArray[np.int64], left: Array) -> Array:
+    def _advance(self, going: Which, left: Array) -> Array:
         """Advance to the end of the step or its first impact; return the time left."""
         balls, rig = self._balls, self._rig
         start, speed = balls.position_m[going], balls.velocity_m_s[going]
@@ -455,7 +403,7 @@ class _Run:
         return left - used
 
     def flown(
-        self, which: NDArray[np.int64], position: Array, velocity: Array, seconds: Array
+        self, which: Which, position: Array, velocity: Array, seconds: Array
     ) -> tuple[Array, Array]:
         """Integrate free flight exactly, or with drag by RK4; positions and velocities, (N, 3)."""
         drag, after = self._drags_1_m[which, None], seconds[:, None]
@@ -475,12 +423,7 @@ class _Run:
         return position + moved, velocity + after / 6 * (one + 2 * two + 2 * three + four)
 
     def _touch_s(
-        self,
-        surface: Board | Rim,
-        which: NDArray[np.int64],
-        start: Array,
-        speed: Array,
-        most: Array,
+        self, surface: Board | Rim, which: Which, start: Array, speed: Array, most: Array
     ) -> Array:
         """Find contact times in (0, `most`] by regula falsi, every third iteration a bisection."""
         low, high = np.zeros(len(most)), most.copy()
@@ -496,10 +439,11 @@ class _Run:
             high, below = np.where(is_out, high, middle), np.where(is_out, below, gap)
         return high
 
-    def _bounce(self, which: NDArray[np.int64], surface: Board | Rim, friction: float) -> None:
+    def _bounce(self, which: Which, surface: Board | Rim, friction: float) -> None:
         balls, ball = self._balls, self._rig.ball
         if isinstance(surface, Board) and len(which):
-            holds = surface.holds(balls.position_m[which])
+            plane = self._rig.plane
+            holds = balls.position_m[which] @ plane.downhill <= plane.downhill_m
             self._is_past_board[which[~holds]] = True
             which = which[holds]
         if not len(which):
@@ -507,24 +451,18 @@ class _Run:
         normals = surface.normals(balls.position_m[which])
         inward = -np.sum(balls.velocity_m_s[which] * normals, axis=1)
         if isinstance(surface, Board):
-            first = np.isnan(self.impact_m_s[which])
-            self.impact_m_s[which[first]] = inward[first]
+            first = np.isnan(self.found.impact_m_s[which])
+            self.found.impact_m_s[which[first]] = inward[first]
             restitution = np.clip(self._law.at(inward) + self._shifts[which], 0.0, 1.0)
         else:
-            self.has_touched[which] = True
+            self.found.has_touched[which] = True
             restitution = np.full(len(which), self._rig.hoop.restitution)
         self._collide(balls, which, normals, restitution, friction, ball)
         off = _OFF_M - surface.gaps_m(balls.position_m[which])
         balls.position_m[which] += np.maximum(off, 0.0)[:, None] * normals
 
     def _note(
-        self,
-        going: NDArray[np.int64],
-        start: Array,
-        end: Array,
-        speed: Array,
-        faster: Array,
-        used: Array,
+        self, going: Which, start: Array, end: Array, speed: Array, faster: Array, used: Array
     ) -> None:
         """Record the gap to the rim, and the crossing of the hoop's plane."""
         gaps = self._rim.gaps_m(start), self._rim.gaps_m(end)
@@ -538,27 +476,24 @@ class _Run:
             share = closing[0][rows] / (closing[0][rows] - closing[1][rows])
             between = self.flown(going[rows], start[rows], speed[rows], used[rows] * share)[0]
             nearest[rows] = np.minimum(nearest[rows], self._rim.gaps_m(between))
-        self.gap_m[going] = np.minimum(self.gap_m[going], nearest)
+        self.found.gap_m[going] = np.minimum(self.found.gap_m[going], nearest)
         level = self._rig.hoop.up_m
-        has_bounced = ~np.isnan(self.impact_m_s[going])
+        has_bounced = ~np.isnan(self.found.impact_m_s[going])
         rows = np.flatnonzero(has_bounced & (start[:, 2] >= level) & (end[:, 2] < level))
         if len(rows):
             share = (start[rows, 2] - level) / (start[rows, 2] - end[rows, 2])
             at = start[rows] + share[:, None] * (end[rows] - start[rows])
-            self.offset_m[going[rows]] = (at - self._rig.hoop.center_m)[:, :2]
-            self.is_through[going[rows]] = self._rim.is_within(at)
+            self.found.offset_m[going[rows]] = (at - self._rig.hoop.center_m)[:, :2]
+            self.found.is_through[going[rows]] = self._rim.from_ring(at)[0] < 0
 
 
 # ---- Shots: release, simulate, and record one as an episode
 
-KIND = "bounce-shot"
-
 
 def shoot(rig: ShotRig, law: SpeedLaw, heights_m: Array) -> Flights:
     """Simulate shots from these heights, shape (N,), with their paths and the rim in their way."""
-    return fly(
-        rig, law, released(rig, heights_m), np.zeros(len(heights_m)), has_rim=True, keep=True
-    )
+    start = released(rig, heights_m)
+    return fly(rig, law, start, np.zeros(len(heights_m)), has_rim=True, keep=True)
 
 
 def passes(
@@ -571,16 +506,30 @@ def passes(
 
 def shoot_in_engine(rig: ShotRig, law: SpeedLaw, height_m: float, step_s: float) -> Flights:
     """Simulate one shot with the rim, each impact solved by the chosen engine."""
-    return fly(
-        rig,
-        law,
-        released(rig, np.array([height_m])),
-        np.zeros(1),
-        has_rim=True,
-        step_s=step_s,
-        keep=True,
-        impacts=solved_by(engine().ball_world(rig.ball.radius_m, CALIBRATED)),
-    )
+    world = engine().ball_world(rig.ball.radius_m, CALIBRATED)
+
+    def solve(
+        balls: BallStates,
+        which: Which,
+        normals: Array,
+        restitution: Array,
+        friction: float,
+        ball: ShotBall,
+    ) -> None:
+        for index, normal, wanted in zip(which.tolist(), normals, restitution, strict=True):
+            # The axes of a frame whose z is the normal, as rows, shape (3, 3).
+            aside = np.eye(3)[int(np.argmin(np.abs(normal)))]
+            x = np.cross(aside, normal)
+            x /= np.linalg.norm(x)
+            axes = np.array([x, np.cross(normal, x), normal])
+            velocity, spin = axes @ balls.velocity_m_s[index], axes @ balls.spin_rad_s[index]
+            least = _MIN_REBOUND_M_S / max(-float(velocity[2]), 1e-9)
+            rebound = max(float(wanted), least)
+            velocity, spin = world.impact(velocity, spin, rebound, friction, ball.inertia_share)
+            balls.velocity_m_s[index], balls.spin_rad_s[index] = axes.T @ velocity, axes.T @ spin
+
+    start, shift = released(rig, np.array([height_m])), np.zeros(1)
+    return fly(rig, law, start, shift, has_rim=True, step_s=step_s, keep=True, impacts=solve)
 
 
 def released(rig: ShotRig, heights_m: Array) -> BallStates:
@@ -594,18 +543,13 @@ class BounceShot:
     """One shot; see `Simulator`."""
 
     rig: ShotRig
-    height_m: float  # how far the ball falls
+    height_m: Annotated[float, 0.005, 50.0, "m"]  # how far the ball falls
     slope: float = 0.0  # exponent of the restitution over speed; see `SpeedLaw`
     at_m_s: float = 3.0  # the impact's speed at which it has the restitution that is set
-    rate_hz: float = 240.0
-
+    rate_hz: Annotated[float, 1.0, 20_000.0, "Hz"] = 240.0
     parameters: tuple[Parameter, ...] = (RESTITUTION,)
 
-    def __post_init__(self) -> None:
-        if not 0.005 <= self.height_m <= 50:
-            raise UsageError(f"height_m {self.height_m:g} is not from 0.005 to 50 m")
-        if not 1 <= self.rate_hz <= 20_000:
-            raise UsageError(f"rate_hz {self.rate_hz:g} is not from 1 to 20000 Hz")
+    __post_init__ = check_limits
 
     @property
     def engine(self) -> str:
@@ -626,7 +570,7 @@ class BounceShot:
         positions_m = flights.positions_m[:: round(self.step_hz / self.rate_hz), 0]
         stamps_ns = np.round(np.arange(len(positions_m)) * (1e9 / self.rate_hz)).astype(np.int64)
         info = EpisodeInfo(
-            kind=KIND,
+            kind="bounce-shot",
             source=f"{self.engine}, bounce shot",
             rig={
                 "ball_diameter_m": 2 * self.rig.ball.radius_m,
@@ -652,42 +596,24 @@ class BounceShot:
 # More than a rig's file has: of brackets, because YAML reads nested ones in quadratic time.
 _MAX_FILE_BYTES, _MAX_BRACKETS = 20_000, 64
 
-_PARTS: Mapping[str, type] = {"ball": ShotBall, "plane": Plane, "hoop": Hoop, "release": Release}
 _GRAVITY = "gravity_m_s2"
 
-_RIG_TEXT = """\
+_RIG_HEAD = """\
 # The rig of a bounce shot. Lengths in m, from the impact point: where the ball touches the plane.
 # What is left out is as here.
-ball:
-  radius_m: {ball[radius_m]}
-  mass_kg: {ball[mass_kg]}            # for the air's drag; null leaves the air out
-  drag_coefficient: {ball[drag_coefficient]}
-  inertia_share: {ball[inertia_share]}       # over m r^2: 0.4 solid, 0.667 a thin shell
-  drag_1_m: {ball[drag_1_m]}           # measured [1/m]; null: by size, mass and drag_coefficient
-plane:
-  incline_deg: {plane[incline_deg]}        # from the horizontal, down towards the hoop
-  downhill_m: {plane[downhill_m]}         # from the impact point to its lower edge, along its slope
-  friction: {plane[friction]}
-hoop:                      # horizontal
-  forward_m: {hoop[forward_m]}          # its centre, horizontally
-  up_m: {hoop[up_m]}               # negative: below the impact point
-  free_radius_m: {hoop[free_radius_m]}     # of the opening
-  rim_m: {hoop[rim_m]}             # how thick the rim is
-  restitution: {hoop[restitution]}         # of the ball on the rim
-  friction: {hoop[friction]}
-release:                   # how far the ball falls until it touches the plane
-  lowest_m: {release[lowest_m]}
-  highest_m: {release[highest_m]}
-  height_sd_m: {release[height_sd_m]}       # how well the robot keeps a height
-gravity_m_s2: {gravity_m_s2}
 """
 
 
 def rig_text(rig: ShotRig) -> str:
     """Format the rig as a commented file."""
-    told = asdict(rig)
-    told["ball"] = {key: "null" if one is None else one for key, one in told["ball"].items()}
-    return _RIG_TEXT.format(**told)
+    lines: list[str] = []
+    for part, kind in _PARTS.items():
+        lines.append(f"{part}:")
+        for name, (_, _, remark) in limits_of(kind).items():
+            value = getattr(getattr(rig, part), name)
+            line = f"  {name}: {'null' if value is None else value}"
+            lines.append(f"{line:<27}# {remark}" if remark else line)
+    return _RIG_HEAD + "\n".join((*lines, f"{_GRAVITY}: {rig.gravity_m_s2}", ""))
 
 
 def read_rig(path: Path) -> ShotRig:
@@ -697,17 +623,15 @@ def read_rig(path: Path) -> ShotRig:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); give --rig a file") from error
     except ValueError as error:
-        raise UsageError(
-            f"{path}: {error}, and no rig's file is; give --rig such a file"
-        ) from error
+        what = f"{error}, and no rig's file is; give --rig such a file"
+        raise UsageError(f"{path}: {what}") from error
     try:
         told = _loaded(data)
         values = _mapping(told, "the file", [*_PARTS, _GRAVITY])
         given: dict[str, Any] = {}
         for name, kind in _PARTS.items():
             if name in values:
-                known = [item.name for item in fields(kind)]
-                part = _mapping(values[name], name, known)
+                part = _mapping(values[name], name, list(limits_of(kind)))
                 given[name] = kind(
                     **{key: _number(f"{name}.{key}", one) for key, one in part.items()}
                 )

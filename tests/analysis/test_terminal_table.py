@@ -41,13 +41,13 @@ def test_the_table_shows_the_truth_only_where_a_log_states_one(drop_log: Path, t
 def test_an_interval_has_as_many_decimals_as_its_width_asks_for(
     low: float, high: float, words: str
 ):
-    assert interval_words(low, high) == words
+    assert interval_words((low, high)) == words
 
 
 def test_no_interval_reads_as_certainty(drop_log: Path):
     tuning = tune_log(drop_log, TuneOptions())
     assert tuning.interval95 is not None
-    words = interval_words(*tuning.interval95[0])
+    words = interval_words(tuple(tuning.interval95[0]))
     low, high = words.split(" to ")
     assert low != high
     assert words in table([rowed(tuning)])

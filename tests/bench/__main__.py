@@ -19,16 +19,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Section:
-    """Module of `tests.bench` whose `figures(**counts)` prints its lines and returns its figures.
-
-    Attributes:
-        counts: of the whole run.
-        quick: of the quick one.
-    """
+    """Module of `tests.bench` whose `figures(**counts)` prints its lines and returns figures."""
 
     module: str
-    counts: Mapping[str, Any] = field(default_factory=dict)
-    quick: Mapping[str, Any] = field(default_factory=dict)
+    counts: Mapping[str, Any] = field(default_factory=dict)  # of the whole run
+    quick: Mapping[str, Any] = field(default_factory=dict)  # of the quick one
 
 
 SECTIONS = {

@@ -46,25 +46,17 @@ _EXACT = 1e-9  # largest difference of values in a group without any interval
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to one log.
+    """Answer to one log."""
 
-    Attributes:
-        group: the line of the table that it counts in.
-        sha256: of the log.
-        truth: of the first parameter; None where nobody knows.
-        values: by parameter, a number or a list of them; none for a rejected log.
-        intervals: 95 %, likewise; None where none was given.
-        failed: names of the checks that it did not pass.
-    """
-
-    group: str
-    sha256: str
-    truth: float | None
+    group: str  # the line of the table that it counts in
+    sha256: str  # of the log
+    truth: float | None  # of the first parameter; None where nobody knows
     verdict: str
     reason: str
+    # By parameter, a number or a list of them; none for a rejected log.
     values: Mapping[str, float | list[float]]
-    intervals: Mapping[str, list | None]
-    failed: Sequence[str]
+    intervals: Mapping[str, list | None]  # 95 %, likewise; None where none was given
+    failed: Sequence[str]  # names of the checks that it did not pass
 
     def half_width(self, name: str) -> Array | None:
         """Return half the width of a parameter's interval, one for each of its numbers."""
@@ -193,20 +185,14 @@ _BALL_START_NS = 1_700_000_000_000_000_000
 
 @dataclass(frozen=True)
 class FixedLog:
-    """Log of the set.
+    """Log of the set."""
 
-    Attributes:
-        name: its key, the same in every run.
-        group: the line of the table that it counts in.
-        truth: the first parameter as the log was made with; None where nobody knows.
-        tare: the empty run that goes with it.
-    """
-
-    name: str
-    group: str
+    name: str  # its key, the same in every run
+    group: str  # the line of the table that it counts in
     path: Path
+    # The first parameter as the log was made with; None where nobody knows.
     truth: float | None = None
-    tare: Path | None = None
+    tare: Path | None = None  # the empty run that goes with it
 
 
 def given_logs() -> list[FixedLog]:
@@ -327,15 +313,10 @@ _MAX_S = 900
 
 @dataclass(frozen=True)
 class Answers:
-    """Answers of one version of the code.
+    """Answers of one version of the code."""
 
-    Attributes:
-        logs: by name.
-        campaign: what `tunenet-review` printed of the sample campaign, without paths.
-    """
-
-    logs: Mapping[str, Answer]
-    campaign: str
+    logs: Mapping[str, Answer]  # by name
+    campaign: str  # what `tunenet-review` printed of the sample campaign, without paths
 
 
 def tuned(log: FixedLog) -> Answer:

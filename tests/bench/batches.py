@@ -87,10 +87,9 @@ def rates(folder: Path, out: Path) -> dict[str, Any]:
         "two processes": Timed(partial(streamed, jobs=2)),
     }
     if find_spec("ray"):
-        from tunenet_logs.analysis.batch.run import on_ray
-        from tunenet_logs.analysis.parallel import HERE, Cluster
+        from tunenet_logs.analysis.parallel import HERE, Cluster, on_cluster
 
-        ways["two workers of Ray"] = Timed(partial(on_ray, Cluster(HERE, 2)))
+        ways["two workers of Ray"] = Timed(partial(on_cluster, Cluster(HERE, 2)))
     writing = Writing(reviewed=frozenset())
     found: dict[str, Any] = {}
     for name, way in ways.items():

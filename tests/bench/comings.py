@@ -42,19 +42,12 @@ BEGUN_BYTES = 100_000
 
 @dataclass(frozen=True)
 class Ran:
-    """Result of one recording.
+    """Result of one recording."""
 
-    Attributes:
-        wrong: what is, in words; "" where nothing.
-        verdict: of the tuner; "not tuned" where it was not asked.
-        gap_s: the length of its gap; 0 without one.
-        stop_s: from Ctrl-C to the end of the process; 0 where it ended by itself.
-    """
-
-    wrong: str
-    verdict: str
-    gap_s: float
-    stop_s: float
+    wrong: str  # what is, in words; "" where nothing
+    verdict: str  # of the tuner; "not tuned" where it was not asked
+    gap_s: float  # the length of its gap; 0 without one
+    stop_s: float  # from Ctrl-C to the end of the process; 0 where it ended by itself
 
 
 _RECORD = (sys.executable, "-m", "tunenet_logs.recorders.cli")
@@ -166,22 +159,14 @@ def _tuned(log: Path, gaps: tuple[Gap, ...], first_ns: int) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Planned:
-    """One recording to come.
+    """One recording to come."""
 
-    Attributes:
-        kind: of camera, by its name in `KINDS`.
-        number: of this fault; what is random in it follows from these three.
-        wait_s: until a late camera comes.
-        film: what it shows.
-        is_tuned: whether the tuner is asked for its verdict.
-    """
-
-    kind: str
+    kind: str  # of camera, by its name in `KINDS`
     fault: str
-    number: int
-    wait_s: float
-    film: Path
-    is_tuned: bool
+    number: int  # of this fault; what is random in it follows from these three
+    wait_s: float  # until a late camera comes
+    film: Path  # what it shows
+    is_tuned: bool  # whether the tuner is asked for its verdict
 
     @property
     def returns(self) -> bool:

@@ -33,19 +33,9 @@ _BOTH = (PICTURES, JOINTS)
 
 
 def end_one(number: int, seconds: float, topics: Sequence[str]) -> float:
-    """Record, end it with a signal after so long, check the log, and return what is missing [s].
+    """Record, send signal `number` after so long, check the log; return what is missing [s].
 
-    Args:
-        number: of the signal.
-        seconds: from the moment on when it records.
-        topics: what to record.
-
-    Returns:
-        The data that is missing at the end [s]; 0 for a recording that was not killed.
-
-    Raises:
-        AssertionError: the log is not what it should be.
-        TuneNetError: it does not open.
+    It is 0 for a recording that was not killed.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -74,21 +74,13 @@ def rebound(
 
 @dataclass(frozen=True)
 class Row:
-    """Way to use an engine's file.
+    """Way to use an engine's file."""
 
-    Attributes:
-        label: in the table.
-        step: in words.
-        step_s: given to the file; None for its own.
-        for_each: whether each height has a file for its own impact's speed.
-        how: passed on to `dropped`.
-    """
-
-    label: str
-    step: str
-    step_s: float | None = None
-    for_each: bool = False
-    how: Mapping[str, float] = field(default_factory=dict)
+    label: str  # in the table
+    step: str  # in words
+    step_s: float | None = None  # given to the file; None for its own
+    for_each: bool = False  # whether each height has a file for its own impact's speed
+    how: Mapping[str, float] = field(default_factory=dict)  # passed on to `dropped`
 
     def options(self, height_m: float) -> ExportOptions:
         """Return what the user says for a drop from a height."""

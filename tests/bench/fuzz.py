@@ -35,13 +35,9 @@ _EDGES = (0, 1, 8, 22, 255, 65_535, 2**31 - 1, 2**32 - 1)
 
 @dataclass
 class Costs:
-    """CPU costs of the logs until now.
+    """CPU costs of the logs until now."""
 
-    Attributes:
-        usual_s: CPU for a byte of a whole log, the median.
-    """
-
-    usual_s: float
+    usual_s: float  # CPU for a byte of a whole log, the median
     logs: int = 0
     slowest_small: tuple[float, int] = (0.0, 0)
     ratios: list[float] = field(default_factory=list)
@@ -52,11 +48,7 @@ class Costs:
         return cpu_s > most_s
 
     def add(self, size: int, cpu_s: float) -> None:
-        """Count a log.
-
-        Raises:
-            RuntimeError: it took more than it may.
-        """
+        """Count a log; RuntimeError where it took more than it may."""
         self.logs += 1
         if self.logs % _REPORT_EVERY == 0:
             print(self.told(), file=sys.stderr, flush=True)
@@ -137,11 +129,7 @@ class Bench:
         return time.process_time() - start
 
     def one(self, data: bytes) -> float:
-        """Count a log, and return its CPU time [s].
-
-        Raises:
-            RuntimeError: it took more than it may.
-        """
+        """Count a log, and return its CPU time [s]; RuntimeError as in `add`."""
         spent_s = self.cost_s(data)
         if self.costs.is_over(len(data), spent_s):  # a busy machine makes caches cold
             spent_s = min(spent_s, self.cost_s(data), self.cost_s(data))

@@ -24,21 +24,13 @@ VERDICTS = ("ok", "suspect", "rejected")  # in the order of the tables
 
 @dataclass(frozen=True, eq=False)
 class LabDrop:
-    """Drop as a laboratory sees it.
+    """Drop as a laboratory sees it."""
 
-    Attributes:
-        restitution: at the first impact.
-        impact_speed_m_s: of the first impact, downward.
-        rate_hz: of the samples.
-        seconds: of the samples, from 0, shape (T,).
-        xyz_m: seen places, z up, with noise, NaN where the ball was not seen, shape (T, 3).
-    """
-
-    restitution: float
-    impact_speed_m_s: float
-    rate_hz: float
-    seconds: Array
-    xyz_m: Array
+    restitution: float  # at the first impact
+    impact_speed_m_s: float  # of the first impact, downward
+    rate_hz: float  # of the samples
+    seconds: Array  # of the samples, from 0, shape (T,)
+    xyz_m: Array  # seen places, z up, with noise, NaN where the ball was not seen, shape (T, 3)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -51,10 +43,7 @@ def random_drop(
 ) -> LabDrop:
     """Draw a ball held, let go, bouncing, and at rest if there is time.
 
-    Args:
-        rng: of all that is drawn.
-        most_unseen: share of the samples that may be missing.
-        with_gaps: whether half of these are missing in gaps of 20 to 150 ms, not one by one.
+    Up to `most_unseen` of the samples are missing; with gaps, half of them in gaps of 20 to 150 ms.
     """
     restitution, slope = float(rng.uniform(0.4, 0.93)), float(rng.uniform(0.0, 0.12))
     drag_1_m, drop_m = float(rng.uniform(0.0, 0.15)), float(rng.uniform(0.4, 2.0))

@@ -40,24 +40,15 @@ _ANOTHER = 0.05  # distance from the truth from which on it was not the ball tha
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result for one file.
+    """Result for one file."""
 
-    Attributes:
-        layout: and, of several bodies, what they were.
-        how: what was drawn, in words, with the drop's number.
-        verdict: of the file, and of the table beside it.
-        apart: distance of the values in widths of the table's interval; NaN without both.
-        off: distance from the truth in half widths; NaN without a value.
-        failures: in words.
-    """
-
-    layout: str
-    how: str
-    verdict: str
+    layout: str  # and, of several bodies, what they were
+    how: str  # what was drawn, in words, with the drop's number
+    verdict: str  # of the file, and of the table beside it
     plain: str
-    apart: float
-    off: float
-    failures: tuple[str, ...]
+    apart: float  # distance of the values in widths of the table's interval; NaN without both
+    off: float  # distance from the truth in half widths; NaN without a value
+    failures: tuple[str, ...]  # in words
 
 
 def tuned(path: Path) -> Tuning:

@@ -17,16 +17,11 @@ from tunenet_logs.episode import Array
 
 @dataclass(frozen=True)
 class Written:
-    """File of a layout.
+    """File of a layout."""
 
-    Attributes:
-        path: of it.
-        how: unit, orientation and what else was drawn, in words.
-        tells_metres: whether a reader can know metres and seconds, from names or from gravity.
-    """
-
-    path: Path
-    how: str
+    path: Path  # of it
+    how: str  # unit, orientation and what else was drawn, in words
+    # Whether a reader can know metres and seconds, from names or from gravity.
     tells_metres: bool = True
 
 

@@ -42,22 +42,14 @@ Stamps = NDArray[np.int64]  # in ns, shape (T,)
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of modification of a log.
+    """Kind of modification of a log."""
 
-    Attributes:
-        is_pose: whether metres are named; else nothing is.
-        length_m: metres in one of its units; None for pixels of a drawn scale.
-        clock: seconds of the log for each true one.
-        up: which axis is up, see `oriented`.
-        tilt_deg: of a table's or camera's frame off the vertical.
-        named: what a reason has to say, one of these; () where the log is as it says.
-    """
-
-    is_pose: bool
-    length_m: float | None = 1.0
-    clock: float = 1.0
-    up: str = "z"
-    tilt_deg: float = 0.0
+    is_pose: bool  # whether metres are named; else nothing is
+    length_m: float | None = 1.0  # metres in one of its units; None for pixels of a drawn scale
+    clock: float = 1.0  # seconds of the log for each true one
+    up: str = "z"  # which axis is up, see `oriented`
+    tilt_deg: float = 0.0  # of a table's or camera's frame off the vertical
+    # What a reason has to say, one of these; () where the log is as it says.
     named: tuple[str, ...] = ()
 
 
@@ -91,22 +83,15 @@ KINDS: Mapping[str, Kind] = {
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to one log.
-
-    Attributes:
-        off: of the restitution; NaN where it was rejected.
-        held: whether its interval holds the truth; None without an interval.
-        speed_off: of the first impact, as a fraction; NaN where none is reported.
-        failures: in words.
-    """
+    """Answer to one log."""
 
     kind: str
     index: int
     verdict: str
-    off: float
-    held: bool | None
-    speed_off: float
-    failures: tuple[str, ...]
+    off: float  # of the restitution; NaN where it was rejected
+    held: bool | None  # whether its interval holds the truth; None without an interval
+    speed_off: float  # of the first impact, as a fraction; NaN where none is reported
+    failures: tuple[str, ...]  # in words
 
 
 def made_log(kind: Kind, rng: np.random.Generator) -> tuple[LabDrop, float, Stamps, Array]:

@@ -42,17 +42,11 @@ AT_ONCE = 2
 
 
 class Film(NamedTuple):
-    """Film of a drop.
+    """Film of a drop."""
 
-    Attributes:
-        path: its log.
-        pictures: JPEGs.
-        taken_s: when they were taken, shape (T,).
-    """
-
-    path: Path
-    pictures: list[bytes]
-    taken_s: NDArray[np.float64]
+    path: Path  # its log
+    pictures: list[bytes]  # JPEGs
+    taken_s: NDArray[np.float64]  # when they were taken, shape (T,)
 
 
 def film(folder: Path, number: int) -> Film:

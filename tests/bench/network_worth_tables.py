@@ -15,20 +15,14 @@ SAME = 0.1  # of an interval's half width: a smaller difference of two values te
 
 @dataclass(frozen=True)
 class Pair:
-    """Results of `LOG_METHODS` on one log, in that order; NaN where nothing was answered.
-
-    Attributes:
-        half_width: of the exact fit's 95 % interval, shown or not.
-        rollouts: of the whole tuning, the one that checks the answer among them.
-        seconds: of the stage "tune".
-    """
+    """Results of `LOG_METHODS` on one log, in that order; NaN where nothing was answered."""
 
     kind: str
     truth: float
     values: tuple[float, ...]
-    half_width: float
-    rollouts: tuple[float, ...]
-    seconds: tuple[float, ...]
+    half_width: float  # of the exact fit's 95 % interval, shown or not
+    rollouts: tuple[float, ...]  # of the whole tuning, the one that checks the answer among them
+    seconds: tuple[float, ...]  # of the stage "tune"
 
     @property
     def apart(self) -> float:

@@ -1,4 +1,4 @@
-"""The ten commands, each in a process of its own, for `tests.bench.promises`.
+"""Run the commands, each in a process of its own, for `tests.bench.promises`.
 
 They are those of `pyproject.toml`, so that nothing here depends on how the inside is cut.
 """
@@ -32,16 +32,11 @@ _MAX_S = 120
 
 @dataclass(frozen=True)
 class Ran:
-    """What a command did in a folder.
+    """What a command did in a folder."""
 
-    Attributes:
-        code: its exit code.
-        out, err: what it said, the folder called DIR.
-    """
-
-    code: int
-    out: str
-    err: str
+    code: int  # its exit code
+    out: str  # what it said, the folder called DIR
+    err: str  # likewise
 
 
 def ran(words: Sequence[str], folder: Path, stdin: bytes = b"") -> Ran:
@@ -57,7 +52,7 @@ def ran(words: Sequence[str], folder: Path, stdin: bytes = b"") -> Ran:
 
 
 def digest(data: bytes) -> str:
-    """The SHA-256."""
+    """Return the SHA-256."""
     return hashlib.sha256(data).hexdigest()
 
 

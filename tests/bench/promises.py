@@ -1,4 +1,4 @@
-"""What the commands promise beside their tunings, to hold later versions of the code against.
+"""Record what the commands promise beside their tunings, to hold later versions against.
 
     python -m tests.bench.promises --write DIR     make the inputs, keep them and all answers in DIR
     python -m tests.bench.promises --compare DIR   answer the same inputs again: what has moved?
@@ -126,7 +126,7 @@ def write(folder: Path, parts: Mapping[str, Part]) -> None:
 
 
 def compare(folder: Path, parts: Mapping[str, Part]) -> bool:
-    """Ask again, and print what has moved; whether nothing has."""
+    """Ask again, and print what has moved; return whether nothing has."""
     moved = 0
     for name, part in parts.items():
         if not (file := folder / f"{name}.json").exists():

@@ -1,4 +1,4 @@
-"""What the ten commands say: parts of `tests.bench.promises`.
+"""Record what the commands say: parts of `tests.bench.promises`.
 
 `help` asks every command and subcommand for its help, version and completions; `refusals` runs the
 lines of `refusals.txt`; `recorders` is `tests.bench.promises_recorders`.
@@ -36,7 +36,7 @@ _TOOK = re.compile(
 
 
 def all_help(folder: Path) -> dict[str, str]:
-    """Every help as it is, versions, and the digests of the shells' completions."""
+    """Return every help as it is, versions, and the digests of the shells' completions."""
     commands = [[name] for name in SCRIPTS]
     below = [[name, one] for name, ones in SUBCOMMANDS.items() for one in ones]
     shells = [["--print-completion", one] for one in ("bash", "zsh", "tcsh")]
@@ -54,7 +54,7 @@ def all_help(folder: Path) -> dict[str, str]:
 
 
 def refusals(folder: Path) -> dict[str, str]:
-    """What each line of `refusals.txt` answers and leaves, in a copy of the inputs."""
+    """Return what each line of `refusals.txt` answers and leaves, in a copy of the inputs."""
     folder = folder / "commands"
     if not folder.exists():
         _make_inputs(folder)
@@ -66,7 +66,7 @@ def refusals(folder: Path) -> dict[str, str]:
 
 
 def _swept(line: str) -> Iterator[list[str]]:
-    """A line, and after a sign the same with each option of its command, right or wrong."""
+    """Yield a line, and after a sign the same with each option of its command, right or wrong."""
     sign, line = (line[0], line[2:]) if line[0] in "+?" else ("", line)
     words = line.split()
     yield words

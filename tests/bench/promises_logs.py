@@ -1,4 +1,4 @@
-"""What `tests.bench.promises` records of logs: each as it is read, and as `info` shows it.
+"""Record each log as it is read, and as `info` shows it: a part of `tests.bench.promises`.
 
 The logs: samples, recordings and cases of others, one file of each kind, small files that hurt, and
 all that the tests of `tunenet_logs` leave behind.

@@ -1,4 +1,4 @@
-"""What `tunenet-record` writes, from each kind of source: a part of `tests.bench.promises`.
+"""Record by `tunenet-record` from each kind of source: a part of `tests.bench.promises`.
 
 Of a simulation or a file all of it is told; of a source that has a clock of its own, what is
 neither a time nor due to one. MCAP's own reader reads the logs.
@@ -32,21 +32,14 @@ _STAMP_BYTES = 12  # of a message with a header: CDR's own four bytes, seconds a
 
 @dataclass(frozen=True)
 class Recording:
-    """A log to record.
+    """A log to record."""
 
-    Attributes:
-        words: after `tunenet-record`; SOURCE is what `source` says.
-        source: a server, while it is recorded.
-        live: whether its times and its pace are a clock's.
-        uncounted: topics whose messages have no number of their own.
-        stdin: a file of the inputs that is piped in.
-    """
-
-    words: str
+    words: str  # after `tunenet-record`; SOURCE is what `source` says
+    # A server, while it is recorded.
     source: Callable[[], AbstractContextManager[str]] = field(default=lambda: nullcontext(""))
-    live: bool = False
-    uncounted: tuple[str, ...] = ()
-    stdin: str = ""
+    live: bool = False  # whether its times and its pace are a clock's
+    uncounted: tuple[str, ...] = ()  # topics whose messages have no number of their own
+    stdin: str = ""  # a file of the inputs that is piped in
 
 
 _OPENING = Lock()
@@ -139,7 +132,7 @@ def _recorded(inputs: Path, recording: Recording) -> str:
 
 
 def _timeless(text: str, *, live: bool) -> str:
-    """What was said of a live source, without numbers, gaps, and how even its clock was."""
+    """Return what was said of a live source, without numbers, gaps, and its clock's evenness."""
     if not live:
         return text
     text = re.sub(r", stamps: [^()]*(\([^()]*\))?|, (no|\d+) gaps?[^,;]*", "", text)

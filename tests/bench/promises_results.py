@@ -1,4 +1,4 @@
-"""What `tests.bench.promises` records of results: reviews, exports, reports.
+"""Record reviews, exports and reports: a part of `tests.bench.promises`.
 
 Commands run as a user runs them, in a copy of a bench: the samples, what the gallery's commands
 need beside them, and tunings that were kept when the bench was made.
@@ -22,7 +22,7 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
-from docs.make_pictures import sections
+from docs.make_pictures import GALLERY, SECTION
 from tests.bench.promises import ROOT, SETTINGS, SHARED, Part, Texts, apart, digest, once, together
 
 _TEXTS = {".json", ".html", ".csv", ".xml", ".sdf", ".urdf", ".usda", ".py", ".yaml"}
@@ -129,7 +129,8 @@ def _make_bench(folder: Path) -> None:
     shutil.copytree(ROOT / "sample_logs", folder / "sample_logs")
     if _ARM_BAG.is_file():
         shutil.copyfile(_ARM_BAG, folder / "arm.bag")
-    runs = {one.picture.stem: one.commands.splitlines() for one in sections()}
+    sections = SECTION.finditer(GALLERY.read_text())
+    runs = {Path(one["picture"]).stem: one["commands"].splitlines() for one in sections}
     ours = {name: [line for line in lines if line.startswith("tunenet-")]
             for name, lines in runs.items()}  # fmt: skip
     told = {name: "\n".join(lines) for name, lines in ours.items()} | _MORE_RUNS

@@ -45,17 +45,11 @@ DOUBTFUL = ("160 x 120", "six of a hundred twice")  # ways that need not be "ok"
 
 @dataclass(frozen=True)
 class Way:
-    """Way to store a drop.
+    """Way to store a drop."""
 
-    Attributes:
-        name: of the file; its suffix is part of what is tried.
-        store: writes it.
-        rate_hz: what a user says of it, as `--fps`; None for nothing.
-    """
-
-    name: str
-    store: Store
-    rate_hz: float | None = None
+    name: str  # of the file; its suffix is part of what is tried
+    store: Store  # writes it
+    rate_hz: float | None = None  # what a user says of it, as `--fps`; None for nothing
 
 
 def rendered() -> Episode:

@@ -30,18 +30,10 @@ def write_video(
     rotated_deg: int = 0,
     options: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a video file.
+    """Write a video file; codec, pixels, container and options are as FFmpeg calls them.
 
-    Args:
-        path: its suffix gives the container where that is not named.
-        pictures: to store.
-        codec: as FFmpeg calls its encoder.
-        rate_hz: at which the file plays.
-        pixels: as FFmpeg calls their format.
-        container: as FFmpeg calls it.
-        ticks: stamps of the pictures [1/90000 s]; even ones if None.
-        rotated_deg: by how much a player is to turn what is stored.
-        options: of the encoder.
+    `ticks` are the pictures' stamps [1/90000 s], even ones if None; `rotated_deg` is by how much a
+    player is to turn what is stored.
     """
     logging.set_level(None)
     height, width = pictures[0].shape[:2]

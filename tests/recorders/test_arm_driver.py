@@ -19,7 +19,7 @@ from tunenet_logs.recorders.simulators.arm.payload import (
     driver_episode,
     joint_efforts_nm,
     perturbed,
-    real_driver,
+    through_kinovas_driver,
 )
 
 ARM = jaco()
@@ -84,7 +84,7 @@ def test_an_arm_that_differs_from_its_description():
 
 
 def test_fields_are_new_at_their_own_rates_and_repeated_between():
-    disturbances = real_driver(3, ARM)
+    disturbances = through_kinovas_driver(drawn(3, ARM))
     episode = driver_episode(ARM, PATH, HELD, disturbances)
     stamps = episode.signals["/joint_states.effort"].stamps_ns
     seconds = (stamps[-1] - stamps[0]) * 1e-9
@@ -98,16 +98,16 @@ def test_fields_are_new_at_their_own_rates_and_repeated_between():
 
 
 def test_a_slow_driver_has_nothing_stale():
-    episode = driver_episode(ARM, PATH, HELD, real_driver(3, ARM, rate_hz=10))
+    episode = driver_episode(ARM, PATH, HELD, through_kinovas_driver(drawn(3, ARM), 10))
     assert episode.signals["/joint_states.effort"].rate_hz == pytest.approx(10, rel=0.02)
     for part in ("position", "velocity", "effort"):
         assert np.all(np.any(np.diff(of(episode, part), axis=0) != 0, axis=1))
 
 
 def test_the_same_seed_is_the_same_arm_on_another_run():
-    disturbances = real_driver(5, ARM)
+    disturbances = through_kinovas_driver(drawn(5, ARM))
     first = driver_episode(ARM, PATH, HELD, disturbances)
-    again = driver_episode(ARM, PATH, HELD, real_driver(5, ARM))
+    again = driver_episode(ARM, PATH, HELD, through_kinovas_driver(drawn(5, ARM)))
     assert np.array_equal(of(first, "effort"), of(again, "effort"))
     assert first.info == again.info
     tare = disturbances.another_run()
@@ -160,4 +160,4 @@ def test_disturbances_of_other_arms_and_paths_too_short_are_refused():
     with pytest.raises(UsageError, match="position_hz"):
         FieldClock(position_hz=0.0)
     with pytest.raises(UsageError, match="too short"):
-        driver_episode(ARM, circle(240, 0.05), None, real_driver(1, ARM))
+        driver_episode(ARM, circle(240, 0.05), None, through_kinovas_driver(drawn(1, ARM)))

@@ -18,7 +18,6 @@ from tunenet_logs.recorders.simulators.arm.path import (
     circle_at,
     eased,
     link_poses,
-    link_positions_m,
     path_from_file,
     random_path,
     read_path_file,
@@ -50,7 +49,7 @@ def test_the_tool_goes_round_the_papers_circle():
     wanted = np.column_stack(
         [np.full(len(angle), -0.4), 0.2 * np.cos(angle), 0.3 + 0.2 * np.sin(angle)]
     )
-    assert np.abs(link_positions_m(ARM, path.position_rad)[:, -1] - wanted).max() < 1e-9
+    assert np.abs(link_poses(ARM, path.position_rad).position_m[:, -1] - wanted).max() < 1e-9
     assert share_of_speed(path, ARM) < 0.71
     check_derivatives(path, 1e-4)
     turn_later = circle_at(path.seconds + 2 * np.pi / CIRCLE_RAD_S)
@@ -76,7 +75,7 @@ def test_random_motions_are_smooth_and_allowed(seed: int):
     check_derivatives(path, 1e-3)
     again = random_path(ARM, seed, rate_hz=240)
     assert np.array_equal(path.position_rad, again.position_rad)
-    assert link_positions_m(ARM, path.position_rad)[:, -1, 2].min() > 0
+    assert link_poses(ARM, path.position_rad).position_m[:, -1, 2].min() > 0
 
 
 @pytest.mark.parametrize("lasts_s", [5.0, 0.8])
@@ -88,7 +87,7 @@ def test_an_eased_path_goes_the_same_way_from_rest_to_rest(lasts_s: float):
     assert np.abs(easy.acceleration_rad_s2[[0, -1]]).max() < 1e-9
     assert np.abs(easy.position_rad[[0, -1]] - path.position_rad[[0, -1]]).max() < 1e-9
     assert share_of_speed(easy, ARM) <= share_of_speed(path, ARM) + 1e-6
-    tool_m = link_positions_m(ARM, easy.position_rad)[:, -1] - [-0.4, 0.0, 0.3]
+    tool_m = link_poses(ARM, easy.position_rad).position_m[:, -1] - [-0.4, 0.0, 0.3]
     assert np.abs(np.hypot(tool_m[:, 1], tool_m[:, 2]) - 0.2).max() < 1e-6
 
 

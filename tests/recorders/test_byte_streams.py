@@ -23,6 +23,7 @@ from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs.errors import CameraError, UsageError
 from tunenet_logs.recorders.camera.base import CapturedFrame
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.sources import open_source
 
 pytestmark = pytest.mark.live
@@ -32,7 +33,7 @@ FRAGMENTS = {"movflags": "frag_keyframe+empty_moov"}
 
 def shots(text: str, timeout_s: float = LAST_RESORT_S) -> tuple[list[CapturedFrame], str]:
     """All that a source delivers, and why it ended."""
-    source = open_source(text, timeout_s=timeout_s)
+    source = open_source(text, CameraOptions(stall_s=timeout_s))
     return list(source.frames()), source.ended
 
 
@@ -95,7 +96,7 @@ def test_what_is_no_stream_is_told_in_one_line(answer: Answer, says: str):
         serving({"/x": answer}) as place,
         pytest.raises(CameraError, match=rf"^http://{place}/x: .*{says}"),
     ):
-        open_source(f"{place}/x", timeout_s=LAST_RESORT_S)
+        open_source(f"{place}/x", CameraOptions(stall_s=LAST_RESORT_S))
 
 
 @pytest.mark.parametrize("kind", ["mpegts", "matroska", "h264"])
@@ -123,7 +124,7 @@ def test_datagrams_come_from_the_first_sender_alone():
     ):
         sending = threading.Thread(target=send, daemon=True)
         sending.start()
-        source = open_source(f"udp://@:{port}", timeout_s=LAST_RESORT_S)
+        source = open_source(f"udp://@:{port}", CameraOptions(stall_s=LAST_RESORT_S))
         seen = list(islice(source.frames(), 60))
         source.close()
         sending.join(LAST_RESORT_S)  # before its sockets are closed
@@ -145,7 +146,7 @@ def test_rtp_in_datagrams_is_told():
         sending = threading.Thread(target=send, daemon=True)
         sending.start()
         with pytest.raises(CameraError, match="sends RTP"):
-            open_source(f"udp://127.0.0.1:{port}", timeout_s=LAST_RESORT_S)
+            open_source(f"udp://127.0.0.1:{port}", CameraOptions(stall_s=LAST_RESORT_S))
         sending.join(LAST_RESORT_S)
 
 
@@ -167,11 +168,11 @@ def test_a_fifo(tmp_path: Path):
 
 
 def test_a_fifo_that_nobody_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tunenet_logs.recorders.camera.sources.OPENING_S", 0.3)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.network.OPENING_S", 0.3)
     path = tmp_path / "camera"
     os.mkfifo(path)
     with pytest.raises(CameraError, match=r"camera: does not answer within 0\.3 s"):
-        open_source(str(path), timeout_s=0.3)
+        open_source(str(path), CameraOptions(stall_s=0.3))
 
 
 def test_what_came_before_a_silence_is_kept(tmp_path: Path):
@@ -236,7 +237,7 @@ def test_ctrl_c_ends_the_waiting_for_standard_input(tmp_path: Path):
 
 def test_closing_ends_a_read_that_waits():
     with sending(b"HTTP/1.0 200 OK\r\n\r\n" + film("mpegts"), b"") as url:
-        source = open_source(url, timeout_s=LAST_RESORT_S)
+        source = open_source(url, CameraOptions(stall_s=LAST_RESORT_S))
         frames = source.frames()
         next(frames)
         reading = threading.Thread(target=lambda: list(frames), daemon=True)

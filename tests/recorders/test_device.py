@@ -18,7 +18,8 @@ from tests.recorders.mjpeg_camera import number_in, picture
 from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.images import image_size
 from tunenet_logs.reader import read_episode
-from tunenet_logs.recorders.camera.device import CameraDevice, Settings
+from tunenet_logs.recorders.camera.device import CameraDevice
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.recording import Limits, record_camera
 from tunenet_logs.terminal import Progress
 from tunenet_logs.timing.stamps import MAX_SPEED_CAMERA_HZ, measured_hz, wall_ns
@@ -91,7 +92,7 @@ class StandIn:
 
 
 def record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, settings: Settings, **traits: object
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, settings: CameraOptions, **traits: object
 ) -> Episode:
     path = tmp_path / "video0"
     path.touch()
@@ -112,7 +113,7 @@ def test_jpegs_stay_untouched_and_have_the_drivers_stamps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     read_ns: list[int] = []
-    episode = record(tmp_path, monkeypatch, Settings(), read_ns=read_ns)
+    episode = record(tmp_path, monkeypatch, CameraOptions(), read_ns=read_ns)
     frames = list(episode.frames())
     whole = [number for number in range(FRAMES) if number != 5]
     assert [frame.data for frame in frames] == [picture(number) for number in whole]
@@ -129,7 +130,7 @@ def test_without_stamps_of_the_driver_arrival_counts(
 ):
     read_ns: list[int] = []
     episode = record(
-        tmp_path, monkeypatch, Settings(), read_ns=read_ns, has_stamps=False, makes_jpegs=False
+        tmp_path, monkeypatch, CameraOptions(), read_ns=read_ns, has_stamps=False, makes_jpegs=False
     )
     assert episode.info.notes["stamps"] == "arrival"
     stamps_ns = [frame.stamp_ns for frame in episode.frames()]
@@ -142,7 +143,7 @@ def test_without_stamps_of_the_driver_arrival_counts(
 def test_a_camera_without_jpegs_has_its_pixels_compressed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    episode = record(tmp_path, monkeypatch, Settings(), makes_jpegs=False)
+    episode = record(tmp_path, monkeypatch, CameraOptions(), makes_jpegs=False)
     frames = list(episode.frames())
     assert [number_in(frame.decode()) for frame in frames] == list(range(FRAMES))
     assert image_size(frames[0].data) == (320, 240)
@@ -152,7 +153,7 @@ def test_a_camera_without_jpegs_has_its_pixels_compressed(
 def test_settings_are_put_down_as_asked_and_as_accepted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    asked = Settings(size=(640, 480), rate_hz=120, exposure_ms=4, white_balance_k=5000)
+    asked = CameraOptions(size_px=(640, 480), rate_hz=120, exposure_ms=4, white_balance_k=5000)
     notes = record(tmp_path, monkeypatch, asked).info.notes
     assert notes["setting.size_px"] == "asked 640x480, accepted 640x480"
     assert notes["setting.rate_hz"] == "asked 120, accepted 60"
@@ -164,7 +165,7 @@ def test_settings_are_put_down_as_asked_and_as_accepted(
 def test_what_is_not_asked_is_left_alone_and_put_down(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    notes = record(tmp_path, monkeypatch, Settings()).info.notes
+    notes = record(tmp_path, monkeypatch, CameraOptions()).info.notes
     assert notes["setting.exposure_ms"] == "not asked, is automatic 15.6"
     assert notes["setting.white_balance_k"] == "not asked, is automatic 4600"
     assert notes["setting.rate_hz"] == "not asked, is 30"

@@ -19,6 +19,7 @@ from tests.recorders.made_source import MadeSource
 from tests.recorders.mjpeg_camera import picture
 from tunenet_logs.errors import CameraError
 from tunenet_logs.recorders.camera.device import opened_within
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.sources import open_source
 from tunenet_logs.recorders.camera.streams import MultipartParser
 from tunenet_logs.timing.stamps import MAX_SPEED_CAMERA_HZ, MAX_SPEED_HZ, measured_hz
@@ -46,9 +47,9 @@ EMPTY = b"--frame\r\nContent-Length: 0\r\n\r\n\r\n"
 def test_an_opening_has_an_end(
     monkeypatch: pytest.MonkeyPatch, head: bytes, again: bytes, drips: bool, says: str
 ):
-    monkeypatch.setattr("tunenet_logs.recorders.camera.http.OPENING_S", 2.0)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.network.OPENING_S", 2.0)
     with sending(head, again, drips=drips) as url, pytest.raises(CameraError, match=says):
-        open_source(url, timeout_s=2.0)
+        open_source(url, CameraOptions(stall_s=2.0))
 
 
 @pytest.mark.parametrize(
@@ -65,14 +66,14 @@ def test_an_opening_has_an_end(
 )
 def test_parts_that_are_no_pictures_end_it_whatever_drips(head: bytes, again: bytes, drips: bool):
     with sending(head, again, drips=drips) as url:
-        source = open_source(url, timeout_s=1.0)
+        source = open_source(url, CameraOptions(stall_s=1.0))
         assert not list(source.frames())
         assert source.ended in ("no whole picture for 1.0 s", "no data for 1.0 s")
 
 
 def test_closing_ends_a_read_that_waits():
     with sending(OK + b"\r\n" + PART, b"") as url:
-        source = open_source(url, timeout_s=LAST_RESORT_S)
+        source = open_source(url, CameraOptions(stall_s=LAST_RESORT_S))
         reading = threading.Thread(target=lambda: list(source.frames()), daemon=True)
         reading.start()
         while not source._is_read:  # type: ignore[attr-defined]

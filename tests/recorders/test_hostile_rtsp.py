@@ -14,6 +14,7 @@ from tests.recorders.live_wait import LAST_RESORT_S, wait_until
 from tests.recorders.rtsp_camera import rtsp_camera
 from tests.recorders.test_video_file import numbered
 from tunenet_logs.errors import CameraError
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.rtsp import Description, Reply, RtpPorts, RtspWire
 from tunenet_logs.recorders.camera.sources import open_source
 
@@ -58,7 +59,7 @@ def transport(said: str) -> bytes:
 )
 def test_each_refusal_is_one_true_line(replies: dict[str, bytes], says: str):
     with hostile_rtsp(replies) as address, pytest.raises(CameraError, match=says) as error:
-        open_source(f"rtsp://{address}", timeout_s=LAST_RESORT_S)
+        open_source(f"rtsp://{address}", CameraOptions(stall_s=LAST_RESORT_S))
     assert "\n" not in str(error.value)
 
 
@@ -83,7 +84,7 @@ def test_an_opening_has_an_end(
     drips: bool,
     says: str,
 ):
-    monkeypatch.setattr("tunenet_logs.recorders.camera.rtsp.OPENING_S", 2.0)
+    monkeypatch.setattr("tunenet_logs.recorders.camera.network.OPENING_S", 2.0)
     with hostile_rtsp(replies, again, drips=drips) as address:
         assert says in why_it_ended(f"rtsp://{address}")
 
@@ -115,7 +116,7 @@ def test_nothing_is_sent_to_the_source_that_a_camera_names():
 def why_it_ended(url: str) -> str:
     """Why nothing comes, be it found at opening or at reading."""
     try:
-        source = open_source(url, timeout_s=STALL_S)
+        source = open_source(url, CameraOptions(stall_s=STALL_S))
     except CameraError as error:
         return str(error)
     assert not list(source.frames())
@@ -193,7 +194,7 @@ def test_a_description_gives_ffmpeg_nothing_that_names_a_place():
 
 def test_closing_ends_a_read_that_waits():
     with rtsp_camera([numbered(number) for number in range(20)], 50, stall=True) as address:
-        source = open_source(f"rtsp://{address}", timeout_s=LAST_RESORT_S)
+        source = open_source(f"rtsp://{address}", CameraOptions(stall_s=LAST_RESORT_S))
         reading = threading.Thread(target=lambda: list(source.frames()), daemon=True)
         reading.start()
         source.close()

@@ -13,6 +13,7 @@ from tests.recorders.live_wait import LAST_RESORT_S
 from tunenet_logs.errors import CameraError
 from tunenet_logs.recorders.camera import network as login_module
 from tunenet_logs.recorders.camera.network import Login
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.sources import open_source
 
 USER, PASSWORD = "me", 'se"cr\\et'
@@ -20,7 +21,7 @@ URL = f"http://{USER}:se%22cr%5Cet@"
 
 
 def pictures(url: str) -> int:
-    return len(list(open_source(url, timeout_s=LAST_RESORT_S).frames()))
+    return len(list(open_source(url, CameraOptions(stall_s=LAST_RESORT_S)).frames()))
 
 
 def wanting(*challenges: str, kind: str = "md5") -> HttpCamera:
@@ -87,7 +88,7 @@ def test_of_several_ways_the_strongest_is_taken(challenges: tuple[str, ...]):
 def test_wrong_missing_and_unknown_are_told_apart(challenge: str, login: str, says: str):
     never = HttpCamera((challenge,), lambda _given: False)
     with http_camera(never) as camera, pytest.raises(CameraError, match=says):
-        open_source(f"http://{login}{camera.address}", timeout_s=LAST_RESORT_S)
+        open_source(f"http://{login}{camera.address}", CameraOptions(stall_s=LAST_RESORT_S))
     assert len(never.seen) <= 2
 
 
@@ -95,7 +96,7 @@ def test_wrong_missing_and_unknown_are_told_apart(challenge: str, login: str, sa
 def test_nonces_that_are_always_stale_have_an_end():
     never = HttpCamera(('Digest realm="x", nonce="n", stale=TRUE',), lambda _given: False)
     with http_camera(never) as camera, pytest.raises(CameraError, match="answers 401"):
-        open_source(URL + camera.address, timeout_s=LAST_RESORT_S)
+        open_source(URL + camera.address, CameraOptions(stall_s=LAST_RESORT_S))
     assert len(never.seen) < 20
 
 

@@ -28,6 +28,7 @@ from tunenet_logs.episode import Episode, EpisodeInfo
 from tunenet_logs.errors import CameraError
 from tunenet_logs.messages import is_whole
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.recording import Limits, record_camera
 from tunenet_logs.recorders.camera.sources import open_source
 from tunenet_logs.recorders.camera.streams import MultipartParser
@@ -42,7 +43,7 @@ QUIET = Progress(quiet=True)
 
 def record(address: str, path: Path, **limits: object) -> tuple[Summary, Episode]:
     """Record to `path` in this process, and read it back."""
-    source = open_source(f"http://{address}", timeout_s=LAST_RESORT_S)
+    source = open_source(f"http://{address}", CameraOptions(stall_s=LAST_RESORT_S))
     summary = record_camera(
         source,
         EpisodeInfo(kind="drop"),
@@ -157,7 +158,7 @@ def test_a_slow_writer_drops_the_newest_and_counts(tmp_path: Path):
 
     with playing(frames=60, rate_hz=500.0) as address:
         summary = record_camera(
-            open_source(f"http://{address}", timeout_s=LAST_RESORT_S),
+            open_source(f"http://{address}", CameraOptions(stall_s=LAST_RESORT_S)),
             EpisodeInfo(),
             tmp_path / "a.mcap",
             limits=Limits(queue_bytes=100_000, stall_s=LAST_RESORT_S),

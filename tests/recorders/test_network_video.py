@@ -21,6 +21,7 @@ from tests.recorders.test_packet_stream import (
     recorded,
 )
 from tunenet_logs.recorders.camera.network import NetworkOptions, Transport
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.rtsp import RtpPorts
 from tunenet_logs.recorders.camera.sources import open_source
 
@@ -31,7 +32,7 @@ TICKS_HZ = 90_000
 
 @pytest.mark.parametrize(
     ("film", "codec", "transport"),
-    [(B_FRAMES, "h264", Transport.TCP), (H265_MP4, "h265", Transport.UDP)],
+    [(B_FRAMES, "h264", "tcp"), (H265_MP4, "h265", "udp")],
 )
 def test_a_log_holds_every_picture_at_its_time(
     tmp_path: Path, film: Film, codec: str, transport: Transport
@@ -39,7 +40,7 @@ def test_a_log_holds_every_picture_at_its_time(
     path = film.write(tmp_path)
     with gst_rtsp_server(file_pictures(path, codec)) as address:
         network = NetworkOptions(rtsp_transport=transport)
-        source = open_source(f"rtsp://{address}", timeout_s=LAST_RESORT_S, network=network)
+        source = open_source(f"rtsp://{address}", CameraOptions(stall_s=LAST_RESORT_S), network)
         summary, episode = recorded(source, tmp_path / "a.mcap")
     frames = list(episode.frames())
     assert [frame.data for frame in frames] == list(pixels_of(path))

@@ -138,9 +138,11 @@ def test_every_key_frame_carries_what_a_decoder_needs(tmp_path: Path, film: Film
     keys = [number for number, shot in enumerate(shots) if shot.stands_alone]
     assert keys == list(range(0, FRAMES, 10))
     for number in keys:
-        head = head_of(shots[number].frame.data, shots[number].frame.encoding)
-        assert head.stands_alone
-        assert head.parameter_sets
+        stands_alone, parameter_sets = head_of(
+            shots[number].frame.data, shots[number].frame.encoding
+        )
+        assert stands_alone
+        assert parameter_sets
     assert all(shot.frame.data.startswith((b"\0\0\1", b"\0\0\0\1")) for shot in shots)
 
 
@@ -188,4 +190,4 @@ def test_a_container_without_times_is_stamped_by_arrival(tmp_path: Path):
 
 def test_a_picture_without_a_start_code_is_none():
     for data in (b"", b"\0\0\1", b"\0\0\1\x65", b"x" * 100, b"\0\0\1\x67" * 1000):
-        assert not head_of(data, "h264").stands_alone
+        assert not head_of(data, "h264")[0]

@@ -21,6 +21,7 @@ from tests.recorders.live_wait import LAST_RESORT_S, ending, wait_until
 from tests.recorders.mjpeg_camera import number_in, picture, playing
 from tunenet_logs.episode import Frame
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.sources import open_source
 from tunenet_logs.recorders.local_page import Preview
 from tunenet_logs.timing.stamps import now_ns
@@ -139,7 +140,7 @@ def test_a_slow_viewer_sees_the_newest_picture():
 
 
 def test_the_picture_is_the_cameras_own(page: PreviewPage):
-    source = open_source(page.url + "live", timeout_s=LAST_RESORT_S)
+    source = open_source(page.url + "live", CameraOptions(stall_s=LAST_RESORT_S))
     shown = [shot.frame for shot, _ in zip(source.frames(), range(10), strict=False)]
     source.close()
     assert {frame.data for frame in shown} <= {picture(number) for number in range(DISTINCT)}

@@ -14,6 +14,7 @@ from tests.recorders.rtsp_camera import rtsp_camera
 from tests.recorders.test_video_file import numbered
 from tunenet_logs.episode import EpisodeInfo
 from tunenet_logs.reader import read_episode
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.recording import Limits, record_camera
 from tunenet_logs.recorders.camera.sources import open_source
 from tunenet_logs.terminal import Progress
@@ -33,7 +34,7 @@ def test_its_frames_arrive_in_order_at_their_times(tmp_path: Path, stall: bool):
     with rtsp_camera(pictures, RATE_HZ, stall=stall) as address:
         timeout_s = STALL_S if stall else LAST_RESORT_S
         summary = record_camera(
-            open_source(f"rtsp://me:secret@{address}", timeout_s=timeout_s),
+            open_source(f"rtsp://me:secret@{address}", CameraOptions(stall_s=timeout_s)),
             EpisodeInfo(kind="drop"),
             tmp_path / "a.mcap",
             limits=Limits(stall_s=LAST_RESORT_S),

@@ -22,6 +22,7 @@ from tests.recorders.live_wait import LAST_RESORT_S, ending
 from tests.recorders.mjpeg_camera import times_in
 from tests.recorders.nginx_server import nginx_server
 from tunenet_logs.errors import CameraError
+from tunenet_logs.recorders.camera.options import CameraOptions
 from tunenet_logs.recorders.camera.sources import open_source
 
 pytestmark = pytest.mark.live
@@ -72,7 +73,7 @@ def frames_of(text: str, most: int | None = None) -> tuple[int, str]:
     until = time.monotonic() + LAST_RESORT_S
     while True:
         try:
-            source = open_source(text, timeout_s=LAST_RESORT_S)
+            source = open_source(text, CameraOptions(stall_s=LAST_RESORT_S))
             break
         except CameraError as error:
             if "cannot be reached" not in str(error) or time.monotonic() > until:

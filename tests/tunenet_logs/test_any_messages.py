@@ -11,7 +11,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
-from tunenet_logs.formats.decoders import decoder_for
+from tunenet_logs.formats.decoders import listed_type
 from tunenet_logs.formats.ros import any_ros_type, parsed
 
 KINDS = (
@@ -158,7 +158,7 @@ OWN_POINT = "\n".join(
 def test_a_listed_type_is_read_as_its_log_defines_it():
     """Single precision and a field more; but not without a field that is read."""
     kind = "geometry_msgs/msg/PointStamped"
-    decode = decoder_for(RawChannel("/p", kind, "cdr", "ros2msg", OWN_POINT.encode()))
+    decode = listed_type(RawChannel("/p", kind, "cdr", "ros2msg", OWN_POINT.encode())).decode
     stamp = struct.pack("<iI", 5, 6) + struct.pack("<I", 4) + b"map\0"
     message = decode(b"\0\1\0\0" + stamp + struct.pack("<4f", 1.5, -2.5, 3.5, 0.9))
     assert (message.point.x, message.point.y, message.point.z) == (1.5, -2.5, 3.5)
@@ -166,4 +166,4 @@ def test_a_listed_type_is_read_as_its_log_defines_it():
     for change in (("float32 z", "float32 up"), ("float32 z", "string z"), ("lab_msgs/", "no/")):
         text = OWN_POINT.replace(*change, 1)
         with pytest.raises(UnusableError, match=r"schema|definition"):
-            decoder_for(RawChannel("/p", kind, "cdr", "ros2msg", text.encode()))
+            listed_type(RawChannel("/p", kind, "cdr", "ros2msg", text.encode()))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tunenet_logs.episode import Frame
 from tunenet_logs.errors import LogError, TuneNetError
-from tunenet_logs.images import MAX_PIXELS, decode_small, image_format, image_size
+from tunenet_logs.images import MAX_PIXELS, decode_image, image_format, image_size
 
 PICTURE = np.zeros((48, 64, 3), np.uint8)
 PICTURE[:, :32] = (255, 0, 0)  # red, in RGB
@@ -85,8 +85,8 @@ def test_a_note_to_turn_the_picture_changes_no_pixel():
     assert frame.size_px() == (64, 48)
     assert np.array_equal(frame.decode(), Frame(0, "jpeg", data).decode())
     for least_px in (8, 16, 32):
-        small = decode_small(turned, "jpeg", least_px)
-        assert np.array_equal(small, decode_small(data, "jpeg", least_px))
+        small = decode_image(turned, "jpeg", least_px)
+        assert np.array_equal(small, decode_image(data, "jpeg", least_px))
 
 
 def test_refuses_a_forged_size():
@@ -155,15 +155,15 @@ def _summed(png: bytes) -> bytes:
 
 @pytest.mark.parametrize(("least_px", "size"), [(8, (6, 8)), (16, (12, 16)), (17, (24, 32))])
 def test_a_jpeg_is_decoded_small(least_px: int, size: tuple[int, int]):
-    small = decode_small(encoded(".jpg"), "jpeg", least_px)
+    small = decode_image(encoded(".jpg"), "jpeg", least_px)
     assert small.shape == (*size, 3)
     expected = cv2.resize(PICTURE, size[::-1], interpolation=cv2.INTER_AREA)
     assert np.abs(small.astype(int) - expected).mean() < 8
 
 
 def test_what_cannot_be_decoded_small_is_decoded_whole():
-    assert decode_small(encoded(".jpg"), "jpeg", 33).shape == PICTURE.shape
-    assert np.array_equal(decode_small(encoded(".png"), "png", 8), PICTURE)
+    assert decode_image(encoded(".jpg"), "jpeg", 33).shape == PICTURE.shape
+    assert np.array_equal(decode_image(encoded(".png"), "png", 8), PICTURE)
     for damaged in (with_size(30_000, 30_000), encoded(".jpg")[:200], b"\xff\xd8"):
         with pytest.raises(LogError):
-            decode_small(damaged, "jpeg", 8)
+            decode_image(damaged, "jpeg", 8)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.strangers import write_texts
 from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
-from tunenet_logs.formats.decoders import decoder_for
+from tunenet_logs.formats.decoders import listed_type
 from tunenet_logs.formats.message_types import message_type_of
 from tunenet_logs.reader import read_episode
 
@@ -153,26 +153,26 @@ def test_what_is_no_pose_is_counted_and_left_out(tmp_path: Path, message: Any):
 
 def test_brackets_in_a_text_are_not_nesting():
     message = changed("frame_id", '[{\\"' * 1000)
-    assert decoder_for(channel())(json.dumps(message).encode()).pose.position.x == 1
+    assert listed_type(channel()).decode(json.dumps(message).encode()).pose.position.x == 1
     deep = changed("frame_id", json.loads("[" * 40 + "]" * 40))
-    assert decoder_for(channel())(json.dumps(deep).encode()).pose.position.x == 1
+    assert listed_type(channel()).decode(json.dumps(deep).encode()).pose.position.x == 1
     wide = changed("frame_id", [[]] * 1000)
-    assert decoder_for(channel())(json.dumps(wide).encode()).pose.position.x == 1
+    assert listed_type(channel()).decode(json.dumps(wide).encode()).pose.position.x == 1
 
 
 def test_a_large_message_is_refused_before_it_is_parsed():
     with pytest.raises(MessageError, match="limit"):
-        decoder_for(channel())(bytes(17 * 2**20))
+        listed_type(channel()).decode(bytes(17 * 2**20))
 
 
 def test_what_is_no_picture_may_be_no_larger_than_any_such_message():
     large = changed("frame_id", "a" * 300_000)
     with pytest.raises(MessageError, match="limit"):
-        decoder_for(channel())(json.dumps(large).encode())
+        listed_type(channel()).decode(json.dumps(large).encode())
 
 
 def test_a_picture_may_be_large_but_of_few_parts():
-    decode = decoder_for(channel("foxglove.CompressedImage"))
+    decode = listed_type(channel("foxglove.CompressedImage")).decode
     picture = {"timestamp": TIME, "frame_id": "a", "format": "jpeg"}
     large = base64.b64encode(bytes(12 * 2**20)).decode()
     assert len(decode(json.dumps(picture | {"data": large}).encode()).data) == 12 * 2**20
@@ -185,9 +185,9 @@ def test_a_picture_may_be_large_but_of_few_parts():
 
 def test_other_schemas_and_types_are_refused():
     with pytest.raises(UnusableError, match="ros2msg"):
-        decoder_for(channel(schema_encoding="ros2msg"))
+        listed_type(channel(schema_encoding="ros2msg"))
     with pytest.raises(UnusableError, match="type"):
-        decoder_for(channel("foxglove.Log"))
+        listed_type(channel("foxglove.Log"))
     assert message_type_of(channel("foxglove.Log")) is None
 
 
@@ -209,7 +209,7 @@ JSON = st.recursive(
 def test_any_message_gives_only_our_errors(data: st.DataObject):
     for type_name in ("foxglove.PoseInFrame", "sensor_msgs/JointState", "tf2_msgs/msg/TFMessage"):
         one = channel(type_name)
-        kind, decode = message_type_of(one), decoder_for(one)
+        kind, decode = message_type_of(one), listed_type(one).decode
         assert kind is not None
         text = data.draw(st.one_of(st.binary(max_size=40), JSON.map(json.dumps)))
         try:
@@ -222,7 +222,7 @@ def test_any_message_gives_only_our_errors(data: st.DataObject):
 @given(st.sampled_from(["pose", "timestamp", "pose.position", "pose.position.x"]), JSON)
 def test_a_pose_with_anything_in_it_is_a_pose_or_damaged(path: str, value: Any):
     try:
-        message = decoder_for(channel())(json.dumps(changed(path, value)).encode())
+        message = listed_type(channel()).decode(json.dumps(changed(path, value)).encode())
     except MessageError:
         return
     position = message.pose.position

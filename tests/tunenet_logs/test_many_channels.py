@@ -12,7 +12,7 @@ from tests.strangers import POSE, Stranger, write_poses
 from tunenet_logs.describe import describe
 from tunenet_logs.formats import ros
 from tunenet_logs.formats.base import RawChannel, UnusableError
-from tunenet_logs.formats.decoders import decoder_for
+from tunenet_logs.formats.decoders import listed_type
 from tunenet_logs.formats.ros import idl_types
 from tunenet_logs.messages import encode, pose, typestore
 from tunenet_logs.reader import read_episode
@@ -51,18 +51,18 @@ def test_a_definition_is_parsed_once(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(ros, "_parsed", counted)
     ros.parsed.cache_clear()
     for number in range(100):
-        decoder_for(RawChannel(f"/ch{number}", POSE, "cdr", "ros2msg", TEXT))
+        listed_type(RawChannel(f"/ch{number}", POSE, "cdr", "ros2msg", TEXT))
     for _ in range(2):
         for text in (b"float64 x", b"\xff"):
             with pytest.raises(UnusableError):
-                decoder_for(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
+                listed_type(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
     assert calls.count(POSE) == 2
 
 
 def test_a_definition_that_is_far_too_large_is_not_parsed():
     text = TEXT + b"# more\n" * 100_000
     with pytest.raises(UnusableError, match="large"):
-        decoder_for(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
+        listed_type(RawChannel("/ch", POSE, "cdr", "ros2msg", text))
 
 
 def test_of_thousands_of_channels_those_that_can_be_used_are_shown(tmp_path: Path):

@@ -14,7 +14,7 @@ from tests.strangers import WRITERS, Stranger
 from tunenet_logs.analysis.options import TuneOptions
 from tunenet_logs.analysis.tuning import tune_log
 from tunenet_logs.formats.base import MessageError, RawChannel, UnusableError
-from tunenet_logs.formats.decoders import decoder_for
+from tunenet_logs.formats.decoders import listed_type
 from tunenet_logs.reader import read_episode
 
 POSE = "foxglove.PoseInFrame"
@@ -119,7 +119,7 @@ def test_files_of_a_schema_come_in_any_order_and_googles_may_be_missing():
     for order in (slice(None), slice(None, None, -1)):
         some = type(files)()
         some.file.extend([one for one in files.file if "google" not in one.name][order])
-        decode = decoder_for(channel(some.SerializeToString()))
+        decode = listed_type(channel(some.SerializeToString())).decode
         message = foxglove("PoseInFrame")()
         message.pose.position.x = 0.1
         assert decode(memoryview(message.SerializeToString())).pose.position.x == 0.1
@@ -164,19 +164,22 @@ def forged(change: str) -> Any:
 )
 def test_a_forged_schema_is_refused(change: str):
     with pytest.raises(UnusableError, match="schema"):
-        decoder_for(channel(forged(change).SerializeToString()))
+        listed_type(channel(forged(change).SerializeToString()))
 
 
 def test_sizes_are_bounded():
     with pytest.raises(UnusableError, match="larger"):
-        decoder_for(channel(bytes(5 * 2**20)))
+        listed_type(channel(bytes(5 * 2**20)))
     many = schema_of("FrameTransforms").SerializeToString()
-    decode = decoder_for(channel(many, "foxglove.FrameTransforms"))
+    decode = listed_type(channel(many, "foxglove.FrameTransforms")).decode
     with pytest.raises(MessageError, match="limit"):
         decode(b"\x0a\x00" * (3 * 2**20))
     picture = schema_of("CompressedImage").SerializeToString()
     data = foxglove("CompressedImage")(data=bytes(8 * 2**20), format="jpeg").SerializeToString()
-    assert len(decoder_for(channel(picture, "foxglove.CompressedImage"))(data).data) == 8 * 2**20
+    assert (
+        len(listed_type(channel(picture, "foxglove.CompressedImage")).decode(data).data)
+        == 8 * 2**20
+    )
 
 
 @pytest.mark.parametrize(
@@ -190,12 +193,12 @@ def test_sizes_are_bounded():
 )
 def test_hostile_messages_are_one_clean_error(data: bytes):
     with pytest.raises(MessageError):
-        decoder_for(channel(schema_of().SerializeToString()))(data)
+        listed_type(channel(schema_of().SerializeToString())).decode(data)
 
 
 @given(st.data())
 def test_any_message_gives_only_our_errors(data: st.DataObject):
-    decode = decoder_for(channel(schema_of().SerializeToString()))
+    decode = listed_type(channel(schema_of().SerializeToString())).decode
     whole = foxglove("PoseInFrame")(frame_id="map")
     whole.pose.position.x = 0.1
     raw = bytearray(whole.SerializeToString())
@@ -215,6 +218,6 @@ def test_any_schema_gives_only_our_errors(data: st.DataObject):
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
     for one in (bytes(raw), data.draw(st.binary(max_size=100))):
         try:
-            decoder_for(channel(one))(b"\x1a\x02\x0a\x00")
+            listed_type(channel(one)).decode(b"\x1a\x02\x0a\x00")
         except (UnusableError, MessageError):
             continue

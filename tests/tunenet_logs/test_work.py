@@ -21,12 +21,12 @@ from tests.strangers import (
     write_poses_folder,
 )
 from tests.work_bombs import db3_of, described, jpeg_of_scans, message, png_of_words, record
-from tunenet_logs import media_messages as decoders
 from tunenet_logs import reader, video
 from tunenet_logs.cli import main
 from tunenet_logs.copying import check
 from tunenet_logs.errors import LogError
 from tunenet_logs.formats import base as budget
+from tunenet_logs.formats import decoders
 from tunenet_logs.formats import registry as ros2_folder
 from tunenet_logs.formats.base import Loss, RawChannel, RawMessage, Record, one_by_one
 from tunenet_logs.formats.columns import cells as lines

@@ -6,12 +6,10 @@ A `Container` takes a file apart into `Record`s, within a `Budget`; what it cann
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from itertools import islice
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,17 +17,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-# What parsers raise on bytes that are not what they say they are, found by fuzzing them.
+# What parsers raise on bytes that are not what they say they are, found by fuzzing them;
+# UnicodeDecodeError and binascii.Error are ValueErrors.
 DAMAGED = (
-    struct.error,
-    ValueError,  # UnicodeDecodeError and binascii.Error too
-    TypeError,
-    AttributeError,
-    LookupError,
-    OverflowError,
-    MemoryError,
-    RecursionError,
-    EOFError,
+    *(struct.error, ValueError, TypeError, AttributeError, LookupError),
+    *(OverflowError, MemoryError, RecursionError, EOFError),
 )
 
 
@@ -136,10 +128,7 @@ Record = RawChannel | RawMessage | RawMessages | RawMetadata | RawAttachment
 def one_by_one(records: Iterable[Record]) -> Iterator[Record]:
     """Yield the records with batches of messages split into single ones."""
     for record in records:
-        if isinstance(record, RawMessages):
-            yield from record
-        else:
-            yield record
+        yield from record if isinstance(record, RawMessages) else (record,)
 
 
 @dataclass(frozen=True)
@@ -165,10 +154,7 @@ class Loss:
 
 
 def lost_share(losses: Iterable[Loss], read: int, size: int) -> float:
-    """Return the lost fraction of a log, by messages where they are counted, else by bytes.
-
-    `read` messages were read of a file of `size` bytes.
-    """
+    """Return the lost fraction of a log of `size` bytes: by messages if counted, else by bytes."""
     harm = [loss for loss in losses if not loss.harmless]
     known = [loss.messages for loss in harm if loss.messages is not None]
     if known:
@@ -176,27 +162,19 @@ def lost_share(losses: Iterable[Loss], read: int, size: int) -> float:
     return min(1.0, sum(loss.size for loss in harm) / max(1, size))
 
 
+Topics = Sequence[str] | None  # of which messages are read; None for all
+
+
 class Container(Protocol):
     """Reader of one kind of log."""
 
     def __call__(
-        self,
-        path: Path,
-        losses: list[Loss],
-        topics: Sequence[str] | None = None,
-        budget: Budget | None = None,
+        self, path: Path, losses: list[Loss], topics: Topics = None, budget: Budget | None = None
     ) -> Iterator[Record]:
         """Yield the records in file order, each channel before its messages.
 
         Every size is checked before it is trusted. Damaged records are left out and added to
-        `losses`.
-
-        Args:
-            path: the file, or the folder of a log in several files.
-            losses: filled while reading.
-            topics: yield only messages of these; None for all.
-            budget: what is left of it, where the file was unpacked from another or is one of
-                several.
+        `losses`; `budget` is what is left, where the file was unpacked or is one of several.
 
         Raises:
             LogError: nothing of it can be read.
@@ -221,10 +199,9 @@ _BYTES_A_RECORD = 4  # of the file, for each record beyond: a message has 31 bef
 MAX_CHANNELS = 10_000  # of a log; robots have hundreds
 # Of types, in a log; all that ROS has are a megabyte, and a bag repeats them for each topic.
 _MAX_DEFINITION_BYTES = 128 * 1024 * 1024
-
-CHUNK_RECORDS = 10  # what opening a chunk counts as
-PART_RECORDS = 20  # what a record counts as that is parsed field by field: a channel, metadata
-DAMAGE_RECORDS = 50  # what a damaged place counts as: its end is searched, and it is reported
+# What counts as so many records: opening a chunk; what is parsed field by field, as a channel or
+# metadata; a damaged place, whose end is searched, and which is reported.
+CHUNK_RECORDS, PART_RECORDS, DAMAGE_RECORDS = 10, 20, 50
 
 
 class OverBudgetError(Exception):
@@ -241,7 +218,7 @@ def block_sizes() -> Iterator[int]:
 
 @dataclass
 class Budget:
-    """Resource budget of one log, in proportion to its size; `spend*` raise OverBudgetError."""
+    """Resource budget of one log, in proportion to its size."""
 
     file_bytes: int  # size of the log
     spent_bytes: int = 0  # decompressed so far
@@ -259,53 +236,40 @@ class Budget:
         """Number of records that may still be read; negative once over budget."""
         return _FREE_RECORDS + self.file_bytes // _BYTES_A_RECORD - self.spent_records
 
-    def spend(self, count: int) -> None:
-        """Charge `count` bytes about to be decompressed."""
-        self.spent_bytes += count
+    def spend(
+        self,
+        unpacked: int = 0,
+        *,
+        records: int = 0,
+        channels: int = 0,
+        definition: bytes | str = b"",
+    ) -> None:
+        """Charge bytes about to be decompressed, records or as much work; raise OverBudgetError."""
+        self.spent_bytes += unpacked
+        self.spent_records += records
+        self.channels += channels
+        self.definition_bytes += len(definition)
         if self.spent_bytes > _FREE_BYTES + _MAX_RATIO * self.file_bytes:
             raise OverBudgetError(f"the log unpacks to more than {_MAX_RATIO} times its size")
-
-    def spend_records(self, count: int = 1) -> None:
-        """Charge records, or work of the same cost."""
-        self.spent_records += count
         if self.left_records < 0:
             raise OverBudgetError("it holds far more records than a log of its size")
-
-    def spend_damage(self) -> None:
-        """Charge a damaged place, which is reported in any case."""
-        self.spent_records += DAMAGE_RECORDS
-
-    def spend_channel(self, definition: bytes | str = b"") -> None:
-        """Charge a channel with the definition of its type."""
-        self.channels += 1
-        self.spend_records(PART_RECORDS)
         if self.channels > MAX_CHANNELS:
             raise OverBudgetError(f"it has over {MAX_CHANNELS} channels")
-        self.spend_definition(definition)
-
-    def spend_definition(self, definition: bytes | str) -> None:
-        """Charge the definition of a type."""
-        self.definition_bytes += len(definition)
         if self.definition_bytes > _MAX_DEFINITION_BYTES:
             raise OverBudgetError(f"it has over {_MAX_DEFINITION_BYTES} bytes of definitions")
 
 
 # ---- Names of message types
 
-# Old names of types: ROS 1 moved this one to another package.
-_SAME_TYPE = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
-
 
 def ros_name(type_name: str) -> str:
-    """Return a type name as ROS 2 writes it: "sensor_msgs/msg/JointState".
-
-    So becomes "sensor_msgs/JointState", and "sensor_msgs::msg::JointState" of the OMG's IDL.
-    """
+    """Return a type name as ROS 2 writes it, "sensor_msgs/msg/JointState", from ROS 1 or IDL."""
     package, _, name = type_name.replace("::", "/").partition("/")
     if name and "/" not in name:
         name = f"msg/{name}"
     full = f"{package}/{name}" if name else package
-    return _SAME_TYPE.get(full, full)
+    # ROS 1 moved this one to another package.
+    return "tf2_msgs/msg/TFMessage" if full == "tf/msg/tfMessage" else full
 
 
 def type_key(type_name: str) -> str:
@@ -313,11 +277,6 @@ def type_key(type_name: str) -> str:
     name = ros_name(type_name)
     package, _, plain = name.rpartition("/msg/")
     return f"foxglove.{plain}" if package in ("foxglove_msgs", "foxglove") else name
-
-
-def plain_type(type_name: str) -> str:
-    """Return a type name without its package: "JointState"."""
-    return re.split(r"[/.:]", type_name)[-1]
 
 
 # ---- Stamps in messages of ROS 1, ROS 2, protobuf and JSON.
@@ -345,7 +304,6 @@ def ros_stamp_ns(message: Any) -> int:
 
 # ---- Structure of message types, in any encoding: fields, lists, numbers, texts.
 
-_MAX_LISTED = 200  # fields listed of a type
 MAX_NODES = 5000  # parts of a type or message that are looked at, lists of any length aside
 
 
@@ -418,10 +376,7 @@ class AnyType:
     stacked: StackedDecoder | None = None
 
     def getter(self, steps: Steps) -> Callable[[Any], Any]:
-        """Return a function that gets the part at `steps` of a message.
-
-        It raises LookupError or AttributeError where that is absent.
-        """
+        """Return a function that gets the part at `steps`, or LookupError, AttributeError."""
         is_plain = bool(steps) and not any(isinstance(one, int) or "." in one for one in steps)
         if is_plain and not self.checks_presence:
             return attrgetter(".".join(map(str, steps)))
@@ -439,42 +394,3 @@ class AnyType:
             return message
 
         return get
-
-
-class NotThereError(LookupError):
-    """A field that a type lacks, named by the message."""
-
-
-def node_at(top: Structure, steps: Steps) -> Node:
-    """Return the part of a type at a path; raise NotThereError where it has none."""
-    node: Node = top
-    for step in steps:
-        if isinstance(step, int):
-            if not isinstance(node, Listed) or (node.count is not None and step >= node.count):
-                raise NotThereError(f"[{step}]")
-            node = node.of
-        else:
-            if not isinstance(node, Structure) or step not in node.fields:
-                raise NotThereError(step)
-            node = node.fields[step]
-    return node
-
-
-def numbers_in(node: Node, prefix: str = "") -> list[str]:
-    """List the numeric and time fields of a type, as `--columns` names them; 200 at most."""
-    return list(islice(_numbers(node, prefix), _MAX_LISTED))
-
-
-def likely_field(fields: Sequence[str]) -> str:
-    """Return the field most likely meant: the first z, else the last."""
-    return next((field for field in fields if field.split(".")[-1] == "z"), fields[-1])
-
-
-def _numbers(node: Node, path: str) -> Iterator[str]:
-    if isinstance(node, Listed):
-        yield from _numbers(node.of, f"{path}[0]")
-    elif isinstance(node, Structure) and not node.is_time:
-        for name, inner in node.fields.items():
-            yield from _numbers(inner, f"{path}.{name}" if path else name)
-    elif isinstance(node, Structure) or node in NUMBERS:
-        yield path

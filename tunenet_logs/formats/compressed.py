@@ -25,24 +25,14 @@ from tunenet_logs.formats.base import Budget, Loss, OverBudgetError, described
 
 MAX_PART_BYTES = 128 * 1024 * 1024  # that one chunk or message may unpack to
 MAX_FOREIGN_BYTES = 1024**3  # unpacked of a file of no messages; no larger one is read
-_FED_BYTES = 2048  # of a file at a time: zstd bounds no output, which is 64 MiB at most then
-_PIECE_BYTES = 1024 * 1024  # unpacked at a time, where that can be bounded
-_CUT_PIECE_BYTES = 64 * 1024  # fed or unpacked at a time of cut data, to keep what is whole
 _MAX_WINDOW_BYTES = 128 * 1024 * 1024  # what zstd may look back; its own default
-_FREE_SHARE = 0.9  # of the free room of the system's temporary folder
 # Begins a file, or a message that a recorder compressed by itself, as ROS 2 can. No other message
 # of ROS begins like this: its encoding begins with a zero.
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-
 # What the libraries raise on damaged data; an OSError is bz2's.
 _ERRORS = (
-    zstandard.ZstdError,
-    zlib.error,
-    RuntimeError,
-    OSError,
-    ValueError,
-    EOFError,
-    MemoryError,
+    *(zstandard.ZstdError, zlib.error, RuntimeError, OSError),
+    *(ValueError, EOFError, MemoryError),
 )
 
 
@@ -83,16 +73,7 @@ def unpack_message(message: bytes | memoryview, budget: Budget) -> bytes | memor
 
 
 def unpack(data: bytes | memoryview, compression: str, stated: int) -> bytes | memoryview:
-    """Decompress a part of exactly the stated size.
-
-    Args:
-        data: compressed bytes.
-        compression: "zstd", "lz4", "bz2", or "" or "none".
-        stated: the size that the file claims; it is verified.
-
-    Raises:
-        ValueError: damaged, of another size than stated, too large, or of an unknown compression.
-    """
+    """Decompress a part ("zstd", "lz4", "bz2", "") of exactly the stated size, else ValueError."""
     if stated > MAX_PART_BYTES:
         raise ValueError(f"a part claims {stated} bytes, over the limit of {MAX_PART_BYTES}")
     try:
@@ -118,16 +99,16 @@ def unpack_start(data: bytes | memoryview, compression: str, most: int) -> bytes
     if compression in ("", "none"):
         return bytes(data[:most])
     plain = bytearray()
+    size = 64 * 1024  # fed or unpacked at a time, to keep what is whole
     with suppress(*_ERRORS):  # what came before is whole
         if compression == "zstd":
             with zstandard.ZstdDecompressor().stream_reader(data) as packed:
-                while piece := packed.read(min(_CUT_PIECE_BYTES, most - len(plain))):
+                while piece := packed.read(min(size, most - len(plain))):
                     plain += piece
         elif compression in _IN_CONTAINERS:
             stream = COMPRESSIONS[_IN_CONTAINERS[compression]].begin()
-            for at in range(0, len(data), _CUT_PIECE_BYTES):
-                piece = data[at : at + _CUT_PIECE_BYTES]
-                plain += stream.decompress(piece, max_length=most - len(plain))
+            for at in range(0, len(data), size):
+                plain += stream.decompress(data[at : at + size], max_length=most - len(plain))
                 if stream.eof or len(plain) >= most:
                     break
     return bytes(plain)
@@ -158,20 +139,12 @@ def unpacked_start(path: Path, compression: str, most: int) -> bytes:
 
 @contextmanager
 def unpacked(
-    path: Path,
-    compression: str,
-    losses: list[Loss],
-    budget: Budget,
-    most_bytes: int | None = None,
+    path: Path, compression: str, losses: list[Loss], budget: Budget, most_bytes: int | None = None
 ) -> Iterator[Path]:
     """Decompress the file inside, as far as possible, and yield its temporary path.
 
-    Args:
-        path: the compressed file; neither it nor its folder is changed.
-        compression: as `compression_of` returns it.
-        losses: damage found.
-        budget: remaining decompression budget.
-        most_bytes: limit of the decompressed size, regardless of the compressed one.
+    Neither the file nor its folder is changed. `most_bytes` limits the size inside, whatever the
+    compressed one is; damage is added to `losses`.
 
     Raises:
         LogError: nothing can be decompressed, it is more than a log may hold, or there is no room.
@@ -181,7 +154,7 @@ def unpacked(
     name = path.stem if path.suffix.lower() in suffixes and path.stem else path.name
     with tempfile.TemporaryDirectory(prefix="tunenet-logs-") as folder:
         plain = Path(folder) / name  # "drop.mcap.zst" holds drop.mcap
-        room = int(_FREE_SHARE * shutil.disk_usage(folder).free)
+        room = int(0.9 * shutil.disk_usage(folder).free)  # of the system's temporary folder
         written = 0
         try:
             with open(plain, "wb") as file:
@@ -218,7 +191,8 @@ def _pieces(path: Path, compression: str) -> Iterator[bytes]:
     kind = COMPRESSIONS[compression]
     stream, waiting = kind.begin(), b""
     with open_regular(path) as file:
-        while data := waiting or file.read(_FED_BYTES):
+        # Little at a time: zstd bounds no output, which is 64 MiB at most then.
+        while data := waiting or file.read(2048):
             if stream.eof:  # several may lie one behind the other
                 if not any(data):
                     waiting = b""
@@ -230,7 +204,7 @@ def _pieces(path: Path, compression: str) -> Iterator[bytes]:
                     if not kind.bounds_output:
                         piece, is_fed = stream.decompress(data), True
                     else:
-                        piece = stream.decompress(data, _PIECE_BYTES)
+                        piece = stream.decompress(data, 1024 * 1024)
                         data = getattr(stream, "unconsumed_tail", b"")  # gzip's; others keep it
                         needs_input = getattr(stream, "needs_input", not data)
                         is_fed = stream.eof or needs_input

@@ -1,8 +1,8 @@
 """Decode the messages of a channel, in any encoding: bounded, every field checked that is read.
 
-`any_type` decodes by the definition in the log, or a JSON message by its own content. Neither
-definition nor content proves what a type is called: of the `TYPES` that are read by their name,
-`listed_type` asks for the fields, of the definition once, of JSON message by message.
+`Decoders.any_type` decodes by the definition in the log, or a JSON message by its own content.
+Neither definition nor content proves what a type is called: of the `TYPES` that are read by their
+name, `listed_type` asks for the fields, of the definition once, of JSON message by message.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import base64
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib import import_module
@@ -25,7 +25,6 @@ from tunenet_logs.formats.base import (
     MAX_NODES,
     STAMP_FIELDS,
     AnyType,
-    Decode,
     Listed,
     Maybe,
     MessageError,
@@ -42,32 +41,44 @@ from tunenet_logs.formats.message_types import TYPES, MessageType
 from tunenet_logs.formats.ros import ros_type
 
 if TYPE_CHECKING:
-    from google.protobuf.descriptor import Descriptor, FieldDescriptor
-
-# Time to read a byte of a definition in IDL and in protobuf, relative to one in another language.
-_WEIGHTS = {"ros2idl": 8.0, "omgidl": 8.0, "protobuf": 1 / 16}
+    from google.protobuf.descriptor import Descriptor
 
 
 @dataclass
-class SchemaBudget:
-    """Bytes of untrusted definitions that may be read in one log."""
+class Decoders:
+    """Decoders of the channels of one log, within a budget of a stranger's bytes."""
 
     left_bytes: int = 2 * 1024 * 1024  # of definitions
     # bytes of messages that may be decoded to infer their structure
     left_guesses: int = 4 * 1024 * 1024
+    _made: dict[tuple[str, str, str, bytes], AnyType | str] = field(default_factory=dict)
 
-    def spend(self, channel: RawChannel) -> None:
-        """Charge the definition of a channel's type; raise UnusableError beyond the budget."""
-        count = int(_WEIGHTS.get(channel.schema_encoding, 1.0) * len(channel.schema))
+    def any_type(self, channel: RawChannel) -> AnyType:
+        """Return structure and decoder of a channel's messages, else raise UnusableError."""
+        self._spend(channel)
+        return _type_of(channel, None)
+
+    def _spend(self, channel: RawChannel) -> None:
+        # Time to read a byte of IDL and of protobuf, relative to one of another language.
+        weight = {"ros2idl": 8.0, "omgidl": 8.0, "protobuf": 1 / 16}
+        count = int(weight.get(channel.schema_encoding, 1.0) * len(channel.schema))
         if count > self.left_bytes:
             raise UnusableError("the log has more definitions than are read")
         self.left_bytes -= count
 
-
-def any_type(channel: RawChannel, budget: SchemaBudget) -> AnyType:
-    """Return structure and decoder of a channel's messages, else raise UnusableError."""
-    budget.spend(channel)
-    return _type_of(channel, None)
+    def listed_type(self, channel: RawChannel) -> AnyType:
+        """Return what `listed_type` does, made once for all channels of the same definition."""
+        key = (channel.encoding, channel.schema_encoding, channel.type_name, channel.schema)
+        if key not in self._made:
+            try:
+                self._spend(channel)
+                self._made[key] = listed_type(channel)
+            except UnusableError as reason:
+                self._made[key] = str(reason)
+        made = self._made[key]
+        if isinstance(made, str):
+            raise UnusableError(made)
+        return made
 
 
 def listed_type(channel: RawChannel) -> AnyType:
@@ -79,11 +90,6 @@ def listed_type(channel: RawChannel) -> AnyType:
     if listed is not None and kind.structure is not None:
         _check(kind.structure, listed.fields, channel.type_name)
     return kind
-
-
-def decoder_for(channel: RawChannel) -> Decode:
-    """Return the decoder of a channel's messages of one of `TYPES`; raises as `listed_type`."""
-    return listed_type(channel).decode
 
 
 def _type_of(channel: RawChannel, listed: MessageType | None) -> AnyType:
@@ -141,10 +147,7 @@ _STEPS[list(b"[{")], _STEPS[list(b"]}")] = 1, -1
 
 
 def json_type(channel: RawChannel, listed: MessageType | None) -> AnyType:
-    """Return a decoder of JSON: objects have their fields as attributes, of a listed type checked.
-
-    Its schema is not needed.
-    """
+    """Return a decoder of JSON: fields become attributes, checked where the type is listed."""
     wanted = listed.fields if listed else None
     if wanted and channel.schema_encoding not in _SCHEMAS:
         raise UnusableError(
@@ -182,9 +185,17 @@ def _refuse(name: str) -> NoReturn:
 def _built(value: Any, wanted: Node) -> Any:
     """Build an object with the fields of a type; raise ValueError for a missing or wrong one."""
     if isinstance(wanted, Structure):
-        return SimpleNamespace(
-            **{name: _field(value, name, inner) for name, inner in wanted.fields.items()}
-        )
+        found: dict[str, Any] = {}
+        for name, inner in wanted.fields.items():
+            if not isinstance(value, dict):
+                raise ValueError("no object where one must be")
+            if name in value:
+                found[name] = _built(value[name], inner)
+            elif inner is Plain.OPTIONAL or isinstance(inner, Maybe):
+                found[name] = None
+            else:
+                raise ValueError(f"it has no {name!r}")
+        return SimpleNamespace(**found)
     if isinstance(wanted, Maybe):
         try:
             return _built(value, wanted.of)
@@ -200,16 +211,6 @@ def _built(value: Any, wanted: Node) -> Any:
     if built is None:
         raise ValueError(f"something else where {wanted.value} must be")
     return built
-
-
-def _field(value: Any, name: str, wanted: Node) -> Any:
-    if not isinstance(value, dict):
-        raise ValueError("no object where one must be")
-    if name in value:
-        return _built(value[name], wanted)
-    if wanted is Plain.OPTIONAL or isinstance(wanted, Maybe):
-        return None
-    raise ValueError(f"it has no {name!r}")
 
 
 def _number(value: Any) -> float | None:
@@ -260,9 +261,6 @@ _MAX_SCHEMA_BYTES = 4 * 1024 * 1024  # a type with all that it is made of has so
 _MAX_REPEATED_BYTES = 4 * 1024 * 1024
 MAX_TYPE_DEPTH = 8  # of parts within parts that are looked at: a type may hold itself
 
-# Files of Google's that writers leave out of their descriptors.
-_WELL_KNOWN = "any descriptor duration empty field_mask struct timestamp wrappers"
-
 
 def protobuf_type(channel: RawChannel, listed: MessageType | None) -> AnyType:
     """Return structure and decoder of a protobuf type, by the channel's own schema."""
@@ -277,7 +275,7 @@ def protobuf_type(channel: RawChannel, listed: MessageType | None) -> AnyType:
 
     try:
         descriptor = _descriptor_of(channel.schema, channel.type_name)
-        structure = _ProtobufType().structure(descriptor, 0)
+        structure = _protobuf_structure(descriptor, [0], 0)
         parse = GetMessageClass(descriptor).FromString
         most = _MAX_REPEATED_BYTES if _has_lists(descriptor) else MAX_PART_BYTES
     except (Error, *DAMAGED) as error:
@@ -315,39 +313,34 @@ def _descriptor_of(schema: bytes, type_name: str) -> Descriptor:
 
 @cache
 def _own_files() -> dict[str, bytes]:
-    modules = (import_module(f"google.protobuf.{name}_pb2") for name in _WELL_KNOWN.split())
+    """Return Google's files, which writers leave out of their descriptors, by name."""
+    names = "any descriptor duration empty field_mask struct timestamp wrappers"
+    modules = (import_module(f"google.protobuf.{name}_pb2") for name in names.split())
     return {module.DESCRIPTOR.name: module.DESCRIPTOR.serialized_pb for module in modules}
 
 
-class _ProtobufType:
-    """Structure of a protobuf type, bounded in depth and in number of fields."""
-
-    def __init__(self) -> None:
-        self._nodes = 0
-
-    def structure(self, descriptor: Descriptor, depth: int) -> Structure:
-        fields: dict[str, Node] = {}
-        for field in descriptor.fields:
-            self._nodes += 1
-            one = self._one(field, depth)
-            fields[field.name] = Listed(one) if field.is_repeated else one
-        can_lack = frozenset(field.name for field in descriptor.fields if field.has_presence)
-        return Structure(descriptor.full_name, fields, can_lack)
-
-    def _one(self, field: FieldDescriptor, depth: int) -> Node:
-        if field.message_type is not None:
-            is_map = field.message_type.GetOptions().map_entry
-            if is_map or depth > MAX_TYPE_DEPTH or self._nodes > MAX_NODES:
-                return Plain.OTHER
-            return self.structure(field.message_type, depth + 1)
-        plain = {
-            field.TYPE_DOUBLE: Plain.NUMBER,
-            field.TYPE_FLOAT: Plain.NUMBER,
-            field.TYPE_STRING: Plain.TEXT,
-            field.TYPE_BOOL: Plain.FLAG,
-            field.TYPE_BYTES: Plain.DATA,
-        }
-        return plain.get(field.type, Plain.WHOLE)
+def _protobuf_structure(descriptor: Descriptor, seen: list[int], depth: int) -> Structure:
+    """Return the structure of a type, bounded in depth and in number of fields `seen`."""
+    fields: dict[str, Node] = {}
+    for one in descriptor.fields:
+        seen[0] += 1
+        if one.message_type is not None:
+            is_map = one.message_type.GetOptions().map_entry
+            node: Node = Plain.OTHER
+            if not is_map and depth <= MAX_TYPE_DEPTH and seen[0] <= MAX_NODES:
+                node = _protobuf_structure(one.message_type, seen, depth + 1)
+        else:
+            plain = {
+                one.TYPE_DOUBLE: Plain.NUMBER,
+                one.TYPE_FLOAT: Plain.NUMBER,
+                one.TYPE_STRING: Plain.TEXT,
+                one.TYPE_BOOL: Plain.FLAG,
+                one.TYPE_BYTES: Plain.DATA,
+            }
+            node = plain.get(one.type, Plain.WHOLE)
+        fields[one.name] = Listed(node) if one.is_repeated else node
+    can_lack = frozenset(one.name for one in descriptor.fields if one.has_presence)
+    return Structure(descriptor.full_name, fields, can_lack)
 
 
 def _has_lists(top: Descriptor) -> bool:
@@ -356,13 +349,11 @@ def _has_lists(top: Descriptor) -> bool:
     waiting = [top]
     while waiting:
         descriptor = waiting.pop()
-        if descriptor.full_name in seen:
-            continue
-        seen.add(descriptor.full_name)
-        if any(field.is_repeated for field in descriptor.fields):
+        if any(one.is_repeated for one in descriptor.fields):
             return True
-        parts = (field.message_type for field in descriptor.fields)
-        waiting += [part for part in parts if part is not None]
+        seen.add(descriptor.full_name)
+        parts = (one.message_type for one in descriptor.fields)
+        waiting += [part for part in parts if part is not None and part.full_name not in seen]
     return False
 
 

@@ -50,7 +50,6 @@ def start_of(path: Path) -> Start:
 
 UNPACK = "unpack it and name the log inside"  # the remedy for an archive of anything
 _COPY = "copy it again, or record it again"
-
 _AS_NUMBERS = (
     "with the program that wrote it, save its numbers: numpy.savez('log.npz', t=times, z=heights)"
 )
@@ -80,13 +79,11 @@ _FROM_DATAFLASH = (
     "name {file}.csv"
 )
 _PICKLE = "a Python pickle, which can run programs"
-
 _PICTURE, _NAME_VIDEO = "a single picture", "name a video of the drop"
 _PROGRAM, _NAME_WRITTEN = "a program", "name the log that it writes"
 _TABLE = "save it as Parquet or CSV"
 _BAG = ("a bag of ROS of another version", "`rosbag fix` makes a new one of it")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-
 # First bytes, what the file is, and what to do about it.
 _KINDS: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"PAR1", "a Parquet file", _COPY),
@@ -144,7 +141,6 @@ _TEXTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
 )
 # Where HDF5 may begin behind a block of a user: MATLAB's of version 7.3 does.
 _HDF5_AT = (0, 512, 1024, 2048)
-
 _PLAIN_NAME = re.compile(r"[\w./+@ -]+")  # a path that can stand in a remedy as it is
 
 

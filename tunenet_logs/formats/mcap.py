@@ -27,11 +27,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
-from numpy.typing import NDArray
 
 from tunenet_logs.files import open_regular
 from tunenet_logs.formats.base import (
     CHUNK_RECORDS,
+    DAMAGE_RECORDS,
     DAMAGED,
     PART_RECORDS,
     Budget,
@@ -43,6 +43,7 @@ from tunenet_logs.formats.base import (
     RawMessages,
     RawMetadata,
     Record,
+    Topics,
     block_sizes,
     described,
     one_by_one,
@@ -58,7 +59,6 @@ from tunenet_logs.terminal import silent, teller
 
 MAGIC = b"\x89MCAP0\r\n"  # an MCAP file begins and ends with it
 MCAP_DAMAGED = (*DAMAGED, McapError)  # what parsing raises on damaged bytes
-
 # The structures of the MCAP specification, all little-endian.
 _HEAD = struct.Struct("<BQ")  # kind and length [bytes] of a record
 # Of a chunk: first and last stamp [ns], size unpacked [bytes], checksum, length [bytes] of the
@@ -70,17 +70,13 @@ _MESSAGE = struct.Struct("<HIQQ")
 _MESSAGES = np.dtype(
     [("number", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
 )
-
 _BLOCK_BYTES = 1024 * 1024  # read at a time of what is skipped
 # A compressed chunk, to look for behind a damaged place: its kind, its length, its compression.
 _CHUNK_BEGIN = re.compile(
     rb"\x06(?=(.{8}).{28}(?:\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4))", re.DOTALL
 )
 _ZEROS = re.compile(rb"\x00*")
-
-_MAX_PARTS = 20_000  # numbers and texts of one record: two for each word of its metadata
 _MIN_ALIKE = 8  # messages of one size in a row, after which the next are located at once
-
 # Kinds of records that are read, by where they stand.
 _USED_IN_CHUNK = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _USED = _USED_IN_CHUNK | {  # outside of chunks, before the summary
@@ -91,16 +87,12 @@ _USED = _USED_IN_CHUNK | {  # outside of chunks, before the summary
     Opcode.FOOTER,
 }
 _USED_IN_SUMMARY = frozenset((Opcode.STATISTICS, Opcode.FOOTER))
-
 # What a killed recorder leaves.
 _NO_END = "the end of the file is missing (a recording that did not end?)"
 
 
 def read_mcap(
-    path: Path,
-    losses: list[Loss],
-    topics: Sequence[str] | None = None,
-    budget: Budget | None = None,
+    path: Path, losses: list[Loss], topics: Topics = None, budget: Budget | None = None
 ) -> Iterator[Record]:
     """Yield the records of an MCAP file, checking every CRC that it carries; see `Container`."""
     with open_regular(path) as file:
@@ -111,8 +103,8 @@ def read_mcap(
 class _Exact(BytesIO):
     """Byte stream that refuses reads beyond its end; the library would take what there is."""
 
-    def __init__(self, body: bytes | memoryview, most_parts: int = _MAX_PARTS) -> None:
-        super().__init__(body)
+    def __init__(self, body: bytes | memoryview, most_parts: int = 20_000) -> None:
+        super().__init__(body)  # of numbers and texts: two for each word of a record's metadata
         self._left = self._most = most_parts
 
     def read(self, size: int | None = -1) -> bytes:
@@ -127,10 +119,7 @@ class _Exact(BytesIO):
 
 
 def channels_of_summary(file: BinaryIO, size: int, budget: Budget) -> dict[int, RawChannel]:
-    """Read the channels of an intact summary at the end of a file of `size` bytes, by number.
-
-    Empty where the summary is missing, too large or damaged. Leaves the file's position as it was.
-    """
+    """Read the channels of an intact summary, by number; leave the file's position as it was."""
     found: dict[int, RawChannel] = {}
     schemas: dict[int, mcap_records.Schema] = {}
     here = file.tell()
@@ -145,11 +134,11 @@ def channels_of_summary(file: BinaryIO, size: int, budget: Budget) -> dict[int, 
         if zlib.crc32(body[: -len(MAGIC) - 4]) != crc:
             return {}
         for record in StreamReader(_Exact(body, len(body)), skip_magic=True).records:
-            budget.spend_records()
+            budget.spend(records=1)
             if isinstance(record, mcap_records.Schema):
                 schemas[record.id] = record
             elif isinstance(record, mcap_records.Channel):
-                budget.spend_records(PART_RECORDS)
+                budget.spend(records=PART_RECORDS)
                 found[record.id] = _raw(record, schemas.get(record.schema_id))
     except (*MCAP_DAMAGED, OSError):
         return {}
@@ -175,13 +164,13 @@ class _Inside:
     def __init__(self, plain: memoryview) -> None:
         self.plain = plain
         self.channels: dict[int, RawChannel] = {}
-        self._begins, self._ends = array("I"), array("I")
+        self.begins, self.ends = array("I"), array("I")
         self._length = self._alike = 0  # of the last message, and how many had that in a row
 
     def add(self, at: int, length: int) -> int:
         """Add a message; return how many equally long ones that follow were added with it."""
-        self._begins.append(at)
-        self._ends.append(at + length)
+        self.begins.append(at)
+        self.ends.append(at + length)
         self._alike = self._alike + 1 if length == self._length else 1
         self._length = length
         if self._alike < _MIN_ALIKE:
@@ -199,14 +188,9 @@ class _Inside:
             if len(others):
                 break
         begins = at + size * np.arange(1, more + 1)
-        self._begins.frombytes(begins.astype(np.uint32).tobytes())
-        self._ends.frombytes((begins + length).astype(np.uint32).tobytes())
+        self.begins.frombytes(begins.astype(np.uint32).tobytes())
+        self.ends.frombytes((begins + length).astype(np.uint32).tobytes())
         return more
-
-    @property
-    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First and end byte of each message, shape (N,)."""
-        return np.array(self._begins, np.int64), np.array(self._ends, np.int64)
 
 
 @dataclass(eq=False)
@@ -216,7 +200,7 @@ class _McapReading:
     file: BinaryIO
     size: int
     losses: list[Loss]
-    topics: Sequence[str] | None
+    topics: Topics
     budget: Budget
     at: int = 0  # where the record begins that is read
     crc: int = 0  # of all data before, later of the summary
@@ -234,6 +218,7 @@ class _McapReading:
     redefined: list[str] = field(default_factory=list)  # numbers used for two channels, in words
 
     def records(self) -> Iterator[Record]:
+        """Yield the records, and add what was lost behind them."""
         try:
             yield from self._until_the_end()
         except OverBudgetError as error:
@@ -265,7 +250,7 @@ class _McapReading:
             if len(head) < _HEAD.size:
                 self._lose(_NO_END, at)
                 return
-            self.budget.spend_records()
+            self.budget.spend(records=1)
             opcode, length = _HEAD.unpack(head)
             behind = at + _HEAD.size + length
             if not opcode:
@@ -299,10 +284,7 @@ class _McapReading:
             yield block
 
     def _next_chunk(self, start: int) -> int | None:
-        """Find the next compressed chunk from `start` on that fits the file.
-
-        Leaves the file behind the head of the record at `self.at`.
-        """
+        """Find the next compressed chunk; leave the file behind the head at `self.at`."""
         self.file.seek(start)
         kept = b""  # the end of the block before, where a chunk may begin
         try:
@@ -352,7 +334,7 @@ class _McapReading:
         if opcode not in used or length > MAX_PART_BYTES:
             rest = length
             while rest > 0:  # until the file ends
-                rest -= len(self._read(min(rest, _BLOCK_BYTES))) or rest
+                rest -= len(self._read(min(rest, 1024 * 1024))) or rest
             if opcode in used:
                 self._lose("a record is too large to be read", at, length)
             return ()
@@ -367,7 +349,18 @@ class _McapReading:
                 self.crc = 0  # from here on, that of the summary
                 self.in_summary = True
             elif opcode == Opcode.FOOTER:
-                self._end_file(body, zlib.crc32(body[:-4], zlib.crc32(head, before)))
+                self.ended = True
+                _, _, stated = _FOOTER.unpack_from(body)
+                crc = zlib.crc32(body[:-4], zlib.crc32(head, before))
+                if not self.in_summary:
+                    self._lose("the end of the data is not marked")
+                elif (stated and stated != crc) or self.file.read(len(MAGIC)) != MAGIC:
+                    why = "the index at the end is damaged"
+                    self._lose(f"{why} (`tunenet-logs recover` writes it anew)")
+                if (end := self.file.tell()) < self.size:
+                    is_log = self.file.read(len(MAGIC)) == MAGIC
+                    what = "another log follows" if is_log else "bytes follow"
+                    self._lose(f"{what} behind the end, which are not read", end, self.size - end)
             else:
                 return self._parse(opcode, memoryview(body))
         except MCAP_DAMAGED as error:
@@ -382,15 +375,33 @@ class _McapReading:
                 raise ValueError(f"a message of {len(body)} bytes")
             self.unprotected = True
             return self._message(body)
-        if opcode == Opcode.CHUNK:
-            return self._chunk(body)
+        if opcode == Opcode.CHUNK:  # all of its records, or none
+            self.budget.spend(records=CHUNK_RECORDS)
+            stated, crc, compression, claimed, packed = _parts_of_chunk(body)
+            if claimed > len(packed):
+                raise ValueError(f"it claims {claimed} bytes")
+            if stated <= MAX_PART_BYTES:
+                self.budget.spend(stated)
+            plain = memoryview(unpack(packed, compression, stated))
+            if crc and zlib.crc32(plain) != crc:
+                raise ValueError("its checksum is wrong")
+            self.unprotected |= not crc
+            inside = _Inside(plain)
+            try:
+                self._look_through(inside)
+            except MCAP_DAMAGED:  # as if it had not been
+                for number in inside.channels:
+                    del self.channels[number]
+                    self.told.pop(number, None)
+                raise
+            return self._all_of(inside)
         if opcode == Opcode.STATISTICS:
             (self.stated,) = struct.unpack_from("<Q", body)
             return ()
         if opcode in _USED_IN_CHUNK:
             found = self._described(opcode, body)
             return found[1:] if found else ()
-        self.budget.spend_records(PART_RECORDS)
+        self.budget.spend(records=PART_RECORDS)
         stream = ReadDataStream(_Exact(body))
         if opcode == Opcode.METADATA:
             metadata = mcap_records.Metadata.read(stream)
@@ -398,28 +409,6 @@ class _McapReading:
         file = mcap_records.Attachment.read(stream)
         log_ns, create_ns = file.log_time, file.create_time
         return (RawAttachment(file.name, file.media_type, file.data, log_ns, create_ns),)
-
-    def _chunk(self, body: memoryview) -> Iterable[Record]:
-        """Return all records of a chunk, or raise without keeping any."""
-        self.budget.spend_records(CHUNK_RECORDS)
-        stated, crc, compression, claimed, packed = _parts_of_chunk(body)
-        if claimed > len(packed):
-            raise ValueError(f"it claims {claimed} bytes")
-        if stated <= MAX_PART_BYTES:
-            self.budget.spend(stated)
-        plain = memoryview(unpack(packed, compression, stated))
-        if crc and zlib.crc32(plain) != crc:
-            raise ValueError("its checksum is wrong")
-        self.unprotected |= not crc
-        inside = _Inside(plain)
-        try:
-            self._look_through(inside)
-        except MCAP_DAMAGED:  # as if it had not been
-            for number in inside.channels:
-                del self.channels[number]
-                self.told.pop(number, None)
-            raise
-        return self._all_of(inside)
 
     def _look_through(self, inside: _Inside) -> None:
         """Index a chunk: its channels, and the places of its messages, as far as it is whole."""
@@ -429,7 +418,7 @@ class _McapReading:
             opcode, length = _HEAD.unpack_from(plain, at)
             count += 1
             if count > most or not opcode:
-                self.budget.spend_records(count)
+                self.budget.spend(records=count)
                 count, most = 0, self.budget.left_records
             if not opcode:
                 end = _ZEROS.match(plain, at).end()  # type: ignore[union-attr]
@@ -452,16 +441,16 @@ class _McapReading:
             elif opcode in _USED:
                 raise ValueError(f"it holds a record of kind {opcode}, which belongs outside")
             at = end
-        self.budget.spend_records(count)
+        self.budget.spend(records=count)
 
     def _described(self, opcode: int, body: memoryview) -> tuple[int, RawChannel] | None:
         """Register a schema or channel; return number and channel where that is new."""
-        self.budget.spend_records(PART_RECORDS)
+        self.budget.spend(records=PART_RECORDS)
         stream = ReadDataStream(_Exact(body))
         if opcode == Opcode.SCHEMA:
             schema = mcap_records.Schema.read(stream)
             if schema.id not in self.schemas:
-                self.budget.spend_definition(schema.data)
+                self.budget.spend(definition=schema.data)
             if schema != self.schemas.setdefault(schema.id, schema):
                 self.redefined.append(f"schema {schema.id} is defined again as {schema.name}")
             return None
@@ -473,28 +462,29 @@ class _McapReading:
                 self.redefined.append(again)
             return None
         self.told[channel.id] = channel
-        self.budget.spend_channel()
+        self.budget.spend(records=PART_RECORDS, channels=1)
         found = _raw(channel, self.schemas.get(channel.schema_id))
         self.channels[channel.id] = found
         return channel.id, found
 
-    def _from_summary(self, number: int) -> RawChannel | None:
-        """Return a channel whose description was in a damaged chunk perhaps."""
+    def _channel(self, number: int) -> tuple[RawChannel | None, bool]:
+        """Return a message's channel, and whether it is news: its chunk was damaged perhaps."""
+        if known := self.channels.get(number):
+            return known, False
         if self.of_summary is None:
             self.of_summary = channels_of_summary(self.file, self.size, self.budget)
         if found := self.of_summary.get(number):
             self.channels[number] = found
-        return found
+        return found, found is not None
 
     def _message(self, body: memoryview) -> Iterator[Record]:
         """Yield a message outside of chunks; `_all_of` is slow for a single one."""
         number, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
-        channel = self.channels.get(number)
+        channel, is_new = self._channel(number)
         if channel is None:
-            channel = self._from_summary(number)
-            if channel is None:
-                self.unknown += 1
-                return
+            self.unknown += 1
+            return
+        if is_new:
             yield channel
         self.messages += 1
         if self.topics is None or channel.topic in self.topics:
@@ -504,19 +494,20 @@ class _McapReading:
     def _all_of(self, inside: _Inside) -> Iterator[Record]:
         """Yield a chunk's channels, then those that nothing described before, then messages."""
         yield from inside.channels.values()
-        plain, (begins, ends) = inside.plain, inside.places
+        # First and end byte of each message, shape (N,).
+        plain = inside.plain
+        begins, ends = np.array(inside.begins, np.int64), np.array(inside.ends, np.int64)
         if not len(begins):
             return
         heads = np.ndarray(len(plain) - _MESSAGE.size + 1, _MESSAGES, plain, strides=(1,))[begins]
         channels: dict[int, RawChannel] = {}
         numbers, counts = np.unique(heads["number"], return_counts=True)
         for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
-            channel = self.channels.get(number)
+            channel, is_new = self._channel(number)
             if channel is None:
-                channel = self._from_summary(number)
-                if channel is None:
-                    self.unknown += count
-                    continue
+                self.unknown += count
+                continue
+            if is_new:
                 yield channel
             self.messages += count
             if self.topics is None or channel.topic in self.topics:
@@ -539,20 +530,8 @@ class _McapReading:
                 message.data = unpack_message(message.data, self.budget)
         return message
 
-    def _end_file(self, body: bytes, crc: int) -> None:
-        self.ended = True
-        _, _, stated = _FOOTER.unpack_from(body)
-        if not self.in_summary:
-            self._lose("the end of the data is not marked")
-        elif (stated and stated != crc) or self.file.read(len(MAGIC)) != MAGIC:
-            self._lose("the index at the end is damaged (`tunenet-logs recover` writes it anew)")
-        end = self.file.tell()
-        if end < self.size:
-            what = "another log follows" if self.file.read(len(MAGIC)) == MAGIC else "bytes follow"
-            self._lose(f"{what} behind the end, which are not read", end, self.size - end)
-
     def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
-        self.budget.spend_damage()
+        self.budget.spent_records += DAMAGE_RECORDS  # reported in any case
         self.losses.append(Loss(what, at_byte=at, size=size))
 
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -32,48 +33,97 @@ from tunenet_logs.formats.base import (
 class MessageType:
     """A type of messages."""
 
-    read: Callable[[Any], Any]  # what a decoded message holds
+    # several `PositionSample`, a `JointSample`, a `PictureSample`, a `SoundSample`; of what drives
+    # a robot, a `PlanSample`, plain numbers without a stamp, a `WrenchSample`; our `TaskOutcome`
+    holds: Literal[
+        "positions", "joints", "picture", "sound", "plan", "numbers", "wrench", "outcome"
+    ]
+    read: Callable[[Any], Any]  # gives that of a decoded message
     # that are read; a type or message without them is not used. Neither a protobuf schema nor JSON
     # proves what it is called
     fields: Structure
     definition: str = ""  # in ROS, of a type that no distribution defines
+    # whether a message with positions is of one body, whose name counts only among several
+    names_one: bool = False
+    is_video: bool = False  # whether decoding a picture needs those before it
+
+    @property
+    def is_media(self) -> bool:
+        """Whether it holds pictures or sound, which are read on demand."""
+        return self.holds in ("picture", "sound")
 
 
-# ---- Positions
+# ---- What messages hold.
 
+Values = Sequence[float] | np.ndarray
 # Stamp [ns] (0: not set), of what ("": the topic's own), in which frame ("": any); x, y, z [m]; of
 # a type with orientations also a unit quaternion x, y, z, w, NaN where the message gives none.
 PositionSample = (
     tuple[int, str, str, float, float, float]
     | tuple[int, str, str, float, float, float, float, float, float, float]
 )
+# Stamp [ns] (0: not set); in which frame ("": any); force x, y, z [N]; torque x, y, z [N·m].
+WrenchSample = tuple[int, str, float, float, float, float, float, float]
+# Time after the start [ns]; positions, velocities, efforts, each empty where it does not say.
+PlanPoint = tuple[int, Values, Values, Values]
+
+
+class JointSample(NamedTuple):
+    """Joint states of one message: rad, rad/s, N·m; empty where it gives none."""
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    position: Values = ()
+    velocity: Values = ()
+    effort: Values = ()
+
+
+class PlanSample(NamedTuple):
+    """Planned joint trajectory of one message: rad, rad/s, N·m; stamp 0 for "from now on"."""
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    points: Sequence[PlanPoint]
+
+
+@dataclass(frozen=True, eq=False)
+class PictureSample:
+    """One message's image; `size` and `step` are those of uncompressed pixels."""
+
+    stamp_ns: int
+    encoding: str
+    data: Any
+    size: tuple[int, int] | None = None
+    step: int = 0  # bytes from one row to the next; 0 where rows are contiguous
+    is_bigendian: bool = False
+
+
+class SoundSample(NamedTuple):
+    """One message's sound; the stamp is that of its first sample, the format Foxglove's name."""
+
+    stamp_ns: int
+    format: str
+    data: Any
+    rate_hz: int
+    channels: int
+
+
+# ---- Read each of them.
 
 _NO_ORIENTATION = (math.nan, math.nan, math.nan, math.nan)
-_NORM_ERROR = 0.1  # of a quaternion; beyond it, it is none, such as one of zeros
-_MAX_FRAME = 200  # characters of a frame's name
-
-
-@dataclass(frozen=True)
-class PositionType(MessageType):
-    """A type with positions: `read` returns several `PositionSample`."""
-
-    # whether a message is of one body, whose name counts only among several
-    names_one: bool = False
 
 
 def frame_of(message: Any, name: str = "frame_id") -> str:
     """Return the frame name of a message or a header; "" where it has none."""
     frame = getattr(message, name, None)
-    return frame[:_MAX_FRAME] if isinstance(frame, str) else ""
+    return frame[:200] if isinstance(frame, str) else ""
 
 
 def _of_ros(message: Any) -> tuple[int, str]:
-    """Return stamp and frame of a ROS message."""
     return ros_stamp_ns(message), frame_of(message.header)
 
 
 def _of_foxglove(message: Any) -> tuple[int, str]:
-    """Return stamp and frame of a Foxglove message."""
     return time_ns(message.timestamp), frame_of(message)
 
 
@@ -113,107 +163,14 @@ def _foxglove_transform(message: Any) -> PositionSample:
 
 
 def _placed(stamp_ns: int, frame: str, name: str, point: Any, turn: Any) -> PositionSample:
-    """Return a sample, without orientation where `turn` is no unit quaternion."""
+    """Return a sample, without orientation where `turn` is no unit quaternion, as one of zeros."""
     try:
         parts = float(turn.x), float(turn.y), float(turn.z), float(turn.w)
     except (AttributeError, TypeError, ValueError):
         parts = _NO_ORIENTATION
-    if not abs(math.hypot(*parts) - 1.0) < _NORM_ERROR:  # NaN, too
+    if not abs(math.hypot(*parts) - 1.0) < 0.1:  # NaN, too
         parts = _NO_ORIENTATION
     return stamp_ns, name, frame, float(point.x), float(point.y), float(point.z), *parts
-
-
-# ---- Joints, images, sound, and what drives a robot.
-
-
-class JointSample(NamedTuple):
-    """Joint states of one message: rad, rad/s, N·m; empty where it gives none."""
-
-    stamp_ns: int
-    names: tuple[str, ...]
-    position: Sequence[float] | np.ndarray = ()
-    velocity: Sequence[float] | np.ndarray = ()
-    effort: Sequence[float] | np.ndarray = ()
-
-
-class JointType(MessageType):
-    """A type with joint states: `read` returns a `JointSample`."""
-
-
-@dataclass(frozen=True, eq=False)
-class PictureSample:
-    """One message's image; `size` and `step` are those of uncompressed pixels."""
-
-    stamp_ns: int
-    encoding: str
-    data: Any
-    size: tuple[int, int] | None = None
-    step: int = 0  # bytes from one row to the next; 0 where rows are contiguous
-    is_bigendian: bool = False
-
-
-@dataclass(frozen=True)
-class PictureType(MessageType):
-    """A type with an image: `read` returns a `PictureSample`."""
-
-    is_video: bool = False  # whether decoding an image needs those before it
-
-
-class SoundSample(NamedTuple):
-    """One message's sound; the stamp is that of its first sample, the format Foxglove's name."""
-
-    stamp_ns: int
-    format: str
-    data: Any
-    rate_hz: int
-    channels: int
-
-
-class SoundType(MessageType):
-    """A type with sound: `read` returns a `SoundSample`."""
-
-
-# Time after the start [ns]; positions, velocities, efforts, each empty where it does not say.
-PlanPoint = tuple[
-    int,
-    "Sequence[float] | np.ndarray",
-    "Sequence[float] | np.ndarray",
-    "Sequence[float] | np.ndarray",
-]
-
-
-class PlanSample(NamedTuple):
-    """Planned joint trajectory of one message: rad, rad/s, N·m; stamp 0 for "from now on"."""
-
-    stamp_ns: int
-    names: tuple[str, ...]
-    points: Sequence[PlanPoint]
-
-
-class PlanType(MessageType):
-    """A type with a planned joint trajectory, which nobody measured: a `PlanSample`."""
-
-
-NumbersSample = Sequence[float] | np.ndarray  # numbers of which nobody says what they are
-
-
-class NumbersType(MessageType):
-    """A type with plain numbers, without a stamp: a `NumbersSample`."""
-
-
-# Stamp [ns] (0: not set); in which frame ("": any); force x, y, z [N]; torque x, y, z [N·m].
-WrenchSample = tuple[int, str, float, float, float, float, float, float]
-
-
-class WrenchType(MessageType):
-    """A type with a force and a torque: a `WrenchSample`."""
-
-
-class OutcomeType(MessageType):
-    """Our type of what the hardware did in one attempt; `read` returns the message."""
-
-
-DriveType = PlanType | NumbersType | WrenchType  # a type of what drives a robot
 
 
 def _joint_state(message: Any) -> JointSample:
@@ -272,18 +229,10 @@ def _wrench(message: Any) -> WrenchSample:
     return *_of_ros(message), x, y, z, float(torque.x), float(torque.y), float(torque.z)
 
 
-def _ros_pixels(message: Any) -> PictureSample:
-    return _pixels(ros_stamp_ns(message), message, bool(message.is_bigendian))
-
-
 def _pixels(stamp_ns: int, message: Any, is_bigendian: bool = False) -> PictureSample:
     size = (int(message.width), int(message.height))
     encoding, step = str(message.encoding), int(message.step)
     return PictureSample(stamp_ns, encoding, message.data, size, step, is_bigendian)
-
-
-def _foxglove_picture(message: Any) -> PictureSample:
-    return PictureSample(time_ns(message.timestamp), message.format, message.data)
 
 
 def _raw_audio(message: Any) -> SoundSample:
@@ -325,7 +274,6 @@ _OUTCOME: dict[str, Node] = dict.fromkeys(
 )
 _OUTCOME |= dict.fromkeys(("shot_height", "miss_distance", "tuned_parameter"), Plain.OPTIONAL)
 _OUTCOME |= {"attempt": Plain.WHOLE, "success": Plain.FLAG}
-
 # Foxglove's types as ROS messages; they begin alike.
 _FOXGLOVE = "builtin_interfaces/Time timestamp\nstring frame_id\n"
 _FOXGLOVE_TRANSFORM = """\
@@ -335,7 +283,6 @@ string child_frame_id
 geometry_msgs/Vector3 translation
 geometry_msgs/Quaternion rotation
 """
-_FOXGLOVE_PIXELS = "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data"
 _DYNAMIC_JOINTS = f"""\
 std_msgs/Header header
 string[] joint_names
@@ -345,96 +292,103 @@ MSG: control_msgs/InterfaceValue
 string[] interface_names
 float64[] values
 """
-
-_KINOVA_ANGLES = "kinova_msgs/msg/JointAngles"
-
+_positions = partial(MessageType, "positions")
+_joints = partial(MessageType, "joints")
+_picture = partial(MessageType, "picture")
 _ROS_POSE, _FOXGLOVE_POSE = _pose("pose", _of_ros), _pose("pose", _of_foxglove)
-_ODOMETRY = _pose("pose.pose", _of_ros), _fields(_HEADER, pose=_fields(pose=_POSE))
-_NUMBER = (lambda message: (float(message.data),)), _fields(data=Plain.NUMBER)
-_ARRAY = attrgetter("data"), _fields(data=_NUMBERS)
-
+_POSE_FIELDS = _fields(_ORIGIN, pose=_POSE)
+_ODOMETRY = _positions(
+    _pose("pose.pose", _of_ros), _fields(_HEADER, pose=_fields(pose=_POSE)), names_one=True
+)
+_NUMBER = MessageType("numbers", lambda message: (float(message.data),), _fields(data=Plain.NUMBER))
+_ARRAY = MessageType("numbers", attrgetter("data"), _fields(data=_NUMBERS))
+_FOXGLOVE_PICTURE = _picture(
+    lambda message: PictureSample(time_ns(message.timestamp), message.format, message.data),
+    _fields(_STAMP, **_PICTURE),
+    messages.VIDEO_FIELDS,
+)
+_KINOVA = {"Angles": "position", "Torque": "effort", "Velocity": "velocity"}
 TYPES: dict[str, MessageType] = {
-    "geometry_msgs/msg/PoseStamped": PositionType(
+    "geometry_msgs/msg/PoseStamped": _positions(
         _ROS_POSE, _fields(_HEADER, pose=_POSE), names_one=True
     ),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": PositionType(*_ODOMETRY, names_one=True),
-    "nav_msgs/msg/Odometry": PositionType(*_ODOMETRY, names_one=True),
-    "geometry_msgs/msg/PointStamped": PositionType(
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _ODOMETRY,
+    "nav_msgs/msg/Odometry": _ODOMETRY,
+    "geometry_msgs/msg/PointStamped": _positions(
         _point("point", _of_ros), _fields(_HEADER, point=_XYZ)
     ),
-    "geometry_msgs/msg/TransformStamped": PositionType(
+    "geometry_msgs/msg/TransformStamped": _positions(
         lambda message: (_ros_transform(message),), _ROS_TRANSFORM, names_one=True
     ),
-    "tf2_msgs/msg/TFMessage": PositionType(
+    "tf2_msgs/msg/TFMessage": _positions(
         lambda message: [*map(_ros_transform, message.transforms)],
         _fields(transforms=Listed(_ROS_TRANSFORM)),
         "geometry_msgs/TransformStamped[] transforms",  # of ROS 1, where it is another package's
     ),
-    "foxglove.PoseInFrame": PositionType(
-        _FOXGLOVE_POSE, _fields(_ORIGIN, pose=_POSE), f"{_FOXGLOVE}geometry_msgs/Pose pose"
+    "foxglove.PoseInFrame": _positions(
+        _FOXGLOVE_POSE, _POSE_FIELDS, f"{_FOXGLOVE}geometry_msgs/Pose pose"
     ),
-    "foxglove.Odometry": PositionType(_FOXGLOVE_POSE, _fields(_ORIGIN, pose=_POSE)),
-    "foxglove.Point3InFrame": PositionType(
+    "foxglove.Odometry": _positions(_FOXGLOVE_POSE, _POSE_FIELDS),
+    "foxglove.Point3InFrame": _positions(
         _point("point", _of_foxglove),
         _fields(_ORIGIN, point=_XYZ),
         f"{_FOXGLOVE}geometry_msgs/Point point",
     ),
-    "foxglove.FrameTransform": PositionType(
+    "foxglove.FrameTransform": _positions(
         lambda message: (_foxglove_transform(message),), _TRANSFORM, _FOXGLOVE_TRANSFORM
     ),
-    "foxglove.FrameTransforms": PositionType(
+    "foxglove.FrameTransforms": _positions(
         lambda message: [*map(_foxglove_transform, message.transforms)],
         _fields(transforms=Listed(_TRANSFORM)),
         "foxglove_msgs/FrameTransform[] transforms",
     ),
-    "sensor_msgs/msg/JointState": JointType(
+    "sensor_msgs/msg/JointState": _joints(
         _joint_state,
         _fields(_HEADER, name=_TEXTS, position=_NUMBERS, velocity=_NUMBERS, effort=_NUMBERS),
     ),
-    "control_msgs/msg/DynamicJointState": JointType(
+    "control_msgs/msg/DynamicJointState": _joints(
         _dynamic_joints,
         _fields(_HEADER, joint_names=_TEXTS, interface_values=Listed(_INTERFACE)),
         _DYNAMIC_JOINTS,
     ),
-    "foxglove.JointStates": JointType(_foxglove_joints, _fields(_STAMP, joints=Listed(_JOINT))),
-    _KINOVA_ANGLES: JointType(_kinova("position"), _SEVEN, messages.SEVEN_JOINTS),
-    "kinova_msgs/msg/JointTorque": JointType(_kinova("effort"), _SEVEN, messages.SEVEN_JOINTS),
-    "kinova_msgs/msg/JointVelocity": JointType(_kinova("velocity"), _SEVEN, messages.SEVEN_JOINTS),
-    "trajectory_msgs/msg/JointTrajectory": PlanType(
-        _trajectory, _fields(_HEADER, joint_names=_TEXTS, points=Listed(_PLAN_POINT))
+    "foxglove.JointStates": _joints(_foxglove_joints, _fields(_STAMP, joints=Listed(_JOINT))),
+    **{
+        f"kinova_msgs/msg/Joint{name}": _joints(_kinova(what), _SEVEN, messages.SEVEN_JOINTS)
+        for name, what in _KINOVA.items()
+    },
+    "trajectory_msgs/msg/JointTrajectory": MessageType(
+        "plan", _trajectory, _fields(_HEADER, joint_names=_TEXTS, points=Listed(_PLAN_POINT))
     ),
-    "std_msgs/msg/Float64MultiArray": NumbersType(*_ARRAY),
-    "std_msgs/msg/Float32MultiArray": NumbersType(*_ARRAY),
-    "std_msgs/msg/Float64": NumbersType(*_NUMBER),
-    "std_msgs/msg/Float32": NumbersType(*_NUMBER),
-    "geometry_msgs/msg/WrenchStamped": WrenchType(
-        _wrench, _fields(_HEADER, wrench=_fields(force=_XYZ, torque=_XYZ))
+    "std_msgs/msg/Float64MultiArray": _ARRAY,
+    "std_msgs/msg/Float32MultiArray": _ARRAY,
+    "std_msgs/msg/Float64": _NUMBER,
+    "std_msgs/msg/Float32": _NUMBER,
+    "geometry_msgs/msg/WrenchStamped": MessageType(
+        "wrench", _wrench, _fields(_HEADER, wrench=_fields(force=_XYZ, torque=_XYZ))
     ),
-    "sensor_msgs/msg/CompressedImage": PictureType(
+    "sensor_msgs/msg/CompressedImage": _picture(
         lambda message: PictureSample(ros_stamp_ns(message), message.format, message.data),
         _fields(_HEADER, **_PICTURE),
     ),
-    "sensor_msgs/msg/Image": PictureType(
-        _ros_pixels, _fields(_HEADER, **_PIXELS, is_bigendian=Plain.FLAG)
+    "sensor_msgs/msg/Image": _picture(
+        lambda message: _pixels(ros_stamp_ns(message), message, bool(message.is_bigendian)),
+        _fields(_HEADER, **_PIXELS, is_bigendian=Plain.FLAG),
     ),
-    "foxglove.CompressedImage": PictureType(
-        _foxglove_picture, _fields(_STAMP, **_PICTURE), messages.VIDEO_FIELDS
-    ),
-    "foxglove.CompressedVideo": PictureType(
-        _foxglove_picture, _fields(_STAMP, **_PICTURE), messages.VIDEO_FIELDS, is_video=True
-    ),
-    "foxglove.RawImage": PictureType(
+    "foxglove.CompressedImage": _FOXGLOVE_PICTURE,
+    "foxglove.CompressedVideo": replace(_FOXGLOVE_PICTURE, is_video=True),
+    "foxglove.RawImage": _picture(
         lambda message: _pixels(time_ns(message.timestamp), message),
         _fields(_STAMP, **_PIXELS),
-        f"{_FOXGLOVE}{_FOXGLOVE_PIXELS}",
+        f"{_FOXGLOVE}uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data",
     ),
-    "foxglove.RawAudio": SoundType(
+    "foxglove.RawAudio": MessageType(
+        "sound",
         _raw_audio,
         _fields(_STAMP, **_PICTURE, sample_rate=Plain.WHOLE, number_of_channels=Plain.WHOLE),
         messages.AUDIO_FIELDS,
     ),
-    messages.TASK_OUTCOME: OutcomeType(
-        lambda message: message, _fields(_HEADER, **_OUTCOME), messages.OUTCOME_FIELDS
+    messages.TASK_OUTCOME: MessageType(
+        "outcome", lambda message: message, _fields(_HEADER, **_OUTCOME), messages.OUTCOME_FIELDS
     ),
 }
 
@@ -443,9 +397,9 @@ def message_type_of(channel: RawChannel) -> MessageType | None:
     """Return what a channel's type holds; None if nothing that is used."""
     name = type_key(channel.type_name)
     kind = TYPES.get(name)
-    if kind and name == _KINOVA_ANGLES:  # as which Kinova's driver sends torques, too
+    if kind and name == messages.JOINT_ANGLES:  # as which Kinova's driver sends torques, too
         topic = channel.topic.rpartition("/")[2].lower()
-        for word, quantity in (("torque", "effort"), ("velocity", "velocity")):
-            if word in topic:
-                return replace(kind, read=_kinova(quantity))
+        for word in ("Torque", "Velocity"):
+            if word.lower() in topic:
+                return replace(kind, read=_kinova(_KINOVA[word]))
     return kind

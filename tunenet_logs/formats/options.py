@@ -12,24 +12,15 @@ from tunenet_logs.console import CheckedOptions, add_options, given, option
 from tunenet_logs.errors import UsageError
 from tunenet_logs.formats.columns.names import LENGTHS
 
-# What a column can be said to be.
-_TARGETS = r"(?:t|frame|times|object|x|y|z|(?:position|velocity|effort|current)_[1-9]\d{0,2})"
-
-# Where the next one of `--columns` begins: a column's own name may hold commas.
-_ASSIGNMENT = re.compile(rf"(?:^|,)\s*({_TARGETS})\s*=")
-
-# What `--columns` takes, for messages.
+# Where a column of `--columns` begins, and what it is; a column's own name may hold commas.
+_ASSIGNMENT = re.compile(
+    r"(?:^|,)\s*(t|frame|times|object|x|y|z|(?:position|velocity|effort|current)_[1-9]\d{0,2})\s*="
+)
 COLUMNS_EXAMPLE = "t=Zeit,z='Height (cm)', or by number from 1: t=1,z=2; of a log: z=/ball.z"
-
-_MAX_CONSTANT = 1e6  # [N·m/A]
 
 
 def columns_of(text: str) -> dict[str, str]:
-    """Parse the value of `--columns`.
-
-    Raises:
-        UsageError: it is not like `COLUMNS_EXAMPLE`, or has a target twice.
-    """
+    """Parse the value of `--columns`; raise UsageError."""
     marks = list(_ASSIGNMENT.finditer(text))
     if not marks or text[: marks[0].start()].strip():
         raise UsageError(f"--columns {text[:60]!r} says no column; write {COLUMNS_EXAMPLE}")
@@ -52,17 +43,13 @@ def _length_unit(text: str) -> str:
 
 
 def constants_of(given: str | float | Sequence[float]) -> tuple[float, ...]:
-    """Parse torque constants [N·m/A], joint by joint.
-
-    Raises:
-        UsageError: they are no numbers.
-    """
+    """Parse torque constants [N·m/A], joint by joint; raise UsageError."""
     parts = given.split(",") if isinstance(given, str) else given
     try:
         values = tuple(map(float, parts if isinstance(parts, Sequence) else (parts,)))
     except ValueError:
         values = (math.nan,)
-    if not all(0 < abs(value) < _MAX_CONSTANT for value in values):
+    if not all(0 < abs(value) < 1e6 for value in values):
         shown = str(given)[:40]
         raise UsageError(
             f"--torque-constants {shown!r} are no numbers; write them as 10.5,10.5,8.1"
@@ -72,10 +59,9 @@ def constants_of(given: str | float | Sequence[float]) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class ReadOptions(CheckedOptions):
-    """What a file does not state itself: which column is which, its rate, its units.
+    """What a file does not state itself: which column is which, its rate [Hz], its units."""
 
-    Python gives columns as a mapping and constants as numbers, or both as the command line does.
-    """
+    # Python gives columns as a mapping and constants as numbers, or both as the command line does.
 
     columns: Mapping[str, str] = option(
         "which column is which: t (time), frame, x, y, z, times (of impacts), "
@@ -115,11 +101,6 @@ class ReadOptions(CheckedOptions):
         object.__setattr__(self, "torque_constants", constants_of(self.torque_constants))
 
     @property
-    def rate_hz(self) -> float | None:
-        """Frame rate of a file that counts frames."""
-        return self.fps
-
-    @property
     def length_m(self) -> float | None:
         """Size of the stated length unit [m]; None where there is none, or pixels."""
         return LENGTHS.get(self.length_unit)
@@ -135,9 +116,5 @@ def reading_options(parser: argparse.ArgumentParser) -> None:
 
 
 def read_options_of(arguments: argparse.Namespace) -> ReadOptions:
-    """Return the options that the arguments of `reading_options` give.
-
-    Raises:
-        UsageError: one is not understood.
-    """
+    """Return the options that the arguments of `reading_options` give; raise UsageError."""
     return ReadOptions(**given(arguments, ReadOptions))

@@ -15,9 +15,8 @@ from pathlib import Path
 from tunenet_logs.audio import is_sound_alone, named_as_sound, read_sound
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
-from tunenet_logs.files import open_regular
 from tunenet_logs.formats import mcap, rosbag1, rosbag2
-from tunenet_logs.formats.base import Budget, Container, Loss, RawMetadata, Record
+from tunenet_logs.formats.base import Budget, Container, Loss, RawMetadata, Record, Topics
 from tunenet_logs.formats.columns.cells import SUFFIXES, has_rows
 from tunenet_logs.formats.compressed import (
     COMPRESSIONS,
@@ -61,7 +60,6 @@ MESSAGES = (
     Messages(rosbag1.MAGIC, ".bag", rosbag1.read_bag),
     Messages(rosbag2.MAGIC, ".db3", rosbag2.read_db3, in_folder=True),
 )
-
 # What programs and instruments export, by its first bytes; the first that knows a file reads it.
 EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Episode]], ...] = (
     (mocap.is_motive, mocap.read_motive),
@@ -80,7 +78,6 @@ EXPORTS: tuple[tuple[Callable[[Start], bool], Callable[[Path, ReadOptions], Epis
     (arrays.is_json_lines, arrays.read_json_lines),
     (pictures.is_picture_archive, pictures.read_picture_archive),
 )
-
 # Endings of names. Of a log, be it damaged:
 _LOG_ENDINGS = (
     *(f"{one.suffix}{end}" for one in MESSAGES for end in ("", ".zstd", ".zst", ".gz")),
@@ -102,10 +99,6 @@ _OWN = ("ledger.parquet", "ledger.csv")  # files that tuning many logs writes
 def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episode:
     """Open a log: return the reader of its messages, or the episode of a file without messages.
 
-    Args:
-        path: of the log.
-        options: the user's, for a file without messages.
-
     Raises:
         LogError: there is no such file, or its format is not supported.
     """
@@ -115,7 +108,7 @@ def open_log(path: Path, options: ReadOptions = AS_IT_SAYS) -> Container | Episo
             return pictures.read_picture_folder(path, options) if is_pictures else read_folder
         if not path.exists():
             raise LogError(f"{path}: no such file", "check its name and folder")
-        start = _start(path)
+        start = start_of(path).data
         if not start:
             raise LogError(f"{path}: is empty; record it again")
         if container := _message_reader(start):
@@ -142,18 +135,12 @@ def file_bytes(path: Path) -> int:
 
 
 def is_known(path: Path) -> bool:
-    """Return whether a file begins as messages, an export or a table do; videos are not detected.
-
-    Raises:
-        LogError, OSError: it cannot be read.
-    """
-    first = _start(path)
-    if compression := compression_of(first):
-        first = unpacked_start(path, compression, _START_BYTES)
-        return _message_reader(first) is not None
+    """Return whether a file begins as messages, an export or a table do (videos: no)."""
     start = start_of(path)
+    if compression := compression_of(start.data):
+        return _message_reader(unpacked_start(path, compression, _START_BYTES)) is not None
     is_export = any(is_this(start) for is_this, _ in EXPORTS)
-    return _message_reader(first) is not None or is_export or has_rows(start.lines)
+    return _message_reader(start.data) is not None or is_export or has_rows(start.lines)
 
 
 def is_log_name(name: str) -> bool:
@@ -168,7 +155,7 @@ def may_be_log(path: Path) -> bool:
     if path.suffix.lower() not in _PERHAPS or path.name in _OWN or not path.is_file():
         return False
     try:
-        return bool(_start(path)) and is_known(path)
+        return bool(start_of(path).data) and is_known(path)
     except (LogError, OSError):
         return False
 
@@ -179,11 +166,6 @@ def is_log_folder(path: Path) -> bool:
         return is_bag_folder(path) or pictures.is_picture_folder(path)
     except OSError:
         return False
-
-
-def _start(path: Path) -> bytes:
-    with open_regular(path) as file:
-        return file.read(_START_BYTES)
 
 
 def _message_reader(start: bytes) -> Container | None:
@@ -240,18 +222,15 @@ def _open_packed(path: Path, compression: str, options: ReadOptions) -> Containe
 
 
 def read_packed(
-    path: Path,
-    losses: list[Loss],
-    topics: Sequence[str] | None = None,
-    budget: Budget | None = None,
+    path: Path, losses: list[Loss], topics: Topics = None, budget: Budget | None = None
 ) -> Iterator[Record]:
     """Yield the records of a message file that was compressed as a whole; see `Container`."""
-    compression = compression_of(_start(path))
+    compression = compression_of(start_of(path).data)
     if not compression:
         raise LogError(f"{path}: is not compressed in a way that is read", "unpack it first")
     budget = budget or Budget(path.stat().st_size)
     with unpacked(path, compression, losses, budget) as inside:
-        read = _message_reader(_start(inside))
+        read = _message_reader(start_of(inside).data)
         if read is None:
             raise LogError(
                 f"{path}: holds no MCAP log and no bag", "unpack it, and name what is in it"
@@ -279,15 +258,9 @@ _NUMBERED = re.compile(r"(.+)_([0-9]{1,18})", re.DOTALL)
 
 
 def read_folder(
-    path: Path,
-    losses: list[Loss],
-    topics: Sequence[str] | None = None,
-    budget: Budget | None = None,
+    path: Path, losses: list[Loss], topics: Topics = None, budget: Budget | None = None
 ) -> Iterator[Record]:
-    """Yield the records of a ROS 2 bag's files, one after the other; see `Container`.
-
-    Its `metadata.yaml` is not needed: a killed recording has none.
-    """
+    """Yield the records of a ROS 2 bag's files; a killed one's lack of an index is no matter."""
     files = _files(path)
     if len(files) > 1 and not (path / _INDEX).is_file():
         what = f"no {_INDEX}; {files[0].name} to {files[-1].name} were read as one recording"
@@ -330,11 +303,7 @@ def _without_repeats(losses: Iterable[Loss]) -> Iterator[Loss]:
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Return whether a folder is one recording, and not a folder of several.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Return whether a folder is one recording, and not a folder of several; raise OSError."""
     if (path / _INDEX).is_file():
         return True
     try:
@@ -356,13 +325,11 @@ def _is_ours(file: Path) -> bool:
         return False
 
 
-def _records(
-    file: Path, losses: list[Loss], topics: Sequence[str] | None, budget: Budget
-) -> Iterator[Record]:
+def _records(file: Path, losses: list[Loss], topics: Topics, budget: Budget) -> Iterator[Record]:
     """Yield the records of one file; raise LogError where nothing of it can be read."""
     ending = _ending(file)
     magic, read = _FOLDER_FILES[ending]
-    start = _start(file)
+    start = start_of(file).data
     if not start.startswith(magic):
         what = f"is no {ending} file" if start else "is empty"
         raise LogError(f"{file}: {what}", COPY_AGAIN)
@@ -373,12 +340,8 @@ def _files(folder: Path) -> list[Path]:
     """Return the recording's files in order; raise LogError for none, or for several recordings."""
     found = [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
     names = {file.name for file in found}
-    files = [
-        file
-        for file in found
-        if _ending(file)
-        and not (file.suffix == _PACKED and file.stem in names)  # `zstd -d` leaves both
-    ]
+    files = [one for one in found if _ending(one)]
+    files = [one for one in files if one.suffix != _PACKED or one.stem not in names]  # `zstd -d`
     if not files:
         if parquet.is_data_set(folder):
             raise LogError(f"{folder}: is a LeRobot data set; name {parquet.a_file_of(folder)}")

@@ -68,14 +68,8 @@ _NUMBERS |= {"int8": "b", "int16": "h", "int32": "i", "int64": "q"}
 _NUMBERS |= {"uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q"}
 _SIZES: Mapping[str, int] = {code: struct.calcsize(f"<{code}") for code in _NUMBERS.values()}
 # Other types that are nothing but a word; in ROS 1, a time is one.
-_WORDS = {
-    "string": "string",
-    "wstring": "wstring",
-    "time": "builtin_interfaces/msg/Time",
-    "duration": "builtin_interfaces/msg/Duration",
-    "Header": "std_msgs/msg/Header",
-}
-_WORDS |= _NUMBERS
+_WORDS = {"string": "string", "wstring": "wstring", "Header": "std_msgs/msg/Header", **_NUMBERS}
+_WORDS |= {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
 
 
 @dataclass(frozen=True)
@@ -147,7 +141,6 @@ def _parsed(text: str, name: str) -> RosTypes:
 
 
 def _fields(text: str, owner: str) -> Iterator[RosField]:
-    package = owner.partition("/")[0]
     for line in text.splitlines():
         if not (bare := line.split("#", 1)[0].strip()):
             continue
@@ -160,7 +153,7 @@ def _fields(text: str, owner: str) -> Iterator[RosField]:
         count = int(digits) if digits.isdecimal() else 0 if match["list"] else -1
         if digits == "0":
             raise ValueError("a list of nothing")
-        kind = _WORDS.get(match["type"]) or _full(match["type"], package)
+        kind = _WORDS.get(match["type"]) or _full(match["type"], owner.partition("/")[0])
         yield RosField(match["name"], kind, count)
 
 
@@ -193,7 +186,6 @@ def _compiled(*, is_ros1: bool) -> Any:
 # ---- Decode any type: each part is read by a function of its own.
 # A message's memory is bounded by its own bytes: a type whose parts hold no bytes is refused.
 
-_MAX_DEPTH = 24  # of types within types
 _MAX_PARTS = 20_000  # messages in the lists of one message
 _FILLED = 4  # bytes to whose multiple some writers pad a message
 # Reads a part at a place; gives it, and the place behind it.
@@ -222,34 +214,31 @@ def ros_type(channel: RawChannel, listed: MessageType | None) -> AnyType:
     elif name not in ours:
         raise UnusableError("its type is not known here, and the log does not define it")
     types = ours | theirs
-    structure, decode = any_ros_type(types, name, is_ros1=is_ros1)
-    if listed is None:
-        return AnyType(structure, decode)
-    if any(ours.get(one) != fields for one, fields in theirs.items()):
+    structure, slow = any_ros_type(types, name, is_ros1=is_ros1)
+    decode = slow
+    if listed is None or any(ours.get(one) != fields for one, fields in theirs.items()):
         return AnyType(structure, decode)
     store = _compiled(is_ros1=is_ros1)
     if name in store.types:
-        decode = _compiled_decoder(store, name, decode, is_ros1=is_ros1)
+        deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+
+        def decode_compiled(data: bytes | memoryview) -> Any:
+            if not is_ros1 and len(data) > 1 and not data[0] and data[1] > 1:
+                return slow(data)  # another CDR than that of ROS 2
+            try:
+                return deserialize(data, name)
+            except (SerdeError, *DAMAGED) as error:
+                raise MessageError(f"a {name} message is damaged: {error}") from error
+
+        decode = decode_compiled
     return AnyType(structure, decode, stacked=stacked_decoder(types, name, is_ros1=is_ros1))
-
-
-def _compiled_decoder(store: Any, name: str, other: Decode, *, is_ros1: bool) -> Decode:
-    """Return rosbags' decoder of a type; of another CDR than that of ROS 2, `other`."""
-    deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-
-    def decode(data: bytes | memoryview) -> Any:
-        if not is_ros1 and len(data) > 1 and not data[0] and data[1] > 1:
-            return other(data)
-        try:
-            return deserialize(data, name)
-        except (SerdeError, *DAMAGED) as error:
-            raise MessageError(f"a {name} message is damaged: {error}") from error
-
-    return decode
 
 
 class Message:
     """A message, or a part of one, with its fields as attributes."""
+
+    def __init__(self, names: Sequence[str], values: Sequence[Any]) -> None:
+        self.__dict__ = dict(zip(names, values, strict=True))
 
 
 @dataclass(frozen=True)
@@ -283,19 +272,10 @@ _LAYOUTS = {
     6: (_CdrLayout(">", 3, has_sizes=True), _CdrLayout(">", 3)),
     7: (_CdrLayout("<", 3, has_sizes=True), _CdrLayout("<", 3)),
 }
-_WITH_HEADERS = (2, 3, 8, 9, 10, 11)
-_NO_HEADERS = (
-    "its messages are of a DDS type that may be extended (CDR with headers), which are not read; "
-    "publish it as final (@final in its IDL), or record it through ROS 2"
-)
 
 
 def any_ros_type(types: RosTypes, name: str, *, is_ros1: bool) -> tuple[Structure, Decode]:
-    """Return the structure of a type, by its full name, and a decoder of its messages.
-
-    Raises:
-        UnusableError: the definition is incomplete or invalid.
-    """
+    """Return the structure of a type, by its full name, and a decoder; raise UnusableError."""
     part = _Type(types, _ROS1 if is_ros1 else _LAYOUTS[1][0]).part(name)
     assert isinstance(part.node, Structure)
 
@@ -305,8 +285,11 @@ def any_ros_type(types: RosTypes, name: str, *, is_ros1: bool) -> tuple[Structur
 
     def decode(data: bytes | memoryview) -> Any:
         kind = data[1] if len(data) >= 4 and not data[0] else -1
-        if kind in _WITH_HEADERS:
-            raise UnusableError(_NO_HEADERS)
+        if kind in (2, 3, 8, 9, 10, 11):
+            raise UnusableError(
+                "its messages are of a DDS type that may be extended (CDR with headers), which are "
+                "not read; publish it as final (@final in its IDL), or record it through ROS 2"
+            )
         if kind not in _LAYOUTS:
             raise MessageError(f"a {name} message is damaged: it is no plain CDR")
         if kind not in reads:
@@ -343,18 +326,12 @@ class Rows(Sequence[Message]):
         return len(self._rows)
 
     def __getitem__(self, at: Any) -> Any:
-        return _message(self._names, self._rows[at].item())
+        return Message(self._names, self._rows[at].item())
 
     def __iter__(self) -> Iterator[Message]:
         if len(self) > _MAX_PARTS:
             raise BeyondLimitError(f"over {_MAX_PARTS} parts")
-        return (_message(self._names, row) for row in self._rows.tolist())
-
-
-def _message(names: Sequence[str], values: Sequence[Any]) -> Message:
-    made = Message()
-    made.__dict__ = dict(zip(names, values, strict=True))
-    return made
+        return (Message(self._names, row) for row in self._rows.tolist())
 
 
 class _Type:
@@ -374,7 +351,7 @@ class _Type:
             return self._known[name]
         if name not in self._types:
             raise UnusableError(f"its definition does not say what {name[:60]!r} is")
-        if name in self._open or len(self._open) >= _MAX_DEPTH:
+        if name in self._open or len(self._open) >= 24:
             raise UnusableError("its definition has types within types without end")
         self._open.append(name)
         part = self._known[name] = self._structure(name, self._types[name])
@@ -391,16 +368,33 @@ class _Type:
         names = tuple(field.name for field in fields)
         if len(set(names)) < len(names):
             raise UnusableError("its definition has two fields of one name")
-        steps = self._steps(fields, parts)
+        # Functions that read values, or one; adjacent numbers are read at once.
+        steps: list[tuple[Read, bool]] = []
+        run = ""
+        for field, part in zip(fields, parts, strict=True):
+            is_number = field.count < 0 and field.kind in _SIZES
+            is_alike = self._layout.is_ros1 or not run or _SIZES[run[0]] == _SIZES.get(field.kind)
+            if run and not (is_number and is_alike):
+                steps.append((self._numbers(run), True))
+                run = ""
+            if is_number:
+                run += field.kind
+            else:
+                steps.append((part.read, False))
+        if run:
+            steps.append((self._numbers(run), True))
         is_bare = all(field.kind in _SIZES and field.count < 0 for field in fields)
         is_packed = self.is_packed and is_bare and len(steps) == 1
 
         def read(data: bytes, at: int) -> tuple[Any, int]:
             values: list[Any] = []
-            for step in steps:
+            for step, is_run in steps:
                 found, at = step(data, at)
-                values += found
-            return _message(names, values), at
+                if is_run:
+                    values += found
+                else:
+                    values.append(found)
+            return Message(names, values), at
 
         return _Part(
             Structure(name, dict(zip(names, (part.node for part in parts), strict=True))),
@@ -411,30 +405,10 @@ class _Type:
             names,
         )
 
-    def _steps(self, fields: Sequence[RosField], parts: Sequence[_Part]) -> list[Read]:
-        """Return functions that read lists of values; adjacent numbers are read at once."""
-        steps: list[Read] = []
-        run = ""
-        for field, part in zip(fields, parts, strict=True):
-            is_number = field.count < 0 and field.kind in _SIZES
-            if run and not (
-                is_number and (self._layout.is_ros1 or _SIZES[run[0]] == _SIZES[field.kind])
-            ):
-                steps.append(self._numbers(run))
-                run = ""
-            if is_number:
-                run += field.kind
-            else:
-                steps.append(_one(part.read))
-        return [*steps, self._numbers(run)] if run else steps
-
-    def _mask(self, codes: str) -> int:
-        """Return the alignment of numbers, less one."""
-        return min(_SIZES[codes[0]] - 1, self._layout.most_mask)
-
     def _numbers(self, codes: str) -> Read:
         layout = struct.Struct(self._layout.order + codes)
-        unpack, size, mask = layout.unpack_from, layout.size, self._mask(codes)
+        unpack, size = layout.unpack_from, layout.size
+        mask = min(_SIZES[codes[0]] - 1, self._layout.most_mask)
 
         def read(data: bytes, at: int) -> tuple[Any, int]:
             at = (at + mask) & ~mask
@@ -443,19 +417,7 @@ class _Type:
         return read
 
     def _field(self, field: RosField) -> _Part:
-        part = self._part_of(field.kind)
-        if field.count < 0:
-            return part
-        if field.count * max(part.least, 1) > 2**31 or not part.least:
-            raise UnusableError("its definition has lists of nothing, or without end")
-        node = Listed(part.node, field.count or None)
-        least = field.count * part.least if field.count else 4
-        if codes := field.kind if field.kind in _SIZES else part.codes:
-            return _Part(node, self._table(codes, part.names, field.count), least)
-        nodes = max(field.count, 1) * part.nodes
-        return _Part(node, self._many(part, field.count), least, nodes)
-
-    def _part_of(self, kind: str) -> _Part:
+        kind = field.kind
         if kind in _SIZES:
             node = Plain.FLAG if kind == "?" else Plain.NUMBER if kind in "fd" else Plain.WHOLE
             numbers = self._numbers(kind)
@@ -464,10 +426,21 @@ class _Type:
                 found, at = numbers(data, at)
                 return found[0], at
 
-            return _Part(node, read, _SIZES[kind])
-        if kind == "string":
-            return _Part(Plain.TEXT, self._text, 4)
-        return self.part(kind)
+            part = _Part(node, read, _SIZES[kind], codes=kind)
+        elif kind == "string":
+            part = _Part(Plain.TEXT, self._text, 4)
+        else:
+            part = self.part(kind)
+        if field.count < 0:
+            return part
+        if field.count * max(part.least, 1) > 2**31 or not part.least:
+            raise UnusableError("its definition has lists of nothing, or without end")
+        node = Listed(part.node, field.count or None)
+        least = field.count * part.least if field.count else 4
+        if part.codes:
+            return _Part(node, self._table(part.codes, part.names, field.count), least)
+        nodes = max(field.count, 1) * part.nodes
+        return _Part(node, self._many(part, field.count), least, nodes)
 
     def _length(self, data: bytes, at: int) -> tuple[int, int]:
         if not self._layout.is_ros1:
@@ -487,14 +460,13 @@ class _Type:
         order = self._layout.order
         kinds: Any = [(name, order + code) for name, code in zip(names, codes, strict=False)]
         dtype = np.dtype(kinds if names else order + codes)
-        mask, has_size = self._mask(codes), bool(names) and self._layout.has_sizes
+        mask = min(_SIZES[codes[0]] - 1, self._layout.most_mask)
+        has_size = bool(names) and self._layout.has_sizes
 
         def read(data: bytes, at: int) -> tuple[Any, int]:
             if has_size:
                 _, at = self._length(data, at)
-            number = count
-            if not count:
-                number, at = self._length(data, at)
+            number, at = (count, at) if count else self._length(data, at)
             if number:
                 at = (at + mask) & ~mask
             end = at + number * dtype.itemsize
@@ -513,9 +485,7 @@ class _Type:
 
         def read(data: bytes, at: int) -> tuple[Any, int]:
             size, begin = self._length(data, at) if has_size else (0, at)
-            number, at = count, begin
-            if not count:
-                number, at = self._length(data, at)
+            number, at = (count, begin) if count else self._length(data, begin)
             if number * least > len(data) - at:
                 raise ValueError(f"a list claims {number} parts")
             if number > _MAX_PARTS:
@@ -529,14 +499,6 @@ class _Type:
             return found, at
 
         return read
-
-
-def _one(read: Read) -> Read:
-    def read_one(data: bytes, at: int) -> tuple[Any, int]:
-        value, at = read(data, at)
-        return (value,), at
-
-    return read_one
 
 
 # ---- Decode many messages of one layout at once: each number of a type becomes an array.
@@ -578,7 +540,8 @@ class _StackedType(_Type):
     is_packed = False
 
     def _numbers(self, codes: str) -> Read:
-        dtypes, mask = [np.dtype(self._layout.order + code) for code in codes], self._mask(codes)
+        dtypes = [np.dtype(self._layout.order + code) for code in codes]
+        mask = min(_SIZES[codes[0]] - 1, self._layout.most_mask)
 
         def read(data: Any, at: int) -> tuple[Any, int]:
             at = (at + mask) & ~mask

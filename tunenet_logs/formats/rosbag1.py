@@ -18,6 +18,7 @@ from tunenet_logs.errors import LogError
 from tunenet_logs.files import open_regular
 from tunenet_logs.formats.base import (
     CHUNK_RECORDS,
+    DAMAGE_RECORDS,
     DAMAGED,
     PART_RECORDS,
     Budget,
@@ -26,22 +27,20 @@ from tunenet_logs.formats.base import (
     RawChannel,
     RawMessage,
     Record,
+    Topics,
     block_sizes,
     described,
 )
 from tunenet_logs.formats.compressed import MAX_PART_BYTES, unpack, unpack_start
 from tunenet_logs.terminal import silent, teller
 
-# The kinds of records, by the byte that a head's field `op` holds.
+# The kinds of records, by the byte that a head's field `op` holds; and which a chunk may hold.
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
-
-_IN_CHUNKS = frozenset((MESSAGE, CONNECTION))  # the kinds of records that a chunk may hold
+_IN_CHUNKS = frozenset((MESSAGE, CONNECTION))
 # A head names a topic at most; what a message is like lies in a record's data.
 _MAX_HEAD_BYTES = 64 * 1024
-
 # A length [bytes], little-endian, as it stands before every head, field and data.
 _U32 = struct.Struct("<I")
-
 # The fields that a head of each kind must have, to be taken for one behind damage.
 _NEEDED = {
     MESSAGE: (b"conn", b"time"),
@@ -50,12 +49,8 @@ _NEEDED = {
     CHUNK_INFO: (b"chunk_pos", b"count"),
     CONNECTION: (b"conn", b"topic"),
 }
-
-_TYPICAL_HEAD_BYTES = 256  # read at first; only a head with a long topic needs a second reading
 # A head's field `op` as it is stored: its length (three letters and the value), and its name.
 _MARK = b"\x04\x00\x00\x00op="
-
-_LEADS = range(4, 64)  # how far before its field `op` a head may begin; others write little before
 _OVERLAP_BYTES = 4 * 1024  # how long a head may be to be found; common to two blocks searched
 
 
@@ -106,16 +101,11 @@ def fields_of(data: bytes) -> dict[bytes, bytes]:
 
 
 class RecordFile:
-    """A file of records, any part of which may be damaged.
+    """A file of records, any part of which may be damaged."""
 
-    Args:
-        file: open for reading.
-        tries: places to examine in all; a file of nothing but marks must not take hours.
-    """
-
-    def __init__(self, file: BinaryIO, tries: int = 20_000) -> None:
+    def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self._tries = tries
+        self._tries = 20_000  # places to examine: a file of nothing but marks must not take hours
         self.size = os.fstat(file.fileno()).st_size
 
     def block(self, at: int, length: int) -> bytes:
@@ -125,7 +115,7 @@ class RecordFile:
 
     def head(self, at: int) -> Head:
         """Parse the head of the record at a place in the file; raises as `head_at`."""
-        block = self.block(at, _TYPICAL_HEAD_BYTES)
+        block = self.block(at, 256)  # only a head with a long topic needs a second reading
         (length,) = _U32.unpack_from(block)
         if length + 2 * _U32.size > len(block):
             block = self.block(at, min(length, _MAX_HEAD_BYTES) + 2 * _U32.size)
@@ -167,9 +157,9 @@ class RecordFile:
         mark = buffer.find(_MARK, start)
         while mark >= 0 and self._tries > 0:
             self._tries -= 1
-            for lead in _LEADS:
-                if mark - lead >= start and _is_head(buffer, mark - lead, mark):
-                    return mark - lead
+            for at in range(mark - 4, mark - 64, -1):  # others write little before that field
+                if at >= start and _is_head(buffer, at, mark):
+                    return at
             mark = buffer.find(_MARK, mark + 1)
         return len(buffer)
 
@@ -189,17 +179,11 @@ def _is_head(buffer: bytes, at: int, mark: int) -> bool:
 
 MAGIC = b"#ROSBAG V"  # begins a bag, before its version
 _VERSION = b"2.0\n"  # the only version that is read; `rosbag filter` rewrites older ones
-# What a record inside a chunk counts as: its head is a list of names, and each has 46 bytes.
-_RECORD = 2
-
 _COUNTED = {INDEX: 12, CHUNK_INFO: 8}  # bytes of each entry that such a record counts
 
 
 def read_bag(
-    path: Path,
-    losses: list[Loss],
-    topics: Sequence[str] | None = None,
-    budget: Budget | None = None,
+    path: Path, losses: list[Loss], topics: Topics = None, budget: Budget | None = None
 ) -> Iterator[Record]:
     """Yield the records of a ROS 1 bag, closed or not; see `Container`."""
     with open_regular(path) as file:
@@ -222,7 +206,7 @@ class _BagReading:
     path: Path
     file: RecordFile
     losses: list[Loss]
-    topics: Sequence[str] | None
+    topics: Topics
     budget: Budget
     channels: dict[int, RawChannel] = field(default_factory=dict)
     index: dict[int, RawChannel] | None = None
@@ -263,7 +247,7 @@ class _BagReading:
             self.at = at
             tell(self.budget.share(at))
             self.has_index |= at == self.index_at
-            self.budget.spend_records()
+            self.budget.spend(records=1)
             try:
                 head = self.file.head(at)
                 if head.op == CHUNK:
@@ -287,7 +271,22 @@ class _BagReading:
         try:
             if head.op in _IN_CHUNKS:
                 return self._parse(head, self.file.data(head))
-            self._note(head)
+            # A bag header or an index record.
+            if head.op in _COUNTED:
+                count = head.number(b"count")
+                if count * _COUNTED[head.op] != head.data_bytes:
+                    raise ValueError(f"it counts {count} entries")
+                if head.op == CHUNK_INFO:
+                    count = sum(memoryview(self.file.data(head)).cast("I")[1::2])
+                    self.infos += 1
+                self.stated[head.op] += count
+            elif head.op != BAG:
+                raise ValueError(f"there is no record of kind {head.op}")
+            elif head.fields.get(b"encryptor"):
+                raise LogError(f"{self.path}: is encrypted; decrypt it first with `rosbag decrypt`")
+            else:
+                self.index_at = head.number(b"index_pos", "<Q")
+                self.chunks_stated = head.number(b"chunk_count")
         except DAMAGED as error:
             what = f"a damaged record was left out: {described(error)}"
             self._lose(what, at, head.end - at)
@@ -295,14 +294,14 @@ class _BagReading:
 
     def _chunk(self, head: Head, at: int) -> Generator[Record, None, int]:
         """Yield a chunk's records and return where to go on; raise DAMAGED for a malformed head."""
-        self.budget.spend_records(CHUNK_RECORDS)
+        self.budget.spend(records=CHUNK_RECORDS)
         stated = head.number(b"size")
         compression = head.fields[b"compression"].decode("ascii", "replace")
         if compression in ("", "none"):
             # Its records follow as any others do, so that a wrong size of it loses none of them.
             if stated != head.data_bytes:
                 what = f"a chunk claims {stated} bytes and {head.data_bytes}"
-                self.budget.spend_damage()
+                self.budget.spent_records += DAMAGE_RECORDS  # reported in any case
                 self.losses.append(Loss(what, at_byte=at, harmless=True))
             return head.data_at
         if head.end > self.file.size or not head.data_bytes:  # cut, or never closed
@@ -330,7 +329,7 @@ class _BagReading:
         """Yield the records of a decompressed chunk and return its number of damaged bytes."""
         at = lost = 0
         while at < len(plain):
-            self.budget.spend_records(_RECORD)
+            self.budget.spend(records=2)  # its head is a list of names, and each has 46 bytes
             try:
                 head = head_at(plain, at)
                 if head.end > len(plain) or head.op not in _IN_CHUNKS:
@@ -348,7 +347,16 @@ class _BagReading:
     def _parse(self, head: Head, data: bytes | memoryview) -> Sequence[Record]:
         number = head.number(b"conn")
         if head.op == CONNECTION:
-            return self._connection(number, _described(head, bytes(data)))
+            channel = _described(head, bytes(data))
+            known = self.channels.setdefault(number, channel)
+            if known is channel:
+                self.budget.spend(records=PART_RECORDS, channels=1, definition=channel.schema)
+                return (channel,)
+            self.budget.spend(records=PART_RECORDS)
+            said = {(one.topic, one.type_name, one.schema) for one in (known, channel)}
+            if len(said) > 1:
+                self._lose(f"connection {number} ({known.topic}) is described in two ways")
+            return ()
         seconds, nanoseconds = struct.unpack("<II", head.fields[b"time"])
         log_ns = seconds * 1_000_000_000 + nanoseconds
         found: list[Record] = []
@@ -365,17 +373,6 @@ class _BagReading:
             found.append(RawMessage(channel, log_ns, data, log_ns))
         return found
 
-    def _connection(self, number: int, channel: RawChannel) -> Sequence[Record]:
-        known = self.channels.setdefault(number, channel)
-        if known is channel:
-            self.budget.spend_channel(channel.schema)
-            return (channel,)
-        self.budget.spend_records(PART_RECORDS)
-        said = {(one.topic, one.type_name, one.schema) for one in (known, channel)}
-        if len(said) > 1:
-            self._lose(f"connection {number} ({known.topic}) is described in two ways")
-        return ()
-
     def _index(self) -> dict[int, RawChannel]:
         """Return the connections of the index at the file's end; empty where it is missing."""
         if self.index is None:
@@ -383,7 +380,7 @@ class _BagReading:
             at = self.index_at
             try:
                 while 0 < at < self.file.size and (head := self.file.head(at)).op == CONNECTION:
-                    self.budget.spend_records(PART_RECORDS)
+                    self.budget.spend(records=PART_RECORDS)
                     channel = _described(head, self.file.data(head))
                     self.index.setdefault(head.number(b"conn"), channel)
                     at = head.end
@@ -391,27 +388,8 @@ class _BagReading:
                 pass  # it is met again at its place, and reported there
         return self.index
 
-    def _note(self, head: Head) -> None:
-        """Register a bag header or index record; raise LogError if the bag is encrypted."""
-        if head.op in _COUNTED:
-            count = head.number(b"count")
-            if count * _COUNTED[head.op] != head.data_bytes:
-                raise ValueError(f"it counts {count} entries")
-            if head.op == CHUNK_INFO:
-                pairs = memoryview(self.file.data(head)).cast("I")
-                count = sum(pairs[1::2])
-                self.infos += 1
-            self.stated[head.op] += count
-        elif head.op == BAG:
-            if head.fields.get(b"encryptor"):
-                raise LogError(f"{self.path}: is encrypted; decrypt it first with `rosbag decrypt`")
-            self.index_at = head.number(b"index_pos", "<Q")
-            self.chunks_stated = head.number(b"chunk_count")
-        else:
-            raise ValueError(f"there is no record of kind {head.op}")
-
     def _lose(self, what: str, at: int | None = None, size: int = 0) -> None:
-        self.budget.spend_damage()
+        self.budget.spent_records += DAMAGE_RECORDS  # reported in any case
         self.losses.append(Loss(what, at_byte=at, size=size))
 
 

@@ -27,6 +27,7 @@ from tunenet_logs.formats.base import (
     RawChannel,
     RawMessage,
     Record,
+    Topics,
     described,
 )
 from tunenet_logs.formats.compressed import MAX_PART_BYTES, ZSTD_MAGIC, unpack_message
@@ -58,7 +59,14 @@ def _opened(path: Path, losses: list[Loss]) -> Iterator[sqlite3.Connection]:
         # A journal can name a file that SQLite then deletes, so a stranger's is never rolled back.
         losses.append(Loss("a transaction was not ended; what it changed may be damaged"))
     if not (ahead.is_file() and ahead.stat().st_size):
-        is_cut = _is_cut(path, losses)
+        is_cut = False  # shorter than its page count states
+        with open_regular(path) as file:
+            head = file.read(_HEADER.size)
+        if len(head) == _HEADER.size:
+            page, pages = _HEADER.unpack(head)
+            size, stated = path.stat().st_size, pages * (65536 if page == 1 else page)
+            if is_cut := size < stated:
+                losses.append(Loss("the file is cut", at_byte=size, size=stated - size))
         with closing(
             _connected(f"{path.resolve().as_uri()}?mode=ro&immutable=1", is_cut)
         ) as opened:
@@ -75,10 +83,7 @@ def _opened(path: Path, losses: list[Loss]) -> Iterator[sqlite3.Connection]:
 
 
 def _connected(uri: str, is_cut: bool = False) -> sqlite3.Connection:
-    """Connect, hardened against a hostile schema and oversized values.
-
-    SQLite reads past the end of a file that `is_cut` only when it is told to.
-    """
+    """Connect, hardened against a hostile schema, and reading past the end where it `is_cut`."""
     # Episodes hand their frames to any thread, one at a time.
     database = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
     database.text_factory = lambda raw: raw.decode("utf-8", "replace")
@@ -100,19 +105,6 @@ def _allowed(action: int, first: str | None, *_rest: str | None) -> int:
     return sqlite3.SQLITE_DENY
 
 
-def _is_cut(path: Path, losses: list[Loss]) -> bool:
-    """Return whether the file is shorter than its page count states."""
-    with open_regular(path) as file:
-        head = file.read(_HEADER.size)
-    if len(head) < _HEADER.size:
-        return False
-    page, pages = _HEADER.unpack(head)
-    size, stated = path.stat().st_size, pages * (65536 if page == 1 else page)
-    if size < stated:
-        losses.append(Loss("the file is cut", at_byte=size, size=stated - size))
-    return size < stated
-
-
 @dataclass(frozen=True)
 class _PlainTable:
     """A plain table. Only names written in this code enter its queries."""
@@ -129,10 +121,7 @@ class _PlainTable:
         needed: Sequence[str],
         more: Sequence[str] = (),
     ) -> _PlainTable:
-        """Find a table with the columns that are needed, and of more those that it has.
-
-        Raise _NoTableError where it is missing, no plain table, or lacks a column.
-        """
+        """Find a plain table with the columns needed, and those it has of more."""
         every = cls(database, "sqlite_master", ("type", "name", "rootpage")).rows([])
         kinds = [
             (kind, root)
@@ -204,10 +193,7 @@ class _PlainTable:
             return None
 
     def _behind(self, start: int) -> int | None:
-        """Return the first row number that can be read again behind damage; None if there is none.
-
-        Exponential search, then bisection, so a damaged page costs few queries.
-        """
+        """Return the first row number behind damage, by exponential search and bisection."""
         if (found := self._one("1", start)) is not None:  # what is damaged are that row's values
             return max(found[0], start) + 1
         low, high = start, start + 1
@@ -232,17 +218,11 @@ _TOPICS = ("id", "name", "type", "serialization_format")
 _DEFINITIONS = ("topic_type", "encoding", "encoded_message_definition")
 _SCHEMAS = ("ros2msg", "ros2idl")  # encodings that are read; others are as if none were given
 # Columns of what else a topic states, and the same in an MCAP of ROS 2.
-_MORE = {
-    "offered_qos_profiles": "offered_qos_profiles",
-    "type_description_hash": "topic_type_hash",
-}
+_MORE = {"offered_qos_profiles": "offered_qos_profiles", "type_description_hash": "topic_type_hash"}
 
 
 def read_db3(
-    path: Path,
-    losses: list[Loss],
-    topics: Sequence[str] | None = None,
-    budget: Budget | None = None,
+    path: Path, losses: list[Loss], topics: Topics = None, budget: Budget | None = None
 ) -> Iterator[Record]:
     """Yield the records of a ROS 2 sqlite3 bag; see `Container`. The folder stays unchanged."""
     try:
@@ -267,7 +247,7 @@ def _messages(
     table: _PlainTable,
     channels: dict[int, RawChannel],
     losses: list[Loss],
-    topics: Sequence[str] | None,
+    topics: Topics,
     budget: Budget,
 ) -> Iterator[RawMessage]:
     damaged = unknown = seen = last = 0
@@ -275,24 +255,28 @@ def _messages(
     before = len(losses)
     tell = teller("reading") if topics is None else silent
     if topics is not None:  # data of other topics are not even loaded
-        wanted = [str(key) for key, channel in channels.items() if channel.topic in topics]
-        data = f"CASE WHEN topic_id IN ({', '.join(wanted)}) THEN data END"
+        wanted = ", ".join(str(key) for key, one in channels.items() if one.topic in topics)
+        data = f"CASE WHEN topic_id IN ({wanted}) THEN data END"
         table = replace(table, columns=(*table.columns[:-1], data))
     try:
-        for last, values in table.rows(losses):
-            number, log_ns, data = values
+        for last, (number, log_ns, data) in table.rows(losses):
             seen += 1
-            budget.spend_records()
+            budget.spend(records=1)
             tell(budget.spent_bytes / max(budget.file_bytes, 1))
             channel = channels.get(number) if type(number) is int else None
             if channel is None:
                 unknown += 1
             elif topics is None or channel.topic in topics:
                 try:
-                    yield _message(channel, log_ns, data, budget)
+                    if type(log_ns) is not int or type(data) is not bytes:
+                        raise TypeError("its time is no whole number, or its data no bytes")
+                    budget.spend(len(data))
+                    plain = unpack_message(data, budget) if data[:4] == ZSTD_MAGIC else data
                 except DAMAGED as error:
                     first = first or f"message {last}, {described(error)}"
                     damaged += 1
+                    continue
+                yield RawMessage(channel, log_ns, plain, log_ns)
     except OverBudgetError as error:
         what = f"reading stopped at message {last}, as {error}; the rest was left out"
         losses.append(Loss(what))
@@ -306,14 +290,6 @@ def _messages(
         losses.append(Loss(f"{unknown} messages belong to topics that nothing describes"))
 
 
-def _message(channel: RawChannel, log_ns: Any, data: Any, budget: Budget) -> RawMessage:
-    if type(log_ns) is not int or type(data) is not bytes:
-        raise TypeError("its time is no whole number, or its data no bytes")
-    budget.spend(len(data))
-    plain = unpack_message(data, budget) if data[:4] == ZSTD_MAGIC else data
-    return RawMessage(channel, log_ns, plain, log_ns)
-
-
 def _channels(
     database: sqlite3.Connection, losses: list[Loss], budget: Budget
 ) -> dict[int, RawChannel]:
@@ -322,14 +298,14 @@ def _channels(
     with suppress(_NoTableError):
         table = _PlainTable.of(database, "message_definitions", _DEFINITIONS)
         for _, (kind, encoding, text) in table.rows(losses):
-            budget.spend_records(PART_RECORDS)
-            budget.spend_definition(text if type(text) is str else "")
-            if encoding in _SCHEMAS and type(kind) is str and type(text) is str and text:
+            is_text = type(text) is str
+            budget.spend(records=PART_RECORDS, definition=text if is_text else "")
+            if encoding in _SCHEMAS and type(kind) is str and is_text and text:
                 definitions.setdefault(kind, (encoding, text.encode("utf-8", "replace")))
     table = _PlainTable.of(database, "topics", _TOPICS, tuple(_MORE))
     channels: dict[int, RawChannel] = {}
     for row, (number, *texts) in table.rows(losses):
-        budget.spend_channel()
+        budget.spend(records=PART_RECORDS, channels=1)
         if type(number) is not int or any(type(text) is not str for text in texts[:3]):
             losses.append(Loss(f"topic {row} is damaged"))
             continue

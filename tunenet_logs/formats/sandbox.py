@@ -35,7 +35,6 @@ CPU_S = 9  # of one request
 _WALL_S = 60.0  # of a child: it may wait for its disk
 _OUTPUT_BYTES = 512 * 1024**2  # of one answer
 _MAX_LINE = 128 * 1024**2  # bytes of an answer's words
-
 # A child's libraries have one thread each, and load no plugins that are installed for HDF5.
 _ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -43,7 +42,6 @@ _ENVIRONMENT = {
     "MALLOC_ARENA_MAX": "2",
     "HDF5_PLUGIN_PRELOAD": "::",
 }
-
 # What the child runs: from the same folder as its parent, by compiled modules.
 _IN_ROOT = "/tunenet_logs/formats/sandbox.py"
 _SCRIPT = (
@@ -59,13 +57,8 @@ class Refusal(ValueError):  # noqa: N818 (no error of the program)
 class SandboxError(ValueError):
     """Why a sandbox gave no answer, in words.
 
-    Attributes:
-        kind: "refused" by the function, "damaged" by what a library raised, "memory", "time" or
-            "crash".
-        said: the words of what was raised.
-        raised: its type.
-        remedy: of a refusal; "" where it names none.
-        code: of the signal or exit, of a child that ended.
+    `kind` is "refused" by the function, "damaged" by what a library raised (`said`, of type
+    `raised`), "memory", "time" or "crash"; `code` that of the signal or exit of a child that ended.
     """
 
     def __init__(
@@ -84,13 +77,8 @@ class SandboxError(ValueError):
 class Sandbox:
     """A child process; it starts at the first request, and ends with this object or an error.
 
-    Args:
-        libraries: modules that it imports before its memory is limited.
-        memory_bytes: beyond what these have; None for no limit.
-        cpu_s: of each request; None for no limit.
-        wall_s: until it is killed; None for never.
-        environment: of the child, beside the command's own.
-        folder: where it runs; by default in the command's.
+    It imports `libraries` before its memory is limited, beyond what these have; `cpu_s` is of each
+    request, `wall_s` until it is killed; `environment` comes beside the command's own.
     """
 
     def __init__(
@@ -122,11 +110,7 @@ class Sandbox:
     def answers(
         self, function: Function, *arguments: Any, arrays: Arrays | None = None
     ) -> Iterator[Answer]:
-        """Yield what a function of a module yields in the child; arguments go as JSON.
-
-        Raises:
-            SandboxError: it refuses the file, a library raises an error, or the child ended.
-        """
+        """Yield what a function of a module yields in the child, or raise SandboxError."""
         words = {**self._request, "module": function.__module__, "function": function.__name__}
         try:
             child = self._child or self._started()
@@ -227,22 +211,18 @@ def _received(stream: IO[bytes], most_bytes: int) -> Answer | None:
 
 
 def limit(memory_bytes: int | None = None, cpu_s: int | None = None) -> None:
-    """Limit this process: memory beyond what is in use, and CPU time from now on.
-
-    The limits are soft ones, so that a later request can be given its own.
-    """
+    """Limit this process, softly: memory beyond what is in use, and CPU time from now on."""
+    limits: dict[int, int] = {}
     if memory_bytes is not None:
         with suppress(OSError), open("/proc/self/statm") as file:
             used = int(file.read().split()[0]) * resource.getpagesize()
-            _set_limit(resource.RLIMIT_AS, used + memory_bytes)
+            limits[resource.RLIMIT_AS] = used + memory_bytes
     if cpu_s is not None:
         spent = resource.getrusage(resource.RUSAGE_SELF)
-        _set_limit(resource.RLIMIT_CPU, int(spent.ru_utime + spent.ru_stime) + 1 + cpu_s)
-
-
-def _set_limit(what: int, soft: int) -> None:
-    with suppress(ValueError):  # a user's own limit is lower
-        resource.setrlimit(what, (soft, resource.getrlimit(what)[1]))
+        limits[resource.RLIMIT_CPU] = int(spent.ru_utime + spent.ru_stime) + 1 + cpu_s
+    for what, soft in limits.items():
+        with suppress(ValueError):  # a user's own limit is lower
+            resource.setrlimit(what, (soft, resource.getrlimit(what)[1]))
 
 
 def serve() -> None:

@@ -10,27 +10,24 @@ a changing rate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-# A longer step is a pause: half-way between the usual step and that over one missing sample.
-_PAUSE_PERIODS = 1.5
+from tunenet_logs.episode import Array, median_step
 
 
 def smooth_bursts(
     stamps_ns: NDArray[np.int64], steps: NDArray[np.float64], period: float
 ) -> NDArray[np.int64]:
-    """Respace the stamps of a burst after a pause at the usual `period`, all in ns.
-
-    The stamps, shape (T,), do not decrease; `steps` lie between them, shape (T - 1,).
-    """
+    """Respace the stamps (T,) of a burst after a pause at the usual `period`, all in ns."""
     corrected, after = stamps_ns.copy(), 0
-    for pause in np.flatnonzero(steps > _PAUSE_PERIODS * period):
+    # A pause lasts longer than half-way between the usual step and that over one missing sample.
+    for pause in np.flatnonzero(steps > 1.5 * period):
         end = _caught_up(steps, int(pause), period)
         if end is None or pause < after:
             continue
@@ -72,8 +69,6 @@ def _caught_up(steps: NDArray[np.float64], pause: int, period: float) -> int | N
 
 # ---- Change of the sampling rate, such as a camera's in the dark
 
-_OTHER_RATE = 0.1  # of a rate: parts differ by more where it changes
-
 
 def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
     """Describe a change of sampling rate, as "goes from 60.0 to 30.0 Hz"; "" if there is none.
@@ -87,13 +82,8 @@ def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
         return ""
     # What waited on its way comes at once, and a part of which a fifth did tells no sensor's rate.
     at_once = 1e-6 * np.diff(stamps_ns)[: len(steps)] < 0.1 * float(np.median(steps))
-    pieces = [
-        piece
-        for piece, waited in zip(
-            np.array_split(steps, parts), np.array_split(at_once, parts), strict=True
-        )
-        if np.mean(waited) < 0.2
-    ]
+    split = zip(*(np.array_split(values, parts) for values in (steps, at_once)), strict=True)
+    pieces = [piece for piece, waited in split if np.mean(waited) < 0.2]
     if len(pieces) < 2:
         return ""
     medians = np.array([np.median(piece) for piece in pieces])
@@ -102,10 +92,10 @@ def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
     scatter = float(np.median(np.abs(changes - np.median(changes)))) / np.sqrt(2)
     doubt = 8.0 * scatter / np.sqrt(len(pieces[0]) / lag)  # usual deviations of a part's rate
     low, high = float(medians.min()), float(medians.max())
-    if low <= 0 or high - low <= _OTHER_RATE * high + doubt:
+    if low <= 0 or high - low <= 0.1 * high + doubt:
         return ""
     first, last = 1e3 / medians[[0, -1]]
-    if abs(first - last) > _OTHER_RATE * max(first, last):
+    if abs(first - last) > 0.1 * max(first, last):
         return f"goes from {first:.1f} to {last:.1f} Hz"
     return f"changes between {1e3 / high:.1f} and {1e3 / low:.1f} Hz"
 
@@ -114,28 +104,16 @@ def changing_rate(stamps_ns: NDArray[np.int64], lag: int = 1) -> str:
 # A sample belongs to no tick after its arrival, nor to an earlier one than the sample before. Times
 # are in ms; C candidate clocks; T samples; S numbers of skipped ticks, the first of them `-before`.
 
-Array = NDArray[np.float64]
-
 EVEN, RARER = 0, 1  # laws of delays: uniform up to a longest one; exponential, by their mean
 # Log likelihood that a loss costs: one sample in 700 is lost, and then often some in a row.
 _FIRST_LOST, _NEXT_LOST = 6.5, 1.0
-
 # Log likelihood that a delay beyond the longest costs, and how many times its logarithm more: a
 # network that stalls has delays without bound.
 _OUTLIER, _OUTLIERS_FALL = 3.0, 2.0
-
 # Of an exponential law: medians up to which a delay counts for the mean, and means from which on a
 # delay costs by its logarithm.
 _TYPICAL = 8.0
-
-# Standard deviation by which a sample may seem too early, as the clock is not known exactly: a
-# fraction of the law's scale, within bounds [ms].
-_EARLY, _EARLY_MS = 0.05, (0.3, 2.0)
-
-_MIN_MS, _MAX_MS = 0.3, 10_000.0
-_MAX_SKIPPED, _MAX_BEFORE = 150, 100
-_TYPICAL_EARLIEST = 0.02  # quantile of the delays that a clock is moved by: a few may be wrong
-_SAME = 1e-6
+_MIN_MS = 0.3  # of a law's scale
 NEVER = 1e4  # cost of what is out of the question
 
 
@@ -147,11 +125,6 @@ class Clocks(NamedTuple):
     scales: Array  # of the delays' law, shape (C,)
     laws: NDArray[np.int64]  # which it is, shape (C,)
 
-    def only(self, one: int) -> Clocks:
-        """Return one candidate alone."""
-        part = slice(one, one + 1)
-        return Clocks(self.periods[part], self.starts[part], self.scales[part], self.laws[part])
-
 
 class TickAssignment(NamedTuple):
     """Samples assigned to ticks."""
@@ -160,36 +133,6 @@ class TickAssignment(NamedTuple):
     skipped: NDArray[np.int64]  # ticks left out up to each sample, shape (C, T)
     excess: Array  # what it costs more to have so many left out, shape (C, T, S)
     before: int  # S begins with `-before`
-
-
-def candidates(periods: Array, scale: float) -> Clocks:
-    """Return each period with each law of delays, to be refined by `fitted`."""
-    count = len(periods)
-    return Clocks(
-        np.tile(periods, 2),
-        np.zeros(2 * count),
-        np.repeat([scale, scale / 3], count),
-        np.repeat([EVEN, RARER], count),
-    )
-
-
-def fitted(arrivals: Array, clocks: Clocks, rounds: int = 2) -> tuple[Clocks, TickAssignment]:
-    """Refine start and scale of the candidates, alternating with the assignment to ticks."""
-    above = arrivals - clocks.periods[:, None] * np.arange(len(arrivals))
-    starts = above[:, :20].min(axis=1)
-    room = ((starts - above.min(axis=1)) / clocks.periods).min()
-    before = int(np.clip(np.ceil(room), 0, _MAX_BEFORE)) + 1
-    clocks = clocks._replace(starts=starts)
-    placing = assign_ticks(arrivals, clocks, before)
-    for _ in range(rounds):
-        late = delays(arrivals, clocks, placing.skipped)
-        moved = np.quantile(late, _TYPICAL_EARLIEST, axis=1)
-        late -= moved[:, None]
-        clocks = clocks._replace(
-            starts=clocks.starts + moved, scales=_scales(late.clip(0), clocks.laws)
-        )
-        placing = assign_ticks(arrivals, clocks, before)
-    return clocks, placing
 
 
 def delays(arrivals: Array, clocks: Clocks, skipped: NDArray[np.int64]) -> Array:
@@ -208,9 +151,18 @@ def assign_ticks(
     """
     above = delays(arrivals, clocks, np.zeros(len(arrivals), np.int64))
     most = int(np.ceil((above.max(axis=1) / clocks.periods).min()))
-    skipped = np.arange(before + 2 + min(max(most, 1), _MAX_SKIPPED)) - float(before)
+    skipped = np.arange(before + 2 + min(max(most, 1), 150)) - float(before)
     late = above[:, :, None] - clocks.periods[:, None, None] * skipped
-    costs = _costs(late, clocks.scales[:, None, None], clocks.laws[:, None, None])
+    # The negative log likelihood of each delay.
+    scales, laws = clocks.scales[:, None, None], clocks.laws[:, None, None]
+    early = np.clip(0.05 * scales, 0.3, 2.0)  # [ms], as the clock is not known exactly
+    share = late.clip(0) / scales
+    far = np.log(np.maximum(share, 1.0))
+    even = np.where(share > 1, _OUTLIER + _OUTLIERS_FALL * far, 0.0)
+    rarer = np.minimum(share, _TYPICAL + _OUTLIERS_FALL * np.maximum(far - np.log(_TYPICAL), 0.0))
+    costs = np.log(scales) + np.where(laws == EVEN, even, rarer)
+    costs += 0.5 * (late.clip(max=0) / early) ** 2
+    np.minimum(costs, NEVER, out=costs)
     if held is not None:
         costs[:, held[0], skipped != held[1]] = NEVER
     return cheapest(costs, before)
@@ -224,7 +176,7 @@ def cheapest(costs: Array, before: int) -> TickAssignment:
     least = total[:, 0].min(axis=1)
     excess = total - least[:, None, None]
     # Of ways that cost the same the lowest is taken everywhere: they would else be mixed.
-    return TickAssignment(least, (excess < _SAME).argmax(axis=2) - before, excess, before)
+    return TickAssignment(least, (excess < 1e-6).argmax(axis=2) - before, excess, before)
 
 
 def _sums(paid: Array, skipped: Array, *, onward: bool) -> Array:
@@ -248,21 +200,9 @@ def _sums(paid: Array, skipped: Array, *, onward: bool) -> Array:
     return sums
 
 
-def _costs(late: Array, scales: Array, laws: NDArray[np.int64]) -> Array:
-    """Return the negative log likelihood of each delay."""
-    early = np.clip(_EARLY * scales, *_EARLY_MS)
-    share = late.clip(0) / scales
-    far = np.log(np.maximum(share, 1.0))
-    even = np.where(share > 1, _OUTLIER + _OUTLIERS_FALL * far, 0.0)
-    rarer = np.minimum(share, _TYPICAL + _OUTLIERS_FALL * np.maximum(far - np.log(_TYPICAL), 0.0))
-    cost = np.log(scales) + np.where(laws == EVEN, even, rarer)
-    cost += 0.5 * (late.clip(max=0) / early) ** 2
-    return np.minimum(cost, NEVER, out=cost)
-
-
 def _scales(late: Array, laws: NDArray[np.int64]) -> Array:
     """Return the maximum-likelihood scale of each candidate's delays, shape (C,)."""
-    tried = np.geomspace(_MIN_MS, _MAX_MS, 80)
+    tried = np.geomspace(_MIN_MS, 10_000.0, 80)
     ordered = np.sort(np.maximum(late, _MIN_MS), axis=1)
     logs = np.cumsum(np.log(ordered[:, ::-1]), axis=1)  # of the longest ones
     scales = np.empty(len(late))
@@ -280,47 +220,33 @@ def _scales(late: Array, laws: NDArray[np.int64]) -> Array:
 # ---- Period: from samples on ticks, and from usual frame rates
 
 Ticks = NDArray[np.int64]
-
 _HZ = (5, 6, 10, 12, 12.5, 15, 20, 24, 25, 30, 40, 48, 50, 60, 72, 75, 80, 90, 100, 120)
 _HZ += (144, 150, 180, 200, 240, 250, 300, 360, 400, 480, 500, 1000)
 # [ms]: what cameras are built for, and the same as television has it (59.94 Hz for 60).
 _NOMINAL_PERIODS = 1e3 / np.array(_HZ)
 _TYPICAL_PERIODS = np.concatenate([_NOMINAL_PERIODS, 1.001 * _NOMINAL_PERIODS])
-
-_TYPICAL_SLACK = 15.0  # log likelihood that may be lost by taking a rate as exactly a usual one
-_MAX_LOST = 0.35  # of all ticks, at a usual rate
-# Log likelihood that a rate is worth beside the same as television has it: in the few seconds of a
-# drop, delays hardly tell them apart.
-_NOMINAL_GAIN = 4.0
-
-_CHOSEN_GAIN = 4.0  # log likelihood that the usual rate is worth that put the samples on ticks
+_TYPICAL_GAIN = 15.0  # log likelihood that a usual rate is worth, exactly or at all
 APART = 0.3  # of a period: by so much neighbouring rates differ at the last sample
-# A law's scale over the width of its density's kernel, and the least such width.
-_KERNEL, _NARROWEST_MS = 25.0, 0.15
-
-
-def usual_periods(least: float, most: float) -> Array:
-    """Return usual camera periods [ms] for a mean step of `least` to `most`, some ticks lost."""
-    return _TYPICAL_PERIODS[
-        ((1 - _MAX_LOST) * least <= _TYPICAL_PERIODS) & (most >= _TYPICAL_PERIODS)
-    ]
+_NARROWEST_MS = 0.15  # kernel of a density of delays
 
 
 def period_of(ticks: Ticks, arrivals: Array, clock: Clocks) -> tuple[float, float, float]:
-    """Estimate period, time of tick 0, and the period's standard deviation.
-
-    Minimises the entropy of the delays, whose law has edges or peaks on either side.
-    """
-    kernel = max(_NARROWEST_MS, float(clock.scales[0]) / _KERNEL)
+    """Estimate period, time of tick 0, and the period's standard deviation, by least entropy."""
+    kernel = max(_NARROWEST_MS, float(clock.scales[0]) / 25.0)
     span, middle = float(np.ptp(ticks)), ticks - ticks.mean()
 
     def costs_of(periods: Array) -> Array:
         late = arrivals - periods[:, None] * middle
-        if clock.laws[0] != RARER:
-            return _scatter(late, kernel)
-        # Of exponential delays, decided by those hardly late.
-        mean = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
-        return late.shape[1] * np.log(np.maximum(mean, _NARROWEST_MS))
+        late -= late.min(axis=1, keepdims=True)
+        if clock.laws[0] == RARER:  # of exponential delays, decided by those hardly late
+            return late.shape[1] * np.log(np.maximum(late.mean(axis=1), _NARROWEST_MS))
+        # The negative log likelihood under their leave-one-out density, of Gaussians.
+        shape = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
+        costs = np.empty(len(late))
+        for row, own in enumerate((late * (3.0 / kernel)).astype(np.int64)):
+            density = np.convolve(np.bincount(own), shape)[own + 9] - shape[9]
+            costs[row] = -np.log(np.maximum(density, 0.05)).sum()
+        return costs
 
     period, error, least = float(clock.periods[0]), 0.0, np.inf
     for width in (1.0, 0.25):
@@ -333,9 +259,11 @@ def period_of(ticks: Ticks, arrivals: Array, clock: Clocks) -> tuple[float, floa
         error = float(np.sqrt(weights @ (tried - period) ** 2))
     usual = _TYPICAL_PERIODS[np.abs(_TYPICAL_PERIODS - period) < APART / span * period]
     if len(usual):
-        costs = costs_of(usual) - _CHOSEN_GAIN * (usual == clock.periods[0])
-        costs -= _NOMINAL_GAIN * np.isin(usual, _NOMINAL_PERIODS)
-        if costs.min() < least + _TYPICAL_SLACK:
+        # Worth more is the rate that put the samples on ticks, and one beside the same as
+        # television has it: in the few seconds of a drop, delays hardly tell them apart.
+        costs = costs_of(usual) - 4.0 * (usual == clock.periods[0])
+        costs -= 4.0 * np.isin(usual, _NOMINAL_PERIODS)
+        if costs.min() < least + _TYPICAL_GAIN:
             period = float(usual[costs.argmin()])
     return period, float((arrivals - period * ticks).min()), error
 
@@ -357,40 +285,14 @@ def period_below(ticks: Ticks, arrivals: Array) -> float:
     return 0.0
 
 
-def _scatter(late: Array, kernel: float) -> Array:
-    """Return the negative log likelihood of delays (C, T) under their leave-one-out density.
-
-    Shape (C,); `kernel` is the standard deviation of the Gaussians that the density is made of.
-    """
-    fine = 3.0 / kernel
-    bins = ((late - late.min(axis=1, keepdims=True)) * fine).astype(np.int64)
-    width = 9
-    shape = np.exp(-0.5 * (np.arange(-width, width + 1) / 3.0) ** 2)
-    costs = np.empty(len(late))
-    for row, own in enumerate(bins):
-        counts = np.bincount(own)
-        density = np.convolve(counts, shape)[own + width] - shape[width]
-        costs[row] = -np.log(np.maximum(density, 0.05)).sum()
-    return costs
-
-
 # ---- Uniform clock behind arrivals, in blocks of samples since its rate drifts
 
 MIN_COUNT = 20  # samples; fewer tell no clock
-_TYPICAL_GAIN = 15.0  # log likelihood that a usual rate is worth
-_SLOWER, _FASTER = 0.05, 0.14  # logarithm of the usual step up to which rates beside it are tried
 # Samples over which a rate is taken where each is late by its own time: delays spread over so many
 # as they ever do.
 LAG = 24
-
-# Samples that a rate is first sought in, by how much they grow, and rates on each side that are
-# tried then.
-_BEGIN, _GROW, _NEIGHBOURS = 64, 3, 4
-
 # Samples that one straight line is for, and those that it shares with the next.
 _BLOCK, _SHARED = 512, 128
-
-_POSSIBLE = 6.0  # log likelihood that another tick than the likeliest may cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,12 +334,6 @@ class UniformClock:
         """Number of ticks between the first and the last sample that have none."""
         return int(self.ticks[-1] - self.ticks[0]) + 1 - len(self.ticks)
 
-    def runs(self) -> Iterator[slice]:
-        """Yield the runs of consecutive samples whose tick is ambiguous."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.unsure, [False]])))
-        for first, end in edges.reshape(-1, 2).tolist():
-            yield slice(first, end)
-
     def placed_by(self, cost: Callable[[NDArray[np.intp], Array], Array]) -> UniformClock:
         """Reassign samples of ambiguous tick by a cost other than that of their arrival.
 
@@ -445,8 +341,9 @@ class UniformClock:
         that are taken at times as `stamps` has them, shape (N, S) [ms].
         """
         ticks, earliest, latest = self.ticks.copy(), self.earliest.copy(), self.latest.copy()
-        for run in self.runs():
-            numbers = np.arange(run.start, run.stop)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.unsure, [False]])))
+        for first, end in edges.reshape(-1, 2).tolist():
+            run, numbers = slice(first, end), np.arange(first, end)
             low = int((earliest[run] - numbers).min())
             skipped = np.arange(low, int((latest[run] - numbers).max()) + 1)
             tried = numbers[:, None] + skipped
@@ -471,7 +368,7 @@ def recover_uniform_clock(arrivals_ns: NDArray[np.int64]) -> UniformClock | None
     if len(arrivals_ns) < MIN_COUNT:
         return None
     arrivals = 1e-6 * (arrivals_ns - arrivals_ns[0])
-    if np.median(arrivals[_lag(arrivals) :] - arrivals[: -_lag(arrivals)]) <= 0:
+    if median_step(arrivals, _lag(arrivals)) <= 0:
         return None
     clock: UniformClock | None = None
     for first in range(0, max(1, len(arrivals) - _SHARED), _BLOCK - _SHARED):
@@ -525,44 +422,64 @@ def _before(skipped: Ticks) -> int:
 def _likeliest(arrivals: Array, known: float | None) -> tuple[Clocks, Ticks]:
     """Return the likeliest of many rates, and how many ticks it skips up to each sample."""
     count, lag = len(arrivals), _lag(arrivals)
-    own = float(np.median(arrivals[lag:] - arrivals[:-lag])) / lag
-    windows = range(0, max(1, count - LAG + 1), LAG // 2)
-    spreads = [
-        np.ptp(arrivals[at : at + LAG] - own * np.arange(len(arrivals[at : at + LAG])))
-        for at in windows
-    ]
+    own = median_step(arrivals, lag)
+    starts = range(0, max(1, count - LAG + 1), LAG // 2)
+    windows = [arrivals[at : at + LAG] for at in starts]
+    spreads = [np.ptp(window - own * np.arange(len(window))) for window in windows]
     scale = max(1.0, float(np.median(spreads)))
-    size = count if known else min(count, _BEGIN)
-    beside = np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
-    periods = own * np.exp(np.arange(-_FASTER, _SLOWER, APART / size))
+    # A rate beside the usual step is sought in few samples, and among its neighbours in ever more.
+    size = count if known else min(count, 64)
+    periods = own * np.exp(np.arange(-0.14, 0.05, APART / size))
     if known:
         periods = known * np.exp(np.array([-APART, 0.0, APART]) / size)
     while True:
-        best, cost, skipped = _best(arrivals[:size], candidates(periods, scale))
+        best, cost, skipped = _best(arrivals[:size], periods, scale)
         if size == count:
             break
         hull = period_below(np.arange(size) + skipped, arrivals[:size])
-        size = min(count, _GROW * size)
-        periods = np.append(best.periods[0] * np.exp(beside * APART / size), hull)
+        size = min(count, 3 * size)
+        periods = np.append(best.periods[0] * np.exp(np.arange(-4, 5) * APART / size), hull)
+    # At a usual rate, up to 0.35 of all ticks may be lost.
     mean = float(arrivals[-1]) / (count - 1)
-    usual = usual_periods(min(mean, own), max(mean, own) + 1.2 * scale / count)
+    is_near = (1 - 0.35) * min(mean, own) <= _TYPICAL_PERIODS
+    is_near &= max(mean, own) + 1.2 * scale / count >= _TYPICAL_PERIODS
+    usual = _TYPICAL_PERIODS[is_near]
     if known is None and len(usual):
-        other, other_cost, other_skipped = _best(arrivals, candidates(usual, scale))
+        other, other_cost, other_skipped = _best(arrivals, usual, scale)
         if other_cost - _TYPICAL_GAIN < cost:
             return other, other_skipped
     return best, skipped
 
 
-def _best(arrivals: Array, clocks: Clocks) -> tuple[Clocks, float, Ticks]:
-    """Return the likeliest candidate, its cost, and how many ticks it skips up to each sample."""
-    clocks, placing = fitted(arrivals, clocks)
+def _best(arrivals: Array, periods: Array, scale: float) -> tuple[Clocks, float, Ticks]:
+    """Return the likeliest clock, its cost, and how many ticks it skips up to each sample.
+
+    Of each period with each law of delays, whose start and scale are refined in turn with the
+    assignment to ticks.
+    """
+    count = len(periods)
+    periods, laws = np.tile(periods, 2), np.repeat([EVEN, RARER], count)
+    above = arrivals - periods[:, None] * np.arange(len(arrivals))
+    starts = above[:, :20].min(axis=1)
+    room = ((starts - above.min(axis=1)) / periods).min()
+    before = int(np.clip(np.ceil(room), 0, 100)) + 1
+    clocks = Clocks(periods, starts, np.repeat([scale, scale / 3], count), laws)
+    placing = assign_ticks(arrivals, clocks, before)
+    for _ in range(2):
+        late = delays(arrivals, clocks, placing.skipped)
+        moved = np.quantile(late, 0.02, axis=1)  # the earliest, of which a few may be wrong
+        late -= moved[:, None]
+        clocks = clocks._replace(starts=clocks.starts + moved, scales=_scales(late.clip(0), laws))
+        placing = assign_ticks(arrivals, clocks, before)
     best = int(placing.costs.argmin())
-    return clocks.only(best), float(placing.costs[best]), placing.skipped[best]
+    part = slice(best, best + 1)
+    only = Clocks(clocks.periods[part], clocks.starts[part], clocks.scales[part], laws[part])
+    return only, float(placing.costs[best]), placing.skipped[best]
 
 
 def _possible(excess: Array, numbers: NDArray[np.intp], before: int) -> tuple[Ticks, Ticks]:
     """Return the first and the last tick that is possible for each sample."""
-    can_be = excess < _POSSIBLE
+    can_be = excess < 6.0  # log likelihood that another tick than the likeliest may cost
     last = can_be.shape[1] - 1 - can_be[:, ::-1].argmax(axis=1)
     return numbers + can_be.argmax(axis=1) - before, numbers + last - before
 
@@ -572,19 +489,12 @@ def _joined(one: UniformClock, other: UniformClock, first: int) -> UniformClock:
     shared = len(one.ticks) - first
     shift = int(np.median(one.ticks[first:] - other.ticks[:shared]))
     half = shared // 2
-    cut, own = first + half, slice(half, None)
-    moved = {name: getattr(other, name)[own] + shift for name in ("ticks", "earliest", "latest")}
-    joined = {
-        name: np.concatenate([getattr(one, name)[:cut], values]) for name, values in moved.items()
-    }
-    return replace(
-        one,
-        **joined,
-        stamps=np.concatenate([one.stamps[:cut], other.stamps[own]]),
-        periods=np.concatenate([one.periods[:cut], other.periods[own]]),
-        rms_ms=max(one.rms_ms, other.rms_ms),
-        cost=one.cost + other.cost,
-    )
+    joined: dict[str, Any] = {}
+    for name in ("ticks", "earliest", "latest", "stamps", "periods"):
+        moved = getattr(other, name)[half:] + (0 if name in ("stamps", "periods") else shift)
+        joined[name] = np.concatenate([getattr(one, name)[: first + half], moved])
+    rms_ms = max(one.rms_ms, other.rms_ms)
+    return replace(one, **joined, rms_ms=rms_ms, cost=one.cost + other.cost)
 
 
 # ---- Late samples: put back on the clock behind them, where the stamps show one
@@ -593,22 +503,8 @@ def _joined(one: UniformClock, other: UniformClock, first: int) -> UniformClock:
 STAMPS_NOTE = "stamps"  # note of a log's info record: whose clock a camera's stamps are of
 BY_ARRIVALS = "even clock"  # how it begins where they were found from arrivals, the log's own times
 ARRIVALS = (BY_ARRIVALS, "arrival")  # how it begins where the times that are read are arrivals
-
-_MIN_SAMPLES = 10  # fewer do not tell an even clock's period
-# Steps that differ by less of a period are alike; where each sample is stamped when it was taken,
-# more of the steps are like the next one.
-_ALIKE, _MOSTLY = 0.02, 0.5
-
-# Standard deviation of delays that are worth a correction: of a period, and at least.
-_LATE, _LATE_MS = 0.02, 0.3
-
-# Standard deviation of delays over that of the steps: delays of one sample each give 0.7, and a
-# sensor whose steps differ by themselves drifts far from any even clock.
-_ADDS_UP = 1.1
-
+_LATE = 0.02  # of a period: standard deviation of delays that are worth a correction
 MAX_SAMPLES = 50_000  # of which a clock is sought: a quarter of an hour of a camera
-# Quantile to which single long delays and steps are cut where two spreads are compared.
-_UNUSUAL = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -624,10 +520,8 @@ class CorrectedStamps:
     @property
     def taken_ns(self) -> dict[int, int]:
         """Acquisition time [ns] by recorded stamp [ns], of late samples only."""
-        late = self.recorded_ns != self.stamps_ns
-        return dict(
-            zip(self.recorded_ns[late].tolist(), self.stamps_ns[late].tolist(), strict=True)
-        )
+        pairs = zip(self.recorded_ns.tolist(), self.stamps_ns.tolist(), strict=True)
+        return {recorded: taken for recorded, taken in pairs if recorded != taken}
 
     def warnings(self, samples: str) -> list[str]:
         """Return warnings about late samples, which are called `samples`; empty if none is late."""
@@ -665,15 +559,15 @@ def correct_late_stamps(
     of which points are left out: no burst hits it. Where it is not known that the stamps, shape
     (T,) [ns], not decreasing, `are_arrivals`, they have to show it themselves.
     """
-    if len(stamps_ns) < _MIN_SAMPLES:
+    if len(stamps_ns) < 10:  # which do not tell an even clock's period
         return CorrectedStamps(stamps_ns, stamps_ns)
     if are_arrivals and (clock := clock_behind(stamps_ns, are_arrivals=True)[0]):
         return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
     steps = np.diff(stamps_ns).astype(np.float64)
     period, lag = float(np.median(steps)), min(LAG, len(steps) // 2)
-    usual = float(np.median(stamps_ns[lag:] - stamps_ns[:-lag])) / lag
-    comes_singly = period > usual / 2
-    is_exact = comes_singly and np.mean(np.abs(np.diff(steps)) < _ALIKE * period) > _MOSTLY
+    comes_singly = period > median_step(stamps_ns, lag) / 2
+    # Where each sample is stamped when it was taken, most steps are like the next one.
+    is_exact = comes_singly and np.mean(np.abs(np.diff(steps)) < 0.02 * period) > 0.5
     if comes_singly and is_grid(steps, period):
         rates = changing_rate(stamps_ns, 1 if is_exact else LAG)
         return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
@@ -681,9 +575,13 @@ def correct_late_stamps(
         even = smooth_bursts(stamps_ns, steps, period)
         return CorrectedStamps(stamps_ns, even, rates=changing_rate(even))
     clock, rates = clock_behind(stamps_ns)
-    if clock is None or not _is_worth(clock):
-        return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
-    return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
+    if clock is not None:
+        # Delays that exceed rounding, and what is as well left alone.
+        late, least_ms = clock.lateness, max(_LATE * float(np.median(clock.periods)), 0.3)
+        rounding_ms = np.gcd.reduce(np.diff(clock.arrivals_ns)) * 1e-6
+        if np.ptp(late) >= 1.5 * rounding_ms and _spread(late - np.median(late)) > least_ms:
+            return CorrectedStamps(stamps_ns, clock.stamps_ns, clock)
+    return CorrectedStamps(stamps_ns, stamps_ns, rates=rates)
 
 
 def clock_behind(
@@ -696,38 +594,24 @@ def clock_behind(
     if rates := changing_rate(arrivals_ns, LAG):
         return None, rates
     clock = recover_uniform_clock(arrivals_ns) if len(arrivals_ns) <= MAX_SAMPLES else None
-    if clock is None or np.any(np.diff(clock.stamps_ns) <= 0) or not _explains(clock):
+    if clock is None or np.any(np.diff(clock.stamps_ns) <= 0):
+        return None, ""
+    # Its residuals are delays: they add up to nothing, few ticks are lost. With more than a fifth
+    # of all ticks missing, an even clock explains whatever comes.
+    late, period = clock.lateness, float(np.median(clock.periods))
+    steps = 1e-6 * np.diff(arrivals_ns)
+    is_hurried = np.mean(steps < 0.25 * period) > 0.05  # no sensor is, but what waited on its way
+    # Delays of one sample each give 0.7 of the steps' own spread; a sensor whose steps differ by
+    # themselves drifts far from any even clock.
+    own = _spread(steps - period * np.diff(clock.ticks))
+    adds_up = is_hurried or _spread(late - np.median(late)) <= max(1.1 * own, _LATE * period)
+    if clock.lost > 0.2 * (clock.lost + len(late)) or not adds_up:
         return None, ""
     return (clock if are_arrivals or _is_telling(clock) else None), ""
 
 
-def _is_worth(clock: UniformClock) -> bool:
-    """Check whether delays exceed rounding, and what is as well left alone."""
-    late = clock.lateness
-    if np.ptp(late) < 1.5 * np.gcd.reduce(np.diff(clock.arrivals_ns)) * 1e-6:
-        return False
-    return _spread(late - np.median(late)) > max(_LATE * float(np.median(clock.periods)), _LATE_MS)
-
-
-def _explains(clock: UniformClock) -> bool:
-    """Check whether a clock's residuals are delays: they add up to nothing, few ticks are lost."""
-    stamps_ns, late = clock.arrivals_ns, clock.lateness
-    # With more than a fifth of all ticks missing, an even clock explains whatever comes.
-    if clock.lost > 0.2 * (clock.lost + len(late)):
-        return False
-    period, steps = float(np.median(clock.periods)), 1e-6 * np.diff(stamps_ns)
-    spread = _spread(late - np.median(late))
-    # No sensor is so fast so often, but what waited on its way is.
-    is_hurried = np.mean(steps < 0.25 * period) > 0.05
-    own = _spread(steps - period * np.diff(clock.ticks))
-    return bool(is_hurried or spread <= max(_ADDS_UP * own, _LATE * period))
-
-
 def _is_telling(clock: UniformClock) -> bool:
-    """Test by permutation whether shuffled steps are much less like a uniform clock.
-
-    They are not where the steps are a sensor's own, that is not even.
-    """
+    """Test by permutation whether shuffled steps are much less like a uniform clock."""
     first = clock.arrivals_ns[:512]
     shuffled = np.random.default_rng(0).permutation(np.diff(first))
     whole = clock if len(first) == len(clock.arrivals_ns) else recover_uniform_clock(first)
@@ -740,4 +624,4 @@ def _is_telling(clock: UniformClock) -> bool:
 def _spread(values: NDArray[np.float64]) -> float:
     """Return the winsorised root mean square: single large values are cut."""
     size = np.abs(values)
-    return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, _UNUSUAL)) ** 2)))
+    return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, 0.9)) ** 2)))

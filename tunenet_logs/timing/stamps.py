@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import BY_CLOCK, SAME_STAMP, Episode, added
+from tunenet_logs.episode import BY_CLOCK, SAME_STAMP, Episode, added, median_step
 from tunenet_logs.terminal import listed
 
 
@@ -29,10 +29,7 @@ def _anchor_ns() -> int:
 
 
 def wall_ns(monotonic_ns: int) -> int:
-    """Convert monotonic time to wall time [ns].
-
-    Anchored once in a process: a wall clock that is set while recording must not bend the stamps.
-    """
+    """Convert monotonic time to wall time [ns]: a clock that is set must not bend the stamps."""
     return _anchor_ns() + monotonic_ns
 
 
@@ -44,32 +41,12 @@ def now_ns() -> int:
 # ---- Clock jumps: the longest part of the stamps that one clock gave
 
 _MAX_PAUSE_S = 43_200.0  # between two samples of one recording: half a day
-# So many samples, so far from all others, are no part of a recording: their stamps are off.
-_ALONE_S, _ALONE_SAMPLES = 600.0, 2
-
+_ALONE_S = 600.0  # a few samples so far from all others are no part of a recording
 # Samples before and after a step back: where their medians step back too, the clock was set. Where
 # they do not, a few samples overtook each other, or one stamp is off.
 _AROUND = 5
-
 _BURST = 3  # samples in a row that may be far off without being a stretch of a clock
-# Samples over which a period is looked at, and within which samples overtake each other; sorted
-# steps of less than so much of the period of such neighbours are those of two stretches.
-_LAG, _NEARBY, _HALVED = 32, 128, 0.75
-
-# Samples too many where a clock was set back: at least; of those that lie in the time of others;
-# and in standard deviations of what uneven steps make.
-_MIN_TOO_MANY, _TOO_MANY, _UNLIKELY = 2.5, 0.3, 5.0
-
-# Samples too many, for each that is between, by which a step back is worth less than another.
-_EXPLAINED = 0.5
-
-# Periods between what was written later and what was written before, all of it later in time:
-# nearer ones are one recording in another order.
-_APART = 10.0
-
-_EVEN = 0.1  # of a period, by which sorted steps of an even clock are too short on average
-_MAX_CUTS = 32  # at one longest pause after the other
-_S = 1e-9  # a nanosecond [s]
+_NEARBY = 128  # samples within which they overtake each other
 
 
 class ContiguousSegment(NamedTuple):
@@ -82,15 +59,22 @@ class ContiguousSegment(NamedTuple):
 
 def sound_part(stamps_ns: NDArray[np.int64]) -> ContiguousSegment:
     """Return the longest part of sorted stamps, shape (T,) [ns], without a clock jump."""
-    steps_s = _steps_s(stamps_ns)
-    if not np.any(steps_s > _ALONE_S):
+    times_ns = stamps_ns.astype(np.float64)  # as int64, the longest step would not fit
+    stretch = _stretches(np.diff(times_ns) * 1e-9 > _ALONE_S)
+    if not stretch[-1]:
         return ContiguousSegment(np.arange(len(stamps_ns)))
-    stretch = _stretches(steps_s > _ALONE_S)
+    # One or two samples far from all others: their stamps are off.
     sizes = np.bincount(stretch)
-    is_alone = sizes[stretch] <= min(_ALONE_SAMPLES, int(sizes.max()) // 2)
-    alone, kept = np.flatnonzero(is_alone), np.flatnonzero(~is_alone)
-    words = [_alone_words(stamps_ns, alone, kept)] if len(alone) else []
-    steps_s = _steps_s(stamps_ns[kept])
+    is_alone = sizes[stretch] <= min(2, int(sizes.max()) // 2)
+    kept, words = np.flatnonzero(~is_alone), []
+    if is_alone.any():
+        count = f"{np.count_nonzero(is_alone)} of {len(stamps_ns)} samples"
+        words = [f"{count} without a stamp: not used"]
+        if np.any(stamps_ns[is_alone]):
+            off_s = np.abs(times_ns[kept] - times_ns[is_alone][0]).min() * 1e-9
+            words = [f"the clock jumps by {off_s:.1f} s for {count}: not used"]
+    # The longest part without a pause in which no experiment waits.
+    steps_s = np.diff(times_ns[kept]) * 1e-9
     jumps = np.flatnonzero(steps_s > _MAX_PAUSE_S)
     if len(jumps):
         rows = _longest(_stretches(steps_s > _MAX_PAUSE_S))
@@ -109,9 +93,7 @@ def written_part(stamps_ns: NDArray[np.int64]) -> ContiguousSegment:
     backs = _set_back(stamps_ns)
     if len(backs):
         backs = backs[_repeats_time(stamps_ns, backs)]
-    if len(backs):
-        return _longest_between(stamps_ns, backs)
-    return ContiguousSegment(np.arange(len(stamps_ns)))
+    return _longest_between(stamps_ns, backs)
 
 
 def is_disorder(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> bool:
@@ -120,25 +102,23 @@ def is_disorder(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> b
     `others_ns` are the same samples' stamps by another clock; both are in file order, shape (T,).
     """
     ordered = np.sort(stamps_ns)
-    if _usual_ns(stamps_ns[None]) <= 0:
+    if _usual_ns(stamps_ns) <= 0:
         return False
     short, other = (
-        float(np.mean(_short(one, _usual_ns(one[None])))) for one in (ordered, np.sort(others_ns))
+        float(np.mean(_short(one, _usual_ns(one)))) for one in (ordered, np.sort(others_ns))
     )
-    return short <= max(_EVEN, other / 2)
+    return short <= max(0.1, other / 2)  # of a period, by which sorted steps are too short
 
 
 def fill_holes(stamps_ns: NDArray[np.int64], at: int) -> bool:
     """Check whether stamps from index `at` on, in file order [ns], fill holes of those before."""
-    both, before = (_unevenness(np.sort(one)) for one in (stamps_ns, stamps_ns[:at]))
-    return both < before / 2
-
-
-def _unevenness(ordered: NDArray[np.int64]) -> float:
-    """Return the mean deviation of steps from their median, relative to it and clipped at 1."""
-    steps = np.diff(ordered.astype(np.float64))
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    return float(np.mean(np.minimum(np.abs(steps / usual - 1), 1))) if usual else 1.0
+    uneven: list[float] = []  # mean deviation of steps from their median, relative and at most 1
+    for one in (stamps_ns, stamps_ns[:at]):
+        steps = np.diff(np.sort(one).astype(np.float64))
+        usual = float(np.median(steps)) if len(steps) else 0.0
+        off = np.mean(np.minimum(np.abs(steps / usual - 1), 1)) if usual else 1.0
+        uneven.append(float(off))
+    return uneven[0] < uneven[1] / 2
 
 
 def filmed_part(stamps_ns: NDArray[np.int64]) -> ContiguousSegment:
@@ -148,24 +128,21 @@ def filmed_part(stamps_ns: NDArray[np.int64]) -> ContiguousSegment:
     """
     order = np.argsort(stamps_ns, kind="stable")
     in_time = sound_part(stamps_ns[order])
-    keep, words = np.sort(order[in_time.keep]), in_time.words
-    backs = _set_back(stamps_ns[keep])
-    if len(backs):
-        part = _longest_between(stamps_ns[keep], backs)
-        keep, words = keep[part.keep], (*words, *part.words)
-    return ContiguousSegment(keep, words)
+    keep = np.sort(order[in_time.keep])
+    part = _longest_between(stamps_ns[keep], _set_back(stamps_ns[keep]))
+    return ContiguousSegment(keep[part.keep], (*in_time.words, *part.words))
 
 
 def part_on_grid(seconds: NDArray[np.float64], longest_s: float) -> ContiguousSegment:
     """Cut sorted times [s] at their longest steps until a grid of `longest_s` may span them."""
     keep = np.arange(len(seconds))
     words = ""
-    for cuts in range(_MAX_CUTS + 1):
+    for cuts in range(33):
         if not len(keep) or seconds[keep[-1]] - seconds[keep[0]] <= longest_s:
             break
         steps_s = np.diff(seconds[keep])
         is_end = steps_s == steps_s.max()
-        if cuts == _MAX_CUTS:  # no part without such a step is longer than the grid
+        if cuts == 32:  # no part without such a step is longer than the grid
             is_end = steps_s > longest_s / len(keep)
         at = int(steps_s.argmax()) + 1
         rows = _longest(_stretches(is_end))
@@ -176,11 +153,6 @@ def part_on_grid(seconds: NDArray[np.float64], longest_s: float) -> ContiguousSe
         )
         keep = keep[rows]
     return ContiguousSegment(keep, (f"{words} ({len(keep)} samples)",) if words else ())
-
-
-def _steps_s(stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the steps between stamps [s], shape (T - 1,); as int64, the longest would not fit."""
-    return np.diff(stamps_ns.astype(np.float64)) * _S
 
 
 def _stretches(is_end: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -213,8 +185,9 @@ def _repeats_time(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> NDAr
     # And sorted in blocks of those written together, shape (blocks, `_NEARBY` or fewer).
     size = max(2 * _AROUND, min(_NEARBY, len(stamps_ns) // 4))
     near = np.sort(stamps_ns[: len(stamps_ns) // size * size].reshape(-1, size), axis=1)
-    usual_ns, nearby_ns = _usual_ns(ordered[None]), _usual_ns(near)
-    period_ns = nearby_ns if usual_ns < _HALVED * nearby_ns else usual_ns
+    usual_ns, nearby_ns = _usual_ns(ordered), _usual_ns(near)
+    # Much shorter steps than those of neighbours are those of two stretches.
+    period_ns = nearby_ns if usual_ns < 0.75 * nearby_ns else usual_ns
     if period_ns <= 0:
         return np.zeros(len(backs), np.bool_)
     # From where on, and up to where, samples from both sides of each step back lie: strays aside,
@@ -240,11 +213,13 @@ def _repeats_time(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> NDAr
     mean, spread = min((float(x.mean()), float(x.std())) for x in (short, _short(near, period_ns)))
     steps = last - first
     too_many = np.diff(np.append(0.0, np.cumsum(short))[[first, last]], axis=0)[0] - mean * steps
-    enough = np.maximum(_MIN_TOO_MANY, _TOO_MANY * entangled)
-    is_set = too_many >= np.maximum(enough, _UNLIKELY * spread * np.sqrt(steps))
-    # Or all that comes later lies before all that came first, and far from it.
+    # Of those in the time of others; and beyond 5 standard deviations of what uneven steps make.
+    enough = np.maximum(2.5, 0.3 * entangled)
+    is_set = too_many >= np.maximum(enough, 5.0 * spread * np.sqrt(steps))
+    # Or all that comes later lies before all that came first, and far from it: what is nearer is
+    # one recording in another order.
     apart_ns = begins.astype(np.float64) - ends
-    is_apart = (apart_ns > _APART * period_ns) & (_usual_ns(stamps_ns[None]) > 0)
+    is_apart = (apart_ns > 10.0 * period_ns) & (_usual_ns(stamps_ns) > 0)
     is_apart &= (backs >= _AROUND) & (backs <= len(ordered) - _AROUND)  # not for a stray at an end
     if np.count_nonzero(stamps_ns[1:] < stamps_ns[:-1]) == len(backs):  # no other disorder
         return is_set | is_apart
@@ -252,12 +227,8 @@ def _repeats_time(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> NDAr
 
 
 def _strongest(backs: NDArray[np.intp], too_many: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Select the steps back that are no mere disorder around a set clock, shape (J,).
-
-    Such have fewer samples too many, the farther from it they are; near it one is as good as
-    another.
-    """
-    far = _EXPLAINED * backs
+    """Select the steps back that are no mere disorder around a set clock, shape (J,)."""
+    far = 0.5 * backs  # samples too many by which it is worth less, for each that is between
     is_set = too_many > -np.inf
     is_set[1:] &= too_many[1:] > np.maximum.accumulate(too_many + far)[:-1] - far[1:]
     least = np.maximum.accumulate((too_many - far)[::-1])[::-1]
@@ -278,23 +249,23 @@ def _short(stamps_ns: NDArray[np.int64], period_ns: float) -> NDArray[np.float64
 
 
 def _usual_ns(rows_ns: NDArray[np.int64]) -> float:
-    """Return the median step over many samples [ns], of rows of stamps, shape (rows, T)."""
-    far = rows_ns.astype(np.float64)
-    lag = max(1, min(_LAG, far.shape[1] // 4))
-    return float(np.median(far[:, lag:] - far[:, :-lag])) / lag if far.shape[1] > lag else 0.0
+    """Return the median step over many samples [ns], of stamps of shape (T,) or (rows, T)."""
+    count = rows_ns.shape[-1]
+    lag = max(1, min(32, count // 4))
+    return median_step(rows_ns.astype(np.float64), lag) if count > lag else 0.0
 
 
 def _longest_between(stamps_ns: NDArray[np.int64], backs: NDArray[np.intp]) -> ContiguousSegment:
     """Return the longest stretch between steps back, with a reason that names the first."""
-    count, at = len(stamps_ns), int(backs[0])
+    count = len(stamps_ns)
+    if not len(backs):
+        return ContiguousSegment(np.arange(count))
+    at = int(backs[0])
     before, after = stamps_ns[max(at - _AROUND, 0) : at], stamps_ns[at : at + _AROUND]
-    by_s = (float(before.max()) - float(after.min())) * _S
-    is_end = np.zeros(count - 1, np.bool_)
-    is_end[backs - 1] = True
-    rows = _longest(_stretches(is_end))
-    return ContiguousSegment(
-        rows, (_jump_words(f"is set back by {by_s:.3f} s", backs, count, rows),)
-    )
+    by_s = (float(before.max()) - float(after.min())) * 1e-9
+    rows = _longest(_stretches(np.isin(np.arange(1, count), backs)))
+    words = _jump_words(f"is set back by {by_s:.3f} s", backs, count, rows)
+    return ContiguousSegment(rows, (words,))
 
 
 def _jump_words(what: str, jumps: NDArray[np.intp], count: int, rows: NDArray[np.intp]) -> str:
@@ -306,17 +277,6 @@ def _jump_words(what: str, jumps: NDArray[np.intp], count: int, rows: NDArray[np
     return f"{where}: the longer part, {'after' if rows[0] else 'before'} it, {used}"
 
 
-def _alone_words(
-    stamps_ns: NDArray[np.int64], alone: NDArray[np.intp], kept: NDArray[np.intp]
-) -> str:
-    """Say that samples lie far from all others, and how far the first of them does."""
-    count = f"{len(alone)} of {len(stamps_ns)} samples"
-    if not np.any(stamps_ns[alone]):
-        return f"{count} without a stamp: not used"
-    off_ns = np.abs(stamps_ns[kept].astype(np.float64) - float(stamps_ns[alone[0]])).min()
-    return f"the clock jumps by {off_ns * _S:.1f} s for {count}: not used"
-
-
 # ---- Gaps: times in which a recording's source was away, noted in the log
 # Nobody knows what happened in between, and a camera that was connected anew may count its time
 # anew: what one part shows is not continued in the next.
@@ -324,10 +284,7 @@ def _alone_words(
 # Note of the info record: stamps [ns] of the pictures before and after each gap, such as
 # `1700000000000000000-1700000001200000000,...`.
 _GAPS_NOTE = "gaps"
-_GAP = re.compile(r"(\d{1,19})-(\d{1,19})", re.ASCII)
-
 LAST_NS = 2**63 - 1  # the last stamp that fits int64: in the year 2262
-_STILL_OPEN = 0.5  # of a gap's length: where no step is so long any more, late samples filled it
 
 
 class Gap(NamedTuple):
@@ -344,7 +301,8 @@ class Gap(NamedTuple):
 
 def noted_gaps(notes: Mapping[str, str]) -> tuple[Gap, ...]:
     """Parse the gaps listed in an info record's notes; what is no gap is left out."""
-    found = (Gap(int(last), int(after)) for last, after in _GAP.findall(notes.get(_GAPS_NOTE, "")))
+    pairs = re.findall(r"(\d{1,19})-(\d{1,19})", notes.get(_GAPS_NOTE, ""), re.ASCII)
+    found = (Gap(int(last), int(after)) for last, after in pairs)
     return tuple(gap for gap in found if gap.last_ns < gap.next_ns <= LAST_NS)
 
 
@@ -372,7 +330,8 @@ def parts_between(stamps_ns: NDArray[np.int64], gaps: Iterable[Gap]) -> NDArray[
         first = max(int(np.searchsorted(ordered, gap.last_ns, side="right")) - 1, 0)
         last = int(np.searchsorted(ordered, gap.next_ns, side="left"))
         touched = steps_s[first:last]
-        if len(touched) and touched.max() >= _STILL_OPEN * gap.seconds:
+        # Where no step is half as long any more, late samples filled it.
+        if len(touched) and touched.max() >= 0.5 * gap.seconds:
             cuts_ns.add(int(ordered[first + int(touched.argmax()) + 1]))
     return np.searchsorted(np.array(sorted(cuts_ns), np.int64), stamps_ns, side="right")
 
@@ -381,10 +340,7 @@ def parts_between(stamps_ns: NDArray[np.int64], gaps: Iterable[Gap]) -> NDArray[
 
 # No film and no sensor is faster: what seems so came in one piece, and tells no rate.
 MAX_SPEED_HZ = 100_000.0
-
 MAX_SPEED_CAMERA_HZ = 2000.0  # no camera that is plugged in or in a network is faster
-# A longer step, in usual ones and in seconds, is a pause; a burst's own steps are shorter.
-_PAUSE_PERIODS, _PAUSE_S = 10.0, 0.5
 
 
 def measured_hz(
@@ -399,43 +355,34 @@ def measured_hz(
     seconds = (stamps - stamps[:1]).astype(np.float64) * 1e-9
     # The median period over many messages [s], so that bursts level out: few are longer than 30.
     lag = max(1, min(30, (len(seconds) - 1) // 4))
-    period_s = float(np.median(seconds[lag:] - seconds[:-lag])) / lag if len(seconds) > lag else 0.0
+    period_s = median_step(seconds, lag) if len(seconds) > lag else 0.0
     if period_s > 0:  # without closer ones at the beginning, which had waited to be asked for
         late = np.diff(seconds) >= 0.1 * period_s
         seconds = seconds[int(late.argmax()) :] if late.any() else seconds
     count = len(seconds) - 1
     if count < 1:
         return 0.0
-    whole_s = float(seconds[-1] - seconds[0])
-    counted_s = whole_s - _lost_s(seconds, period_s)
-    return count / counted_s if counted_s * fastest_hz >= count else 0.0
-
-
-def _lost_s(seconds: NDArray[np.float64], period_s: float) -> float:
-    """Return the time [s] of pauses that no later message makes up for."""
+    counted_s = whole_s = float(seconds[-1] - seconds[0])
     steps_s = np.diff(seconds)
-    pauses = np.flatnonzero(steps_s > max(_PAUSE_PERIODS * period_s, _PAUSE_S))
-    if not len(pauses) or period_s <= 0:
-        return 0.0
-    lengths_s = steps_s[pauses]
-    # As many as usual come in as long a time behind a pause; more of them had waited.
-    ends_s = seconds[pauses + 1]
-    watched_s = np.minimum(lengths_s, seconds[-1] - ends_s)
-    came = np.searchsorted(seconds, ends_s + watched_s, "right") - (pauses + 2)
-    waited_s = np.clip(came * period_s - watched_s, 0.0, lengths_s)
-    lost_s = float((lengths_s - waited_s - period_s).clip(0.0).sum())
-    is_how_they_come = len(pauses) > 2 and lost_s > 0.9 * (seconds[-1] - seconds[0])
-    return 0.0 if is_how_they_come else lost_s
+    pauses = np.flatnonzero(steps_s > max(10.0 * period_s, 0.5))  # a burst's own steps are shorter
+    if len(pauses) and period_s > 0:
+        lengths_s = steps_s[pauses]
+        # As many as usual come in as long a time behind a pause; more of them had waited.
+        ends_s = seconds[pauses + 1]
+        watched_s = np.minimum(lengths_s, seconds[-1] - ends_s)
+        came = np.searchsorted(seconds, ends_s + watched_s, "right") - (pauses + 2)
+        waited_s = np.clip(came * period_s - watched_s, 0.0, lengths_s)
+        lost_s = float((lengths_s - waited_s - period_s).clip(0.0).sum())
+        is_how_they_come = len(pauses) > 2 and lost_s > 0.9 * whole_s
+        counted_s -= 0.0 if is_how_they_come else lost_s
+    return count / counted_s if counted_s * fastest_hz >= count else 0.0
 
 
 # ---- One clock for an episode: each signal without what lies across a jump
 
 
 def trim_clock_jumps(episode: Episode) -> Episode:
-    """Keep the longest part of each signal without a clock jump, and warn of each cut.
-
-    Pictures are cut by whoever looks at them: they are not in memory.
-    """
+    """Keep the longest part of each signal without a clock jump, and warn of each cut."""
     parts = {name: sound_part(signal.stamps_ns) for name, signal in episode.signals.items()}
     signals = dict(episode.signals)
     for name, part in parts.items():
@@ -452,17 +399,15 @@ def trim_clock_jumps(episode: Episode) -> Episode:
 def with_jumps_of_pictures(episode: Episode) -> Episode:
     """Mark the pictures of a video file beyond a jump of their clock as left out."""
     parts = {
-        channel.topic: filmed_part(channel.log_ns)
-        for channel in episode.channels
-        if channel.pictures and channel.skipped is None
-    }
-    channels = tuple(
-        replace(one, left_out={BY_CLOCK: one.messages - len(parts[one.topic].keep)})
-        if one.topic in parts
-        else one
+        one.topic: filmed_part(one.log_ns)
         for one in episode.channels
-    )
-    return replace(episode, channels=channels, warnings=(*episode.warnings, *_said(parts)))
+        if one.topic in episode.picture_topics
+    }
+    channels = list(episode.channels)
+    for at, one in enumerate(channels):
+        if part := parts.get(one.topic):
+            channels[at] = replace(one, left_out={BY_CLOCK: one.messages - len(part.keep)})
+    return replace(episode, channels=tuple(channels), warnings=(*episode.warnings, *_said(parts)))
 
 
 def jump_warnings(episode: Episode) -> list[str]:

@@ -20,10 +20,11 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
+from io import BytesIO
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from tunenet_logs.errors import LogError, UsageError
 from tunenet_logs.files import open_regular
@@ -31,29 +32,27 @@ from tunenet_logs.terminal import listed, short_name
 
 # ---- Renaming without replacing, kept on the disk
 
-_HERE = -100  # instead of an open folder: names are relative to the working directory (AT_FDCWD)
-_REPLACE_NOTHING = 1  # the flag of Linux's renameat2 (RENAME_NOREPLACE)
-# How kernels and file systems (exFAT, NFS) say that they rename only by replacing.
-_NO_SUCH_CALL = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP)
-
 
 def rename_new(old: Path, new: Path) -> None:
     """Rename a file or change nothing: none is ever replaced (renameat2, RENAME_NOREPLACE)."""
-    call = _renameat2()
-    if call is not None:
-        if call(_HERE, os.fsencode(old), _HERE, os.fsencode(new), _REPLACE_NOTHING) == 0:
-            return
-        number = ctypes.get_errno()
-        if number not in _NO_SUCH_CALL:
-            raise OSError(number, os.strerror(number), str(old), None, str(new))
+    try:
+        call = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):  # the C library has none
+        take_and_rename(old, new)
+        return
+    call.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint)
+    # -100 instead of an open folder: names are relative to the working directory (AT_FDCWD).
+    if call(-100, os.fsencode(old), -100, os.fsencode(new), 1) == 0:
+        return
+    number = ctypes.get_errno()
+    # How kernels and file systems (exFAT, NFS) say that they rename only by replacing.
+    if number not in (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP):
+        raise OSError(number, os.strerror(number), str(old), None, str(new))
     take_and_rename(old, new)
 
 
 def take_and_rename(old: Path, new: Path) -> None:
-    """Rename without that call: an empty file takes the name first.
-
-    A process that is killed in between leaves that, and the old name. An error changes nothing.
-    """
+    """Rename without that call: an empty file takes the name first; an error changes nothing."""
     os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666))
     try:
         old.replace(new)
@@ -62,30 +61,11 @@ def take_and_rename(old: Path, new: Path) -> None:
         raise
 
 
-@cache
-def _renameat2() -> Any:
-    """Return the C library's call; None where it has none."""
-    try:
-        call = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError):
-        return None
-    call.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint)
-    return call
-
-
 # ---- Result: where it goes, and what it may replace
 
 # Looks at the beginning of an open file: None where it is not of our kind, else the names of what
 # it tells of and the new one will not. Where nothing is lost, it may be replaced.
 Knows = Callable[[BinaryIO], Sequence[str] | None]
-
-_PARTIAL = ".partial"  # behind the name of a file that is not whole yet
-_MAX_NAMED, _MAX_CHARACTERS = 3, 120  # names of what would be lost, in a message; and of each name
-OWN_LOG_BYTES = 128  # of a log's beginning, from which `is_own_log` tells
-# A header's record: its length, then profile and library, each behind its own length.
-_OWN_LOG = re.compile(rb"\x89MCAP0\r\n\x01.{8}.\0\0\0[a-z0-9]{0,32}.\0\0\0tunenet-logs ", re.DOTALL)
-
-_ANYBODY_WRITES = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 
 @dataclass(frozen=True)
@@ -109,11 +89,14 @@ class OutputPlace:
         except (OSError, ValueError) as error:
             fault = f"cannot be written ({_why(error)}); "
         else:
-            fault = (
-                _no_file(mode)
-                or self._not_ours()
-                or ("" if mode & _ANYBODY_WRITES else "is read-only; make it writable, or ")
-            )
+            if stat.S_ISLNK(mode):
+                fault = "is a link, and none is followed; remove it, or "
+            elif stat.S_ISDIR(mode):
+                fault = "is a folder; "
+            elif not stat.S_ISREG(mode):
+                fault = "is no regular file; "
+            elif not (fault := self._not_ours()) and not mode & 0o222:
+                fault = "is read-only; make it writable, or "
         return f"{self.path}: {fault}{self.elsewhere}" if fault else None
 
     def check(self) -> None:
@@ -132,10 +115,7 @@ class OutputPlace:
 
     @contextmanager
     def replacing(self) -> Iterator[Path]:
-        """Yield a file beside it, this process's own, that takes its name once it is whole.
-
-        LogError where something else is there, or is by then.
-        """
+        """Yield a file of this process beside it that takes its name once whole; else LogError."""
         if why := self.why_not():
             raise LogError(why)
         with _scratch(self.path) as partial:
@@ -166,17 +146,9 @@ class OutputPlace:
             return f"exists, and is no {self.what} that tunenet-logs wrote; move it away, or "
         if not lost or self.overwrite:
             return ""
-        others = listed([short_name(one, _MAX_CHARACTERS) for one in lost], _MAX_NAMED)
+        others = listed([short_name(one, 120) for one in lost], 3)
         new = f", not of {self.of}" if self.of else ""
         return f"exists, and is the {self.what} of {others}{new}; pass {self.asked_by}, or "
-
-
-def _no_file(mode: int) -> str:
-    if stat.S_ISLNK(mode):
-        return "is a link, and none is followed; remove it, or "
-    if stat.S_ISDIR(mode):
-        return "is a folder; "
-    return "" if stat.S_ISREG(mode) else "is no regular file; "
 
 
 def check_folders(folder: Path, below: Path) -> None:
@@ -205,14 +177,11 @@ def begins_with(*starts: bytes) -> Knows:
     return knows
 
 
-def is_own_log(start: bytes) -> bool:
-    """Check whether a file that begins so is a log that this package wrote."""
-    return _OWN_LOG.match(start) is not None
-
-
 def own_log(file: BinaryIO) -> Sequence[str] | None:
     """Recognise a log that this package wrote: a `Knows`."""
-    return () if is_own_log(file.read(OWN_LOG_BYTES)) else None
+    # A header's record: its length, then profile and library, each behind its own length.
+    known = rb"\x89MCAP0\r\n\x01.{8}.\0\0\0[a-z0-9]{0,32}.\0\0\0tunenet-logs "
+    return () if re.match(known, file.read(128), re.DOTALL) else None
 
 
 @contextmanager
@@ -222,7 +191,7 @@ def _scratch(path: Path) -> Iterator[Path]:
     number = 0
     while True:
         which = f"-{number}" if number else ""
-        partial = path.with_name(f"{path.name}.{os.getpid()}{which}{_PARTIAL}")
+        partial = path.with_name(f"{path.name}.{os.getpid()}{which}.partial")
         try:
             file = os.open(partial, flags, 0o666)
             break
@@ -250,14 +219,7 @@ def _why(error: Exception) -> str:
 
 # ---- Claimed name: one process alone writes under it: made for it, locked, and watched
 
-# To take a name over which others fight at the same moment; each try ends with one of them having
-# it, or refusing.
-_MAX_TRIES = 100
-
 _ELSEWHERE = "choose another name with -o"
-
-# How links, folders, sockets and devices say that they open as no file.
-_NO_FILE = (errno.ELOOP, errno.EISDIR, errno.ENXIO, errno.ENODEV)
 
 
 class ClaimedName:
@@ -274,11 +236,12 @@ class ClaimedName:
         self.path = path
         self._first = path.with_name(f"{path.name}.{os.getpid()}-{next(_NUMBERS)}")
         self._opened: list[int] = []
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         # In C alone: no signal's exception comes between the file and its number.
-        self._opened.extend(map(partial(os.open, flags=_MAKE, mode=0o666), (self._first,)))
+        self._opened.extend(map(partial(os.open, flags=flags, mode=0o666), (self._first,)))
         try:
             _try_lock(self.descriptor)
-            for _ in range(_MAX_TRIES):
+            for _ in range(100):  # each try ends with one process having it, or refusing
                 with suppress(FileExistsError):
                     rename_new(self._first, path)
                     return
@@ -356,19 +319,17 @@ class ClaimedName:
 
 
 _NUMBERS = count()  # of the claims of this process
-# Flags to make a file, and to look at one that is there without waiting for it.
-_MAKE = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-_LOOK = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 def _clear(path: Path, *, takes_over: bool) -> None:
     """Remove the file of a process that is gone; LogError where it is none, or is to stay."""
     try:
-        left = os.open(path, _LOOK)
+        left = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:  # it has its last name by now
         return
     except OSError as error:
-        if error.errno in _NO_FILE:
+        # How links, folders, sockets and devices say that they open as no file.
+        if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO, errno.ENODEV):
             raise _not_regular(path) from error
         raise
     try:
@@ -387,7 +348,7 @@ def _clear(path: Path, *, takes_over: bool) -> None:
                 f"{path}: may be written right now, which this file system does not tell; move it "
                 f"away, or {_ELSEWHERE}"
             )
-        if not is_own_log(os.pread(left, OWN_LOG_BYTES, 0)):
+        if own_log(BytesIO(os.pread(left, 128, 0))) is None:
             raise LogError(f"{path}: is no log of tunenet-logs; move it away, or {_ELSEWHERE}")
         with suppress(FileNotFoundError):
             # Who holds the lock of the file under the name is alone with it.
@@ -470,10 +431,6 @@ def free_bytes(place: Path | int) -> int:
 
 ACTIVE_SUFFIX = ".active"  # behind a log's name while it is written
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)  # how a full disk, or a user's share of one, says so
-_READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)  # how a folder says it takes no file
-_GB_FROM_MB = 10_000  # from so many MB on, a disk is told of in GB
-_MAX_RESCUED = 100  # copies of one log that may lie beside it
-_PIECE_BYTES = 1024 * 1024  # copied at a time
 
 
 def check_log_name(path: Path, *, overwrite: bool) -> None:
@@ -485,10 +442,7 @@ def check_log_name(path: Path, *, overwrite: bool) -> None:
 
 
 class LogPlace:
-    """Both names of a log, and the space beside it. The first name is this process's alone.
-
-    `min_free_bytes` is to stay free on the disk; LogError where no recording should start here.
-    """
+    """Both names of a log, of which the first is this process's alone, and the space beside it."""
 
     def __init__(self, path: Path, *, overwrite: bool, min_free_bytes: int) -> None:
         self.path = path
@@ -513,7 +467,7 @@ class LogPlace:
         """Return why a disk with so many bytes free takes no more; "" if it does."""
         if free >= self._min_free_bytes:
             return ""
-        scale, unit = (1e6, "MB") if self._min_free_bytes < _GB_FROM_MB * 1e6 else (1e9, "GB")
+        scale, unit = (1e6, "MB") if self._min_free_bytes < 1e10 else (1e9, "GB")
         bound = math.ceil(self._min_free_bytes / scale)
         return f"the disk has {int(free / scale)} {unit} left and {bound} {unit} are to stay free"
 
@@ -547,36 +501,30 @@ class LogPlace:
     def _rescued(self) -> Path | None:
         """Copy a file that has no name any more, beside it or to the temporary folder."""
         for folder in (self.path.parent, Path(tempfile.gettempdir())):
-            for number in range(1, _MAX_RESCUED + 1):
-                which = "" if number == 1 else f"_{number}"
-                name = folder / f"{self.path.stem}.rescued{which}{self.path.suffix}"
-                if os.path.lexists(name):
-                    continue
-                with suppress(OSError, LogError):
-                    if _copied(self.claim.descriptor, name):
+            numbers = ("", *(f"_{number}" for number in range(2, 101)))
+            names = (folder / f"{self.path.stem}.rescued{one}{self.path.suffix}" for one in numbers)
+            name = next((one for one in names if not os.path.lexists(one)), None)
+            if name is None:
+                continue
+            with suppress(OSError, LogError):
+                copy = ClaimedName(name.with_name(name.name + ACTIVE_SUFFIX), takes_over=False)
+                try:
+                    at, descriptor = 0, self.claim.descriptor
+                    while piece := os.pread(descriptor, 1024 * 1024, at):  # a short read is no end
+                        at += len(piece)
+                        _write(copy.descriptor, piece)
+                    os.fsync(copy.descriptor)
+                    size = os.fstat(copy.descriptor).st_size
+                    is_there = copy.rename(name, replaces=False)
+                    if is_there and size == os.fstat(descriptor).st_size:
                         return name
-                break
+                finally:
+                    copy.remove()  # nothing is there where it was renamed
         return None
 
     def called(self, path: Path) -> str:
         """Return the display name of a kept log: its name alone where it lies in its folder."""
         return path.name if path.parent == self.path.parent else str(path)
-
-
-def _copied(descriptor: int, path: Path) -> bool:
-    """Copy an open file to a new name, and return whether all of it lies there, or nothing."""
-    copy = ClaimedName(path.with_name(path.name + ACTIVE_SUFFIX), takes_over=False)
-    try:
-        at = 0
-        while piece := os.pread(descriptor, _PIECE_BYTES, at):  # a short read is no end
-            at += len(piece)
-            _write(copy.descriptor, piece)
-        os.fsync(copy.descriptor)
-        size = os.fstat(copy.descriptor).st_size
-        is_there = copy.rename(path, replaces=False)
-        return is_there and size == os.fstat(descriptor).st_size
-    finally:
-        copy.remove()  # nothing is there where it was renamed
 
 
 def not_writable(path: Path, error: OSError) -> LogError:
@@ -586,16 +534,13 @@ def not_writable(path: Path, error: OSError) -> LogError:
         return LogError(f"{path.parent}: no such folder; make it first, or {elsewhere}")
     if error.errno == errno.ENOTDIR:
         return LogError(f"{path.parent}: is no folder; {elsewhere}")
-    if error.errno in _READ_ONLY:
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return LogError(f"{path}: its folder cannot be written to ({error.strerror}); {elsewhere}")
     remedy = f"free some space, or {elsewhere}" if error.errno in NO_SPACE else elsewhere
     return LogError(f"{path}: cannot be written ({error.strerror}); {remedy}")
 
 
 # ---- Small file: whole and on the disk, or not at all; it never takes another's place
-
-# How file systems and kernels say that they know no file without a name, or cannot name it.
-_NO_NAMELESS = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT, errno.EPERM)
 
 
 def write_new(path: Path, data: bytes) -> None:
@@ -607,33 +552,26 @@ def write_new(path: Path, data: bytes) -> None:
     """
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        if not _write_nameless(path, data, folder):
+        try:
+            file = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
+            try:
+                _write(file, data)
+                os.fsync(file)
+                # Only with a folder does os.link follow the link that /proc has for the open file.
+                opened = f"/proc/self/fd/{file}"
+                os.link(opened, path.name, dst_dir_fd=folder, follow_symlinks=True)
+            finally:
+                os.close(file)
+        except OSError as error:
+            # How kernels and file systems say that they know no file without a name, or cannot
+            # name it.
+            unknown = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT, errno.EPERM)
+            if error.errno not in unknown:
+                raise
             write_aside(path, data)
         os.fsync(folder)
     finally:
         os.close(folder)
-
-
-def _write_nameless(path: Path, data: bytes, folder: int) -> bool:
-    """Write an unnamed file, then link it; False where the file system does not do that."""
-    try:
-        file = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
-    except OSError as error:
-        if error.errno in _NO_NAMELESS:
-            return False
-        raise
-    try:
-        _write(file, data)
-        os.fsync(file)
-        # Only with a folder does os.link follow the link that /proc has for the open file.
-        os.link(f"/proc/self/fd/{file}", path.name, dst_dir_fd=folder, follow_symlinks=True)
-    except OSError as error:
-        if error.errno in _NO_NAMELESS:
-            return False
-        raise
-    finally:
-        os.close(file)
-    return True
 
 
 def write_aside(path: Path, data: bytes) -> None:

@@ -1,8 +1,8 @@
 """Write crash-safe MCAP with schemas: what was acknowledged stays readable.
 
-`EpisodeWriter` puts messages into the chunks of an `McapOutput`, which counts in an `McapSummary`
-what has reached the file: so the log can be ended whole at any moment, even after a write that
-failed. `restamp` gives a finished log other header stamps.
+`EpisodeWriter` puts messages into the chunks of an `McapOutput`, which counts what has reached the
+file: so the log can be ended whole at any moment, even after a write that failed. `restamp` gives a
+finished log other header stamps.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, NoReturn, Self
+from typing import Any, BinaryIO, NoReturn, Self
 
 import numpy as np
 import zstandard
@@ -60,83 +60,6 @@ from tunenet_logs.writing.owned_path import (
 MAGIC = b"\x89MCAP0\r\n"  # an MCAP file begins and ends with it
 
 
-class McapSummary:
-    """Counts and indexes of what has reached a file."""
-
-    def __init__(self) -> None:
-        self.message_count = 0
-        self.schemas: list[Schema] = []
-        self.channels: list[Channel] = []
-        self._metadata_indexes: list[MetadataIndex] = []
-        self._chunk_indexes = bytearray()  # as bytes: hours of recording make many
-        self._chunk_count = 0
-        self._counts: dict[int, int] = {}
-        self._span_ns: tuple[int, int] | None = None
-
-    def add_chunk(
-        self, index: ChunkIndex, counts: Mapping[int, int], announced: Sequence[Schema | Channel]
-    ) -> None:
-        """Count a chunk that is in the file: its messages by channel, and what it announced."""
-        self._chunk_indexes += bytes_of(index)
-        self._chunk_count += 1
-        for record in announced:
-            if isinstance(record, Schema):
-                self.schemas.append(record)
-            else:
-                self.channels.append(record)
-        for channel_id, count in counts.items():
-            self._counts[channel_id] = self._counts.get(channel_id, 0) + count
-            self.message_count += count
-        start_ns, end_ns = index.message_start_time, index.message_end_time
-        first_ns, last_ns = self._span_ns or (start_ns, end_ns)
-        self._span_ns = min(first_ns, start_ns), max(last_ns, end_ns)
-
-    def add_metadata(self, index: MetadataIndex) -> None:
-        """Count a metadata record that is in the file."""
-        self._metadata_indexes.append(index)
-
-    def ending(
-        self, at: int, data_crc32: int, last: MetadataIndex, *, has_chunk_index: bool = True
-    ) -> bytes:
-        """Encode data end, summary and footer, as they begin at `at` of the file.
-
-        `last` is a metadata record that comes just before, and is not counted yet. Without a chunk
-        index readers cannot jump, and go through from the beginning.
-        """
-        data_end = bytes_of(DataEnd(data_crc32))
-        start = at + len(data_end)
-        summary, offsets = bytearray(), bytearray()
-        metadata_indexes = [*self._metadata_indexes, last]
-        first_ns, last_ns = self._span_ns or (0, 0)
-        statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self.channels),
-            channel_message_counts=self._counts,
-            chunk_count=self._chunk_count,
-            message_count=self.message_count,
-            metadata_count=len(metadata_indexes),
-            message_start_time=first_ns,
-            message_end_time=last_ns,
-            schema_count=len(self.schemas),
-        )
-        for opcode, group in (
-            (Opcode.SCHEMA, b"".join(map(bytes_of, self.schemas))),
-            (Opcode.CHANNEL, b"".join(map(bytes_of, self.channels))),
-            (Opcode.STATISTICS, bytes_of(statistics)),
-            (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
-            (Opcode.ATTACHMENT_INDEX, b""),
-            (Opcode.METADATA_INDEX, b"".join(map(bytes_of, metadata_indexes))),
-        ):
-            kept = group if has_chunk_index or opcode != Opcode.CHUNK_INDEX else b""
-            offsets += bytes_of(SummaryOffset(opcode, start + len(summary), len(kept)))
-            summary += kept
-        offset_start = start + len(summary)
-        summary += offsets
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        crc32 = zlib.crc32(head, zlib.crc32(summary))
-        return data_end + bytes(summary) + bytes_of(Footer(start, offset_start, crc32)) + MAGIC
-
-
 def bare_ending(data_crc32: int) -> bytes:
     """Encode the shortest end that readers take: no summary."""
     return bytes_of(DataEnd(data_crc32)) + bytes_of(Footer(0, 0, 0)) + MAGIC
@@ -153,37 +76,28 @@ def bytes_of(record: McapRecord) -> bytes:
 # That writer counts what it is handed, so its end speaks of what a full disk never took. Chunks
 # that cannot be packed are left so here, with less effort.
 
-# Before packing; few enough that a killed recorder loses little, many enough to pack well.
-_CHUNK_BYTES = 64 * 1024
-
-# Samples of a chunk, packed to see whether it can be: films and pictures are packed already.
-_SAMPLE_BYTES, _SAMPLES = 2048, 4
-
-_MIN_GAIN = 0.03  # of the samples, for which a chunk is worth the usual effort
-_LITTLE_EFFORT = -1  # level that takes a fifth of the time, and leaves what does not pack as it is
-
 # A message's record up to its data: kind, length, channel, sequence number, two stamps [ns].
 _MESSAGE = struct.Struct("<BQHIQQ")
 
-# Of that, what the record's length counts: all but kind and length.
-_MESSAGE_HEAD_BYTES = _MESSAGE.size - 9
-
-# A chunk's index of one channel, up to its entries: kind, length, channel, size [bytes].
-_INDEX = struct.Struct("<BQHI")
-
 
 class McapOutput:
-    """MCAP file in the making: zstd chunks, CRCs of chunks and of the whole.
-
-    Where a write does not fit, OSError leaves the file as it was before it.
-    """
+    """MCAP file in the making: zstd chunks, CRCs of all; OSError leaves the file as it was."""
 
     def __init__(self, file: WholeFile, profile: str, library: str) -> None:
         self.is_ended = False
+        self.message_count = 0  # in the file, those in the open chunk not counted
         self._file = file
         self._compressor = zstandard.ZstdCompressor()
-        self._quick_compressor = zstandard.ZstdCompressor(_LITTLE_EFFORT)
-        self._summary = McapSummary()
+        # It takes a fifth of the time, and leaves what does not pack as it is.
+        self._quick_compressor = zstandard.ZstdCompressor(-1)
+        # Counts and indexes of what has reached the file.
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._chunk_indexes = bytearray()  # as bytes: hours of recording make many
+        self._chunk_count = 0
+        self._counts: dict[int, int] = {}
+        self._span_ns: tuple[int, int] | None = None
         self._open_chunk()
         file.append(MAGIC + bytes_of(Header(profile, library)))
 
@@ -195,21 +109,22 @@ class McapOutput:
 
     def add_schema(self, name: str, encoding: str, text: str) -> int:
         """Announce a type of messages, and return its id."""
-        known = len(self._summary.schemas) + sum(isinstance(record, Schema) for record in self._new)
-        schema = Schema(id=known + 1, name=name, encoding=encoding, data=text.encode())
-        self._announce(schema)
-        return schema.id
+        number = self._next_id(Schema, self._schemas)
+        self._announce(Schema(id=number, name=name, encoding=encoding, data=text.encode()))
+        return number
 
     def add_channel(self, topic: str, encoding: str, schema_id: int) -> int:
         """Announce a topic, and return its id."""
-        known = len(self._summary.channels) + sum(
-            isinstance(record, Channel) for record in self._new
+        number = self._next_id(Channel, self._channels)
+        self._announce(
+            Channel(
+                id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id
+            )
         )
-        channel = Channel(
-            id=known + 1, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id
-        )
-        self._announce(channel)
-        return channel.id
+        return number
+
+    def _next_id(self, kind: type[Schema | Channel], known: Sequence[object]) -> int:
+        return 1 + len(known) + sum(isinstance(record, kind) for record in self._new)
 
     def add_message(
         self, channel_id: int, sequence: int, log_ns: int, publish_ns: int, data: bytes
@@ -220,10 +135,11 @@ class McapOutput:
         if entries is None:
             entries = self._entries[channel_id] = []
         entries += (log_ns, offset)
-        length = _MESSAGE_HEAD_BYTES + len(data)
+        length = _MESSAGE.size - 9 + len(data)  # which counts all but kind and length
         self._pieces += (_MESSAGE.pack(5, length, channel_id, sequence, log_ns, publish_ns), data)
         self._offset = offset = offset + 9 + length
-        if offset > _CHUNK_BYTES:
+        # Few enough that a killed recorder loses little, many enough to pack well.
+        if offset > 64 * 1024:
             self.close_chunk()
 
     def close_chunk(self) -> None:
@@ -251,10 +167,11 @@ class McapOutput:
         for channel_id, pairs in entries.items():
             offsets[channel_id] = start + length + len(tail)
             size = 8 * len(pairs)
-            tail += _INDEX.pack(7, 6 + size, channel_id, size)
-            tail += struct.pack(f"<{len(pairs)}Q", *pairs)
+            # Kind, length, channel, size [bytes], and the entries.
+            tail += struct.pack(f"<BQHI{len(pairs)}Q", 7, 6 + size, channel_id, size, *pairs)
         builder.write(tail)
         self._file.append(builder.end())
+        # It is in the file: it counts.
         index = ChunkIndex(
             message_start_time=chunk.message_start_time,
             message_end_time=chunk.message_end_time,
@@ -266,15 +183,23 @@ class McapOutput:
             compressed_size=len(compressed),
             uncompressed_size=len(data),
         )
-        counts = {channel_id: len(pairs) // 2 for channel_id, pairs in entries.items()}
-        self._summary.add_chunk(index, counts, new)
+        self._chunk_indexes += bytes_of(index)
+        self._chunk_count += 1
+        self._schemas += (record for record in new if isinstance(record, Schema))
+        self._channels += (record for record in new if isinstance(record, Channel))
+        for channel_id, pairs in entries.items():
+            self._counts[channel_id] = self._counts.get(channel_id, 0) + len(pairs) // 2
+            self.message_count += len(pairs) // 2
+        start_ns, end_ns = chunk.message_start_time, chunk.message_end_time
+        first_ns, last_ns = self._span_ns or (start_ns, end_ns)
+        self._span_ns = min(first_ns, start_ns), max(last_ns, end_ns)
 
     def _packed(self, data: bytes) -> bytes:
-        step = len(data) // _SAMPLES
-        if step > _SAMPLE_BYTES:
-            starts = range(0, _SAMPLES * step, step)
-            sample = b"".join(data[at : at + _SAMPLE_BYTES] for at in starts)
-            if len(self._compressor.compress(sample)) > (1 - _MIN_GAIN) * len(sample):
+        # Four samples show whether it can be packed: films and pictures are packed already.
+        step = len(data) // 4
+        if step > 2048:
+            sample = b"".join(data[at : at + 2048] for at in range(0, 4 * step, step))
+            if len(self._compressor.compress(sample)) > 0.97 * len(sample):
                 return self._quick_compressor.compress(data)
         return self._compressor.compress(data)
 
@@ -282,13 +207,12 @@ class McapOutput:
         """Write a metadata record at once."""
         record, index = self._metadata(name, values)
         self._file.append(record)
-        self._summary.add_metadata(index)
+        self._metadata_indexes.append(index)
 
     def end(self, name: str, values: Mapping[str, str]) -> None:
         """Write a last metadata record and the end of the log. The open chunk is left out."""
         record, index = self._metadata(name, values)
-        at, crc32 = self._after(record)
-        self._file.append(record + self._summary.ending(at, crc32, index))
+        self._file.append(record + self._ending(record, index))
         self.is_ended = True
 
     def end_as_fits(self, name: str, values: Mapping[str, str]) -> bool:
@@ -298,12 +222,10 @@ class McapOutput:
         log from its beginning; the rest of the summary; the metadata record.
         """
         record, index = self._metadata(name, values)
-        at, crc32 = self._after(record)
-        ending = self._summary.ending
         for piece in (
-            record + ending(at, crc32, index),
-            record + ending(at, crc32, index, has_chunk_index=False),
-            record + bare_ending(crc32),
+            record + self._ending(record, index),
+            record + self._ending(record, index, has_chunk_index=False),
+            record + bare_ending(zlib.crc32(record, self._file.crc32)),
             bare_ending(self._file.crc32),
         ):
             with suppress(OSError):
@@ -311,11 +233,6 @@ class McapOutput:
                 self.is_ended = True
                 break
         return self.is_ended
-
-    @property
-    def message_count(self) -> int:
-        """Number of messages in the file, those in the open chunk not counted."""
-        return self._summary.message_count
 
     def _announce(self, record: Schema | Channel) -> None:
         self._new.append(record)
@@ -327,15 +244,44 @@ class McapOutput:
         record = bytes_of(Metadata(name=name, metadata=dict(values)))
         return record, MetadataIndex(self._file.size_bytes, len(record), name)
 
-    def _after(self, piece: bytes) -> tuple[int, int]:
-        """Return size and CRC of the file when `piece` will have been added."""
-        return self._file.size_bytes + len(piece), zlib.crc32(piece, self._file.crc32)
+    def _ending(self, record: bytes, last: MetadataIndex, *, has_chunk_index: bool = True) -> bytes:
+        """Encode data end, summary and footer, which follow the `record` of the `last` metadata."""
+        data_end = bytes_of(DataEnd(zlib.crc32(record, self._file.crc32)))
+        start = self._file.size_bytes + len(record) + len(data_end)
+        metadata_indexes = [*self._metadata_indexes, last]
+        first_ns, last_ns = self._span_ns or (0, 0)
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=self._chunk_count,
+            message_count=self.message_count,
+            metadata_count=len(metadata_indexes),
+            message_start_time=first_ns,
+            message_end_time=last_ns,
+            schema_count=len(self._schemas),
+        )
+        summary, offsets = bytearray(), bytearray()
+        for opcode, group in (
+            (Opcode.SCHEMA, b"".join(map(bytes_of, self._schemas))),
+            (Opcode.CHANNEL, b"".join(map(bytes_of, self._channels))),
+            (Opcode.STATISTICS, bytes_of(statistics)),
+            (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes) if has_chunk_index else b""),
+            (Opcode.ATTACHMENT_INDEX, b""),
+            (Opcode.METADATA_INDEX, b"".join(map(bytes_of, metadata_indexes))),
+        ):
+            offsets += bytes_of(SummaryOffset(opcode, start + len(summary), len(group)))
+            summary += group
+        offset_start = start + len(summary)
+        summary += offsets
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
+        crc32 = zlib.crc32(head, zlib.crc32(summary))
+        return data_end + bytes(summary) + bytes_of(Footer(start, offset_start, crc32)) + MAGIC
 
 
 # ---- Restamping: other header stamps for a finished log of ours, known only at its end
 # The log is copied and then replaced at once, so that it is whole at every moment.
 
-_PARTIAL = ".stamping"  # behind the copy's name while it is written
 # A header's stamp in CDR: seconds and nanoseconds, behind four bytes of encapsulation.
 _STAMP, _STAMP_AT = struct.Struct("<iI"), 4
 
@@ -363,7 +309,7 @@ def restamp(path: Path, topic: str, stamps_ns: Mapping[int, int], note: str) -> 
     says in the info record whose clock that is.
     """
     try:
-        name = path.with_name(f"{path.name}.{os.getpid()}{_PARTIAL}")
+        name = path.with_name(f"{path.name}.{os.getpid()}.stamping")
         copy = ClaimedName(name, takes_over=False)
         try:
             with open_regular(path) as log:
@@ -387,10 +333,10 @@ def _copy(
 ) -> None:
     file = WholeFile(descriptor)
     output = McapOutput(file, "ros2", f"tunenet-logs {__version__}")
-    channels: dict[int, Channel] = {}
-    ids: dict[int, int] = {}
     types: dict[int, Schema] = {}
     schemas: dict[int, int] = {}
+    channels: dict[int, Channel] = {}
+    ids: dict[int, int] = {}
     last: Mapping[str, str] | None = None
     for record in StreamReader(log).records:
         if isinstance(record, Schema):
@@ -440,17 +386,15 @@ _SYNC_SECONDS = 1.0  # what a power cut may cost; oftener, a slow disk would hol
 class EpisodeWriter:
     """Writer of one episode to `path` (ROS 2 CDR in MCAP). For one thread.
 
-    The file is named `NAME.mcap.active` until it is whole. Chunks are small and, for a live
-    source, closed every 0.1 s, so a killed recorder loses the last moments at most; once a second
-    the disk is asked to keep them. The first write error, or too little space, ends the recording:
-    the log is cut to what is whole, ended so that every reader opens it, and LogError says so. An
-    existing log may be overwritten only by one that did not end in an error; what breaks an import
-    off, whose source is still there, leaves nothing.
+    The file is named `NAME.mcap.active` until it is whole. Chunks are small and, for a live source,
+    closed every 0.1 s; once a second the disk is asked to keep them. The first write error, or too
+    little space, ends the recording: the log is cut to what is whole, ended so that every reader
+    opens it, and LogError says so. An existing log may be overwritten only by one that did not end
+    in an error; an import that breaks off leaves nothing.
 
     A live source is gone once it is missed: `log_time` is the receipt, and chunks are closed by the
     clock, for which `tick` is to be called when nothing comes. Else they are closed by their size
-    alone, so that the same episode gives the same bytes. `info` is written at once, and again with
-    the final counts; `min_free_bytes` are to stay free on the disk, 0 for no such bound.
+    alone, so that the same episode gives the same bytes. `min_free_bytes` stay free on the disk.
     """
 
     def __init__(
@@ -495,8 +439,9 @@ class EpisodeWriter:
         frame: str = "world",
     ) -> None:
         """Write a PoseStamped at `position_m`, shape (3,) [m], and a quaternion x, y, z, w."""
-        data = messages.encode(messages.pose(stamp_ns, frame, position_m, turn), messages.POSE)
-        self.write_message(topic, messages.POSE, stamp_ns, data)
+        self._write(
+            topic, messages.POSE, stamp_ns, messages.pose(stamp_ns, frame, position_m, turn)
+        )
 
     def write_frame(self, topic: str, frame: Frame, received_ns: int | None = None) -> None:
         """Write an image as it is: a CompressedImage, CompressedVideo, or Image of bare pixels."""
@@ -512,8 +457,8 @@ class EpisodeWriter:
         received_ns: int | None = None,
     ) -> None:
         """Write a RawAudio of samples, shape (N, channels), the first taken at `stamp_ns`."""
-        data = messages.encode(messages.raw_audio(stamp_ns, pcm, rate_hz), messages.RAW_AUDIO)
-        self.write_message(topic, messages.RAW_AUDIO, stamp_ns, data, received_ns)
+        audio = messages.raw_audio(stamp_ns, pcm, rate_hz)
+        self._write(topic, messages.RAW_AUDIO, stamp_ns, audio, received_ns)
 
     def write_joints(
         self,
@@ -526,8 +471,12 @@ class EpisodeWriter:
     ) -> None:
         """Write a JointState, each quantity of shape (joints,) [rad, rad/s, N·m] or empty."""
         state = messages.joint_state(stamp_ns, names, position_rad, velocity_rad_s, effort_nm)
-        data = messages.encode(state, messages.JOINT_STATE)
-        self.write_message(topic, messages.JOINT_STATE, stamp_ns, data)
+        self._write(topic, messages.JOINT_STATE, stamp_ns, state)
+
+    def _write(
+        self, topic: str, kind: str, stamp_ns: int, message: Any, received_ns: int | None = None
+    ) -> None:
+        self.write_message(topic, kind, stamp_ns, messages.encode(message, kind), received_ns)
 
     def write_message(
         self, topic: str, type_name: str, stamp_ns: int, data: bytes, received_ns: int | None = None
@@ -539,7 +488,16 @@ class EpisodeWriter:
         """
         channel = self._channels.get(topic)
         if channel is None or channel.type_name != type_name:
-            channel = self._register(topic, type_name)
+            # A topic's first message announces it; with one the log is kept.
+            self._place.claim.is_kept = not self._is_import
+            if channel is not None:
+                held = channel.type_name
+                raise ValueError(f"{topic} holds {held}, so it cannot hold {type_name}")
+            text = messages.definition(type_name)
+            if type_name not in self._schemas:
+                self._schemas[type_name] = self._output.add_schema(type_name, "ros2msg", text)
+            number = self._output.add_channel(topic, "cdr", self._schemas[type_name])
+            channel = self._channels[topic] = _Channel(number, type_name)
         channel.sequence += 1
         self.accepted += 1
         published_ns = max(stamp_ns, 0)  # MCAP knows no time before 1970
@@ -595,10 +553,7 @@ class EpisodeWriter:
         self._place.claim.remove()
 
     def close(self, ended: str = "") -> None:
-        """Finish the log and give it its name. Safe to call twice.
-
-        `ended` says why the recording ended before its source did.
-        """
+        """Finish the log, give it its name, and note why it `ended` early. Safe to call twice."""
         if self._is_over:
             return
         try:
@@ -629,18 +584,6 @@ class EpisodeWriter:
                 self.close()
         finally:
             self.discard()  # nothing is there where it was closed well
-
-    def _register(self, topic: str, type_name: str) -> _Channel:
-        self._place.claim.is_kept = not self._is_import
-        if topic in self._channels:
-            known = self._channels[topic].type_name
-            raise ValueError(f"{topic} holds {known}, so it cannot hold {type_name}")
-        text = messages.definition(type_name)
-        if type_name not in self._schemas:
-            self._schemas[type_name] = self._output.add_schema(type_name, "ros2msg", text)
-        number = self._output.add_channel(topic, "cdr", self._schemas[type_name])
-        self._channels[topic] = _Channel(number, type_name)
-        return self._channels[topic]
 
     def _final_info(self, ended: str) -> dict[str, str]:
         """Return the info record of the end: what is in the file now, and what is not."""

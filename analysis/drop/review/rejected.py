@@ -13,35 +13,22 @@ from tunenet_logs.analysis.drop.detection import FilmDetection
 from tunenet_logs.analysis.drop.film import film_impacts
 from tunenet_logs.analysis.drop.review.views import (
     Marks,
-    diamonds,
-    dots,
     log_balls,
     log_beside,
     log_pictures,
-    log_series,
     log_sound,
-    plot,
     sound_of,
 )
 from tunenet_logs.analysis.drop.times.detection import TimesDetection
-from tunenet_logs.analysis.drop.track import RecordedHeight, recorded_heights
+from tunenet_logs.analysis.drop.track import recorded_heights
 from tunenet_logs.analysis.experiment import Tuning
 from tunenet_logs.analysis.onsets import onsets
-from tunenet_logs.analysis.review.drawing import (
-    IMPACT,
-    OBSERVED,
-    Color,
-    entity_of,
-    screen_radius,
-    ticked,
-)
+from tunenet_logs.analysis.review import drawing as draw
 from tunenet_logs.analysis.statistics import noise_of
 from tunenet_logs.episode import UNSTATED, Array, Sound
 from tunenet_logs.terminal import short_name
 
 # ---- Film: the track over the pictures, and its height
-
-_TRACK: Color = (120, 170, 255)
 
 
 def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
@@ -60,24 +47,20 @@ def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | N
     stamps, first = np.unique(track.stamps_ns, return_index=True)
     all_s = (stamps - found.start_ns).astype(np.float64) * 1e-9
     places, radii = track.places_px[first], track.radius_px[first]
-    log_balls(stream, "film/observed", all_s, places, radii, OBSERVED, 1.6)
-    whole = rr.LineStrips2D(
-        _without_gaps(track.places_px),
-        colors=[(*_TRACK, 170)],
-        radii=screen_radius(0.7),
-        draw_order=6.0,
-    )
-    stream.log("film/track", whole, static=True)
+    log_balls(stream, "film/observed", all_s, places, radii, draw.OBSERVED, 1.6)
+    # The track in runs of pictures with the ball, shape (n, 2) each, as Rerun counts.
+    runs = np.split(track.places_px + 0.5, np.flatnonzero(np.diff(known)) + 1)
+    runs = [run for run in runs if len(run) > 1 and np.isfinite(run).all()]
+    draw.log_strips(stream, "film/track", runs, [(120, 170, 255, 170)], 0.7, 6.0)
     # Heights along the image's vertical, above the lowest place, shape (T,) [px].
     norm = float(np.linalg.norm(track.gravity_px))
     down = track.gravity_px / norm if norm > 0 else np.array([0.0, 1.0])
     along = -(places_px @ down)
     high_px = along - along.min()
-    impacts = _impacts(seconds, high_px)
-    marks = rr.Points2D(
-        places_px[impacts] + 0.5, colors=[IMPACT], radii=screen_radius(3.5), draw_order=7.0
-    )
-    stream.log("film/impacts", marks, static=True)
+    impacts: list[int] = []  # where it looks as if it hit something
+    if len(seconds) >= 12 and np.all(np.diff(seconds) > 0):
+        impacts = film_impacts(seconds, high_px, max(noise_of(high_px), 0.1))
+    draw.log_dots(stream, "film/impacts", places_px[impacts] + 0.5, [draw.IMPACT], 3.5, 7.0)
     size = 0.5 * max(track.size_px)
     low, high = places_px.min(axis=0) - 0.1 * size, places_px.max(axis=0) + 0.1 * size
     video = rrb.Spatial2DView(
@@ -88,32 +71,16 @@ def log_refused(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | N
         ),
     )
     # Its height in the picture over the log's time, and what looks like impacts.
-    log_series(stream, "height/observed", dots(OBSERVED, "tracked", 2.0), seconds, high_px)
-    if impacts:
-        style = diamonds(IMPACT, "impact?")
-        log_series(stream, "height/impact", style, seconds[impacts], high_px[impacts])
-    heights = plot("/height", "height in the picture [px], red: what looks like an impact")
+    draw.log_marks(stream, "height/observed", "tracked", draw.OBSERVED, 2.0, seconds, high_px)
+    marks = seconds[impacts], high_px[impacts]
+    draw.log_marks(stream, "height/impact", "impact?", draw.IMPACT, 6.0, *marks, "diamond")
+    heights = draw.plot_view("height", "height in the picture [px], red: what looks like an impact")
     sound = sound_of(tuning.episode)
     ends_s = float(all_s[0]), float(all_s[-1])
     heard = None if sound is None else log_beside(stream, sound, found.start_ns, ends_s, ends_s[1])
     if heard is None:
         return rrb.Vertical(video, heights, row_shares=[3, 2])
     return rrb.Vertical(video, heights, heard, row_shares=[4, 2, 2])
-
-
-def _without_gaps(places_px: Array) -> list[Array]:
-    """Split the track into runs of pictures with the ball, shape (n, 2) each, as Rerun counts."""
-    known = np.isfinite(places_px).all(axis=1)
-    edges = np.flatnonzero(np.diff(known)) + 1
-    runs = np.split(places_px + 0.5, edges)
-    return [run for run in runs if len(run) > 1 and np.isfinite(run).all()]
-
-
-def _impacts(seconds: Array, high_px: Array) -> list[int]:
-    """Return the indices at which the ball looks as if it hit something."""
-    if len(seconds) < 12 or np.any(np.diff(seconds) <= 0):
-        return []
-    return list(film_impacts(seconds, high_px, max(noise_of(high_px), 0.1)))
 
 
 # ---- Sound in which no ball is heard, or beside no drop: its envelope and onsets
@@ -134,19 +101,6 @@ def log_refused_sound(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
     return None if view is None else rrb.Vertical(view)
 
 
-def log_sound_of_heights(
-    stream: rr.RecordingStream, tuning: Tuning, start_ns: int, span_s: tuple[float, float]
-) -> rrb.View | None:
-    """Send the sound beside positions without a drop; None where there is none, or it is silent."""
-    sound = sound_of(tuning.episode)
-    if sound is None:
-        return None
-    begin_s = (sound.start_ns - start_ns) * 1e-9
-    knocks_s = onsets(sound).times_s + begin_s
-    inside = (knocks_s >= span_s[0]) & (knocks_s <= span_s[1])
-    return _log_knocks(stream, sound, begin_s, span_s, knocks_s[inside])
-
-
 def _log_knocks(
     stream: rr.RecordingStream,
     sound: Sound,
@@ -154,7 +108,7 @@ def _log_knocks(
     span_s: tuple[float, float],
     knocks_s: Array,
 ) -> rrb.View | None:
-    marks = (Marks("knock", "knock", IMPACT, knocks_s),)
+    marks = (Marks("knock", "knock", draw.IMPACT, knocks_s),)
     said = f"red: what knocks ({len(knocks_s)})" if len(knocks_s) else "nothing knocks"
     return log_sound(stream, sound, begin_s, span_s, marks, said)
 
@@ -168,30 +122,31 @@ _MAX_LETTERS = 40  # of a signal's name in a title
 def log_refused_heights(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Container | None:
     """Send the likeliest signals' heights, and the sound beside; None without positions."""
     found = recorded_heights(tuning.episode, _MAX) if tuning.episode else []
-    views = [_log_height(stream, number, one) for number, one in enumerate(found)]
+    views: list[rrb.View] = []
+    for number, one in enumerate(found):
+        entity = f"sought/{number}"
+        size = 1.0 if len(one.seconds) > 200 else 2.0  # larger dots would hide each other
+        style = "height", draw.OBSERVED, size
+        draw.log_marks(stream, f"{entity}/height", *style, one.seconds, one.heights)
+        at = np.array(one.impacts, np.intp)
+        style, marks = ("impact?", draw.IMPACT, 6.0), (one.seconds[at], one.heights[at])
+        draw.log_marks(stream, f"{entity}/impact", *style, *marks, "diamond")
+        unit = "" if one.signal.unit == UNSTATED else f" [{one.signal.unit}]"
+        name = short_name(one.signal.name, _MAX_LETTERS)
+        said = f"red: {len(at)} that may be impacts" if len(at) else "nothing looks like an impact"
+        said += "" if one.is_free else ", no free fall"
+        views.append(draw.plot_view(entity, f"height of {name}{unit}: {said}"))
     if not views:
         return None
-    likeliest = found[0]
-    start_ns = int(likeliest.signal.stamps_ns[0])
-    span_s = float(likeliest.seconds[0]), float(likeliest.seconds[-1])
-    heard = log_sound_of_heights(stream, tuning, start_ns, span_s)
-    return rrb.Vertical(*views) if heard is None else rrb.Vertical(*views, heard)
-
-
-def _log_height(stream: rr.RecordingStream, number: int, height: RecordedHeight) -> rrb.View:
-    origin = entity_of("sought", str(number))
-    size = 1.0 if len(height.seconds) > 200 else 2.0  # larger dots would hide each other
-    style = dots(OBSERVED, "height", size)
-    log_series(stream, f"{origin}/height", style, height.seconds, height.heights)
-    at = np.array(height.impacts, np.intp)
-    if len(at):
-        style = diamonds(IMPACT, "impact?")
-        log_series(stream, f"{origin}/impact", style, height.seconds[at], height.heights[at])
-    unit = "" if height.signal.unit == UNSTATED else f" [{height.signal.unit}]"
-    name = short_name(height.signal.name, _MAX_LETTERS)
-    marked = f"red: {len(at)} that may be impacts" if len(at) else "nothing looks like an impact"
-    free = "" if height.is_free else ", no free fall"
-    return plot(f"/{origin}", f"height of {name}{unit}: {marked}{free}")
+    sound = sound_of(tuning.episode)
+    if sound is not None:
+        span_s = float(found[0].seconds[0]), float(found[0].seconds[-1])
+        begin_s = (sound.start_ns - int(found[0].signal.stamps_ns[0])) * 1e-9
+        knocks_s = onsets(sound).times_s + begin_s
+        knocks_s = knocks_s[(knocks_s >= span_s[0]) & (knocks_s <= span_s[1])]
+        heard = _log_knocks(stream, sound, begin_s, span_s, knocks_s)
+        views += [] if heard is None else [heard]
+    return rrb.Vertical(*views)
 
 
 # ---- Impact times that are no bouncing ball's: how long each is after the one before
@@ -204,11 +159,10 @@ def log_refused_times(stream: rr.RecordingStream, tuning: Tuning) -> rrb.Contain
     for signal in [one for one in signals if len(one.stamps_ns) > 1][:_MAX]:
         seconds = np.sort(signal.seconds)
         gaps_ms = 1000.0 * np.diff(seconds)
-        entity = entity_of("gaps", str(len(views)))
-        style = dots(OBSERVED, "since the one before", 5.0)
-        log_series(stream, entity, style, seconds[1:], gaps_ms)
+        entity, style = f"gaps/{len(views)}", ("since the one before", draw.OBSERVED, 5.0)
+        draw.log_marks(stream, entity, *style, seconds[1:], gaps_ms)
         name = short_name(signal.name, _MAX_LETTERS)
         title = f"{name}: time since the one before [ms]; a ball's shrinks by a ratio"
-        longest = ticked(0.0, 1.1 * max(float(gaps_ms.max()), 1.0))
-        views.append(plot(f"/{entity}", title, values=longest))
+        longest = draw.ticked(0.0, 1.1 * max(float(gaps_ms.max()), 1.0))
+        views.append(draw.plot_view(entity, title, longest))
     return rrb.Vertical(*views) if views else None

@@ -36,10 +36,6 @@ class Listened:
     knocks: Onsets  # of the part, their times on the sound's clock
     part_s: tuple[float, float]  # first and last moment of the part, on the same clock
 
-    def ball(self, rig: DropSetup) -> BallAmong | None:
-        """Find the ball that is heard best; None where nothing sounds like one."""
-        return ball_among(self.knocks, self.part_s[1] - self.part_s[0], rig)
-
 
 def listened(episode: Episode, selection: TuneOptions) -> Listened:
     """Detect the onsets in an episode's sound; `NotFoundError` where there is none to hear."""
@@ -90,41 +86,37 @@ class TimesDetection:
     def heard(self) -> HeardBall:
         """Ball that explains the times; where none does, `NotFoundError` says what they are."""
         if self.listened is not None:
-            return self._among_knocks
+            if self.among is None or self.among.ball.log_odds < _NO_ODDS:
+                raise NotFoundError(
+                    f"{self.topic}: {len(self.times_s)} knocks are heard, but no ball that "
+                    "bounces: its knocks follow each other faster and faster, and get softer",
+                    RIGHT_SOUND,
+                )
+            return self.among.ball
         found = heard_ball(self.times_s, self.rig)
         apart_s = np.diff(self.times_s)
-        what = (
+        refused = (
             f"{len(self.times_s)} times, {1000 * apart_s.min():.4g} to {1000 * apart_s.max():.4g} "
-            "ms apart"
+            "ms apart, are no bouncing ball's: from impact to impact its flights get shorter by a "
+            "ratio"
         )
-        refused = "are no bouncing ball's: from impact to impact its flights get shorter by a ratio"
         if found is None:
-            raise NotFoundError(f"{what}, {refused}", RIGHT_TIMES)
+            raise NotFoundError(refused, RIGHT_TIMES)
         if found.values[0] >= 0.985 and found.told:  # no ball keeps its height
-            raise NotFoundError(
-                f"{what}, {refused}; these beats are nearly even ({found.values[0]:.3f})",
-                RIGHT_TIMES,
-            )
+            even = f"these beats are nearly even ({found.values[0]:.3f})"
+            raise NotFoundError(f"{refused}; {even}", RIGHT_TIMES)
         if found.log_odds < _NO_ODDS:
-            raise NotFoundError(
-                f"{what}, {refused}; noises at random times explain them better", RIGHT_TIMES
-            )
+            better = "noises at random times explain them better"
+            raise NotFoundError(f"{refused}; {better}", RIGHT_TIMES)
         return found
 
     @cached_property
     def among(self) -> BallAmong | None:
         """Ball among the onsets of a sound; None where nothing sounds like one."""
-        return None if self.listened is None else self.listened.ball(self.rig)
-
-    @property
-    def _among_knocks(self) -> HeardBall:
-        if self.among is None or self.among.ball.log_odds < _NO_ODDS:
-            raise NotFoundError(
-                f"{self.topic}: {len(self.times_s)} knocks are heard, but no ball that bounces: "
-                "its knocks follow each other faster and faster, and get softer",
-                RIGHT_SOUND,
-            )
-        return self.among.ball
+        if self.listened is None:
+            return None
+        begin_s, end_s = self.listened.part_s
+        return ball_among(self.listened.knocks, end_s - begin_s, self.rig)
 
     @property
     def window(self) -> Mapping[str, float]:
@@ -161,9 +153,8 @@ class TimesDetection:
         release_s = float(impacts_s[heard.told]) - lasts_s
         apart_s = np.diff(impacts_s)
         until_s = float(impacts_s[-1] + 0.5 * apart_s[-1]) - release_s
-        # Samples of a rollout in the shortest flight.
-        rate_hz = float(np.clip(16 / apart_s.min(), *(250.0, 2000.0)))
-        rate_hz = min(rate_hz, 20_000 / until_s)
+        # 16 samples in the shortest flight, 20,000 in all.
+        rate_hz = min(float(np.clip(16 / apart_s.min(), 250.0, 2000.0)), 20_000 / until_s)
         even_s = np.arange(int(np.ceil(until_s * rate_hz)) + 1) / rate_hz
         heard_s = heard.heard_contactless_s * heard.seconds_s - release_s
         own = heard_s[heard_s > 0]
@@ -203,8 +194,8 @@ def times_problem(detection: TimesDetection, initial: Array) -> Problem:
 
     def exact_fit(start: Array) -> FitResult:
         """Return the ball that explains all times best, as many values as `start` has."""
-        asked = len(start)
-        return FitResult(heard.values[:asked], heard.interval95[:asked], detail=heard.rebounds)
+        asked = slice(len(start))
+        return FitResult(heard.values[asked], heard.interval95[asked], detail=heard.rebounds)
 
     return Problem(
         detection.target,
@@ -232,9 +223,8 @@ def rollout_impacts(episode: Episode, rig: DropRig, start_ns: int, count: int) -
     for number, at in enumerate(lowest[lowest >= 3][:count].tolist()):
         apart_s = seconds[at - 1] - seconds[at - 2]
         speed = (gaps[at - 1] - gaps[at - 2]) / apart_s
-        bend = (speed - (gaps[at - 2] - gaps[at - 3]) / (seconds[at - 2] - seconds[at - 3])) / (
-            seconds[at - 1] - seconds[at - 3]
-        )
+        before = (gaps[at - 2] - gaps[at - 3]) / (seconds[at - 2] - seconds[at - 3])
+        bend = (speed - before) / (seconds[at - 1] - seconds[at - 3])
         speed += bend * apart_s
         falls = -speed + np.sqrt(max(speed**2 - 4 * bend * gaps[at - 1], 0.0))
         found[number] = seconds[at - 1] + 2 * gaps[at - 1] / falls
@@ -253,65 +243,39 @@ def signals_in(episode: Episode, topic: str | None) -> list[str]:
     return [one.name for one in sorted(named, key=lambda one: -len(one.stamps_ns))]
 
 
-def no_times(episode: Episode, topic: str | None) -> NotFoundError:
-    """Explain why an episode has no impact times."""
-    known = listed(sorted(signals_in(episode, None)))
-    if topic is not None and known:
-        what = f"no impact times in topic {topic} (there are: {known})"
-        return NotFoundError(what, "name one of these with --topic, or leave it out")
-    return NotFoundError("no channel with times of impacts; name them: --columns times=COLUMN")
-
-
 # ---- Tuned simulator compared with what was heard
-
-_TOLD = 0.15  # of drag and slope: an interval wider than this, in restitution, is a prior's
-_SAME_STAMP_S = 5e-9  # stamps that differ by less are of one moment
 
 
 def heard_heights_m(detection: TimesDetection, step: Step) -> tuple[Array, Array]:
-    """Return an iterate's times on the log's clock [s] and heights on the table [m], each (T,).
-
-    The rollout leaves the table at once, the ball after a contact: each flight takes the contact
-    before it along.
-    """
+    """Return an iterate's times on the log's clock [s] and heights on the table [m], each (T,)."""
     assert step.evaluation is not None
     signal = next(iter(step.evaluation.episode.signals.values()))
     seconds = (signal.stamps_ns - detection.start_ns).astype(np.float64) * 1e-9
     heights_m = signal.values[:, 2] - detection.rig_of_rollouts.radius_m
-    heard = detection.heard
-    seconds = seconds / heard.seconds_s
-    without, late = heard.contactless_s, heard.predicted_s - heard.contactless_s
-    return seconds + np.interp(seconds, without, late), heights_m
+    return detection.heard.with_contacts(seconds / detection.heard.seconds_s), heights_m
 
 
 def heard_motion(detection: TimesDetection, trace: Trace) -> Motion:
     """Return the rollout's height; the observed one is 0 at each impact heard, else unknown."""
+    # What the times leave to what is known of balls: 0.15 wide, an interval is a prior's.
+    slope, drag = np.ptp(detection.heard.interval95[1:], axis=1).tolist()
+    unknown: list[str] = []
+    if slope > 0.15:
+        unknown.append("these times cannot determine the slope: its interval is the prior's")
+    if drag > 0.15 and detection.rig.drag_1_m is None:
+        unknown.append(
+            "these times cannot determine the drag: its interval is the prior's (see --ball)"
+        )
     if not detection.rig.has_clock:
-        return Motion(unidentifiable=_unidentifiable(detection))
+        return Motion(unidentifiable=tuple(unknown))
     seconds, heights_m = heard_heights_m(detection, trace.steps[-1])
     observed_m = np.full(len(seconds), np.nan)
-    heard = detection.heard
-    late = heard.predicted_s - heard.contactless_s
-    heard_s = heard.heard_contactless_s + np.interp(
-        heard.heard_contactless_s, heard.contactless_s, late
-    )
-    at = np.clip(np.searchsorted(seconds, heard_s - _SAME_STAMP_S), 0, len(seconds) - 1)
-    there = np.abs(seconds[at] - heard_s) <= _SAME_STAMP_S
+    heard_s = detection.heard.with_contacts(detection.heard.heard_contactless_s)
+    same_s = 5e-9  # stamps that differ by less are of one moment
+    at = np.clip(np.searchsorted(seconds, heard_s - same_s), 0, len(seconds) - 1)
+    there = np.abs(seconds[at] - heard_s) <= same_s
     observed_m[at[there]] = 0.0
     every = max(1, -(-len(seconds) // (MAX_SAMPLES // 2)))
     kept = np.union1d(np.arange(0, len(seconds), every), at[there])
     curves = Curves(detection.start_ns, seconds[kept], observed_m[kept], heights_m[kept])
-    return Motion(curves=curves, unidentifiable=_unidentifiable(detection))
-
-
-def _unidentifiable(detection: TimesDetection) -> tuple[str, ...]:
-    """Return what the times leave to what is known of balls, in words."""
-    slope, drag = np.ptp(detection.heard.interval95[1:], axis=1).tolist()
-    found: list[str] = []
-    if slope > _TOLD:
-        found.append("these times cannot determine the slope: its interval is the prior's")
-    if drag > _TOLD and detection.rig.drag_1_m is None:
-        found.append(
-            "these times cannot determine the drag: its interval is the prior's (see --ball)"
-        )
-    return tuple(found)
+    return Motion(curves=curves, unidentifiable=tuple(unknown))

@@ -18,13 +18,12 @@ from tunenet_logs.analysis.drop.times import readings as priors
 from tunenet_logs.analysis.drop.times.readings import (
     MISSED,
     Reading,
-    Rhythm,
     best_rhythm,
     noise_rate_hz,
     readings,
 )
 from tunenet_logs.analysis.record import Rebound
-from tunenet_logs.analysis.statistics import TWO_SIDED
+from tunenet_logs.analysis.statistics import TWO_SIDED, normalised
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulators.ball import MIN_SPEED_M_S
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
@@ -167,11 +166,7 @@ class BallsByTimes:
 
     @classmethod
     def of(
-        cls,
-        times_s: Array,
-        numbers: NDArray[np.int64],
-        nodes: priors.Nodes,
-        white: Whitening,
+        cls, times_s: Array, numbers: NDArray[np.int64], nodes: priors.Nodes, white: Whitening
     ) -> BallsByTimes:
         """Fit all balls at once by Gauss-Newton, from the ball without air that fits best."""
         count = int(numbers.max())
@@ -192,14 +187,9 @@ class BallsByTimes:
             hits = here.impacts_s[numbers]
             seconds = here.arriving_m_s[1]
             first = white.rows @ (times_s[:, None] - unknowns[:, 0] - hits)
-            jacobian = np.stack(
-                [
-                    np.ones_like(hits),
-                    (flown(begin + _SHORT, kept).impacts_s[numbers] - hits) / _SHORT,
-                    (flown(begin, kept + _SHORT).impacts_s[numbers] - hits) / _SHORT,
-                ],
-                axis=-1,
-            )
+            moved = flown(begin + _SHORT, kept), flown(begin, kept + _SHORT)
+            slopes = [(one.impacts_s[numbers] - hits) / _SHORT for one in moved]
+            jacobian = np.stack([np.ones_like(hits), *slopes], axis=-1)
             jacobian = np.tensordot(white.rows, jacobian, 1)
             normal = np.einsum("nmi,nmj->mij", jacobian, jacobian)
             normal += 1e-12 * np.eye(3)
@@ -211,11 +201,11 @@ class BallsByTimes:
                 break
             gradient = np.einsum("nmi,nm->mi", jacobian, first)
             moves = np.einsum("mij,mj->mi", spread, gradient)
-            moves[:, 1:] = np.clip(moves[:, 1:], -0.15, 0.15)
+            moves[:, 1:] = np.clip(moves[:, 1:], -0.15, 0.15)  # so that no step goes astray
             unknowns = unknowns + moves
             unknowns[:, 2] = np.clip(unknowns[:, 2], 0.01, 1.3)
-        across, bends = (first * left).sum(axis=0), (left**2).sum(axis=0)
-        squares = (first**2).sum(axis=0)
+        squares, across = (first**2).sum(axis=0), (first * left).sum(axis=0)
+        bends = (left**2).sum(axis=0)
         return cls(unknowns, spread, squares, leans, across, bends, seconds, len(times_s), white)
 
 
@@ -291,7 +281,6 @@ def _cut_normal(middle: Array, sd: Array, low: float, high: float) -> tuple[Arra
 # For every slope and drag the first impact, the speed after it and the second one's restitution are
 # fitted. With the drop height the first impact's restitution follows too.
 
-_FREEDOM = 2.0  # of Student's t of the height
 _REACH_SDS = 4.5  # of the fine grid about what is likely, to a side
 _MIN_BALL_WEIGHT = 1e-6  # a ball with less is left out
 
@@ -305,11 +294,6 @@ class DropSetup:
     height_m: float | None = None
     has_clock: bool = True  # whether the seconds are true
     jitter_s: float = priors.TRIGGER_JITTER_S  # usual standard deviation of a time
-
-    @property
-    def height_sd_m(self) -> float:
-        """Standard deviation of the height."""
-        return max(0.005 * (self.height_m or 0.0), 0.003)  # measured by hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,9 +320,7 @@ class Balls:
     def mixed(cls, parts: Sequence[Balls]) -> Balls:
         """Mix several parts, each with its evidence."""
         logs = np.array([one.log_evidence for one in parts])
-        shares = np.exp(logs - logs.max())
-        log_evidence = float(logs.max() + np.log(shares.sum()))
-        shares /= shares.sum()
+        shares, log_evidence = normalised(logs)
         kept = [
             (one, share)
             for one, share in zip(parts, shares, strict=True)
@@ -379,32 +361,24 @@ def fit_times(
     On a grid, refined about the likeliest if `fine`; the evidence is against noises of the
     logarithmic rate `log_rate` [1/s].
     """
-    nodes = priors.nodes(
-        priors.WHOLE_SLOPE,
-        priors.WHOLE_LOG_DRAG,
-        (18, 12),
-        rig.drag_1_m,
-        has_clock=rig.has_clock,
-    )
+    whites = whitenings(times_s, numbers, rig.jitter_s)
 
-    def fitted(nodes: priors.Nodes) -> Balls:
-        whites = whitenings(times_s, numbers, rig.jitter_s)
+    def fitted(
+        slopes: tuple[float, float], log_drags: tuple[float, float], counts: tuple[int, int]
+    ) -> Balls:
+        nodes = priors.nodes(slopes, log_drags, counts, rig.drag_1_m, has_clock=rig.has_clock)
         fits = [BallsByTimes.of(times_s, numbers, nodes, white) for white in whites]
         return Balls.mixed([_weighed(fit, nodes, log_rate, rig) for fit in fits])
 
-    balls = fitted(nodes)
+    balls = fitted(priors.WHOLE_SLOPE, priors.WHOLE_LOG_DRAG, (18, 12))
     if not fine:
         return balls
-    positive = balls.drags_1_m > 0
-    logs = np.log(np.where(positive, balls.drags_1_m, priors.TYPICAL_DRAG_1_M))
-    ends = [_about(balls, balls.slopes, 0.01), _about(balls, logs, 0.1)]
-    nodes = priors.nodes(ends[0], ends[1], (25, 25), rig.drag_1_m, has_clock=rig.has_clock)
-    return fitted(nodes)
-
-
-def _about(balls: Balls, values: Array, least_sd: float) -> tuple[float, float]:
-    middle, sd = balls.mean(values), max(balls.sd(values), least_sd)
-    return middle - _REACH_SDS * sd, middle + _REACH_SDS * sd
+    logs = np.log(np.where(balls.drags_1_m > 0, balls.drags_1_m, priors.TYPICAL_DRAG_1_M))
+    ends: list[tuple[float, float]] = []
+    for values, least_sd in ((balls.slopes, 0.01), (logs, 0.1)):
+        middle, reach = balls.mean(values), _REACH_SDS * max(balls.sd(values), least_sd)
+        ends.append((middle - reach, middle + reach))
+    return fitted(ends[0], ends[1], (25, 25))
 
 
 def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: DropSetup) -> Balls:
@@ -423,22 +397,17 @@ def _weighed(fit: BallsByTimes, nodes: priors.Nodes, log_rate: float, rig: DropS
     variance = told.covariances[..., 1, 1]
     off_sds = np.zeros_like(log)
     if rig.height_m is not None:
-        value, variance, begin, off_sds, height_log = _from_height(
-            told, fit.seconds_m_s, nodes, rig
-        )
+        tied = _from_height(told, fit.seconds_m_s, nodes, rig)
+        value, variance, begin, off_sds, height_log = tied
         log = log + height_log
-    most = log.max()
-    weights = np.exp(log - most)
-    evidence = float(most + np.log(weights.sum()))
-    weights /= weights.sum()
+    weights, evidence = normalised(log)
     rows, columns = np.nonzero(weights > _MIN_BALL_WEIGHT)
     chosen = weights[rows, columns]
     chosen = chosen / chosen.sum()
-    # No clock and no table are better.
     return Balls(
         weights=chosen,
         restitutions=value[rows, columns],
-        sds=np.sqrt(variance[rows, columns] + 1e-5**2),
+        sds=np.sqrt(variance[rows, columns] + 1e-5**2),  # no clock and no table are better
         slopes=nodes.slopes[rows],
         drags_1_m=nodes.drags_1_m[rows],
         jitters_s=jitters[columns],
@@ -463,7 +432,8 @@ def _from_height(
     assert rig.height_m is not None
     slopes = nodes.slopes[:, None]
     arrives = fallen_m_s(rig.height_m, nodes.drags_1_m)[:, None]
-    arrives_sd = 0.5 * rig.height_sd_m / rig.height_m
+    height_sd_m = max(0.005 * rig.height_m, 0.003)  # measured by hand
+    arrives_sd = 0.5 * height_sd_m / rig.height_m
     begin, kept = told.middles[..., 0], np.maximum(told.middles[..., 1], 0.01)
     # f = log e_2 - p log(v_1 / v_2) - log w_1 + log v_1, which is 0 by the law
     off = np.log(kept) + (1 - slopes) * np.log(arrives) - begin
@@ -482,8 +452,8 @@ def _from_height(
     log_variance = np.maximum(own - covariance**2 / variance, 0.0)
     value = np.exp(log_value)
     begins = begin - across[..., 0] / variance * off
-    square = off**2 / variance  # a height may be wrong altogether: Student's t
-    likely = -0.5 * (_FREEDOM + 1) * np.log1p(square / _FREEDOM) - 0.5 * np.log(variance)
+    # A height may be wrong altogether: Student's t of 2 degrees of freedom.
+    likely = -0.5 * (2.0 + 1) * np.log1p(off**2 / variance / 2.0) - 0.5 * np.log(variance)
     return value, value**2 * log_variance, begins, np.abs(off) / np.sqrt(variance), likely
 
 
@@ -553,6 +523,14 @@ class HeardBall:
         """Heard times as that ball would have made them, shape (N,) [s]."""
         return self.times_s - self._delays_s(self.numbers)
 
+    def with_contacts(self, seconds: Array) -> Array:
+        """Convert times of a rollout, which leaves the table at once, to those of the ball [s].
+
+        Each flight takes the contact before it along.
+        """
+        without = self.contactless_s
+        return seconds + np.interp(seconds, without, self.predicted_s - without)
+
     def _delays_s(self, numbers: NDArray[np.int64]) -> Array:
         """Return the delays by the contacts since the first reported impact."""
         return self.contact_s * (numbers - self.told).astype(np.float64)
@@ -576,17 +554,13 @@ class HeardBall:
         for number in sorted(known):
             if number <= self.told or not {number - 1, number + 1} <= known.keys():
                 continue
-            lasted = np.array(
-                [known[number] - known[number - 1], known[number + 1] - known[number]]
-            )
+            lasted = np.diff([known[number - 1], known[number], known[number + 1]])
             lasted = np.maximum(lasted - self.contact_s, lasted / 2)
             before, after = leaving_speeds(lasted * self.seconds_s, drag_1_m)
-            arrives = float(self._arriving(before, drag_1_m))
+            arrives = float(_arriving(before, drag_1_m))
             value = float(after) / arrives
-            drags = self.interval95[2]
-            open_sd = abs(np.ptp([after / self._arriving(before, float(k)) for k in drags])) / (
-                2 * TWO_SIDED
-            )
+            # What the drag's interval leaves open, and what the jitter of three times makes.
+            open_sd = float(np.ptp(after / _arriving(before, self.interval95[2]))) / (2 * TWO_SIDED)
             parts = np.array([1 / lasted[0], sum(1 / lasted), 1 / lasted[1]])
             sd = float(np.hypot(value * self.jitter_s * np.linalg.norm(parts), open_sd))
             ends = max(value - TWO_SIDED * sd, 0.0), min(value + TWO_SIDED * sd, 1.0)
@@ -605,10 +579,11 @@ class HeardBall:
     def _speed(self, arrives_m_s: float) -> float | None:
         return arrives_m_s if self.rig.has_clock else None
 
-    @staticmethod
-    def _arriving(leaving_m_s: float, drag_1_m: float) -> float:
-        reach = leaving_m_s * np.sqrt(max(drag_1_m, 0.0) / GRAVITY_M_S2)
-        return float(leaving_m_s / np.hypot(1.0, reach))
+
+def _arriving(leaving_m_s: float, drag_1_m: Array | float) -> Array:
+    """Return the speeds at the end of flights that begin with this speed [m/s]."""
+    reach = leaving_m_s * np.sqrt(np.maximum(drag_1_m, 0.0) / GRAVITY_M_S2)
+    return leaving_m_s / np.hypot(1.0, reach)
 
 
 def heard_ball(
@@ -622,7 +597,10 @@ def heard_ball(
     times_s = times_s[:MAX_TIMES]
     if len(times_s) < 3:
         return None
-    seconds_s = 1.0 if rig.has_clock else _typical_seconds(times_s)
+    seconds_s = 1.0
+    if not rig.has_clock:  # only the drag needs them: the longest flight goes 0.4 m up, as is usual
+        longest_s = float(np.quantile(np.diff(times_s), 0.9))
+        seconds_s = 2 * float(np.sqrt(2 * 0.4 / GRAVITY_M_S2)) / longest_s
     clock = times_s * seconds_s
     log_rate = float(np.log(noise_rate_hz(clock) if besides is None else besides.rate_hz))
     heightless = replace(rig, height_m=None)  # it tells nothing of which time is an impact
@@ -646,9 +624,8 @@ def heard_ball(
     ]
     reading = tried[best][0]
     balls = chosen[sum(weights[:best] > _MIN_READING_WEIGHT)][1]
-    values = np.array(
-        [balls.mean(one) for one in (balls.restitutions, balls.slopes, balls.drags_1_m)]
-    )
+    of_balls = balls.restitutions, balls.slopes, balls.drags_1_m
+    values = np.array([balls.mean(one) for one in of_balls])
     values[0] = min(values[0], 1.0)
     contact_s = balls.mean(balls.contacts_s)
     flown = clock[reading.heard] - contact_s * reading.numbers[reading.heard]
@@ -694,17 +671,10 @@ def _against_rhythms(
     every = Reading(np.arange(len(clock_s)), 0.0)
     of_same = best_rhythm(times_s, numbers, log_rate, rig.jitter_s)
     of_every = best_rhythm(clock_s, every.numbers, log_rate, rig.jitter_s)
-    tried: list[tuple[Rhythm, float]] = [(of_same, prior), (of_every, every.log_prior(clock_s))]
-    best, most = max(
-        ((one.name, one.log_evidence + log) for one, log in tried), key=lambda pair: pair[1]
-    )
+    tried = [(of_same, prior), (of_every, every.log_prior(clock_s))]
+    rhythms = [(name, evidence + log) for (name, evidence), log in tried]
+    best, most = max(rhythms, key=lambda one: one[1])
     return best, ball - most
-
-
-def _typical_seconds(times_s: Array) -> float:
-    """Return seconds that make the longest flight as high as usual: only its drag needs them."""
-    usual_s = 2 * float(np.sqrt(2 * 0.4 / GRAVITY_M_S2))
-    return usual_s / float(np.quantile(np.diff(times_s), 0.9))
 
 
 def _flown(count: int, leaving_m_s: float, values: Array, rig: DropSetup) -> FlightTimes:

@@ -8,9 +8,9 @@ that end with each time. A score is the log odds against noises at random times.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,7 @@ class Nodes:
 
 def log_jitter_prior(usual_s: float) -> Array:
     """Return the log prior of each of `JITTERS_S`, normalised."""
-    off = np.log(JITTERS_S / usual_s) / 0.9
+    off = np.log(JITTERS_S / usual_s) / 0.9  # a factor 2.5 either way
     weights = np.exp(-0.5 * off**2)
     return np.log(weights / weights.sum())
 
@@ -78,12 +78,10 @@ def nodes(
     slope = (edges[1:] + edges[:-1]) / 2
     sds = np.where(slope < 0, _NEGATIVE_SD, _SLOPE_SD)
     density = np.exp(-0.5 * (slope / sds) ** 2) / np.sqrt(np.pi / 2) / (_NEGATIVE_SD + _SLOPE_SD)
-    slope, slope_prior = (
-        np.append(slope, 0.0),
-        np.append(density * np.diff(edges) * (1 - NO_SLOPE), NO_SLOPE),
-    )
+    slope_prior = np.append(density * np.diff(edges) * (1 - NO_SLOPE), NO_SLOPE)
+    slope = np.append(slope, 0.0)
     if known_drag_1_m is not None:
-        off = np.linspace(-2.4, 2.4, 7)
+        off = np.linspace(-2.4, 2.4, 7)  # standard deviations: 98 % of a normal distribution
         drag = known_drag_1_m * (1 + KNOWN_DRAG * off)
         drag_prior = np.exp(-0.5 * off**2)
         drag_prior /= drag_prior.sum()
@@ -91,7 +89,7 @@ def nodes(
         ends = np.array(WHOLE_LOG_DRAG)
         low, high = max(log_drags[0], ends[0]), min(log_drags[1], ends[1])
         edges = np.linspace(min(low, high - 0.1), high, counts[1] + 1)
-        # No clock tells how high the ball flies.
+        # Without a clock nothing tells how high the ball flies: a factor 2 either way.
         sd = LOG_DRAG_SD if has_clock else float(np.hypot(LOG_DRAG_SD, 0.7))
         middle = (edges[1:] + edges[:-1]) / 2
         off = (middle - np.log(TYPICAL_DRAG_1_M)) / sd
@@ -176,16 +174,12 @@ def readings(times_s: Array, most: int) -> list[Reading]:
                 before.extended(times_s, at, back - 1, lasting, rate_hz)
                 for lasting in range(1, MAX_FLIGHTS + 1)
             ]
-        ending.append(_Beam.joined(found).best(80))
+        ending.append(_Beam.joined(found).best(80))  # so many are kept
     every = _Beam.joined(ending).best(most)
-    return [
-        Reading(numbers, float(score))
-        for numbers, score in zip(every.numbers, every.scores, strict=True)
-    ]
+    return [Reading(*one) for one in zip(every.numbers, every.scores.tolist(), strict=True)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Beam:
+class _Beam(NamedTuple):
     """Beam of R readings that end with one time, and what each predicts."""
 
     scores: Array  # shape (R,)
@@ -197,18 +191,14 @@ class _Beam:
     @classmethod
     def joined(cls, parts: list[_Beam]) -> _Beam:
         """Join several beams."""
-        return cls(
-            np.concatenate([part.scores for part in parts]),
-            np.concatenate([part.numbers for part in parts]),
-            np.concatenate([part.state for part in parts]),
-            np.concatenate([part.covariance for part in parts]),
-        )
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def best(self, most: int) -> _Beam:
         """Return the readings with the highest scores, in order."""
-        return self._only(np.argsort(-self.scores, kind="stable")[:most])
+        return self.only(np.argsort(-self.scores, kind="stable")[:most])
 
-    def _only(self, rows: NDArray[np.int64]) -> _Beam:
+    def only(self, rows: NDArray[np.int64]) -> _Beam:
+        """Return the readings of these rows."""
         return _Beam(self.scores[rows], self.numbers[rows], self.state[rows], self.covariance[rows])
 
     def extended(self, times_s: Array, at: int, false: int, lasting: int, rate_hz: float) -> _Beam:
@@ -224,9 +214,8 @@ class _Beam:
         costs += false * np.log(FALSE) + (lasting - 1) * np.log(MISSED) + np.log1p(-MISSED)
         near = off**2 < 5.0**2 * variance  # farther off it is another one
         near &= self.state[:, 2] < np.log(_RATIOS[-1])
-        part = replace(self, scores=self.scores + density + costs)
-        chosen = np.flatnonzero(near)
-        part, across, off, variance = part._only(chosen), across[near], off[near], variance[near]
+        part = self._replace(scores=self.scores + density + costs).only(np.flatnonzero(near))
+        across, off, variance = across[near], off[near], variance[near]
         gain = across / variance[:, None]
         state = part.state + gain * off[:, None]
         covariance = part.covariance - gain[:, :, None] * across[:, None, :]
@@ -244,7 +233,7 @@ class _Beam:
         spread = move @ covariance @ move.transpose(0, 2, 1)
         spread[:, 2, 2] += lasting * _DRIFT**2
         spread[:, 1, 1] += lasting * _DRIFT**2
-        return _Beam(part.scores, numbers, *(later, spread))
+        return _Beam(part.scores, numbers, later, spread)
 
 
 def _starts(times_s: Array, at: int, rate_hz: float) -> _Beam:
@@ -256,7 +245,7 @@ def _starts(times_s: Array, at: int, rate_hz: float) -> _Beam:
         for first in range(max(second - reach, 0), second)
         for before in range(1, MAX_FLIGHTS + 1)
         for after in range(1, MAX_FLIGHTS + 1)
-        if first < 24
+        if first < 24  # later times begin no ball
     ]
     chosen = np.array(picks, dtype=np.int64).reshape(-1, 4)
     first, second, before, after = chosen.T
@@ -281,8 +270,8 @@ def _starts(times_s: Array, at: int, rate_hz: float) -> _Beam:
     scores += (before + after - 2) * np.log(MISSED) + 3 * np.log1p(-MISSED)
     scores += (1 - FALSE) * rate_hz * (times_s[at] - times_s[first])
     scores += (at - first - 2) * np.log(FALSE) + _log_before(first)
-    inside = np.isfinite(values).all(axis=1)
-    return _Beam(scores, numbers, state, covariance)._only(np.flatnonzero(inside))
+    inside = np.flatnonzero(np.isfinite(values).all(axis=1))
+    return _Beam(scores, numbers, state, covariance).only(inside)
 
 
 def _begun(
@@ -321,23 +310,30 @@ def _interval_ratios(before: int, after: int) -> Array:
 _STEADY_SDS = np.geomspace(0.002, 0.5, 25)
 
 
-@dataclass(frozen=True)
-class Rhythm:
-    """Rhythm that explains the times best."""
-
-    name: str  # in words
-    log_evidence: float  # against noises, as a ball's
-
-
 def best_rhythm(
     times_s: Array,
     numbers: NDArray[np.int64],
     log_rate: float,
     jitter_s: float = TRIGGER_JITTER_S,
-) -> Rhythm:
-    """Find the rhythm with the highest evidence for three times or more, against noises."""
-    found = []
-    for name, beats in _families(int(numbers.max())):
+) -> tuple[str, float]:
+    """Find the rhythm with the highest evidence for three times or more, against noises.
+
+    Returned in words, with its log evidence.
+    """
+    count = int(numbers.max())
+    steps = np.arange(count)[None, :] / max(count - 1, 1)
+    # By which the last beat is shorter than the first, below 0 longer; by how much its tempo is
+    # over the first's.
+    shares, tempos = np.linspace(-1.0, 0.98, 1001)[:, None], np.geomspace(0.02, 20.0, 400)[:, None]
+    # The beats' durations over the first, shape (M, count), of each kind of rhythm.
+    families = {
+        "an even beat": np.ones((1, count)),
+        "beats that shorten by one time each": 1 - shares * steps,
+        "a tempo that grows evenly": 1 / (1 + tempos * steps),
+        "beats whose ratio falls": _bent(count),
+    }
+    found: list[tuple[str, float]] = []
+    for name, beats in families.items():
         sums = np.cumsum(np.column_stack([np.zeros(len(beats)), beats]), axis=1)[:, numbers]
         # The log evidence where each time has its own jitter, shape (M,).
         middle = sums.mean(axis=1)
@@ -354,8 +350,8 @@ def best_rhythm(
         )
         most = float(each.max())
         evidence = most + float(np.log(np.exp(each - most).mean())) - float(np.log(2.0))
-        found.append(Rhythm(name, evidence - FLIGHT_RANGE - (len(times_s) - 1) * log_rate))
-    return max(found, key=lambda one: one.log_evidence)
+        found.append((name, evidence - FLIGHT_RANGE - (len(times_s) - 1) * log_rate))
+    return max(found, key=lambda one: one[1])
 
 
 @lru_cache(maxsize=4)
@@ -363,18 +359,10 @@ def _bent(count: int) -> Array:
     steps = np.arange(count)
     first, bend = (
         one.ravel()[:, None]
+        # Of the log of the first ratio of beats, and what is added to it from beat to beat.
         for one in np.meshgrid(np.linspace(-1.5, 0.0, 61), -np.geomspace(0.002, 0.3, 40))
     )
     return np.exp(np.maximum(first * steps + bend * steps * (steps - 1) / 2, -20.0))
-
-
-def _families(count: int) -> Iterator[tuple[str, Array]]:
-    """Yield the beats' durations over the first, shape (M, count), of each kind of rhythm."""
-    steps = np.arange(count) / max(count - 1, 1)
-    yield "an even beat", np.ones((1, count))
-    yield "beats that shorten by one time each", 1 - np.linspace(-1.0, 0.98, 1001)[:, None] * steps
-    yield "a tempo that grows evenly", 1 / (1 + np.geomspace(0.02, 20.0, 400)[:, None] * steps)
-    yield "beats whose ratio falls", _bent(count)
 
 
 def _running(times_s: Array, sums: Array, apart: NDArray[np.int64]) -> Array:

@@ -27,6 +27,7 @@ from tunenet_logs.analysis.drop.times.model import (
 )
 from tunenet_logs.analysis.drop.times.readings import MISSED
 from tunenet_logs.analysis.onsets import Onsets
+from tunenet_logs.analysis.statistics import normalised
 from tunenet_logs.episode import Array
 
 # ---- Chains of onsets that may be one ball's: flights that shorten by a ratio, ever softer
@@ -35,7 +36,6 @@ from tunenet_logs.episode import Array
 
 _MIN_S = 0.06  # of a flight: from a shorter one on a ball rattles
 _MAX_RATIO = 0.985  # of a flight's duration to the one before
-_MAX_SEEDS = 60_000  # triples of knocks that are followed, those of the loudest knocks first
 _MAX_IMPACTS = 40  # of a chain
 _MISSED = float(np.log(0.08))  # of an impact that is not heard; two in a row end a chain
 _PER_DECADE_DB = 30.0  # by which a knock gets softer, as its ball gets slower
@@ -49,7 +49,7 @@ class KnockChain:
 
     which: NDArray[np.int64]  # indices of the onsets, shape (N,)
     numbers: NDArray[np.int64]  # of the impacts, the first 0, shape (N,)
-    score: float  # log odds, roughly
+    score: float = 0.0  # log odds, roughly
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,8 @@ class Crowd:
         return cls(
             len(heard) / max(lasts_s, 0.2),
             float(heard.loudness_db.mean()),
-            max(spread, 6.0),
-            max(colour, 5.0),
+            max(spread, 6.0),  # dB
+            max(colour, 5.0),  # dB
         )
 
     def loudness_odds(self, loudness_db: Array, foretold_db: Array) -> Array:
@@ -112,18 +112,11 @@ def chains(heard: Onsets, lasts_s: float, most: int = 40) -> list[KnockChain]:
     return found
 
 
-def softer_db(times_s: Array, numbers: NDArray[np.int64]) -> Array:
-    """Predict how much softer each knock of a ball is than the first, by its gaps, shape (N,)."""
-    gaps = np.diff(times_s) / np.diff(numbers)
-    speeds = np.append(gaps[0], gaps)
-    return _PER_DECADE_DB * np.log10(speeds / gaps[0])
-
-
 def _seeds(heard: Onsets) -> NDArray[np.int64]:
     """Return the triples whose gaps and loudness may be a ball's, shape (S, 3)."""
     times_s, loud = heard.times_s, heard.loudness_db
     gaps = times_s[None, :] - times_s[:, None]
-    first, second = np.nonzero((gaps >= _MIN_S) & (gaps <= 1.5))
+    first, second = np.nonzero((gaps >= _MIN_S) & (gaps <= 1.5))  # [s]
     rows = [np.zeros((0, 3), dtype=np.int64)]
     softer = loud[None, :] < loud[:, None] + 2 * _CHAIN_LOUDNESS_SD_DB
     for middle in range(len(times_s)):
@@ -136,8 +129,8 @@ def _seeds(heard: Onsets) -> NDArray[np.int64]:
         triple = np.column_stack([before[one], np.full(len(one), middle), after[two]])
         rows.append(triple.astype(np.int64))
     seeds = np.concatenate(rows)
-    if len(seeds) > _MAX_SEEDS:
-        loudest = np.argsort(-loud[seeds].min(axis=1), kind="stable")[:_MAX_SEEDS]
+    if len(seeds) > 60_000:  # those of the loudest knocks
+        loudest = np.argsort(-loud[seeds].min(axis=1), kind="stable")[:60_000]
         seeds = seeds[np.sort(loudest)]
     return seeds
 
@@ -180,7 +173,7 @@ def _followed(
         gain = -0.5 * off**2 - np.log(np.sqrt(2 * np.pi) * sd * crowd.rate_hz)
         gain += crowd.loudness_odds(loud[at], level)
         gain += crowd.colour_odds(((colours[at] - mean_colour) ** 2).mean(axis=1))
-        met = alive & (np.abs(off) < 3.5) & (gain > _MISSED)
+        met = alive & (np.abs(off) < 3.5) & (gain > _MISSED)  # farther it is another
         gone = alive & ~met
         scores[met] += gain[met]
         scores[gone] += _MISSED
@@ -219,8 +212,7 @@ def log_likelihood(
         for white in whitenings(times_s, numbers, rig.jitter_s)
     ]
     logs = np.array([log for log, _ in tried])
-    most = float(logs.max())
-    found = most + float(np.log(np.exp(logs - most).sum()))
+    _, found = normalised(logs)
     odds = found - float(np.log(priors.FLIGHT_RANGE)) - (len(times_s) - 1) * log_rate
     return odds, tried[int(logs.argmax())][1]
 
@@ -244,6 +236,7 @@ def _likelihood(
         step[1:3] = np.clip(step[1:3], -0.15, 0.15)
         at = np.asarray(at + step, dtype=np.float64)
         at[2] = np.clip(at[2], 0.01, 1.3)
+        # Slope and log drag, within which balls are.
         at[3:5] = np.clip(at[3:5], np.array([-0.25, np.log(5e-4)]), np.array([0.45, np.log(0.6)]))
         left, columns = _seen(times_s, numbers, at)
     left, columns = white.rows @ left, white.rows @ columns
@@ -257,8 +250,7 @@ def _likelihood(
     log = log - len(times_s) * np.log(priors.JITTERS_S) - 0.5 * np.linalg.slogdet(normal)[1]
     log = log + 0.5 * np.log(prior[_FLAT:]).sum() + white.log_size
     log = log - 0.5 * (len(times_s) - _FLAT) * np.log(2 * np.pi)
-    most = float(log.max())
-    return most + float(np.log(np.exp(log - most).sum())), float(at[2])
+    return normalised(log)[1], float(at[2])
 
 
 def _seen(times_s: Array, numbers: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
@@ -279,8 +271,6 @@ def _seen(times_s: Array, numbers: NDArray[np.int64], at: Array) -> tuple[Array,
 _BEFORE_S = 1.6  # before the first impact, where knocks are tried
 # For ten times the speed: of a ball's knocks, usually; their spread; that of a beat's, about 0.
 _SOFTENING_DB, _SOFTENING_SD_DB, _BEAT_SD_DB = 28.0, 8.0, 5.0
-# Usual scatter of a knock's loudness, and how many knocks that counts for.
-_LOUDNESS_SD_DB, _LOUDNESS_KNOWN = 2.0, 2
 _TRIED = 6  # knocks, for one impact
 
 
@@ -303,32 +293,37 @@ class BallAmong:
 
 def ball_among(heard: Onsets, lasts_s: float, rig: DropSetup) -> BallAmong | None:
     """Find the likeliest ball among the onsets; None where nothing sounds like one."""
-    found = chains(heard, lasts_s)[:24]
+    found = chains(heard, lasts_s)[:24]  # the best ones are fitted
     if not found:
         return None
-    judge = _Judge(heard, Crowd.of(heard, lasts_s), replace(rig, height_m=None))
-    best = max((judge.judged(one) for one in found), key=lambda one: one.score)
+    crowd = Crowd.of(heard, lasts_s)
+    judge = _Judge(heard, crowd, replace(rig, height_m=None))
+    chain = max((judge.judged(one) for one in found), key=lambda one: one.score)
     # Climb to the best chain: make every change that raises the evidence, the best first.
-    chain = best
     for _ in range(30):
-        tried = [judge.judged(one) for one in _changes(judge.heard, chain)]
+        tried = [judge.judged(one) for one in _changes(heard, chain)]
         better = max(tried, key=lambda one: one.score, default=chain)
         if better.score <= chain.score:
             break
         chain = better
-    best = chain
-    which = best.which[:MAX_TIMES]
-    ball = heard_ball(heard.times_s[which], rig, judge.besides(best))
+    which = chain.which[:MAX_TIMES]
+    ball = heard_ball(heard.times_s[which], rig, ClutterModel(crowd.rate_hz, judge.beside(chain)))
     if ball is None:
         return None
     kept = which[ball.reading.heard]
-    clipped = heard.peaks[kept] > 0.98
+    # Others between its first and last that are as loud as its own then, to 6 dB.
+    own_s, own_db = heard.times_s[kept], heard.loudness_db[kept]
+    others = heard.only(np.setdiff1d(np.arange(len(heard)), kept))
+    inside = (others.times_s > own_s[0]) & (others.times_s < own_s[-1])
+    least_db = np.interp(others.times_s, own_s, own_db) - 6.0
+    as_loud = int((inside & (others.loudness_db > least_db)).sum())
+    clipped = heard.peaks[kept] > 0.98  # of full scale
     return BallAmong(
         ball,
         kept,
         *_second_odds(judge, kept),
-        _as_loud(heard, kept),
-        _softening_odds(ball, np.where(clipped, np.nan, heard.loudness_db[kept])),
+        as_loud,
+        _softening_odds(ball, np.where(clipped, np.nan, own_db)),
         int(clipped.sum()),
     )
 
@@ -351,13 +346,15 @@ class _Judge:
             return replace(chain, score=-np.inf)
         missed = int(numbers.max()) + 1 - len(which)
         score = odds + missed * np.log(MISSED) + len(which) * np.log1p(-MISSED)
-        return replace(chain, score=score + self._beside(chain))
+        return replace(chain, score=score + self.beside(chain))
 
-    def _beside(self, chain: KnockChain) -> float:
+    def beside(self, chain: KnockChain) -> float:
         """Return the log odds of loudness, colour, and the onsets that are left for chance."""
         loud = self.heard.loudness_db[chain.which]
         colours = self.heard.colours_db[chain.which]
-        foretold = softer_db(self.heard.times_s[chain.which], chain.numbers)
+        # How much softer each knock is than the first, by the gaps before.
+        gaps = np.diff(self.heard.times_s[chain.which]) / np.diff(chain.numbers)
+        foretold = _PER_DECADE_DB * np.log10(np.append(gaps[0], gaps) / gaps[0])
         foretold = foretold + float(np.median(loud - foretold))
         odds = self.crowd.loudness_odds(loud, foretold)
         off = ((colours - np.median(colours, axis=0)) ** 2).mean(axis=1)
@@ -365,10 +362,6 @@ class _Judge:
         every, own = len(self.heard), len(chain.which)
         left = (every - own) * np.log((every - own) / every) if every > own else 0.0
         return float(odds.sum()) + own + float(left) - float(np.log(every))
-
-    def besides(self, chain: KnockChain) -> ClutterModel:
-        """Return what the times alone do not say."""
-        return ClutterModel(self.crowd.rate_hz, self._beside(chain))
 
 
 def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
@@ -379,13 +372,13 @@ def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
     if len(which) > 3:
         for place in range(len(which)):
             left, rest = np.delete(which, place), np.delete(numbers, place)
-            found.append(KnockChain(left, rest - rest[0], 0.0))
+            found.append(KnockChain(left, rest - rest[0]))
     first = own_s[0]
     earlier = np.flatnonzero((times_s > first - _BEFORE_S) & (times_s < first))
     first_gap = (own_s[1] - first) / (numbers[1] - numbers[0])
     earlier = earlier[(first - times_s[earlier]) > 0.9 * first_gap]
     found.extend(
-        KnockChain(np.append(one, which), np.append(0, numbers + 1), 0.0)
+        KnockChain(np.append(one, which), np.append(0, numbers + 1))
         for one in earlier[::-1][:_TRIED].tolist()
     )
     # gaps shrink evenly in their logarithm: good enough to look about
@@ -397,47 +390,35 @@ def _changes(heard: Onsets, chain: KnockChain) -> list[KnockChain]:
         at = int(np.searchsorted(numbers, number)) - 1
         steps = np.arange(numbers[at], number) + 0.5
         due = own_s[at] + float(np.exp(level + slope * steps).sum())
-        near = np.flatnonzero(np.abs(times_s - due) < 0.02 * len(steps))
+        near = np.flatnonzero(np.abs(times_s - due) < 0.02 * len(steps))  # [s]
         near = np.setdiff1d(near, which)
         near = near[(times_s[near] > own_s[at])]
         if at + 1 < len(own_s):
             near = near[times_s[near] < own_s[at + 1]]
         closest = near[np.argsort(np.abs(times_s[near] - due))[:_TRIED]]
         for one in closest.tolist():
-            place = at + 1
-            found.append(
-                KnockChain(np.insert(which, place, one), np.insert(numbers, place, number), 0.0)
-            )
+            more = np.insert(which, at + 1, one), np.insert(numbers, at + 1, number)
+            found.append(KnockChain(*more))
     return found
 
 
 def _softening_odds(ball: HeardBall, loudness_db: Array) -> float | None:
     """Regress loudness, NaN where not known, on the log impact speed, for the odds of a ball."""
     speeds = np.log10(ball.flown.arriving_m_s[ball.numbers, 0])
-    known = np.isfinite(speeds + loudness_db)  # nobody hears how fast it arrives at the first
-    if known.sum() < 4:
+    is_known = np.isfinite(speeds + loudness_db)  # nobody hears how fast it arrives at the first
+    if is_known.sum() < 4:
         return None
-    speeds, loudness_db = speeds[known], loudness_db[known]
+    speeds, loudness_db = speeds[is_known], loudness_db[is_known]
     off = speeds - speeds.mean()
     spread = float(off @ off)
     slope = float(off @ loudness_db) / spread
     left = loudness_db - loudness_db.mean() - slope * off
-    variance = (left @ left + _LOUDNESS_KNOWN * _LOUDNESS_SD_DB**2) / (
-        len(left) - 2 + _LOUDNESS_KNOWN
-    )
+    known, sd_db = 2, 2.0  # a knock's loudness usually scatters so: it counts for so many knocks
+    variance = (left @ left + known * sd_db**2) / (len(left) - 2 + known)
     of_ball = variance / spread + _SOFTENING_SD_DB**2
     of_beat = variance / spread + _BEAT_SD_DB**2
     odds = slope**2 / of_beat - (slope - _SOFTENING_DB) ** 2 / of_ball
     return 0.5 * float(odds + np.log(of_beat / of_ball))
-
-
-def _as_loud(heard: Onsets, which: NDArray[np.int64]) -> int:
-    """Count the others between the ball's first and last that are as loud as its own then."""
-    own_s, own_db = heard.times_s[which], heard.loudness_db[which]
-    others = heard.only(np.setdiff1d(np.arange(len(heard)), which))
-    inside = (others.times_s > own_s[0]) & (others.times_s < own_s[-1])
-    least_db = np.interp(others.times_s, own_s, own_db) - 6.0
-    return int((inside & (others.loudness_db > least_db)).sum())
 
 
 def _second_odds(judge: _Judge, which: NDArray[np.int64]) -> tuple[float, Array]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.analysis.drop.bounce_model import best_map
+from tunenet_logs.analysis.drop.bounce_model import PERSPECTIVE_SD, projected
 from tunenet_logs.analysis.drop.presets import (
     FILM_TRAININGS,
     OUR_TRAINING,
@@ -105,6 +105,58 @@ def places_in_view(rows: Array) -> Array:
     """Normalise rows upward: 0 at the ball's lowest, 1 at its highest; shape (T,)."""
     lowest, highest = np.nanmax(rows), np.nanmin(rows)
     return (lowest - rows) / (lowest - highest)
+
+
+# ---- Best projective map: for each k, A and B follow in closed form
+
+_NEAREST = 0.05  # least depth [depth of the contact]: the map is for any curve, so well away
+
+
+@dataclass(frozen=True)
+class ProjectiveMap:
+    """Projective map from heights to positions in the picture."""
+
+    contact: float  # A, where height 0 is
+    span: float  # B, from there to where height 1 is
+    perspective: float  # k
+
+    def positions(self, heights: Array) -> Array:
+        """Project heights [drop heights] into the picture, in the unit of `contact`, shape (T,)."""
+        return self.contact + self.span * projected(heights, self.perspective, _NEAREST)
+
+
+def best_map(heights: Array, positions: Array, noise: float) -> ProjectiveMap:
+    """Fit the map from heights [drop heights] nearest to positions in any unit, (T,) each with NaN.
+
+    Least squares over at least three of both; `noise` is the standard deviation of a position: how
+    much the track counts against k's prior.
+    """
+    known = np.isfinite(heights) & np.isfinite(positions)
+    heights, positions = heights[known], positions[known]
+    noise = max(noise, 1e-9)
+    off = positions - positions.mean()
+    best = 0.0
+    # About the best of the first ones.
+    for grid in (np.arange(-2.0, 2.01, 0.25), np.arange(-0.25, 0.26, 0.0625)):
+        tried = best + grid
+        curves = projected(heights, tried[:, None], _NEAREST)
+        curves = curves - curves.mean(axis=1, keepdims=True)
+        power = np.maximum(np.einsum("kt,kt->k", curves, curves), 1e-9)
+        squares = off @ off - (curves @ off) ** 2 / power  # that the best A and B of each k leave
+        # Locate the vertex of the parabola through the lowest of even points and its neighbours.
+        costs = squares / noise**2 + (tried / PERSPECTIVE_SD) ** 2
+        at = int(np.argmin(costs))
+        if not 0 < at < len(costs) - 1:
+            best = float(tried[at])
+        else:
+            before, here, after = costs[at - 1 : at + 2]
+            bend = before - 2 * here + after
+            fraction = 0.0 if bend <= 0 else 0.5 * (before - after) / bend
+            best = float(tried[at] + fraction * (tried[at + 1] - tried[at]))
+    curve = projected(heights, np.array(best), _NEAREST)
+    off_curve = curve - curve.mean()
+    span = float(off_curve @ positions / max(off_curve @ off_curve, 1e-9))
+    return ProjectiveMap(float(positions.mean() - span * curve.mean()), span, best)
 
 
 def as_seen(heights: Array, seen: Array) -> Array:

@@ -41,7 +41,7 @@ from tunenet_logs.analysis.payload.detection import (
 from tunenet_logs.analysis.payload.torque_model import CONVENTIONS, Convention
 from tunenet_logs.analysis.tunenet.network import Model, train
 from tunenet_logs.analysis.tuning import tune_episode
-from tunenet_logs.episode import Array, Episode
+from tunenet_logs.episode import Array, Episode, median_step
 from tunenet_logs.recorders.simulators.arm.description import (
     JACO_TOOL_LINK,
     JACO_URDF,
@@ -125,7 +125,7 @@ def _moved(model: Any, seconds: Array, where: Array) -> tuple[Array, Array, Arra
     """Return speeds and accelerations by Savitzky-Golay, and the model's torques, all (T, J)."""
     from scipy.signal import savgol_filter
 
-    step = float(np.median(np.diff(seconds)))
+    step = median_step(seconds)
     window = max(2 * int(_SMOOTH_S / step / 2) + 1, 7)
     speed = np.asarray(savgol_filter(where, window, 3, 1, step, axis=0), np.float64)
     pull = np.asarray(savgol_filter(where, window, 3, 2, step, axis=0), np.float64)

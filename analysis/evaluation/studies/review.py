@@ -20,7 +20,7 @@ from tunenet_logs.analysis.evaluation.studies.drop import (
     error_curves,
 )
 from tunenet_logs.analysis.evaluation.studies.drop_methods import DropResults
-from tunenet_logs.analysis.review.drawing import application_id, entity_of
+from tunenet_logs.analysis.review.drawing import entity_of, log_words, written
 
 ROLLOUTS = "rollouts"  # its timeline: what a method has been allowed so far
 # The axis is this many times as long as the curves; the legend stands beside them.
@@ -38,22 +38,16 @@ def write_convergence(results: DropResults, path: Path) -> None:
         outcome.method.encode() + outcome.errors.tobytes() for outcome in results.outcomes
     )
     identity = hashlib.sha256(content).hexdigest()[:16]
-    stream = rr.RecordingStream(application_id("eval drop"), recording_id=identity)
-    memory = stream.memory_recording()
-    stream.send_recording_name("restitution by rollouts")
-    views: list[rrb.View] = []
-    for panel in PANELS:
-        curves = error_curves(results, panel)
-        for curve in curves:
-            _log_curve(stream, panel, curve)
-        if curves:
-            views.append(_view(panel, curves))
-    words = rr.TextDocument(drop_markdown(results), media_type="text/markdown")
-    stream.log("results", words, static=True)
-    stream.send_blueprint(_blueprint(views))
-    stream.flush()
-    path.write_bytes(memory.drain_as_bytes())
-    stream.disconnect()
+    with written(path, "eval drop", identity, "restitution by rollouts") as stream:
+        views: list[rrb.View] = []
+        for panel in PANELS:
+            curves = error_curves(results, panel)
+            for curve in curves:
+                _log_curve(stream, panel, curve)
+            if curves:
+                views.append(_view(panel, curves))
+        log_words(stream, "results", drop_markdown(results))
+        stream.send_blueprint(_blueprint(views))
 
 
 def _log_curve(stream: rr.RecordingStream, panel: str, curve: ErrorCurve) -> None:

@@ -476,7 +476,7 @@ _STARTS = 20  # random places in the ranges from which the network makes its fir
 
 def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
     """Take one step of the network from each of many random starts: a row a start and value."""
-    from tunenet_logs.analysis.estimators.methods import residual_of
+    from tunenet_logs.analysis.estimators.methods import next_values
 
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.process_time()
@@ -492,8 +492,8 @@ def _first_steps(trial: MachineTrial, log: ModelLog) -> SysidOutcome:
     for _ in range(_STARTS):
         start = np.array([rng.uniform(*one.training_range) for one in parameters])
         seen = problem.evaluate(start).observation.values
-        stepped = start + residual_of(model, problem, seen, problem.target.values)
-        for one, value in zip(parameters, problem.clamp(stepped), strict=True):
+        stepped = next_values(model, problem, start, seen)
+        for one, value in zip(parameters, stepped, strict=True):
             low, high = one.training_range
             row = (one.name, log.truth[one.name], float(value), np.nan, np.nan, high - low)
             found.append(FoundValue(*row))

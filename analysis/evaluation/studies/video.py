@@ -262,7 +262,7 @@ def tune_track(track: Track, options: TuneOptions) -> Tuning:
         topic="",
         start_ns=int(track.stamps_ns[0]),
         track=track,
-        ball=options.told_ball,
+        ball=options.given_ball,
     )
     return tune_detected(experiment, lambda: detection, options, Stopwatch())
 

@@ -133,10 +133,6 @@ def solid_sphere(mass_kg: float, radius_m: float) -> Inertial:
 # ---- URDF: links and joints as the file has them
 
 _MAX_LINKS = 1000  # of a file: more than any arm's; what has more is refused before it costs
-# More than any arm has: a larger value is in other units.
-_MAX_M, _MAX_RAD, _MAX_KG, _MAX_KG_M2 = 100.0, 1000.0, 10_000.0, 1e6
-
-_MAX_LIMIT = 1e9  # of a joint's position [rad or m]: files write large numbers for "none"
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -251,8 +247,9 @@ class _Element:
 
     def frame(self, tag: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Parse origin [m], and roll, pitch and yaw [rad], of the child `tag`."""
-        x, y, z = self.numbers(tag, "xyz", 3, _MAX_M, "0 0 0")
-        roll, pitch, yaw = self.numbers(tag, "rpy", 3, _MAX_RAD, "0 0 0")
+        # More than any arm has: a larger value is in other units.
+        x, y, z = self.numbers(tag, "xyz", 3, 100.0, "0 0 0")
+        roll, pitch, yaw = self.numbers(tag, "rpy", 3, 1000.0, "0 0 0")
         return (x, y, z), (roll, pitch, yaw)
 
 
@@ -260,10 +257,10 @@ def _inertial(place: _Element) -> tuple[Inertial, str]:
     """Read a link's inertia; raise a moment below 0, as identified ones may have, with words."""
     if place.element.find("inertial") is None:
         return NOTHING, ""
-    (mass_kg,) = place.numbers("inertial/mass", "value", 1, _MAX_KG)
+    (mass_kg,) = place.numbers("inertial/mass", "value", 1, 10_000.0)
     if mass_kg < 0:
         raise place.wrong(f"weighs {mass_kg:g} kg; give its mass, or 0")
-    moments = [place.numbers("inertial/inertia", key, 1, _MAX_KG_M2, "0")[0] for key in _MOMENTS]
+    moments = [place.numbers("inertial/inertia", key, 1, 1e6, "0")[0] for key in _MOMENTS]
     own = Inertial(mass_kg, (0.0, 0.0, 0.0), tuple(moments))  # pyright: ignore[reportArgumentType]
     frame = Transform.at(*place.frame("inertial/origin"))
     principal, axes = np.linalg.eigh(own.tensor())
@@ -298,8 +295,8 @@ def _joint(place: _Element, links: Mapping[str, Inertial]) -> FileJoint:
     x, y, z = (float(value) for value in axis / max(length, 1e-6))
     limits = (-math.inf, math.inf)
     if kind in ("revolute", "prismatic") and place.element.find("limit") is not None:
-        (low,) = place.numbers("limit", "lower", 1, _MAX_LIMIT, "0")
-        (high,) = place.numbers("limit", "upper", 1, _MAX_LIMIT, "0")
+        (low,) = place.numbers("limit", "lower", 1, _UNLIMITED, "0")
+        (high,) = place.numbers("limit", "upper", 1, _UNLIMITED, "0")
         if low > high:
             raise place.wrong(f"has a lower limit of {low:g} and an upper one of {high:g}")
         limits = (low, high)
@@ -328,10 +325,11 @@ PAYLOAD_RADIUS_M = 0.04
 JACO_URDF = Path(__file__).with_name("known") / "jaco7-robotiq85.urdf"
 JACO_TOOL_LINK = "tool_mount"
 
-# More than any arm has: a larger value is in other units, or of no arm.
-_MAX_JOINTS, _MAX_PAYLOAD_KG, _MAX_OFFSET_M = 32, 1000.0, 10.0
+_MAX_JOINTS = 32  # more than any arm has
 
-_UNLIMITED = 1e9  # stands for infinity in a URDF [rad, rad/s or N·m]: engines read no "inf"
+# Stands for infinity in a URDF [rad, rad/s or N·m]: engines read no "inf", and files write large
+# numbers for "none".
+_UNLIMITED = 1e9
 
 
 @dataclass(frozen=True)
@@ -357,9 +355,10 @@ class Payload:
     com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # its centre of mass in the tool frame
 
     def __post_init__(self) -> None:
-        if not 0 <= self.mass_kg <= _MAX_PAYLOAD_KG:
+        # More is in other units, or of no arm.
+        if not 0 <= self.mass_kg <= 1000:
             raise UsageError(f"payload mass {self.mass_kg:g} is not from 0 to 1000 kg")
-        if len(self.com_m) != 3 or not all(abs(value) <= _MAX_OFFSET_M for value in self.com_m):
+        if len(self.com_m) != 3 or not all(abs(value) <= 10 for value in self.com_m):
             raise UsageError(f"payload centre {self.com_m} is not three numbers within 10 m")
 
 
@@ -392,39 +391,49 @@ class Arm:
         everywhere. Names are ours, `joint_1` and `link_1` for the first: engines end at a duplicate
         name. A payload with mass is a link `payload` on a fixed joint.
         """
-        parts = ['<robot name="arm">', _link_xml("base", solid_sphere(1.0, 0.1))]
-        parent = "base"
+        carried = [("base", solid_sphere(1.0, 0.1), "", ((0.0,) * 3, (0.0,) * 3), "")]
         for number, joint in enumerate(self.joints, 1):
-            child = f"link_{number}"
             kind = "prismatic" if joint.is_prismatic else "revolute"
             low, high = joint.limits_rad
             velocity = min(joint.max_velocity_rad_s, _UNLIMITED)
-            parts += [
-                _link_xml(child, joint.link),
-                f'<joint name="joint_{number}" type="{kind}">',
-                _ends_xml(parent, child, joint.origin_m, joint.origin_rpy),
-                f'<axis xyz="{_numbers(joint.axis)}" />',
-                f'<limit lower="{max(low, -_UNLIMITED)!r}" upper="{min(high, _UNLIMITED)!r}"',
-                f' velocity="{velocity!r}" effort="{min(joint.max_effort_nm, _UNLIMITED)!r}" />',
-                "</joint>",
-            ]
-            parent = child
+            motion = (
+                f'<axis xyz="{_numbers(joint.axis)}" />'
+                f'<limit lower="{max(low, -_UNLIMITED)!r}" upper="{min(high, _UNLIMITED)!r}"'
+                f' velocity="{velocity!r}" effort="{min(joint.max_effort_nm, _UNLIMITED)!r}" />'
+            )
+            head = f'<joint name="joint_{number}" type="{kind}">'
+            pose = joint.origin_m, joint.origin_rpy
+            carried.append((f"link_{number}", joint.link, head, pose, motion))
         if payload is not None and payload.mass_kg > 0:
-            ball = solid_sphere(payload.mass_kg, PAYLOAD_RADIUS_M)
-            tool = self.tool_from_last_m, self.tool_from_last_rpy
-            parts += [
-                _link_xml("payload", replace(ball, com_m=payload.com_m)),
-                '<joint name="payload_mount" type="fixed">',
-                _ends_xml(parent, "payload", *tool),
-                "</joint>",
-            ]
+            ball = replace(solid_sphere(payload.mass_kg, PAYLOAD_RADIUS_M), com_m=payload.com_m)
+            head = '<joint name="payload_mount" type="fixed">'
+            pose = self.tool_from_last_m, self.tool_from_last_rpy
+            carried.append(("payload", ball, head, pose, ""))
+        parts, parent = ['<robot name="arm">'], ""
+        for name, weight, head, (origin_m, rpy), motion in carried:
+            moments, axes = weight.principal()
+            xx, yy, zz = map(float, moments)
+            parts.append(
+                f'<link name="{name}"><inertial><origin xyz="{_numbers(weight.com_m)}" '
+                f'rpy="{_numbers(rpy_from_rotation(axes))}" /><mass value="{weight.mass_kg!r}" />'
+                f'<inertia ixx="{xx!r}" ixy="0" ixz="0" iyy="{yy!r}" iyz="0" izz="{zz!r}" />'
+                "</inertial></link>"
+            )
+            if parent:
+                parts.append(
+                    f'{head}<parent link="{parent}" /><child link="{name}" />'
+                    f'<origin xyz="{_numbers(origin_m)}" rpy="{_numbers(rpy)}" />{motion}</joint>'
+                )
+            parent = name
         return "".join((*parts, "</robot>"))
 
 
 def read_arm(path: Path, tool_link: str) -> Arm:
-    """Read the chain of a URDF from its base to a link, the tool frame."""
-    # Parts that are fixed to the chain, and what moves beside it (fingers), are lumped into the
-    # chain's links with their joints at 0.
+    """Read the chain of a URDF from its base to a link, the tool frame.
+
+    Parts that are fixed to the chain, and what moves beside it (fingers), are lumped into the
+    chain's links with their joints at 0.
+    """
     robot = read_urdf(path)
     chain = _chain(path, robot, tool_link)
     carried = _carried(path, robot, {joint.child for joint in chain if joint.kind != "fixed"})
@@ -440,26 +449,12 @@ def read_arm(path: Path, tool_link: str) -> Arm:
                 f"{path}: joint {short_name(joint.name)} carries no mass; give link "
                 f"{short_name(joint.child)} its <inertial>"
             )
-        origin_m, origin_rpy = _as_tuples(before)
-        joints.append(
-            Joint(
-                joint.name,
-                joint.kind == "prismatic",
-                origin_m,
-                origin_rpy,
-                joint.axis,
-                joint.limits,
-                joint.max_velocity,
-                joint.max_effort,
-                link,
-            )
-        )
+        is_prismatic = joint.kind == "prismatic"
+        motion = joint.axis, joint.limits, joint.max_velocity, joint.max_effort
+        joints.append(Joint(joint.name, is_prismatic, *_as_tuples(before), *motion, link))
         before = IDENTITY
-    mended = (
-        words
-        for link, words in robot.mended.items()
-        if any(link in one for one in carried.values())
-    )
+    of_chain = {link for one in carried.values() for link in one}
+    mended = (words for link, words in robot.mended.items() if link in of_chain)
     return Arm(robot.name, tuple(joints), *_as_tuples(before), tuple(mended))
 
 
@@ -538,24 +533,6 @@ def _carried(path: Path, robot: FileRobot, movers: set[str]) -> dict[str, dict[s
 def _as_tuples(frame: Transform) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     x, y, z = (float(value) for value in frame.origin_m)
     return (x, y, z), rpy_from_rotation(frame.rotation)
-
-
-def _link_xml(name: str, weight: Inertial) -> str:
-    moments, axes = weight.principal()
-    xx, yy, zz = map(float, moments)
-    return (
-        f'<link name="{name}"><inertial><origin xyz="{_numbers(weight.com_m)}" '
-        f'rpy="{_numbers(rpy_from_rotation(axes))}" /><mass value="{weight.mass_kg!r}" />'
-        f'<inertia ixx="{xx!r}" ixy="0" ixz="0" iyy="{yy!r}" iyz="0" izz="{zz!r}" />'
-        "</inertial></link>"
-    )
-
-
-def _ends_xml(parent: str, child: str, origin_m: Sequence[float], rpy: Sequence[float]) -> str:
-    return (
-        f'<parent link="{parent}" /><child link="{child}" />'
-        f'<origin xyz="{_numbers(origin_m)}" rpy="{_numbers(rpy)}" />'
-    )
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -27,8 +27,7 @@ class KnownArm:
 
     name: str  # as `--arm` takes it, and the stem of its URDF
     words: str  # its make and model, with what is on its flange
-    tool_link: str  # where a payload sits
-    tool_words: str  # that link's frame, for people
+    tool_link: str  # where a payload sits: on a bare flange, or between a hand's fingertips
     joint_names: tuple[tuple[str, ...], ...]  # of its usual drivers, one tuple each
     is_said_by_names: bool = True  # whether no other make's arm has such names
     doubt: str = ""  # what a user should know is uncertain; "" for nothing
@@ -63,9 +62,6 @@ def _numbered(before: str, count: int, after: str = "", first: int = 1) -> tuple
     return tuple(f"{before}{number}{after}" for number in range(first, first + count))
 
 
-_JACO_TOOL = "16 cm from joint {}, between the fingertips"
-_ROBOTIQ_TOOL = "0.15 m from the gripper's base, x along the gripper"
-_FLANGE = "on the flange, z away from it"
 _UR = (
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -74,104 +70,70 @@ _UR = (
     "wrist_2_joint",
     "wrist_3_joint",
 )
-_J7, _J6, _J6_BENT = (f"j2{kind}300_joint_" for kind in ("s7s", "s6s", "n6s"))
+_JACO7, _JACO6, _JACO6_BENT = (
+    (_numbered(f"j2{kind}300_joint_", int(kind[1])),) for kind in ("s7s", "s6s", "n6s")
+)
+_PANDA, _GEN3, _XARM = ((_numbered(name, 7),) for name in ("panda_joint", "joint_", "joint"))
 _LWR_AXES = ("a1", "a2", "e1", "a3", "a4", "a5", "a6")
 _LWR = (tuple(f"lwr_{axis}_joint" for axis in _LWR_AXES), _numbered("lwr_arm_", 7, "_joint", 0))
 _XARM_DOUBT = "what moves weighs 8.2 to 11.8 kg by its make, 10.4 kg here; record a tare"
-_FR3_DOUBT = "its links' masses are the Panda's, as its makers' first description had them"
-_LWR_DOUBT = (
-    "its links' masses are round figures that nobody measured: without a tare the answer can be "
-    "wrong by a kilogram"
-)
 
 _ARMS = (
-    KnownArm(
-        DEFAULT,
-        "Kinova Jaco, 7 joints, with a Robotiq 85",
-        "tool_mount",
-        _ROBOTIQ_TOOL,
-        (_numbered(_J7, 7),),
-    ),
-    KnownArm(
-        "jaco7",
-        "Kinova Jaco, 7 joints, with its own hand",
-        "j2s7s300_end_effector",
-        _JACO_TOOL.format(7),
-        (_numbered(_J7, 7),),
-    ),
+    KnownArm(DEFAULT, "Kinova Jaco, 7 joints, with a Robotiq 85", "tool_mount", _JACO7),
+    KnownArm("jaco7", "Kinova Jaco, 7 joints, with its own hand", "j2s7s300_end_effector", _JACO7),
     KnownArm(
         "jaco6",
         "Kinova Jaco, 6 joints, spherical wrist, with its own hand",
         "j2s6s300_end_effector",
-        _JACO_TOOL.format(6),
-        (_numbered(_J6, 6),),
+        _JACO6,
     ),
     KnownArm(
         "jaco6-robotiq85",
         "Kinova Jaco, 6 joints, spherical wrist, with a Robotiq 85",
         "tool_mount",
-        _ROBOTIQ_TOOL,
-        (_numbered(_J6, 6),),
+        _JACO6,
     ),
     KnownArm(
         "jaco6-bent",
         "Kinova Jaco, 6 joints, bent wrist, with its own hand",
         "j2n6s300_end_effector",
-        _JACO_TOOL.format(6),
-        (_numbered(_J6_BENT, 6),),
+        _JACO6_BENT,
     ),
-    KnownArm("ur5e", "Universal Robots UR5e", "tool0", _FLANGE, (_UR,), is_said_by_names=False),
-    KnownArm("ur10e", "Universal Robots UR10e", "tool0", _FLANGE, (_UR,), is_said_by_names=False),
-    KnownArm(
-        "panda",
-        "Franka Emika Panda, with its hand",
-        "panda_hand_tcp",
-        "between the fingertips, z along the hand",
-        (_numbered("panda_joint", 7),),
-    ),
-    KnownArm(
-        "panda-bare", "Franka Emika Panda", "panda_link8", _FLANGE, (_numbered("panda_joint", 7),)
-    ),
+    KnownArm("ur5e", "Universal Robots UR5e", "tool0", (_UR,), is_said_by_names=False),
+    KnownArm("ur10e", "Universal Robots UR10e", "tool0", (_UR,), is_said_by_names=False),
+    KnownArm("panda", "Franka Emika Panda, with its hand", "panda_hand_tcp", _PANDA),
+    KnownArm("panda-bare", "Franka Emika Panda", "panda_link8", _PANDA),
     KnownArm(
         "fr3",
         "Franka Research 3, with its hand",
         "fr3_hand_tcp",
-        "between the fingertips, z along the hand",
         (_numbered("fr3_joint", 7),),
-        doubt=_FR3_DOUBT,
+        doubt="its links' masses are the Panda's, as its makers' first description had them",
     ),
-    KnownArm("lwr", "KUKA LWR 4+", "lwr_arm_ee_link", _FLANGE, _LWR, doubt=_LWR_DOUBT),
     KnownArm(
-        "gen3",
-        "Kinova Gen3, 7 joints",
-        "end_effector_link",
-        _FLANGE,
-        (_numbered("joint_", 7),),
-        is_said_by_names=False,
+        "lwr",
+        "KUKA LWR 4+",
+        "lwr_arm_ee_link",
+        _LWR,
+        doubt="its links' masses are round figures that nobody measured: without a tare the answer "
+        "can be wrong by a kilogram",
     ),
+    KnownArm("gen3", "Kinova Gen3, 7 joints", "end_effector_link", _GEN3, is_said_by_names=False),
     KnownArm(
         "gen3-robotiq85",
         "Kinova Gen3, 7 joints, with a Robotiq 85",
         "tool_mount",
-        _ROBOTIQ_TOOL,
-        (_numbered("joint_", 7),),
+        _GEN3,
         is_said_by_names=False,
     ),
     KnownArm(
-        "xarm7",
-        "UFACTORY xArm 7",
-        "link_eef",
-        _FLANGE,
-        (_numbered("joint", 7),),
-        is_said_by_names=False,
-        doubt=_XARM_DOUBT,
+        "xarm7", "UFACTORY xArm 7", "link_eef", _XARM, is_said_by_names=False, doubt=_XARM_DOUBT
     ),
     KnownArm(
         "xarm7-gripper",
         "UFACTORY xArm 7, with its gripper",
         "link_tcp",
-        "between the fingertips, z along the gripper",
-        (_numbered("joint", 7),),
+        _XARM,
         is_said_by_names=False,
         doubt=_XARM_DOUBT,
     ),

@@ -26,14 +26,14 @@ from tunenet_logs.writing.owned_path import OutputPlace, begins_with
 
 # An hour at 50 Hz, more joints and turns than an arm has: beyond it, a file is no path.
 _MAX_ROWS, _MAX_COLUMNS, _MAX_RAD, _MAX_S = 200_000, 100, 1000.0, 3600.0
-_MAX_CHARACTERS = 10_000  # of a line: a file without line ends must not fill the memory
 
 
 def read_path_file(file: Path) -> tuple[tuple[str, ...], Array, Array]:
     """Read joint names (J), times [s], shape (T,), and positions [rad], shape (T, J)."""
     try:
         with open_regular_text(file, "utf-8-sig", newline="") as stream:
-            lines = iter(lambda: stream.readline(_MAX_CHARACTERS), "")
+            # A file without line ends must not fill the memory.
+            lines = iter(lambda: stream.readline(10_000), "")
             return _read(file, csv.reader(lines))
     except OSError as error:
         raise UsageError(f"{file}: {error.strerror}; a path is a CSV with time_s first") from error
@@ -111,10 +111,6 @@ def write_path_file(
 CIRCLE_CSV = Path(__file__).with_name("circle.csv")
 # The paper's: (-0.4, 0.2 cos(1.2 t), 0.2 sin(1.2 t)) m, here 0.3 m over the arm's base.
 CIRCLE_RAD_S = 1.2
-
-# Fastest joint of a random motion, which is for real arms; and the fraction of that or of a joint's
-# own limit that it reaches: a driver refuses a path that is at its limits.
-_MAX_SPEED_RAD_S, _SPEED_FRACTION = 1.0, 0.7
 
 _FREE_RAD = math.pi  # a joint without limits stays within one turn, as cables allow
 _MAX_TRIES = 2000  # draws after which an arm is said to leave no room; they take some seconds
@@ -200,11 +196,6 @@ def link_poses(arm: Arm, position_rad: ArrayLike) -> LinkPoses:
     return LinkPoses(np.stack(origins, axis=1), np.stack(rotations, axis=1))
 
 
-def link_positions_m(arm: Arm, position_rad: ArrayLike) -> Array:
-    """Compute origins of base, links and tool in the base frame, shape (T, J + 2, 3)."""
-    return link_poses(arm, position_rad).position_m
-
-
 def sample_times(rate_hz: float, seconds: float) -> Array:
     """Return times from 0 at a uniform rate that fit before `seconds`, shape (T,) [s]."""
     return np.arange(max(round(seconds * rate_hz), 2)) / rate_hz
@@ -259,7 +250,8 @@ def _waves(arm: Arm, rng: np.random.Generator, times: Array) -> JointPath | None
         phase = np.multiply.outer(times, rad_s) + rng.uniform(0.0, 2 * np.pi, 3)
         position, velocity = np.sin(phase) @ amplitudes, np.cos(phase) @ (amplitudes * rad_s)
         acceleration = -np.sin(phase) @ (amplitudes * rad_s**2)
-        fastest = min(joint.max_velocity_rad_s, _MAX_SPEED_RAD_S) * _SPEED_FRACTION
+        # For real arms, of 1 rad/s at most: a driver refuses a path that is at its limits.
+        fastest = min(joint.max_velocity_rad_s, 1.0) * 0.7
         scale = rng.uniform(0.5, 1.0) * fastest / np.abs(velocity).max()
         low, high = joint.limits_rad
         low, high = max(low, -_FREE_RAD), min(high, max(low, -_FREE_RAD) + 2 * _FREE_RAD)
@@ -273,7 +265,7 @@ def _waves(arm: Arm, rng: np.random.Generator, times: Array) -> JointPath | None
 
 def _is_clear(arm: Arm, position_rad: Array) -> bool:
     """Return whether the arm's outer half stays above the base plane and out of its column."""
-    outer_m = link_positions_m(arm, position_rad)[:, -1 - len(arm.joints) // 2 :]
+    outer_m = link_poses(arm, position_rad).position_m[:, -1 - len(arm.joints) // 2 :]
     beside_m = np.hypot(outer_m[..., 0], outer_m[..., 1])
     reach_m = sum(math.hypot(*joint.origin_m) for joint in arm.joints)
     return bool(outer_m[..., 2].min() > 0.05 * reach_m and beside_m.min() > 0.1 * reach_m)

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal
+from tunenet_logs.episode import Array, Episode, EpisodeInfo, Signal, median_step
 from tunenet_logs.errors import UsageError
 from tunenet_logs.recorders.simulators.arm.description import Arm, Payload
 from tunenet_logs.recorders.simulators.arm.path import JointPath
@@ -23,15 +23,6 @@ from tunenet_logs.recorders.simulators.base import UPRIGHT_GRAVITY_M_S2, Paramet
 from tunenet_logs.recorders.simulators.known import engine
 
 # ---- Disturbances: between ideal torques and a driver's messages
-
-_NEVER_NEGATIVE = (
-    "torque_noise_nm",
-    "lag_s",
-    "jitter_s",
-    "position_noise_rad",
-    "position_step_rad",
-    "velocity_noise_rad_s",
-)
 
 
 @dataclass(frozen=True)
@@ -82,18 +73,17 @@ class Disturbances:
                 continue
             if not np.all(np.abs(values.astype(np.float64)) <= 1e6):  # more counts as infinite
                 raise UsageError(f"{item.name} {getattr(self, item.name)} is not finite")
-        for name in _NEVER_NEGATIVE:
-            if getattr(self, name) < 0:
-                raise UsageError(f"{name} {getattr(self, name):g} is below 0")
+        for item in fields(self):  # all single ones are deviations, delays or steps
+            value = getattr(self, item.name)
+            if item.default == 0.0 and item.name != "noise_seed" and value < 0:
+                raise UsageError(f"{item.name} {value:g} is below 0")
         if self.rate_hz is not None and not 1 <= self.rate_hz <= 20_000:
             raise UsageError(f"rate_hz {self.rate_hz:g} is not from 1 to 20000")
 
     @property
     def lead_s(self) -> float:
         """Duration of the path that precedes the first message [s]."""
-        clock = self.clock
-        slowest_hz = min(clock.position_hz, clock.velocity_hz, clock.effort_hz)
-        return self.lag_s + 1 / slowest_hz + 4 * self.jitter_s
+        return self.lag_s + 1 / min(astuple(self.clock)) + 4 * self.jitter_s
 
     def another_run(self) -> Disturbances:
         """Copy with the noise redrawn, as for another run of the same arm (tare)."""
@@ -108,9 +98,7 @@ class Disturbances:
                 continue
             words[item.name] = ", ".join(f"{number:.6g}" for number in np.ravel(value).tolist())
         if self.clock != FieldClock():
-            clock = self.clock
-            rates_hz = (clock.position_hz, clock.velocity_hz, clock.effort_hz)
-            words["fields_hz"] = ", ".join(f"{rate_hz:g}" for rate_hz in rates_hz)
+            words["fields_hz"] = ", ".join(f"{rate_hz:g}" for rate_hz in astuple(self.clock))
         return words
 
 
@@ -171,11 +159,6 @@ def through_kinovas_driver(disturbances: Disturbances, rate_hz: float = 65.0) ->
         position_step_rad=1e-4,
         velocity_noise_rad_s=0.01,
     )
-
-
-def real_driver(seed: int, arm: Arm, rate_hz: float = 65.0) -> Disturbances:
-    """Draw all disturbances of a real driver."""
-    return through_kinovas_driver(drawn(seed, arm), rate_hz)
 
 
 # ---- Inverse dynamics: joint torques along a path
@@ -247,6 +230,7 @@ PAYLOAD_MASS = Parameter(
 )
 
 
+@dataclass(eq=False)
 class PayloadSimulator:
     """Torques along a path by inverse dynamics.
 
@@ -254,21 +238,16 @@ class PayloadSimulator:
     serve all masses.
     """
 
+    arm: Arm
+    path: JointPath
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity_m_s2: tuple[float, float, float] = UPRIGHT_GRAVITY_M_S2
     parameters = (PAYLOAD_MASS,)
 
-    def __init__(
-        self,
-        arm: Arm,
-        path: JointPath,
-        com_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        gravity_m_s2: tuple[float, float, float] = UPRIGHT_GRAVITY_M_S2,
-    ) -> None:
-        self.arm = arm
-        self.path = path.checked(arm)
-        self.com_m = com_m
-        self.gravity_m_s2 = gravity_m_s2
+    def __post_init__(self) -> None:
+        self.path.checked(self.arm)
         self.engine = engine().name
-        self.step_hz = 1 / float(np.median(np.diff(path.seconds)))
+        self.step_hz = 1 / median_step(self.path.seconds)
 
     @cached_property
     def empty_efforts_nm(self) -> Array:
@@ -283,8 +262,8 @@ class PayloadSimulator:
         return loaded - self.empty_efforts_nm
 
     def efforts_nm(self, mass_kg: float) -> Array:
-        """Compute the torques with a payload [N·m], shape (T, J)."""
-        return self.empty_efforts_nm + PAYLOAD_MASS.checked(mass_kg) * self.efforts_nm_per_kg
+        """Torques that a mass takes [N·m], shape (T, J)."""
+        return self.empty_efforts_nm + mass_kg * self.efforts_nm_per_kg
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
         """Move with `values["payload_mass"]`; see `Simulator.rollout`."""
@@ -293,26 +272,19 @@ class PayloadSimulator:
         return Episode(info, joint_signals(self.arm, self.path, self.efforts_nm(payload.mass_kg)))
 
 
+@dataclass(eq=False)
 class PayloadRollout:
     """Motor torques of a rollout in the engine, as the paper's authors made them."""
 
+    arm: Arm
+    path: JointPath  # at `settings.times()`
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the payload, in the tool frame
+    settings: RolloutSettings = CALIBRATED  # of engine and motors
+    keep_every: int = 4  # decimation of the steps: 4 makes 60 Hz of 240
     parameters = (PAYLOAD_MASS,)
 
-    def __init__(
-        self,
-        arm: Arm,
-        path: JointPath,
-        com_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        settings: RolloutSettings = CALIBRATED,
-        keep_every: int = 4,
-    ) -> None:
-        self.arm = arm
-        self.path = path  # at `settings.times()`
-        self.com_m = com_m  # the payload's centre of mass in the tool frame
-        self.settings = settings  # of engine and motors
-        self.keep_every = keep_every  # decimation of the steps: 4 makes 60 Hz of 240
-        self.engine = engine().name
-        self.step_hz = settings.step_hz
+    def __post_init__(self) -> None:
+        self.engine, self.step_hz = engine().name, self.settings.step_hz
 
     def rollout(self, values: Mapping[str, float]) -> Episode:
         """Move with `values["payload_mass"]`; see `Simulator.rollout`."""

@@ -21,22 +21,13 @@ from numpy.typing import NDArray
 
 from tunenet_logs.formats.sandbox import limit
 
-MEMORY_BYTES, MAX_MEMORY_BYTES = 400_000_000, 3_000_000_000  # beyond what the libraries have
-MEMORY_PER_BYTE = 16  # of the model's files: what compiling an honest mesh takes
+MEMORY_BYTES = 400_000_000  # beyond what the libraries have
 
 # CPU time: of reading and compiling; and of the next few steps, less than 0.2 s as a rule.
 COMPILING_S, PIECE_S = 10, 5
 
-MAX_ROLLOUT_S = 60.0  # CPU time of one rollout, foreseen from its first `JUDGED_S`
-JUDGED_S = 5.0
-
-MAX_DOF, MAX_BODIES, MAX_GEOMS, MAX_OTHERS = 200, 2000, 10_000, 2000
-MAX_MODEL_MB, MAX_MODEL_MB_PER_MB = 30, 12  # compiled; and of each MB of its files
-MAX_WORKING_MB = 300  # <size memory>, of which each rollout takes as much as its contacts need
-
-_MAX_THREADS, _STACK_BYTES = 16, 2 << 20
-# Pieces of a rollout, from which its end can be foreseen: first and usual length, and most memory.
-_FIRST_STEPS, _PIECE_S, _PIECE_BYTES = 16, 0.1, 4_000_000
+MAX_ROLLOUT_S = 60.0  # CPU time of one rollout, foreseen from its first 5 s
+_MAX_MODEL_MB = 30  # compiled
 
 # A row to roll out: values of the model's arrays by name, qpos, qvel, and its control's index.
 Row = tuple[Sequence[tuple[str, Any]], NDArray[Any], NDArray[Any], int]
@@ -69,19 +60,6 @@ def packed(rows: Sequence[Row], controls: Sequence[Any]) -> tuple[list[Any], Arr
     return words, arrays
 
 
-def _unpacked(words: Sequence[Any], arrays: Arrays) -> tuple[list[Row], list[NDArray[Any]]]:
-    rows: list[Row] = [
-        (
-            [(name, arrays[f"{number} {name}"]) for name in names],
-            arrays[f"{number} qpos"],
-            arrays[f"{number} qvel"],
-            control,
-        )
-        for number, (names, control) in enumerate(words)
-    ]
-    return rows, [one for name, one in arrays.items() if name.startswith("control ")]
-
-
 def compile_model(models: Sequence[str], arrays: Arrays) -> Iterator[tuple[Any, Arrays]]:
     """Compile a model of its XML ("") and files, describe it, and step it once."""
     mujoco: Any = import_module("mujoco")
@@ -90,7 +68,7 @@ def compile_model(models: Sequence[str], arrays: Arrays) -> Iterator[tuple[Any, 
     xml = texts.pop("").decode()
     files = {name: texts[name] for name in texts if name not in models}
     file_bytes = sum(map(len, files.values()))
-    limit(min(MEMORY_BYTES + MEMORY_PER_BYTE * file_bytes, MAX_MEMORY_BYTES))
+    limit(min(MEMORY_BYTES + 16 * file_bytes, 3_000_000_000))  # what an honest mesh takes
     include = {name: texts[name] for name in models}
     model = mujoco.MjSpec.from_string(xml, include=include, assets=files).compile()
     found = _described(mujoco, model, file_bytes)
@@ -118,13 +96,17 @@ def run(
     """
     mujoco: Any = import_module("mujoco")
     (model,) = _loaded
-    rows, controls = _unpacked(words, arrays)
+    controls = [one for name, one in arrays.items() if name.startswith("control ")]
+    rows: list[Row] = []
+    for number, (names, control) in enumerate(words):
+        values = [(name, arrays[f"{number} {name}"]) for name in names]
+        rows.append((values, arrays[f"{number} qpos"], arrays[f"{number} qvel"], control))
     steps = settings["steps"]
     limit(cpu_s=PIECE_S)
     sensed = np.empty((len(rows), steps, model.nsensordata))
     qpos = np.empty((len(rows) if wants_qpos else 0, steps + 1, model.nq))
     each_bytes = mujoco.mj_sizeModel(model) + model.narena + mujoco.MjData(model).nbuffer
-    count = int(np.clip(MEMORY_BYTES // each_bytes, 1, _MAX_THREADS))
+    count = int(np.clip(MEMORY_BYTES // each_bytes, 1, 16))
     count = min(count, os.cpu_count() or 1, len(rows))
     limit(2 * MEMORY_BYTES)
 
@@ -139,7 +121,7 @@ def run(
     if count == 1:
         done = [one(place) for place in range(len(rows))]
     else:
-        threading.stack_size(_STACK_BYTES)
+        threading.stack_size(2 << 20)
         with ThreadPoolExecutor(count) as pool:
             done = list(pool.map(one, range(len(rows))))
     kept, why = zip(*done, strict=True)
@@ -179,7 +161,7 @@ def _rolled(
     step_s: float,
     is_late: bool,
     columns: Sequence[int],
-    judged_s: float = JUDGED_S,
+    judged_s: float = 5.0,
 ) -> tuple[int, str]:
     """Roll out one row; return its steps, and the MuJoCo warning or error that stopped it."""
     rollout = import_module("mujoco.rollout")
@@ -194,9 +176,10 @@ def _rolled(
         qpos[0] = state[1 : 1 + nq]
     driven = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
     width = len(state) + model.nu + model.nv + model.nsensordata
-    most = max(_PIECE_BYTES // (8 * width), 1)
+    most = max(4_000_000 // (8 * width), 1)  # bytes of a piece
     roller, warmstart = rollout.Rollout(nthread=0), np.zeros(model.nv)
-    done, count, why = 0, _FIRST_STEPS, ""
+    # In pieces from which its end can be foreseen: of 16 steps first, then of .1 s.
+    done, count, why = 0, 16, ""
     while done < steps and not why:
         count = min(count, steps - done, most)
         block = np.zeros((1, count, model.nu + model.nv))
@@ -218,13 +201,18 @@ def _rolled(
             mujoco.mj_resetData(model, data)
             count = most = 1
             continue
-        count *= 1 + (time.monotonic() - piece_s < _PIECE_S)
-        good = _good_steps(reached[0, :, 0], done, step_s)
+        count *= 1 + (time.monotonic() - piece_s < 0.1)
+        # The steps before time stops advancing: after a warning, all times are one.
+        expected_s = step_s * np.arange(done + 1, done + len(block[0]) + 1)
+        is_good = np.isclose(reached[0, :, 0], expected_s, rtol=0, atol=step_s / 2)
+        good = len(is_good) if is_good.all() else int(np.argmin(is_good))
         sensed[done : done + good] = seen[0, :good]
         if qpos is not None:
             qpos[done + 1 : done + good + 1] = reached[0, :good, 1 : 1 + nq]
         done += good
-        why = _warnings(mujoco, data) or ("time" if good < len(block[0]) else "")
+        kinds = [one for one in mujoco.mjtWarning.__members__.values() if one.name != "mjNWARNING"]
+        why = ", ".join(one.name for one in kinds if data.warning[int(one)].number)
+        why = why or ("time" if good < len(block[0]) else "")
         state, warmstart = reached[0, -1], data.qacc_warmstart.copy()
         _foresee(time.thread_time() - began_s, done, steps, judged_s)
     return done, why
@@ -250,35 +238,26 @@ def put_array(model: Any, name: str, value: Any) -> None:
         setattr(owner, name, float(value))
 
 
-def _good_steps(times_s: Any, done: int, step_s: float) -> int:
-    """Count the steps before time stops advancing: after a warning, all times are one."""
-    expected_s = step_s * np.arange(done + 1, done + len(times_s) + 1)
-    good = np.isclose(times_s, expected_s, rtol=0, atol=step_s / 2)
-    return len(times_s) if good.all() else int(np.argmin(good))
-
-
-def _warnings(mujoco: Any, data: Any) -> str:
-    """Return the names of MuJoCo's warnings in the last piece."""
-    kinds = [one for one in mujoco.mjtWarning.__members__.values() if one.name != "mjNWARNING"]
-    return ", ".join(one.name for one in kinds if data.warning[int(one)].number)
-
-
 def _described(mujoco: Any, model: Any, file_bytes: int) -> dict[str, Any]:
     """Describe what exceeds the bounds, non-finite arrays, and the time step [s]."""
-    most_mb = MAX_MODEL_MB + MAX_MODEL_MB_PER_MB * file_bytes // 1_000_000
+    others = 2000
     bounds = {
-        "degrees of freedom": (int(model.nv), MAX_DOF),
-        "bodies": (int(model.nbody), MAX_BODIES),
-        "geoms": (int(model.ngeom), MAX_GEOMS),
-        "actuators": (int(model.nu), MAX_OTHERS),
-        "tendons": (int(model.ntendon), MAX_OTHERS),
-        "equality constraints": (int(model.neq), MAX_OTHERS),
-        "MB of working memory": (int(model.narena) // 1_000_000, MAX_WORKING_MB),
-        "MB when compiled": (int(mujoco.mj_sizeModel(model)) // 1_000_000, most_mb),
+        "degrees of freedom": (int(model.nv), 200),
+        "bodies": (int(model.nbody), 2000),
+        "geoms": (int(model.ngeom), 10_000),
+        "actuators": (int(model.nu), others),
+        "tendons": (int(model.ntendon), others),
+        "equality constraints": (int(model.neq), others),
+        # <size memory>, of which each rollout takes as much as its contacts need.
+        "MB of working memory": (int(model.narena) // 1_000_000, 300),
+        "MB when compiled": (
+            int(mujoco.mj_sizeModel(model)) // 1_000_000,
+            _MAX_MODEL_MB + 12 * file_bytes // 1_000_000,
+        ),
     }
     if all(count <= most for count, most in bounds.values()):
         state_mb = int(mujoco.MjData(model).nbuffer) // 1_000_000
-        bounds["MB of state"] = (state_mb, MAX_MODEL_MB)
+        bounds["MB of state"] = (state_mb, _MAX_MODEL_MB)
     arrays = {name: getattr(model, name) for name in dir(model) if name[0] != "_"}
     arrays |= {f"option {name}": getattr(model.opt, name) for name in dir(model.opt)}
     return {
@@ -290,11 +269,9 @@ def _described(mujoco: Any, model: Any, file_bytes: int) -> dict[str, Any]:
         "infinite": [
             name
             for name, array in arrays.items()
-            if isinstance(array, np.ndarray | float) and not _is_finite(np.asarray(array))
+            if isinstance(array, np.ndarray | float)
+            and np.asarray(array).dtype.kind == "f"
+            and not np.isfinite(array).all()
         ],
         "timestep_s": float(model.opt.timestep),
     }
-
-
-def _is_finite(array: np.ndarray[Any, Any]) -> bool:
-    return array.dtype.kind != "f" or bool(np.isfinite(array).all())

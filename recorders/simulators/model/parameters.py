@@ -26,7 +26,6 @@ from tunenet_logs.terminal import listed, short_name
 
 Limits = tuple[float, float]
 
-_MAX_VALUE = 1e9
 _MIN_VALUE = 1e-9  # where the sign selects a law: 0 belongs to neither
 
 
@@ -43,10 +42,6 @@ class ModelField:
     usual: Limits | None = None  # search range, if it holds the value; else a fifth to 5 times it
     within: Mapping[int, Limits] = field(default_factory=dict[int, Limits])  # bounds by index
     laws: tuple[tuple[str, str], ...] = ()  # by index: what it is above 0, and below
-
-    def bounds(self, index: int) -> Limits:
-        """Return the bounds of the value at an index."""
-        return self.within.get(index, (max(self.least, -_MAX_VALUE), _MAX_VALUE))
 
 
 _NO_BOUND = -math.inf
@@ -121,7 +116,7 @@ _NO_RANGE = re.compile(r".+\.[a-z_]+(\[\d+\])?\s*=[^/\]]*", re.DOTALL)
 _MAX_NAMES = 8  # names that an error lists
 
 # Joint types, mjJNT_FREE and mjJNT_BALL, whose position is not one number.
-_MANY_SIDED = (0, 1)
+MANY_SIDED = (0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +139,12 @@ def model_parameters(model: Any, wanted: Iterable[str]) -> tuple[ModelParameter,
     for one in found:
         if one.field == "solref":
             # Check that a solref keeps one law: MuJoCo takes mixed signs for its default.
-            tuned = one
-            owner, address = tuned.owner, tuned.parameter.name
-            number = 1 - int(address[-2])
-            partner = f"{owner}.solref[{number}]"
-            known = {one.parameter.name: one.parameter.initial for one in found}
-            value = known.get(partner, float(model.geom(owner.partition("/")[2]).solref[number]))
-            if (value > 0) != (tuned.parameter.initial > 0):
+            address, number = one.parameter.name, 1 - int(one.parameter.name[-2])
+            partner = f"{one.owner}.solref[{number}]"
+            known = {other.parameter.name: other.parameter.initial for other in found}
+            of_model = float(model.geom(one.owner.partition("/")[2]).solref[number])
+            value = known.get(partner, of_model)
+            if (value > 0) != (one.parameter.initial > 0):
                 raise UsageError(
                     f"--tune {short_name(address)}: {short_name(partner)} is {value:g}, and MuJoCo "
                     "ignores a solref of two signs",
@@ -208,7 +202,7 @@ def _parameter(
     text: str, match: re.Match[str], address: str, field: ModelField, index: int, now: float
 ) -> Parameter:
     """Make the parameter with the user's range, else one about the value `now`."""
-    least, most = field.bounds(index)
+    least, most = field.within.get(index, (max(field.least, -1e9), 1e9))
     what = f"--tune {short_name(text)}"
     if match["low"] is None and field.usual and field.usual[0] <= now <= field.usual[1]:
         low, high = field.usual
@@ -273,16 +267,8 @@ def _number(model: Any, kind: str, name: str | None, text: str) -> int:
 
 def element_names(model: Any, kind: str) -> list[str]:
     """Return the names of all elements of a kind, by index; "" where unnamed."""
-    counts = {
-        "joint": "njnt",
-        "body": "nbody",
-        "geom": "ngeom",
-        "site": "nsite",
-        "actuator": "nu",
-        "tendon": "ntendon",
-    }
-    accessor = getattr(model, kind)
-    return [accessor(number).name for number in range(getattr(model, counts[kind]))]
+    count = getattr(model, {"joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}"))
+    return [getattr(model, kind)(number).name for number in range(count)]
 
 
 _Access = tuple[Callable[[Any], float], Callable[[Any, float], None]]  # a getter and a setter
@@ -347,7 +333,7 @@ def _check_matters(model: Any, kind: str, field_name: str, number: int, text: st
         why, remedy = "that body cannot move", "name one with a joint, or of one with a joint"
     elif kind == "geom" and not (model.geom_contype[number] or model.geom_conaffinity[number]):
         why, remedy = "that geom touches nothing", "name one with a contype or a conaffinity"
-    elif field_name == "springref" and model.jnt_type[number] in _MANY_SIDED:
+    elif field_name == "springref" and model.jnt_type[number] in MANY_SIDED:
         why, remedy = "that joint has no single position", "name one that slides or turns"
     elif field_name in ("kp", "kv"):
         _, on_position, on_speed = model.actuator_biasprm[number, :3]

@@ -11,7 +11,6 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -38,8 +37,6 @@ from tunenet_logs.terminal import one_line, short_name
 
 _MAX_COPIES = 100_000  # elements of a model after <replicate> and <flexcomp>
 _MAX_VALUES = 100_000  # of each counter in <size>: user values and keyframes
-_OLD_SIZES = ("njmax", "nconmax", "nstack")  # of the working memory
-_CODE_TAGS = ("plugin", "extension")
 _NAMES = ("name", "class", "childclass", "prefix")
 _NOT_FINITE = re.compile(r"nan|inf|e\+?\d{3}", re.IGNORECASE)
 
@@ -51,7 +48,7 @@ def check_elements(root: ET.Element, path: Path) -> None:
     while stack:
         element, copies = stack.pop()
         tag = element.tag.lower()
-        if tag in _CODE_TAGS:
+        if tag in ("plugin", "extension"):
             raise UsageError(
                 f"{path}: has a <{tag}>, and plugins run code of others, which is never done here",
                 "remove it, and what it does",
@@ -78,16 +75,6 @@ def check_elements(root: ET.Element, path: Path) -> None:
         stack += [(inner, own) for inner in element]
 
 
-def make_plain(texture: ET.Element) -> None:
-    """Replace a texture's files by one colour: physics sees none."""
-    files = [value for key, value in texture.attrib.items() if key.startswith("file")]
-    if files:
-        said, kept = dict(texture.attrib), {"name", "type", "class"} & texture.attrib.keys()
-        texture.attrib.clear()
-        texture.attrib |= {"name": file_stem(files[0])} | {key: said[key] for key in kept}
-        texture.attrib |= {"builtin": "flat", "width": "1", "height": "1"}
-
-
 def file_stem(reference: str) -> str:
     """Return MuJoCo's name for an element that has a file and no name."""
     return PureWindowsPath(reference).stem
@@ -97,99 +84,6 @@ def _number(text: str) -> float | None:
     with suppress(ValueError):
         return float(text)
     return None
-
-
-# ---- Files: only from the model's own folder, bounded in size and number
-
-# Of a mesh or height field, of all files together, and of all XML.
-_MAX_FILE_BYTES, _MAX_ALL_BYTES, _MAX_ALL_XML_BYTES = 64_000_000, 256_000_000, 16_000_000
-
-_MAX_FILES = 2000
-_SCHEME = re.compile(r"(package|model|file)://+(.*)", re.DOTALL)
-
-
-class ModelFolder:
-    """A reader of a model's files that opens none outside its folder or its package."""
-
-    def __init__(self, path: Path, home: Path | None) -> None:
-        self.named = path
-        self.path = real_path(path)  # the model's file, links resolved
-        self.folder = self.path.parent  # its folder
-        parents = [self.folder, *self.folder.parents][:32]  # where its package is sought
-        package = next((one for one in parents if (one / "package.xml").is_file()), self.folder)
-        self._homes = [self.folder, package, *([real_path(home)] if home else [])]
-        self._parents = parents
-        self._bytes = self._xml_bytes = self._files = 0
-
-    def names(self, tag: str, reference: str) -> str:
-        """Begin an error message on a file that `<tag>` names."""
-        return f'{self.named}: <{tag}> names "{short_name(reference)}", which'
-
-    def find(self, references: Sequence[str], places: Sequence[Path], tag: str) -> Path:
-        """Resolve a file that `<tag>` names to its real path."""
-        is_outside = False
-        for reference in references:
-            for candidate in self._candidates(reference, places):
-                real = real_path(candidate)
-                if not any(real.is_relative_to(home) for home in self._homes):
-                    is_outside = True
-                else:
-                    with suppress(OSError, ValueError):
-                        real.stat()
-                        return real
-        named = self.names(tag, references[0])
-        if is_outside:
-            raise UsageError(
-                f"{named} is outside the model's folder {short_name(self.folder)}",
-                "copy it there, with the model",
-            )
-        raise UsageError(f"{named} is not there", "copy it beside the model, or correct the name")
-
-    def read(self, path: Path, named: str, *, is_xml: bool = False) -> bytes:
-        """Read a file that `find` returned, with tighter limits for XML."""
-        try:
-            data = read_small_file(path, MAX_XML_BYTES if is_xml else _MAX_FILE_BYTES)
-        except LogError as error:
-            raise UsageError(f"{named} is no regular file", "copy it to one") from error
-        except OSError as error:
-            raise UsageError(f"{named} cannot be read ({error.strerror})", CHECK_DISK) from error
-        except ValueError as error:
-            raise UsageError(f"{named} {error}", "make it smaller") from error
-        self._files += 1
-        self._bytes += len(data)
-        self._xml_bytes += len(data) if is_xml else 0
-        if self._files > _MAX_FILES:
-            raise UsageError(f"{self.named}: names over {_MAX_FILES} files", "remove some")
-        if self._bytes > _MAX_ALL_BYTES or self._xml_bytes > _MAX_ALL_XML_BYTES:
-            limit = "256 MB" if self._bytes > _MAX_ALL_BYTES else "16 MB of XML"
-            raise UsageError(f"{self.named}: its files have over {limit}", "make meshes smaller")
-        return data
-
-    def _candidates(self, reference: str, places: Sequence[Path]) -> Iterator[Path]:
-        scheme = _SCHEME.fullmatch(reference)
-        if scheme is None:
-            yield from (place / _posix(reference) for place in places)
-            return
-        if scheme[1] == "file":
-            yield Path("/") / _posix(scheme[2])
-            return
-        # A package file's candidates, from the model's folder up to the package's.
-        package, _, inner = scheme[2].partition("/")
-        rest, names = _posix(inner), [one.name for one in self._parents]
-        if package in names:
-            inside = self._parents[: names.index(package) + 1]
-            folder = inside[-1]
-            if len(folder.parts) > 2 and not real_path(Path.home()).is_relative_to(folder):
-                if folder not in self._homes:
-                    self._homes.append(folder)
-                yield from (parent / rest for parent in reversed(inside))
-        for home in self._homes:
-            yield home / package / rest
-            yield home / rest
-
-
-def _posix(reference: str) -> PurePosixPath:
-    return PurePosixPath(reference.replace("\\", "/"))
 
 
 # ---- Process: compiles and runs a model; limited in memory and time, and its crashes stay there
@@ -217,15 +111,6 @@ _FEWER = (
 )
 
 
-@dataclass(frozen=True)
-class ModelText:
-    """A model as passed to MuJoCo, with all its files by name."""
-
-    xml: str  # the model's
-    models: dict[str, bytes] = field(default_factory=dict[str, bytes])  # XML of attached models
-    files: dict[str, bytes] = field(default_factory=dict[str, bytes])  # meshes and height fields
-
-
 class ModelProcess:
     """A sandbox that compiles and runs a model.
 
@@ -244,17 +129,18 @@ class ModelProcess:
         )
         self._loaded: Any = None
 
-    def check_compiles(self, text: ModelText) -> None:
-        """Compile a model, and step it once.
+    def check_compiles(
+        self, xml: str, models: Mapping[str, bytes], files: Mapping[str, bytes]
+    ) -> None:
+        """Compile a model of its XML, that of attached models and other files, and step it once.
 
-        Raises:
-            UsageError: MuJoCo does not compile it within 10 s and 400 MB, more with large files, or
-                it exceeds the size limits.
+        UsageError where MuJoCo does not compile it within 10 s and 400 MB, more with large files,
+        or it exceeds the size limits.
         """
         path = self.path
-        files = {"": text.xml.encode(), **text.models, **text.files}
-        arrays = {name: np.frombuffer(data, np.uint8) for name, data in files.items()}
-        found, _ = self._ask(child.compile_model, list(text.models), arrays=arrays)
+        every = {"": xml.encode(), **models, **files}
+        arrays = {name: np.frombuffer(data, np.uint8) for name, data in every.items()}
+        found, _ = self._ask(child.compile_model, list(models), arrays=arrays)
         if found["beyond"]:
             raise UsageError(
                 f"{path}: has {found['beyond'][0]}", "keep what moved, and remove the rest"
@@ -284,12 +170,8 @@ class ModelProcess:
     ) -> tuple[list[int], list[str], dict[str, Array]]:
         """Roll out a compiled model; see `child`.
 
-        Returns:
-            Of each rollout, the number of steps, and what stopped it early: "" or MuJoCo's name of
-            it; and arrays of all.
-
-        Raises:
-            LogError: one of them takes too much time or memory, or crashes.
+        Returns the number of steps of each rollout, what stopped it early ("" or MuJoCo's name of
+        it), and arrays of all. LogError where one takes too much time or memory, or crashes.
         """
         words, arrays = child.packed(rows, controls)
         settings["columns"] = [int(one) for one in columns]
@@ -350,7 +232,7 @@ def _refused(path: Path, said: str) -> UsageError:
     )
 
 
-# ---- Model: its XML with all includes, and its files renamed to be passed to MuJoCo
+# ---- Model: its XML with all includes, and its files, bounded and renamed to be passed to MuJoCo
 
 _WANTED = "--model takes a MuJoCo model (MJCF) or a URDF"
 _KIND = "MuJoCo model or URDF"
@@ -358,33 +240,109 @@ _KIND = "MuJoCo model or URDF"
 _MAX_DEPTH = 16  # files that include or attach each other
 _WITH_FILE = ("mesh", "flexcomp", "hfield", "skin")
 _MESHES = (".stl", ".obj", ".msh")
+# Of a mesh or height field, of all files together, and of all XML.
+_MAX_FILE_BYTES, _MAX_ALL_BYTES, _MAX_ALL_XML_BYTES = 64_000_000, 256_000_000, 16_000_000
+
+_MAX_FILES = 2000
+_SCHEME = re.compile(r"(package|model|file)://+(.*)", re.DOTALL)
 
 
 def read_model(path: Path, home: Path | None = None, process: ModelProcess | None = None) -> Any:
     """Read a model, ready to compile; textures are plain, a URDF's visual shapes left out."""
-    folder = ModelFolder(path, home)
-    reader = _ModelReader(folder)
-    data = folder.read(folder.path, f"{path}:", is_xml=True)
-    text = ModelText(reader.prepared(folder.path, data, ()), reader.models, reader.files)
-    (process or ModelProcess(path)).check_compiles(text)
+    reader = _ModelReader(path, home)
+    xml = reader.prepared(reader.path, reader.read(reader.path, f"{path}:", is_xml=True), ())
+    (process or ModelProcess(path)).check_compiles(xml, reader.models, reader.files)
     try:
-        return mujoco().MjSpec.from_string(text.xml, include=text.models, assets=text.files)
+        return mujoco().MjSpec.from_string(xml, include=reader.models, assets=reader.files)
     except (ValueError, RuntimeError) as error:  # it was read a moment ago
         raise UsageError(f"{path}: MuJoCo does not read it", "try it again") from error
 
 
 class _ModelReader:
-    """Gathers the files of a model, and renames them in its XML."""
+    """Reads a model's files, none outside its folder or package, and renames them in its XML."""
 
-    def __init__(self, folder: ModelFolder) -> None:
-        self.folder = folder
-        self.models: dict[str, bytes] = {}
-        self.files: dict[str, bytes] = {}
+    def __init__(self, path: Path, home: Path | None) -> None:
+        self.named = path
+        self.path = real_path(path)  # the model's file, links resolved
+        self.folder = self.path.parent  # its folder
+        parents = [self.folder, *self.folder.parents][:32]  # where its package is sought
+        package = next((one for one in parents if (one / "package.xml").is_file()), self.folder)
+        self._homes = [self.folder, package, *([real_path(home)] if home else [])]
+        self._parents = parents
+        self._bytes = self._xml_bytes = self._count = 0
+        self.models: dict[str, bytes] = {}  # XML of attached models, by their new names
+        self.files: dict[str, bytes] = {}  # meshes and height fields
         self._names: dict[Path, str] = {}
+
+    def names(self, tag: str, reference: str) -> str:
+        """Begin an error message on a file that `<tag>` names."""
+        return f'{self.named}: <{tag}> names "{short_name(reference)}", which'
+
+    def find(self, references: Sequence[str], places: Sequence[Path], tag: str) -> Path:
+        """Resolve a file that `<tag>` names to its real path."""
+        is_outside = False
+        for reference in references:
+            for candidate in self._candidates(reference, places):
+                real = real_path(candidate)
+                if not any(real.is_relative_to(home) for home in self._homes):
+                    is_outside = True
+                else:
+                    with suppress(OSError, ValueError):
+                        real.stat()
+                        return real
+        named = self.names(tag, references[0])
+        if is_outside:
+            raise UsageError(
+                f"{named} is outside the model's folder {short_name(self.folder)}",
+                "copy it there, with the model",
+            )
+        raise UsageError(f"{named} is not there", "copy it beside the model, or correct the name")
+
+    def read(self, path: Path, named: str, *, is_xml: bool = False) -> bytes:
+        """Read a file that `find` returned, with tighter limits for XML."""
+        try:
+            data = read_small_file(path, MAX_XML_BYTES if is_xml else _MAX_FILE_BYTES)
+        except LogError as error:
+            raise UsageError(f"{named} is no regular file", "copy it to one") from error
+        except OSError as error:
+            raise UsageError(f"{named} cannot be read ({error.strerror})", CHECK_DISK) from error
+        except ValueError as error:
+            raise UsageError(f"{named} {error}", "make it smaller") from error
+        self._count += 1
+        self._bytes += len(data)
+        self._xml_bytes += len(data) if is_xml else 0
+        if self._count > _MAX_FILES:
+            raise UsageError(f"{self.named}: names over {_MAX_FILES} files", "remove some")
+        if self._bytes > _MAX_ALL_BYTES or self._xml_bytes > _MAX_ALL_XML_BYTES:
+            limit = "256 MB" if self._bytes > _MAX_ALL_BYTES else "16 MB of XML"
+            raise UsageError(f"{self.named}: its files have over {limit}", "make meshes smaller")
+        return data
+
+    def _candidates(self, reference: str, places: Sequence[Path]) -> Iterator[Path]:
+        scheme = _SCHEME.fullmatch(reference)
+        if scheme is None:
+            yield from (place / _posix(reference) for place in places)
+            return
+        if scheme[1] == "file":
+            yield Path("/") / _posix(scheme[2])
+            return
+        # A package file's candidates, from the model's folder up to the package's.
+        package, _, inner = scheme[2].partition("/")
+        rest, names = _posix(inner), [one.name for one in self._parents]
+        if package in names:
+            inside = self._parents[: names.index(package) + 1]
+            folder = inside[-1]
+            if len(folder.parts) > 2 and not real_path(Path.home()).is_relative_to(folder):
+                if folder not in self._homes:
+                    self._homes.append(folder)
+                yield from (parent / rest for parent in reversed(inside))
+        for home in self._homes:
+            yield home / package / rest
+            yield home / rest
 
     def prepared(self, path: Path, data: bytes, above: tuple[Path, ...]) -> str:
         """Return a model's XML, includes resolved; `above` are the models that attach it."""
-        named = path if above else self.folder.named
+        named = path if above else self.named
         root = parse_xml(data, named, _KIND, _WANTED)
         if root.tag.startswith("{"):  # without its XML namespace
             space = root.tag[: root.tag.index("}") + 1]
@@ -407,7 +365,8 @@ class _ModelReader:
         check_elements(root, named)
         # Some legacy sizes of the working memory take GBs: a thousand contacts fit in 100 MB.
         for size in root.iter("size"):
-            old = [size.attrib.pop(key) for key in _OLD_SIZES if key in size.attrib]
+            sizes = ("njmax", "nconmax", "nstack")
+            old = [size.attrib.pop(key) for key in sizes if key in size.attrib]
             if old:
                 size.attrib.setdefault("memory", "100M")
         self._gather(root, folders, (*above, path))
@@ -418,15 +377,15 @@ class _ModelReader:
         for parent in list(root.iter()):
             for found in [one for one in parent if one.tag.lower() == "include"]:
                 reference = found.get("file", "")
-                path = self.folder.find([reference], folders, "include")
+                path = self.find([reference], folders, "include")
                 if path in seen or depth >= _MAX_DEPTH:
                     why = "twice, or in itself" if path in seen else f"over {_MAX_DEPTH} deep"
                     raise UsageError(
-                        f"{self.folder.named}: includes {short_name(reference)} {why}",
+                        f"{self.named}: includes {short_name(reference)} {why}",
                         "include each file once",
                     )
                 seen.add(path)
-                data = self.folder.read(path, self.folder.names("include", reference), is_xml=True)
+                data = self.read(path, self.names("include", reference), is_xml=True)
                 part = parse_xml(data, path, _KIND, "include the XML of a MuJoCo model")
                 if part.tag not in ("mujoco", "mujocoinclude"):
                     raise UsageError(
@@ -454,19 +413,23 @@ class _ModelReader:
         for element in root.iter():
             tag, reference = element.tag, element.get(key)
             if tag == "texture":
-                make_plain(element)
+                # One colour in place of its files: physics sees none.
+                if files := [value for name, value in element.items() if name.startswith("file")]:
+                    kept = {"name", "type", "class"} & element.attrib.keys()
+                    said = {name: element.attrib[name] for name in kept}
+                    element.attrib.clear()
+                    element.attrib |= {"name": file_stem(files[0])} | said
+                    element.attrib |= {"builtin": "flat", "width": "1", "height": "1"}
             elif tag == "model" and reference is not None:
-                path = self.folder.find([reference], folders, "model")
+                path = self.find([reference], folders, "model")
                 if path in above or len(above) >= _MAX_DEPTH:
                     why = "itself" if path in above else f"models over {_MAX_DEPTH} deep"
                     raise UsageError(
-                        f"{self.folder.named}: attaches {why} by {short_name(reference)}",
+                        f"{self.named}: attaches {why} by {short_name(reference)}",
                         "attach another model",
                     )
                 if path not in self._names:
-                    data = self.folder.read(
-                        path, self.folder.names("model", reference), is_xml=True
-                    )
+                    data = self.read(path, self.names("model", reference), is_xml=True)
                     xml = self.prepared(path, data, above).encode()
                     self.models[self._new_name(path)] = xml
                 element.set(key, self._names[path])
@@ -482,21 +445,21 @@ class _ModelReader:
             for name, value in element.attrib.items():
                 if name.lower().startswith("file") and value not in self._names.values():
                     raise UsageError(
-                        f"{self.folder.named}: <{short_name(tag)} {short_name(name)}=...> names a "
+                        f"{self.named}: <{short_name(tag)} {short_name(name)}=...> names a "
                         "file, which MuJoCo reads in no such element",
                         "remove it",
                     )
 
     def _file(self, tag: str, references: list[str], places: list[Path]) -> str:
-        path = self.folder.find(references, places, tag)
+        path = self.find(references, places, tag)
         if tag == "mesh" and path.suffix.lower() not in _MESHES:
             raise UsageError(
-                f"{self.folder.names(tag, references[0])} cannot be a mesh; MuJoCo reads "
+                f"{self.names(tag, references[0])} cannot be a mesh; MuJoCo reads "
                 f"{', '.join(_MESHES)}",
                 "convert it to .obj",
             )
         if path not in self._names:
-            data = self.folder.read(path, self.folder.names(tag, references[0]))
+            data = self.read(path, self.names(tag, references[0]))
             self.files[self._new_name(path)] = data
         return self._names[path]
 
@@ -509,3 +472,7 @@ class _ModelReader:
             name = f"{stem}-{len(taken)}{path.suffix.lower()}"
         self._names[path] = name
         return name
+
+
+def _posix(reference: str) -> PurePosixPath:
+    return PurePosixPath(reference.replace("\\", "/"))

@@ -38,8 +38,6 @@ Kind = Literal[
     "torque",
 ]
 
-_TYPES = {"jointactuatorfrc": "mjSENS_JOINTACTFRC"}  # sensors that MuJoCo names otherwise
-
 
 class Sensor(NamedTuple):
     """One column of a signal as a sensor in the model."""
@@ -72,21 +70,20 @@ def put_sensors(spec: Any, sensors: Sequence[Sensor]) -> None:
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     for number, one in enumerate(sensors):
-        name, is_frame = one.name, one.kind.startswith("frame")
+        name = one.name
         if one.is_at_body:
             name = f"seen at {number}"
             spec.body(one.name).add_site(name=name)
+        # MuJoCo names one kind otherwise.
+        kind = "JOINTACTFRC" if one.kind == "jointactuatorfrc" else one.kind.upper()
         sensor = spec.add_sensor(
-            name=f"seen {number}",
-            type=getattr(mujoco().mjtSensor, _TYPES.get(one.kind, f"mjSENS_{one.kind.upper()}")),
-            objname=name,
+            name=f"seen {number}", type=getattr(mujoco().mjtSensor, f"mjSENS_{kind}"), objname=name
         )
-        if is_frame:
+        sensor.objtype = kinds.mjOBJ_JOINT
+        if one.kind.startswith("frame"):
             sensor.objtype = kinds.mjOBJ_XBODY
         elif one.kind in ("force", "torque"):
             sensor.objtype = kinds.mjOBJ_SITE
-        else:
-            sensor.objtype = kinds.mjOBJ_JOINT
         if one.reference:
             sensor.reftype, sensor.refname = kinds.mjOBJ_XBODY, one.reference
 
@@ -253,12 +250,11 @@ class ModelScene:
         if length < radius:
             return [ball]
         thin = _BONE * length / 4
-        # A rotation that turns z into a unit direction, shape (3, 3).
-        direction = away / length
+        # Turned so that z is the unit direction.
         quaternion = np.empty(4)
-        mujoco().mju_quatZ2Vec(quaternion, direction)
-        turn = _rotation(quaternion)
-        rod = Shape("capsule", body, begin + away / 2, turn, np.array([thin, thin, length / 2]))
+        mujoco().mju_quatZ2Vec(quaternion, away / length)
+        turn, half = _rotation(quaternion), np.array([thin, thin, length / 2])
+        rod = Shape("capsule", body, begin + away / 2, turn, half)
         return [ball, rod]
 
 
@@ -274,16 +270,6 @@ def _rotation(quaternion: Array) -> Array:
 MAX_STEPS = 300_000  # of one rollout: five minutes at 1 ms
 STOPPED = "stopped"  # in a rollout's notes: what stopped it before its end; "" where nothing did
 _MEMORY_IS_FULL = "its working memory is full"
-# By the begin of MuJoCo's names of what stops a rollout; any other is of memory.
-_STOPS = {
-    "mjWARN_INERTIA": "a mass or inertia is next to nothing",
-    "mjWARN_BAD": "it moves beyond all bounds",
-    "time": "it stops",
-}
-
-# Integrators that step speeds first, then positions with them: their speeds are those of half a
-# step before, to second order.
-_LATE_BY_HALF_A_STEP = ("mjINT_EULER", "mjINT_IMPLICIT", "mjINT_IMPLICITFAST")
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,10 +350,9 @@ class ModelSimulator:
         for first in range(0, len(values), count):
             batch = values[first : first + count]
             kept, why, arrays = self._rolled(batch)
-            found += [
-                self._episode(seen, row, _stop_in_words(stop, steps * self._step_s))
-                for seen, row, steps, stop in zip(arrays["sensed"], batch, kept, why, strict=True)
-            ]
+            for seen, row, steps, stop in zip(arrays["sensed"], batch, kept, why, strict=True):
+                words = _stop_in_words(stop, steps * self._step_s)
+                found.append(self._episode(seen, row, words))
         return found
 
     def coordinates(self, values: Array) -> tuple[Array, Array]:
@@ -391,9 +376,8 @@ class ModelSimulator:
     @cached_property
     def _distinct(self) -> list[Sensor]:
         """Each vector sensor once."""
-        return list(
-            dict.fromkeys(sensor.whole for sensed in self.sensed for sensor in sensed.sensors)
-        )
+        every = (sensor.whole for sensed in self.sensed for sensor in sensed.sensors)
+        return list(dict.fromkeys(every))
 
     @cached_property
     def _steps(self) -> int:
@@ -471,8 +455,11 @@ class ModelSimulator:
 
     @property
     def _is_late(self) -> bool:
+        # Integrators that step speeds first, then positions with them: their speeds are those of
+        # half a step before, to second order.
+        late = ("mjINT_EULER", "mjINT_IMPLICIT", "mjINT_IMPLICITFAST")
         kinds = mujoco().mjtIntegrator
-        return self._model.opt.integrator in [getattr(kinds, one) for one in _LATE_BY_HALF_A_STEP]
+        return self._model.opt.integrator in [getattr(kinds, one) for one in late]
 
     def _episode(self, seen: Array, row: Array, stopped: str) -> Episode:
         """Resample sensor values, shape (steps, S), as the log's signals."""
@@ -487,10 +474,8 @@ class ModelSimulator:
                 track = sensor.sign * seen[:, self._model.sensor_adr[number] + sensor.axis]
                 late_s = step_s / 2 if sensor.kind == "jointvel" and self._is_late else 0.0
                 values[:, place] = np.interp(wanted_s, at_s - late_s, track, right=np.nan)
-            signal = sensed.signal
-            signals[signal.name] = Signal(
-                signal.name, signal.stamps_ns, values, sensed.columns, signal.unit
-            )
+            name, stamps_ns, unit = sensed.signal.name, sensed.signal.stamps_ns, sensed.signal.unit
+            signals[name] = Signal(name, stamps_ns, values, sensed.columns, unit)
         names = [one.name for one in self.parameters]
         truth = dict(zip(names, map(float, row), strict=True))
         info = EpisodeInfo(source=self.engine, truth=truth, notes={STOPPED: stopped})
@@ -511,7 +496,12 @@ def _stop_in_words(stop: str, at_s: float) -> str:
     """Describe why a rollout stopped; "" where it did not."""
     if not stop:
         return ""
-    words = (said for begin, said in _STOPS.items() if stop.startswith(begin))
-    what = next(words, _MEMORY_IS_FULL)
+    # By the begin of MuJoCo's names of what stops a rollout; any other is of memory.
+    stops = {
+        "mjWARN_INERTIA": "a mass or inertia is next to nothing",
+        "mjWARN_BAD": "it moves beyond all bounds",
+        "time": "it stops",
+    }
+    what = next((said for begin, said in stops.items() if stop.startswith(begin)), _MEMORY_IS_FULL)
     rest = ", and MuJoCo leaves contacts out" if what == _MEMORY_IS_FULL else ""
     return f"{what} after {at_s:.3g} s of the rollout{rest}"

@@ -269,7 +269,7 @@ def test_a_report_and_its_figures(tmp_path: Path):
     assert "dull.mcap" in page.read_text()
     assert figures
     assert all(figure.suffix == ".png" for figure in figures)
-    with pytest.raises(tn.LogError, match=r"of bouncy\.mcap, not of dull\.mcap"):
+    with pytest.raises(tn.UsageError, match=r"of bouncy\.mcap, not of dull\.mcap"):
         tn.report(tmp_path / "dull.json", page)
     table = tn.compare([tmp_path / "dull.json", tmp_path / "bouncy.json"]).to_frame()
     values = table[table.parameter == "restitution"].set_index("log").value

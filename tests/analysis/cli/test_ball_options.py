@@ -20,7 +20,7 @@ def options(*words: str) -> TuneOptions:
 
 
 def told(*words: str) -> Ball:
-    return options(*words).told_ball
+    return options(*words).given_ball
 
 
 def doubts(*words: str) -> tuple[str, ...]:

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 
 from tests.analysis.drop.test_review import contents, verified
 from tunenet_logs.analysis.drop.review.views import (
-    bounce_view,
     film_positions,
+    log_bounces,
     model_path,
     review_data,
 )
@@ -121,10 +122,11 @@ def test_the_chart_of_the_bounces_stays_on_any_timeline(filmed: Tuning, tmp_path
 
 
 def test_the_chart_shows_no_more_than_is_known(filmed: Tuning, tmp_path: Path):
-    named = bounce_view(review_data(with_rebounds(filmed))).name
+    nowhere = rr.RecordingStream("tunenet test of bounces")
+    named = log_bounces(nowhere, review_data(with_rebounds(filmed))).name
     assert named == "restitution by impact speed [m/s], bars: 95 %"
     tuning = doubted(with_rebounds(filmed, (None, None, None)))
-    assert bounce_view(review_data(tuning)).name == "restitution by bounce"
+    assert log_bounces(nowhere, review_data(tuning)).name == "restitution by bounce"
     write_review(tuning, record_of(tuning), tmp_path / "b.rrd")
     verified(tmp_path / "b.rrd")
     assert "/sheets/convergence/interval" not in contents(tmp_path / "b.rrd")

@@ -184,7 +184,7 @@ def test_a_rhythm_is_named():
         "a tempo that grows evenly": np.cumsum(1 / (1.5 + 0.8 * steps)),
     }
     for name, times_s in rhythms.items():
-        assert best_rhythm(times_s, steps, 0.0).name == name
+        assert best_rhythm(times_s, steps, 0.0)[0] == name
     ball = heard_ball(impacts(9), DropSetup())
     assert ball is not None
     assert ball.rhythm[1] > np.log(1000.0)

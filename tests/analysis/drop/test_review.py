@@ -165,7 +165,7 @@ def test_the_papers_rollouts_lie_over_the_observed_curve_too(tmp_path: Path):
     path = record(tmp_path / "a.mcap", preset="paper", restitution=0.55, height_m=4.0)
     data = review_data(tune_log(path, TuneOptions(preset="paper-code")))
     off = data.residuals[-1].heights_m
-    falling = data.observed.seconds < data.impact_s
+    falling = data.observed.seconds < data.impacts_s[0]
     assert np.abs(off[falling]).max() < 0.05
     assert np.sqrt(np.mean(off**2)) < 0.1
 
@@ -183,7 +183,7 @@ def test_a_film_lies_under_its_balls_on_the_logs_time(filmed: Tuning, tmp_path: 
 def test_the_simulated_balls_are_projected_onto_the_observed_one(filmed: Tuning):
     film, data = filmed.detection.film, review_data(filmed)
     observed = film.track.places_px[film.used]
-    late = film.drop.seconds > data.impact_s + 0.1
+    late = film.drop.seconds > data.impacts_s[0] + 0.1
 
     def rms_px(k: int) -> float:
         curve = data.simulated[k]

@@ -15,11 +15,10 @@ import pytest
 from tests.analysis.export.tunings import ball_tuning
 from tests.conftest import Command
 from tests.engines import needs_pybullet
-from tunenet_logs.analysis.export import pybullet
 from tunenet_logs.analysis.export.exported import ExportedBall, ExportOptions, exported
 from tunenet_logs.analysis.export.files import checked, effective_restitutions
-from tunenet_logs.analysis.export.pybullet import dropped
 from tunenet_logs.analysis.export.registry import export_format
+from tunenet_logs.analysis.export.templated import PYBULLET
 from tunenet_logs.analysis.record import read_record
 from tunenet_logs.recorders.simulators.ball import Bounce
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
@@ -51,7 +50,7 @@ def test_pybullet_bounces_as_it_was_tuned(export: Command, tmp_path: Path, resti
     assert export(tuning, "--to", "pybullet").returncode == 0
     for height_m in (0.3, 0.57, 0.94, 1.43, 2.0):
         seconds = np.sqrt(2 * height_m / 9.8) * (1.1 + 2 * restitution)
-        _, heights_m = dropped(tmp_path / "a.pybullet.py", height_m, float(seconds))
+        _, heights_m = PYBULLET.dropped(tmp_path / "a.pybullet.py", height_m, float(seconds))
         (first, *_) = effective_restitutions(heights_m) or (0.0,)
         assert first == pytest.approx(restitution, abs=0.01)
 
@@ -120,7 +119,7 @@ def ball_of(tuning: Path) -> ExportedBall:
 
 def test_an_engine_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     ball = ball_of(ball_tuning(tmp_path / "a.json"))
-    monkeypatch.setattr(pybullet, "LIBRARY", "no_such_library")
+    monkeypatch.setattr(PYBULLET, "LIBRARY", "no_such_library")
     said = checked(export_format("pybullet"), tmp_path / "a.py", ball)
     assert said == "pybullet is not installed"
     assert "nothing here runs" in str(checked(export_format("urdf"), tmp_path / "a.urdf", ball))

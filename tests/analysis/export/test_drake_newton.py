@@ -13,10 +13,11 @@ from scipy.integrate import solve_ivp
 from tests.analysis.export.test_values import COM_M, MASS_KG, MOMENT_KG_M2, constants
 from tests.analysis.export.tunings import ball_tuning, payload_tuning
 from tests.conftest import Command
-from tunenet_logs.analysis.export import drake, newton
+from tunenet_logs.analysis.export import drake
 from tunenet_logs.analysis.export.drake import MIN_RESTITUTION, dissipation, restitution
 from tunenet_logs.analysis.export.files import effective_restitutions
 from tunenet_logs.analysis.export.registry import usual_suffix
+from tunenet_logs.analysis.export.templated import NEWTON
 from tunenet_logs.recorders.simulators.base import GRAVITY_M_S2
 
 DRAKE = "{http://drake.mit.edu}"
@@ -99,7 +100,7 @@ def test_a_step_is_refused_for_drake(command: Command, tmp_path: Path):
 
 def test_newtons_file_has_the_tuned_numbers(exported, tmp_path: Path):
     words = ("--radius", 0.03, "--mass", 0.05, "--step", 0.002)
-    found = constants(exported(newton, ball_tuning(tmp_path / "a.json", 0.7, height_m=2.0), *words))
+    found = constants(exported(NEWTON, ball_tuning(tmp_path / "a.json", 0.7, height_m=2.0), *words))
     assert (found["RESTITUTION"], found["RADIUS_M"], found["MASS_KG"]) == (0.7, 0.03, 0.05)
     assert found["MOMENT_KG_M2"] == pytest.approx(0.4 * 0.05 * 0.03**2)
     assert found["DROP_HEIGHT_M"] == pytest.approx(2.0)
@@ -107,7 +108,7 @@ def test_newtons_file_has_the_tuned_numbers(exported, tmp_path: Path):
 
 
 def test_newtons_payload(exported, tmp_path: Path):
-    found = constants(exported(newton, payload_tuning(tmp_path / "a.json", MASS_KG, COM_M)))
+    found = constants(exported(NEWTON, payload_tuning(tmp_path / "a.json", MASS_KG, COM_M)))
     assert (found["MASS_KG"], found["COM_M"]) == (MASS_KG, COM_M)
     moment = pytest.approx(MOMENT_KG_M2)
     assert np.array(found["INERTIA_KG_M2"]).reshape(3, 3).diagonal().tolist() == [moment] * 3
@@ -119,7 +120,7 @@ def test_drakes_payload_is_gazebos(exported, tmp_path: Path):
 
 
 @pytest.mark.parametrize("restitution_set", [0.3, 0.9])
-@pytest.mark.parametrize(("engine", "tolerance"), [(drake, 0.003), (newton, 0.01)])
+@pytest.mark.parametrize(("engine", "tolerance"), [(drake, 0.003), (NEWTON, 0.01)])
 def test_the_engine_bounces_as_its_file_says(
     exported, tmp_path: Path, engine, tolerance: float, restitution_set: float
 ):

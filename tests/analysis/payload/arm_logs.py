@@ -11,7 +11,12 @@ from tunenet_logs.analysis.payload.torque_model import ArmMotion, arm_motion
 from tunenet_logs.episode import Episode, Signal
 from tunenet_logs.recorders.simulators.arm.description import Payload, jaco
 from tunenet_logs.recorders.simulators.arm.path import circle, random_path
-from tunenet_logs.recorders.simulators.arm.payload import Disturbances, driver_episode, real_driver
+from tunenet_logs.recorders.simulators.arm.payload import (
+    Disturbances,
+    drawn,
+    driver_episode,
+    through_kinovas_driver,
+)
 
 ARM = jaco()
 CLEAN = Disturbances(rate_hz=60.0)
@@ -33,7 +38,7 @@ def motion_of(episode: Episode) -> ArmMotion:
 
 
 def driver(seed: int, rate_hz: float = 65.0) -> Disturbances:
-    return real_driver(seed, ARM, rate_hz)
+    return through_kinovas_driver(drawn(seed, ARM), rate_hz)
 
 
 def changed(episode: Episode, **fields) -> Episode:

@@ -155,7 +155,7 @@ def test_small_corrections_between_long_rests_are_no_motion():
     place[700:] += 3e-3
     found = new_samples(seconds, place)
     assert found.repeated == 0
-    assert len(found.rows) == len(seconds)
+    assert len(found.seconds) == len(seconds)
 
 
 def test_angles_that_are_cut_to_a_turn_rest_too():
@@ -163,4 +163,4 @@ def test_angles_that_are_cut_to_a_turn_rest_too():
     place = np.where(seconds < 4, seconds, np.maximum(seconds - 2, 4.0))[:, None] * [1.0, -2.0]
     found = new_samples(seconds, np.mod(place, 2 * np.pi))
     assert found.repeated == 0
-    assert len(found.rows) == len(seconds)
+    assert len(found.seconds) == len(seconds)

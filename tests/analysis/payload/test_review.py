@@ -20,7 +20,7 @@ from tunenet_logs.analysis.review.tuning import write_review
 from tunenet_logs.analysis.tuning import tune_episode, tune_log
 from tunenet_logs.episode import Array
 from tunenet_logs.recorders.simulated import PayloadOrder, simulate_payload
-from tunenet_logs.recorders.simulators.arm.path import link_positions_m
+from tunenet_logs.recorders.simulators.arm.path import link_poses
 
 SLIDER = TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')
 ONE_JOINT = TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="fixed"')
@@ -82,7 +82,7 @@ def test_the_fit_explains_what_the_rigid_arm_does_not(tuned: Tuning):
     assert data.fitted is not None
     rigid, fitted = (
         np.sqrt(np.mean((one.effort_nm - data.observed_nm) ** 2))
-        for one in (data.result, data.fitted)
+        for one in (data.simulated[-1], data.fitted)
     )
     assert fitted < 0.25
     assert rigid > 1.5 * fitted
@@ -100,7 +100,7 @@ def test_the_arm_is_where_it_was_measured(tuned: Tuning, review: Path):
     at = np.column_stack(
         [np.interp(times, found.path.seconds, q) for q in found.path.position_rad.T]
     )
-    assert tool_m[:, 0] == pytest.approx(link_positions_m(found.arm, at)[:, -1], abs=1e-5)
+    assert tool_m[:, 0] == pytest.approx(link_poses(found.arm, at).position_m[:, -1], abs=1e-5)
     entities = contents(review)
     for number in range(1, 8):
         assert entities[f"/scene/arm/link_{number}"] == {"static", "log_time_s"}

@@ -181,6 +181,7 @@ def test_constants_that_do_not_fit_the_joints_are_counted(held: Episode, count: 
         (("--gravity", "on"), "--gravity"),
         (("--effort-sign", "-1"), "--effort-sign"),
         (("--tare", "x.mcap", "--tare", "./x.mcap"), "named twice; name each empty run once"),
+        (("--tare", "x.mcap", "y.mcap"), "--tare takes one LOG, and y.mcap was not expected"),
     ],
 )
 def test_what_cannot_be_stated_is_one_line(command: Command, words, says: str):

@@ -152,7 +152,7 @@ def test_many_columns_have_a_tab_of_their_own_and_a_bound(tmp_path: Path):
     options = TuneOptions(source=GivenSimulator(simulator))
     tuning = tune_episode(simulator.recorded(), options)
     data = simulator_review_data(tuning)
-    assert (len(data.main), len(data.others), data.left_out) == (4, 12, 3)
+    assert (len(data.main), len(data.columns), data.left_out) == (4, 16, 3)
     varying = [one.observed.std() / one.noise for one in data.columns]
     assert varying == sorted(varying, reverse=True)
     review = reviewed(tuning, tmp_path)

@@ -50,16 +50,12 @@ _MISSED_OF = 20  # of so many faults, one may be missed
 
 @dataclass(frozen=True)
 class Run:
-    """Result of one run of pytest.
+    """Result of one run of pytest."""
 
-    Attributes:
-        failed: the first test that failed, or the file that could not be imported; "" if none.
-        trouble: why the run says nothing of the tests; "" if it does.
-    """
-
+    # The first test that failed, or the file that could not be imported; "" if none.
     failed: str = ""
     hangs: bool = False
-    trouble: str = ""
+    trouble: str = ""  # why the run says nothing of the tests; "" if it does
 
     @property
     def is_quiet(self) -> bool:

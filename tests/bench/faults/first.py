@@ -1,4 +1,4 @@
-"""Twenty faults as a careless engineer makes them.
+"""List twenty faults as a careless engineer makes them.
 
 They were chosen from the source alone, before any test was looked at: six where values are fitted,
 five where logs are read, five where they are written, four where a verdict is passed. Of these the
@@ -72,8 +72,8 @@ READERS = (
     Fault(
         "a single missing message of a .db3 bag is not told",
         "tunenet_logs/formats/rosbag2.py",
-        "if last > seen and len(self._losses) == before:",
-        "if last > seen + 1 and len(self._losses) == before:",
+        "if last > seen and",
+        "if last > seen + 1 and",
         ("tests/tunenet_logs/test_ros2_db3.py",),
     ),
     Fault(
@@ -103,21 +103,17 @@ WRITERS = (
     Fault(
         "a full disk gives up the whole summary before the index of chunks",
         "tunenet_logs/writing/writer.py",
-        "            record + ending(at, crc32, index, has_chunk_index=False),\n"
-        "            record + bare_ending(crc32),\n",
-        "            record + bare_ending(crc32),\n"
-        "            record + ending(at, crc32, index, has_chunk_index=False),\n",
+        "            record + self._ending(record, index, has_chunk_index=False),\n"
+        "            record + bare_ending(zlib.crc32(record, self._file.crc32)),\n",
+        "            record + bare_ending(zlib.crc32(record, self._file.crc32)),\n"
+        "            record + self._ending(record, index, has_chunk_index=False),\n",
         ("tests/tunenet_logs/test_mcap_output.py",),
     ),
     Fault(
         "a recovered message has receipt and acquisition swapped",
         "tunenet_logs/copying.py",
-        "            message.log_ns,\n"
-        "            bytes(message.data),\n"
-        "            message.publish_ns,\n",
-        "            message.publish_ns,\n"
-        "            bytes(message.data),\n"
-        "            message.log_ns,\n",
+        "data, log_ns, publish_ns = bytes(record.data), record.log_ns, record.publish_ns",
+        "data, log_ns, publish_ns = bytes(record.data), record.publish_ns, record.log_ns",
         ("tests/tunenet_logs/test_recovery.py",),
     ),
     Fault(

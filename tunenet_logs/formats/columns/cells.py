@@ -12,12 +12,12 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from decimal import Decimal
 from itertools import islice, pairwise, takewhile
-from math import isfinite
+from math import isfinite, isnan, nan
 from pathlib import Path
 from statistics import median
 from typing import Any, TextIO
@@ -35,7 +35,6 @@ SEPARATORS = ("\t", ";", ",", None)  # in the order in which they are tried; Non
 MAX_LINE = 1024**2  # characters; a row of 5000 columns of 20 digits is a tenth of that
 _MAX_TABLE_BYTES = 512 * 1024**2  # its cells are read one by one, in Python
 _LOOK_BYTES = 65_536  # of a file, which tell whether it is text, and its encoding
-_MAX_FOREIGN = 0.3  # share of bytes beyond ASCII in CP1252 text; images and sound have more
 _NUMBER = re.compile(r"[-+]?(?:[0-9]++(?:[.,][0-9]++)?|[.,][0-9]++)(?:[eE][-+]?[0-9]+)?")
 # How encodings begin that mark themselves; spreadsheets write UTF-16 as "Unicode text".
 _MARKS = (
@@ -78,16 +77,12 @@ def encoding_of(start: bytes) -> str | None:
         if not is_cut:
             is_utf8 = not start.decode("utf-8", "ignore").isascii()
             text = "utf-8-sig" if is_utf8 else "cp1252"
-            return text if others < _MAX_FOREIGN * len(start) else None
+            return text if others < 0.3 * len(start) else None  # images and sound have more
     return "utf-8-sig"
 
 
 def text_encoding(path: Path) -> str:
-    """Detect the encoding of a file to be read as text in any case.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Detect the encoding of a file to be read as text in any case."""
     with open_regular(path) as file:
         return encoding_of(file.read(_LOOK_BYTES)) or "utf-8-sig"
 
@@ -100,11 +95,7 @@ def is_text(start: bytes, suffix: str) -> bool:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file has a table's suffix, and is text.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Return whether a file has a table's suffix, and is text."""
     if path.suffix.lower() not in SUFFIXES:
         return False
     with open_regular(path) as file:
@@ -123,12 +114,7 @@ def _is_row(line: str) -> bool:
 
 
 def lines_of(path: Path) -> Iterator[str | None]:
-    """Yield the lines without their ends; None for one that is too long for any table.
-
-    Raises:
-        LogError: the file is too large, or has too many lines.
-        OSError: it cannot be read.
-    """
+    """Yield the lines without their ends; None for one that is too long for any table."""
     size = path.stat().st_size
     if size > _MAX_TABLE_BYTES:
         raise LogError(f"{path}: is a table of {size} bytes, over the limit of 512 MiB; split it")
@@ -170,8 +156,6 @@ def cells_of(line: str, separator: str | None) -> list[str]:
 # ---- Parse rows of numbers in blocks: a gigabyte is read in bounded memory.
 
 MAX_COLUMNS = 5000  # of a file of tracks: more than a thousand markers
-_MAX_EXPORT_BYTES = 1024**3
-_BLOCK_CHARACTERS = 4 * 1024**2  # parsed at once
 # Where rows of numbers end and the next section begins.
 _WORDS = re.compile(r'^[ \t,;"]*[A-Za-z]', re.MULTILINE)
 # How cells are written where nothing was seen, in small letters too.
@@ -179,21 +163,31 @@ _UNSEEN = ("", "-", "nan", "Nan", "NAN", "-nan", "null", "none")
 _FORMAT_LOOK_ROWS = 20  # that show how numbers are written
 
 
-@dataclass(frozen=True)
-class NumberFormat:
-    """Number format of a file's rows."""
-
-    separator: str  # between cells
-    decimal: str = "."  # "." or ","
-
-
 class LineReader:
     """Buffered reader of lines or of blocks of lines, in bounded memory."""
 
-    def __init__(self, file: TextIO) -> None:
+    def __init__(self, file: TextIO, path: Path, what: str) -> None:
+        self.path = path
+        self._what = what
         self._file = file
         self._ahead = ""
         self._at = 0
+
+    def refusal(self, why: str) -> LogError:
+        """Return the error of a header with some fault."""
+        return LogError(f"{self.path}: is {self._what} with {why}", EXPORT_AGAIN)
+
+    def cells(self, line: str, separator: str) -> list[str]:
+        """Split a header line into stripped cells."""
+        count = line.count(separator)
+        cells = (
+            [] if count > 2 * MAX_COLUMNS else [one.strip() for one in cells_of(line, separator)]
+        )
+        while cells and not cells[-1]:
+            cells.pop()
+        if count > 2 * MAX_COLUMNS or len(cells) > MAX_COLUMNS:
+            raise self.refusal(f"{len(cells) or count} columns, over the limit of {MAX_COLUMNS}")
+        return cells
 
     def line(self) -> str | None:
         """Read a line without its end, cut where it is too long for a table; None at the end."""
@@ -218,55 +212,29 @@ class LineReader:
 
     def _fill(self) -> None:
         if self._at >= len(self._ahead):
-            self._ahead, self._at = self._file.read(_BLOCK_CHARACTERS), 0
+            self._ahead, self._at = self._file.read(4 * 1024**2), 0
             if self._ahead and not self._ahead.endswith("\n"):
                 self._ahead += self._file.readline(MAX_LINE)
 
 
 @contextmanager
-def open_lines(path: Path) -> Iterator[LineReader]:
-    """Open a text file as lines.
-
-    Raises:
-        LogError: it is too large.
-        OSError: it cannot be read.
-    """
+def open_lines(path: Path, what: str) -> Iterator[LineReader]:
+    """Open an export of some kind as lines."""
     size = path.stat().st_size
-    if size > _MAX_EXPORT_BYTES:
+    if size > 1024**3:
         raise LogError(
             f"{path}: is an export of {size} bytes, over the limit of 1 GiB; export fewer markers "
             "or a part of the take"
         )
     with open_regular_text(path, text_encoding(path), errors="replace") as file:
-        yield LineReader(file)
+        yield LineReader(file, path, what)
 
 
-def separator_of(line: str) -> str:
-    """Return the separator of a header line: the most frequent of tab, comma and semicolon."""
-    return max("\t,;", key=line.count)
-
-
-def header_cells(line: str, separator: str) -> list[str]:
-    """Split a header line into stripped cells.
-
-    Raises:
-        ValueError: there are too many.
-    """
-    if line.count(separator) > 2 * MAX_COLUMNS:
-        raise ValueError(f"over {2 * MAX_COLUMNS} columns")
-    cells = [cell.strip() for cell in cells_of(line, separator)]
-    while cells and not cells[-1]:
-        cells.pop()
-    if len(cells) > MAX_COLUMNS:
-        raise ValueError(f"{len(cells)} columns, over the limit of {MAX_COLUMNS}")
-    return cells
-
-
-def format_of(block: str, separator: str) -> NumberFormat:
+def format_of(block: str, separator: str) -> Numbers:
     """Detect the number format of a block of rows."""
     some = "".join(block[: 64 * 1024].splitlines(keepends=True)[:_FORMAT_LOOK_ROWS])
     is_comma = separator != "," and "." not in some and re.search(r"\d,\d", some)
-    return NumberFormat(separator, "," if is_comma else ".")
+    return Numbers(separator, "," if is_comma else ".")
 
 
 def unended(block: str) -> tuple[str, str]:
@@ -278,56 +246,49 @@ def unended(block: str) -> tuple[str, str]:
 
 
 def numbers_of(
-    block: str, form: NumberFormat, columns: Sequence[int]
+    block: str, form: Numbers, columns: Sequence[int]
 ) -> tuple[NDArray[np.float64], int]:
     """Parse cells of a block of lines; also count the lines that are malformed."""
     lines = [line for line in block[: 64 * 1024].splitlines()[:_FORMAT_LOOK_ROWS] if line]
-    width = max((line.count(form.separator) + 1 for line in lines), default=0)
+    separator = form.separator or "\t"
+    width = max((line.count(separator) + 1 for line in lines), default=0)
     there = [column for column in columns if column < width]
+    none = np.empty((0, len(columns))), block.count("\n")
     if not there or width > 2 * MAX_COLUMNS:
-        return np.empty((0, len(columns))), block.count("\n")
-    values, wrong = _parsed(block, form, width, there)
-    missing = np.full((len(values), len(columns) - len(there)), np.nan)
-    return np.hstack([values, missing]), wrong
-
-
-def _parsed(
-    block: str, form: NumberFormat, width: int, columns: Sequence[int]
-) -> tuple[NDArray[np.float64], int]:
-    """Parse existing columns; see `numbers_of`."""
+        return none
     import pandas as pd
 
     keywords: dict[str, Any] = {
-        "sep": form.separator,
+        "sep": separator,
         "decimal": form.decimal,
         "header": None,
         "names": list(range(width)),
-        "usecols": list(columns),
+        "usecols": there,
         "index_col": False,
         "on_bad_lines": "skip",
         "skipinitialspace": True,
         "na_values": _UNSEEN,
         "engine": "c",
     }
-    with suppress(ValueError, OverflowError):  # pandas' own errors of parsing are ValueErrors
-        table = pd.read_csv(io.StringIO(block), dtype=np.float64, **keywords)
-        return table.to_numpy(np.float64), 0
+    wrong = 0
     try:
-        texts = pd.read_csv(io.StringIO(block), dtype=str, quoting=3, **keywords)
-    except (ValueError, OverflowError):
-        return np.empty((0, len(columns))), block.count("\n")
-    if form.decimal == ",":
-        texts = texts.apply(lambda column: column.str.replace(",", "."))
-    table = texts.apply(pd.to_numeric, errors="coerce").astype(np.float64)
-    unseen = texts.apply(lambda column: column.str.strip().str.lower().isin(_UNSEEN))
-    wrong = (table.isna() & texts.notna() & ~unseen).any(axis=1)
-    return table.to_numpy(np.float64), int(wrong.sum())
+        table = pd.read_csv(io.StringIO(block), dtype=np.float64, **keywords)
+    except (ValueError, OverflowError):  # pandas' own errors of parsing are ValueErrors
+        try:
+            texts = pd.read_csv(io.StringIO(block), dtype=str, quoting=3, **keywords)
+        except (ValueError, OverflowError):
+            return none
+        if form.decimal == ",":
+            texts = texts.apply(lambda column: column.str.replace(",", "."))
+        table = texts.apply(pd.to_numeric, errors="coerce").astype(np.float64)
+        unseen = texts.apply(lambda column: column.str.strip().str.lower().isin(_UNSEEN))
+        wrong = int((table.isna() & texts.notna() & ~unseen).any(axis=1).sum())
+    missing = np.full((len(table), len(columns) - len(there)), np.nan)
+    return np.hstack([table.to_numpy(np.float64), missing]), wrong
 
 
 # ---- Unreadable rows of a table: where, why, and the remedy.
 
-# Above this the file is not damaged, but misread by us: it is refused.
-_MAX_UNREADABLE_FRACTION = 0.05
 # What to do about a cell or a row.
 NUMBER_REMEDY = "write numbers as 1050.25"
 TIME_REMEDY = "write times in seconds (0.008), or as 2026-11-21T10:00:00.008Z"
@@ -338,17 +299,12 @@ DAMAGED_REMEDY = EXPORT_AGAIN
 
 
 class UnreadableError(ValueError):
-    """A row that cannot be read.
-
-    Attributes:
-        remedy: for the user.
-        is_damage: whether it is truncated or overlong, rather than in another notation.
-    """
+    """A row that cannot be read, and what the user may do about it."""
 
     def __init__(self, why: str, remedy: str) -> None:
         super().__init__(why)
         self.remedy = remedy
-        self.is_damage = remedy == DAMAGED_REMEDY
+        self.is_damage = remedy == DAMAGED_REMEDY  # or it is in another notation
 
 
 def unreadable(column: str, cell: str, why: object, remedy: str) -> UnreadableError:
@@ -382,7 +338,7 @@ class Failures:
     def refusal(self, rows: int) -> str:
         """Return why the table should be refused; "" where too few rows fail."""
         count = self._counts[False]
-        if count < 2 or count <= _MAX_UNREADABLE_FRACTION * rows:
+        if count < 2 or count <= 0.05 * rows:  # with more the file is not damaged, but misread
             return ""
         return f"{count} of {rows} rows cannot be read; {self._first_failure(is_damage=False)}"
 
@@ -413,8 +369,6 @@ _COVARIANCE = tuple(f"covariance{at}" for at in range(36))
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 _TWIST = tuple(f"twist{at}" for at in range(6 + 36))
 _MATRIX = ("r11", "r12", "r13", "x", "r21", "r22", "r23", "y", "r31", "r32", "r33", "z")
-_ROW_SEPARATORS = (",", "\t", ";", None)  # in the order in which they are tried
-_MAX_COUNTED = 1000  # in a second column that counts, and holds no nanoseconds
 
 
 @dataclass(frozen=True)
@@ -429,28 +383,18 @@ class KnownRows:
     remedy: str = ""
     texts: tuple[int, ...] = ()  # text columns, which are equal in every row
 
-    @property
-    def refusal(self) -> str:
-        """Why the rows are not read without the user's options, and which these are."""
-        return f"is {self.what}; {self.remedy}"
-
     def of_one(
         self, path: Path, rows: Iterable[tuple[int, str | None]]
     ) -> Iterator[tuple[int, str | None]]:
-        """Yield the rows, which all have to name the same object.
-
-        Raises:
-            LogError: one names another: rows of several objects in one column are no track.
-        """
+        """Yield the rows, which all have to name the same object."""
         first: list[str] = []
         for number, line in rows:
             cells = cells_of(line, self.separator) if line is not None else []
             texts = [cells[at].strip() for at in self.texts if len(cells) == len(self.names)]
             first = first or texts
-            if texts and texts != first:
-                one, other = next(
-                    both for both in zip(first, texts, strict=True) if len(set(both)) > 1
-                )
+            for one, other in zip(first, texts, strict=False):
+                if one == other:
+                    continue
                 raise LogError(
                     f"{path}: line {number} is of {short_name(other)!r}, those before it of "
                     f"{short_name(one)!r}",
@@ -461,12 +405,12 @@ class KnownRows:
 
 def known_rows(lines: Sequence[str]) -> KnownRows | None:
     """Recognize headerless rows by their numbers; None where these are inconclusive."""
-    for separator in _ROW_SEPARATORS:
+    for separator in (",", "\t", ";", None):
         rows = [cells_of(line, separator) for line in lines]
         widths = {len(row) for row in rows}
         if len(rows) >= _MIN_ROWS and len(widths) == 1 and min(widths) > 1:
             stripped = [[cell.strip() for cell in row] for row in rows]
-            numbers = np.array([[_number(cell) for cell in row] for row in stripped])
+            numbers = np.array([[number_of(cell) for cell in row] for row in stripped])
             return _echoed(separator, stripped, numbers) or _trajectory(separator, numbers)
     return None
 
@@ -496,10 +440,10 @@ def _echoed(
     """Recognize stamped messages of `ros2 topic echo --csv`: field by field, no names."""
     if separator != "," or numbers.shape[1] < 4 or not _are_stamps(numbers[:, :2]):
         return None
-    columns = list(zip(*rows, strict=True))[2:]
-    count = sum(1 for _ in takewhile(lambda cells: all(map(_is_text, cells)), columns))
+    fields = list(zip(*rows, strict=True))[2:]
+    count = sum(1 for _ in takewhile(lambda cells: all(map(_is_text, cells)), fields))
     values = numbers[:, 2 + count :]
-    if not count or any(_is_text(cell) for cells in columns[count:] for cell in cells):
+    if not count or any(_is_text(cell) for cells in fields[count:] for cell in cells):
         return None
     what = "`ros2 topic echo --csv` of "
     width = values.shape[1]
@@ -516,22 +460,17 @@ def _echoed(
     texts = tuple(range(2, 2 + count))
     joints = rows[0][3 : 2 + count]
     if joints and width == 3 * len(joints) and len(set(joints)) == len(joints) and all(joints):
+        quantities = ("position", "velocity", "effort")
         names = (
             *(*_STAMP, "frame_id", *(f"name of joint {at}" for at in range(1, count))),
-            *(f"/joint_states/{joint}/position" for joint in joints),
-            *(f"/joint_states/{joint}/velocity" for joint in joints),
-            *(f"/joint_states/{joint}/effort" for joint in joints),
+            *(f"/joint_states/{joint}/{one}" for one in quantities for joint in joints),
         )
         return KnownRows(what + "JointState", separator, names, texts=texts)
     places = zip("xyz"[: width if width < 4 else 3], range(3 + count, 6 + count), strict=False)
     said = ",".join(f"{axis}={at}" for axis, at in places) if width != 1 else f"z={3 + count}"
     remedy = f"where the numbers in columns {said} are a place, say so with --columns {said}"
-    first = 2 + count
-    names = (
-        *_STAMP,
-        *(f"text {at + 1}" for at in texts),
-        *tuple(f"column {at + 1}" for at in range(first, first + width)),
-    )
+    columns = (f"column {at + 1}" for at in range(2 + count, 2 + count + width))
+    names = (*_STAMP, *(f"text {at + 1}" for at in texts), *columns)
     return KnownRows(what + "a type that its rows do not tell", separator, names, True, remedy)
 
 
@@ -541,7 +480,7 @@ def _are_stamps(values: NDArray[np.float64]) -> bool:
         return False
     rest = values[:, 1]
     in_range = (values >= 0).all() and (rest < _S_NS).all()
-    return bool(in_range and (rest > _MAX_COUNTED).any())
+    return bool(in_range and (rest > 1000).any())
 
 
 def _is_turn(values: NDArray[np.float64]) -> bool:
@@ -555,19 +494,15 @@ def _is_rotation(values: NDArray[np.float64]) -> bool:
 
 
 def _is_text(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return True
-    return False
+    return isnan(number_of(cell)) and cell.strip().lower().lstrip("+-") != "nan"
 
 
-def _number(cell: str) -> float:
+def number_of(value: Any) -> float:
+    """Return a value as a number, NaN where it is none."""
     try:
-        value = float(cell)
-    except ValueError:
-        return float("nan")
-    return value if isfinite(value) else float("nan")
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return nan
 
 
 # ---- Parse numbers in any locale, as long as they are unambiguous.
@@ -593,11 +528,7 @@ class Numbers:
     decimal: str = ""  # decimal mark; "" where the first rows do not show it
 
     def plain(self, cell: str) -> str:
-        """Normalize a number's text to a decimal point, without thousands separators.
-
-        Raises:
-            ValueError: it is ambiguous.
-        """
+        """Normalize a number's text to a decimal point; ValueError where it is ambiguous."""
         text = cell.strip()
         if "," not in text and text.count(".") < (1 if self.decimal == "," else 2):
             return text
@@ -615,27 +546,24 @@ class Numbers:
         return mark == self.separator or self.decimal not in ("", mark)
 
     def read(self, cell: str) -> float:
-        """Parse a number; NaN where a cell is empty or marks a missing value.
-
-        Raises:
-            ValueError: it is no number.
-        """
+        """Parse a number, NaN where a cell has none; ValueError where it holds something else."""
         try:
             value = float(
                 cell if self.decimal != "," else (cell.replace(",", ".") if "." not in cell else "")
             )
         except ValueError:
-            value = _from_words(self.plain(cell))
-        return value if isfinite(value) else float("nan")
+            text = self.plain(cell)
+            try:
+                value = nan if text.lower() in _NUMBERLESS else float(text)
+            except ValueError:
+                raise ValueError("is no number") from None
+        return value if isfinite(value) else nan
 
 
 class Thousands:
     """Detector of columns with ambiguous thousands separators: `1.050` beside `985`.
 
     A table that writes decimals writes more or fewer of them somewhere, or none below 1000 only.
-
-    Args:
-        columns: indices of those that are read.
     """
 
     def __init__(self, columns: Iterable[int]) -> None:
@@ -675,15 +603,6 @@ def is_missing(cell: str) -> bool:
     return text in _NUMBERLESS or text == "nan"
 
 
-def _from_words(text: str) -> float:
-    if text.lower() in _NUMBERLESS:
-        return float("nan")
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError("is no number") from None
-
-
 def decimal_of(cells: Iterable[str]) -> str:
     """Detect the decimal mark of numbers; "" where they show none, or disagree."""
     marks = {mark for cell in cells if (mark := _mark(cell.strip()))}
@@ -711,22 +630,15 @@ _DATE = re.compile(rf"{_DAY}(?:[T ]\s?{_HOURS})?\s?(Z|[+-]\d\d(?::?\d\d)?)?", re
 # A time of day alone, or minutes and seconds as spreadsheets show them without hours: 30:25.1.
 _OF_DAY = re.compile(rf"{_HOURS}|(\d{{1,4}}):(\d\d)[.,](\d{{1,9}})", re.ASCII)
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)  # what stamps count from
-_MAX_DIGITS = 60  # of a time's text; a longer one costs too much to read
 MAX_NS = 2**62  # half of what int64 holds, so that differences fit as well: to the year 2116
 _S_NS = 10**9
 _HOUR_NS, _DAY_NS = 3600 * _S_NS, 86_400 * _S_NS
 _NAMES = {_S_NS: "s", 10**6: "ms", 10**3: "us", 1: "ns"}  # units of times [ns]
-_SINCE_1970_S = (1e9, 4e9)  # 2001 to 2096
-_SHEET_DAYS = (20_000, 80_000)  # days of a spreadsheet, which count from 1900: 1954 to 2119
 _MAX_STEP_S = 2.0  # from row to row, for times since 1970 or days of a spreadsheet
-# Counts of frames or seconds begin below it; larger whole numbers that rise by 1 are ms.
-_COUNTS_TO = 1000.0
 # Least step of times in each unit [ns]: what moves is sampled at 2.5 Hz to 2 kHz.
 _STEPS = ((5e8, _S_NS), (4e5, 1), (400.0, 10**3), (2.0, 10**6))
 # Steps of times in s lie between these: larger ones may be another unit's, smaller ones no log has.
 _SLOW_STEP, _FAST_STEP = 0.5, 2e-5
-_KHZ_STEP = 0.8  # fractions with a larger step are ms of a fast sensor, not s of a slow one
-_FEW_RISES = 8  # from row to row: too few to tell a unit
 UNIT_ROWS = 100  # whose steps and size tell the unit of times that name none
 
 
@@ -744,25 +656,10 @@ class Clock:
     unit_ns: int = 0  # the unit, where it is no power of ten
 
 
-@dataclass(frozen=True)
-class TimeUnit:
-    """Unit of a time column."""
-
-    ns: int  # its length [ns]
-    # how it was inferred where no name and no date states it, in words; "" where these do
-    doubt: str = ""
-
-
 class TextClock:
     """Reader of a clock's texts, row by row; times of day go on across midnight.
 
-    Args:
-        clock: meaning of the columns.
-        first: the texts of its columns in the first rows, which tell the unit of times.
-        is_sampled: see `unit_of_times`.
-
-    Raises:
-        ValueError: no unit of a log fits.
+    The texts of its columns in the `first` rows tell the unit of times; ValueError if none fits.
     """
 
     def __init__(
@@ -773,9 +670,11 @@ class TextClock:
         self._turn_ns = self._last_ns = self._turns_ns = 0
         self.doubts: list[str] = []
         texts = [row[-1 if clock.has_date else 0] for row in first]
-        if any(map(says_its_unit, texts)):
+        if any(
+            _DATE.fullmatch(one) or _WITH_UNIT.fullmatch(one) or is_of_day(one) for one in texts
+        ):
             self._unit_ns = 10 ** (9 + (clock.power or 0))
-            if any(map(lacks_zone, texts)):
+            if any(one and one[2] and not one[7] for one in map(_DATE.fullmatch, texts)):
                 self.doubts.append(f"{clock.name!r} names no time zone and was taken as UTC")
             of_day = next(filter(is_of_day, texts), "")
             if of_day and not clock.has_date:  # without hours it begins anew every hour
@@ -785,16 +684,11 @@ class TextClock:
         self._unit_ns = clock.unit_ns
         if clock.unit_ns:
             return
-        unit = unit_of_times(clock.name, texts, power, is_sampled=is_sampled)
-        self._unit_ns = unit.ns
-        self.doubts += [unit.doubt] if unit.doubt else []
+        self._unit_ns, doubt = unit_of_times(clock.name, texts, power, is_sampled=is_sampled)
+        self.doubts += [doubt] if doubt else []
 
     def read(self, texts: Sequence[str]) -> int:
-        """Parse the time of a row [ns].
-
-        Raises:
-            ValueError: it is no time.
-        """
+        """Parse the time of a row [ns]; ValueError where it is none."""
         if self._is_sum:
             return exact_ns(texts[0], 0) + exact_ns(texts[1], -9)
         text = texts[-1]
@@ -816,16 +710,12 @@ class TextClock:
 
 
 def exact_ns(text: str, power: int) -> int:
-    """Convert a decimal number of 10**power seconds to the nearest nanosecond.
-
-    Raises:
-        ValueError: it is no number, or out of range.
-    """
+    """Convert a decimal number of 10**power seconds to the nearest ns; ValueError if it is none."""
     return _units_ns(text, 10 ** (9 + power))
 
 
 def _units_ns(text: str, unit_ns: int) -> int:
-    if len(text) > _MAX_DIGITS:
+    if len(text) > 60:  # a longer one costs too much to read
         raise ValueError("a time of too many digits")
     try:
         number = Decimal(text)
@@ -841,58 +731,51 @@ def _units_ns(text: str, unit_ns: int) -> int:
 
 def unit_of_times(
     name: str, texts: Iterable[object], power: int | None, *, is_sampled: bool = True
-) -> TimeUnit:
+) -> tuple[int, str]:
     """Determine the unit of a time column by its name, else by the size and steps of its numbers.
 
-    Stamps since 1970 show it by their size, others by their step: moving objects are sampled some 2
-    to 2000 times a second, and a unit is a thousand times the next. A gap is a step among many.
-
-    Raises:
-        ValueError: no unit of a log has such steps.
+    Return its length [ns], and how it was inferred where no name states it, in words. Stamps since
+    1970 show it by their size, others by their step: moving objects are sampled some 2 to 2000
+    times a second, and a unit is a thousand times the next. A gap is a step among many. Raises
+    ValueError where no unit has such steps.
     """
     if power is not None:
-        return TimeUnit(10 ** (9 + power))
-    numbers: list[float] = []
-    for text in islice(texts, UNIT_ROWS):
-        with suppress(TypeError, ValueError):
-            numbers.append(float(text))  # type: ignore[arg-type]
-    numbers = [number for number in numbers if isfinite(number)]
+        return 10 ** (9 + power), ""
+    numbers = [one for one in map(number_of, islice(texts, UNIT_ROWS)) if isfinite(one)]
     rises = [b - a for a, b in pairwise(numbers) if b > a]
     size, step = median(map(abs, numbers)) if numbers else 0.0, _usual(rises)
     for unit_ns in _NAMES:
         second = 1e9 / unit_ns
-        is_recent = _SINCE_1970_S[0] <= size / second < _SINCE_1970_S[1]
+        is_recent = 1e9 <= size / second < 4e9  # 2001 to 2096
         if is_recent and (step <= _SLOW_STEP * second or not is_sampled):
-            return TimeUnit(unit_ns)
+            return unit_ns, ""
         if is_recent and step <= _MAX_STEP_S * second:  # or since the start of a computer
             return _guessed(name, unit_ns, step)
-    if _SHEET_DAYS[0] <= size < _SHEET_DAYS[1] and 0 < step * 86_400 <= _MAX_STEP_S:
+    # Days of a spreadsheet count from 1900: 1954 to 2119.
+    if 20_000 <= size < 80_000 and 0 < step * 86_400 <= _MAX_STEP_S:
         doubt = f"{name!r} names no unit and was taken as the days of a spreadsheet since 1900"
-        return TimeUnit(_DAY_NS, doubt)
+        return _DAY_NS, doubt
     if is_sampled and 0 < step < _FAST_STEP:
         raise ValueError(
             f"column {name[:60]!r} rises by {step:.2g} from row to row, which is too fast to be s; "
             "write it in s, or name its unit: t_s, t_ms, t_us or t_ns"
         )
     if not is_sampled or step < _SLOW_STEP:
-        return TimeUnit(_S_NS)
-    is_count = step < _STEPS[-1][0] and (
-        numbers[0] < _COUNTS_TO
-        if all(number.is_integer() for number in numbers)
-        else step < _KHZ_STEP
-    )
-    is_count |= len(rises) < _FEW_RISES
+        return _S_NS, ""
+    # Counts of frames or seconds begin below 1000; larger whole numbers that rise by 1 are ms. Of
+    # fractions those with a larger step are ms of a fast sensor, not s of a slow one.
+    are_whole = all(number.is_integer() for number in numbers)
+    is_count = step < 2.0 and (numbers[0] < 1000 if are_whole else step < 0.8)
+    is_count |= len(rises) < 8  # too few to tell a unit
     found = next((unit for least, unit in _STEPS if step >= least), 10**6)
-    unit_ns = _S_NS if is_count else found
-    return _guessed(name, unit_ns, step)
+    return _guessed(name, _S_NS if is_count else found, step)
 
 
-def _guessed(name: str, unit_ns: int, step: float) -> TimeUnit:
+def _guessed(name: str, unit_ns: int, step: float) -> tuple[int, str]:
     others = " or ".join(f"t_{other}" for ns, other in _NAMES.items() if ns != unit_ns)
-    return TimeUnit(
-        unit_ns,
+    return unit_ns, (
         f"{name!r} names no unit and was taken as {_NAMES[unit_ns]}: it rises by {step:g} from row "
-        f"to row; if it is not, name it {others}",
+        f"to row; if it is not, name it {others}"
     )
 
 
@@ -905,17 +788,6 @@ def _usual(rises: Sequence[float]) -> float:
 def is_of_day(text: str) -> bool:
     """Return whether a text is a time of day without a date."""
     return bool(_OF_DAY.fullmatch(text.strip()))
-
-
-def says_its_unit(text: str) -> bool:
-    """Return whether a text is a date or a time of day, or a number with a unit."""
-    return bool(_DATE.fullmatch(text) or _WITH_UNIT.fullmatch(text) or is_of_day(text))
-
-
-def lacks_zone(text: str) -> bool:
-    """Return whether a text is a date and time without a time zone."""
-    found = _DATE.fullmatch(text)
-    return found is not None and found[2] is not None and not found[7]
 
 
 def _own_ns(text: str) -> int:

@@ -170,8 +170,6 @@ _SECONDS = frozenset(("sec", "secs", "second", "seconds"))
 _IN_NS = frozenset((("rosbag", "timestamp"), ("rosbagtimestamp",), ("field", "header", "stamp")))
 # The meaning of every other name.
 UNKNOWN = UnusedColumn("its name says no time, position (x, y, z, height) or joint torque")
-_MAX_LENGTH = 200  # characters of a name that is interpreted
-_MAX_WORDS = 40  # of such a name
 _PIXELS = frozenset(("px", "pix", "pixel", "pixels"))  # units of pictures
 _AXES = {"x": 0, "y": 1, "z": 2}  # axes by their names
 # What z is called as well.
@@ -277,20 +275,19 @@ _ANGULAR_UNITS: dict[Words, tuple[tuple[str, ...], float]] = {
     ("a",): (("current",), 1.0),
     ("ma",): (("current",), 0.001),
 }
-_MAX_KNOWN = 1000  # names whose meaning is cached: a line is parsed in several ways
 
 
 def meaning_of(name: str) -> Meaning:
     """Interpret a column's name."""
-    return UNKNOWN if len(name) > _MAX_LENGTH else _meaning_of(name)
+    return UNKNOWN if len(name) > 200 else _meaning_of(name)
 
 
-@lru_cache(maxsize=_MAX_KNOWN)
+@lru_cache(maxsize=1000)  # a line is parsed in several ways
 def _meaning_of(name: str) -> Meaning:
     before: Words = ()
     for camel in (False, True):  # a joint called LeftKnee is to keep its name
         words = words_of(name, camel=camel)
-        if not words or len(words) > _MAX_WORDS or words == before:
+        if not words or len(words) > 40 or words == before:
             break
         before = words
         lower = lowered(words)
@@ -386,12 +383,10 @@ def _joint_of(words: Words) -> JointColumn | JointNameColumn | UnusedColumn | No
         return JointNameColumn(found[1])
     count, quantities, scale = _joint_unit(lower)
     words = words[: len(words) - count]
-    matches = [_QUANTITY.fullmatch(word) for word in lowered(words)]
-    at = max((n for n, match in enumerate(matches) if match), default=None)
-    if at is None:
+    matches = [(at, _QUANTITY.fullmatch(word)) for at, word in enumerate(lowered(words))]
+    at, match = next((one for one in reversed(matches) if one[1]), (0, None))
+    if match is None:
         return None
-    match = matches[at]
-    assert match is not None
     quantity = _QUANTITIES[match[1]]
     if quantity not in quantities or (not count and lower[-1] in LENGTHS):
         return UnusedColumn(
@@ -470,7 +465,6 @@ _WHOLE: dict[Words, tuple[str, Origin]] = {
 # Words that only say that it is an arm's.
 _NEUTRAL = words_in("joint joints axis j arm robot state states filtered raw motor")
 _SIDES = ("left", "right")  # of which arm a column is, where there are two
-_MAX_JOINTS = 99  # of an arm
 # What Universal Robots calls its joints, base to tool.
 _UR_JOINTS = (
     "shoulder_pan_joint",
@@ -498,15 +492,6 @@ class JointField:
         """Column range in words."""
         numbers = sorted(self.columns)
         return f"{self.stem} {numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else self.stem
-
-
-@dataclass(frozen=True)
-class JointChoice:
-    """Fields chosen among an arm's columns."""
-
-    used: tuple[JointField, ...]  # the best of each quantity
-    unused: tuple[tuple[JointField, str], ...]  # the others, with the reason
-    labels: Mapping[int, str]  # the joints' names, by number
 
 
 def joint_fields(names: Sequence[str]) -> tuple[JointField, ...]:
@@ -537,8 +522,13 @@ def with_franka_times(names: Sequence[str]) -> Sequence[str]:
     return ["time (ms)" if one else name for one, name in zip(is_time, names, strict=True)]
 
 
-def choose_fields(fields: Sequence[JointField]) -> JointChoice:
-    """Choose one field per quantity: measured before commanded, never a model's output."""
+def choose_fields(
+    fields: Sequence[JointField],
+) -> tuple[list[JointField], list[tuple[JointField, str]], Mapping[int, str]]:
+    """Choose one field per quantity: measured before commanded, never a model's output.
+
+    Return those, the others with the reason, and the joints' names by number.
+    """
     used: list[JointField] = []
     unused: list[tuple[JointField, str]] = []
     for key in dict.fromkeys((field.side, field.quantity) for field in fields):
@@ -557,7 +547,7 @@ def choose_fields(fields: Sequence[JointField]) -> JointChoice:
     labels = {number: f"joint{number + zero}" for number in numbers}
     if any(field.stem == "actual_q" for field in fields) and numbers == list(range(6)):
         labels = dict(enumerate(_UR_JOINTS))
-    return JointChoice(tuple(used), tuple(unused), labels)
+    return used, unused, labels
 
 
 def _reason(field: JointField, equals: Sequence[JointField], has_better: bool) -> str:
@@ -592,7 +582,7 @@ def _parsed(name: str) -> tuple[tuple[str, str, str, Origin, float], int] | None
     lower = lower[: len(lower) - count]
     side = next((word for word in lower if word in _SIDES), "")
     meaning = _meaning([word for word in lower if word not in _SIDES])
-    if meaning is None or meaning[0] not in fitting or number > _MAX_JOINTS:
+    if meaning is None or meaning[0] not in fitting:
         return None
     return (stem, side, *meaning, scale), number
 
@@ -742,11 +732,7 @@ _REMEDY = "convert it to m, cm, mm, in or ft (times: s, ms, us or ns)"  # of a u
 def with_row(
     header: Sequence[str], cells: Sequence[str], reading: Reading = by_name
 ) -> list[str] | None:
-    """Add the units of a row below a header to its names; None where it is no row of units.
-
-    Raises:
-        ValueError: a unit is unknown, or contradicts the one in the name.
-    """
+    """Add the units of a row below a header to its names; None where it is no row of units."""
     if any(map(str.strip, cells[len(header) :])):
         return None
     names = [name for _, name in runs_of(header)]
@@ -767,11 +753,7 @@ def with_row(
 
 
 def length_in(line: str) -> str:
-    """Return the length unit that a line of a preamble states; "" where it states none.
-
-    Raises:
-        ValueError: the unit is unknown.
-    """
+    """Return the length unit that a line of a preamble states; "" where it states none."""
     for is_length, unit in _SAID.findall(line):
         if unit.lower() in LENGTHS:
             return unit
@@ -780,26 +762,15 @@ def length_in(line: str) -> str:
     return ""
 
 
-def with_lengths(header: Sequence[str], unit: str, reading: Reading = by_name) -> list[str]:
-    """Add a length unit to the names of positions that state none."""
-    return [
-        f"{name} ({unit})"
-        if isinstance(reading(at, rest), CoordinateColumn) and _without_unit(rest) is None
-        else name
-        for at, (name, (_, rest)) in enumerate(zip(header, runs_of(header), strict=True))
-    ]
-
-
-def with_degrees(header: Sequence[str], reading: Reading = by_name) -> list[str]:
-    """Add degrees to the names of joint angles and velocities that state no unit."""
-    return [
-        f"{name} (deg{'/s' if meaning.quantity == 'velocity' else ''})"
-        if isinstance(meaning := reading(at, rest), JointColumn)
-        and meaning.quantity in ("position", "velocity")
-        and _without_unit(rest) is None
-        else name
-        for at, (name, (_, rest)) in enumerate(zip(header, runs_of(header), strict=True))
-    ]
+def with_units(
+    header: Sequence[str], unit_of: Callable[[Meaning], str], reading: Reading = by_name
+) -> list[str]:
+    """Add the units of their meanings ("" for none) to the names that state none."""
+    units = (
+        unit_of(reading(at, rest)) if _without_unit(rest) is None else ""
+        for at, (_, rest) in enumerate(runs_of(header))
+    )
+    return [f"{name} ({unit})" if unit else name for name, unit in zip(header, units, strict=True)]
 
 
 def unit_behind(name: str) -> str:
@@ -871,17 +842,12 @@ def contradiction_of(columns: Mapping[str, str]) -> str:
     return ""
 
 
-def is_name(place: str, names: Sequence[str]) -> bool:
-    """Return whether a column has this name."""
-    return _index_of(place, names) is not None
-
-
 def places_of(columns: Mapping[str, str], names: Sequence[str]) -> tuple[dict[int, str], list[str]]:
     """Find the user's columns in a table; return targets by index, and the missing ones."""
     found: dict[int, str] = {}
     missing: list[str] = []
     for target, place in columns.items():
-        at = _index_of(place, names)
+        at = index_of(place, names)
         if at is None and re.fullmatch(r"[1-9]\d{0,3}", place, re.ASCII):
             at = int(place) - 1 if int(place) <= len(names) else None
         if at is None:
@@ -891,7 +857,8 @@ def places_of(columns: Mapping[str, str], names: Sequence[str]) -> tuple[dict[in
     return found, missing
 
 
-def _index_of(place: str, names: Sequence[str]) -> int | None:
+def index_of(place: str, names: Sequence[str]) -> int | None:
+    """Return the index of the column of a name; None where there is none, or no single one."""
     place = place.strip()
     stripped = [name.strip() for name in names]
     if place in stripped:

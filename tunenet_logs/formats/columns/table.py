@@ -39,6 +39,7 @@ from tunenet_logs.formats.columns.cells import (
     UNIT_ROWS,
     Clock,
     TextClock,
+    number_of,
     unit_of_times,
 )
 from tunenet_logs.formats.columns.names import (
@@ -82,11 +83,7 @@ from tunenet_logs.timing.stamps import fill_holes, order_samples, sorted_stamps
 
 
 def time_stamps(seconds: ArrayLike) -> NDArray[np.int64]:
-    """Convert times [s] to stamps [ns], shape (T,).
-
-    Raises:
-        ValueError: one is not finite, or out of range.
-    """
+    """Convert times [s] to stamps [ns], shape (T,); ValueError if one is out of range."""
     values = np.asarray(seconds, np.float64)
     if not np.all(np.abs(values) < MAX_NS * 1e-9):  # NaN is not
         raise ValueError("a time is none")
@@ -96,22 +93,10 @@ def time_stamps(seconds: ArrayLike) -> NDArray[np.int64]:
 def frame_stamps(
     frames: ArrayLike, rate_hz: float | None, options: ReadOptions
 ) -> tuple[NDArray[np.int64], bool]:
-    """Convert frame numbers to stamps [ns], shape (T,), and say whether their rate is unknown.
-
-    Args:
-        frames: numbers, shape (T,).
-        rate_hz: stated by the file; None where it is unstated. `--fps` takes precedence.
-        options: the user's.
-
-    Raises:
-        ValueError: a number is not finite, or out of range.
-    """
-    rate = options.rate_hz or rate_hz
+    """Convert frame numbers to stamps [ns], shape (T,), and say whether their rate is unknown."""
+    rate = options.fps or rate_hz
     period_s = FRAME_NS * 1e-9 if not rate else 1 / rate
     return time_stamps(np.asarray(frames, np.float64) * period_s), not rate
-
-
-_ROUNDING_S = 0.6e-3  # of a time in a file: some are written with three decimals
 
 
 def exact_seconds(
@@ -120,14 +105,15 @@ def exact_seconds(
     """Return times [s] without rounding error, from frames and rate where these agree with them."""
     if not rate_hz:
         return times
+    rounding_s = 0.6e-3  # of a time in a file: some are written with three decimals
     by_frame = times[0] + (frames - frames[0]) / rate_hz
     with np.errstate(invalid="ignore", over="ignore"):
-        agrees = np.all(np.abs(by_frame - times) < min(_ROUNDING_S, 0.3 / rate_hz))
+        agrees = np.all(np.abs(by_frame - times) < min(rounding_s, 0.3 / rate_hz))
     if not agrees:
         return times
     offset = times[0] - frames[0] / rate_hz  # of whole frames: then it is rounding as well
     frames_off = np.round(offset * rate_hz)
-    if abs(offset - frames_off / rate_hz) < _ROUNDING_S:
+    if abs(offset - frames_off / rate_hz) < rounding_s:
         return (frames + frames_off) / rate_hz
     return by_frame
 
@@ -141,36 +127,6 @@ def in_metres(
     """
     unit = unit if unit in LENGTHS else options.length_unit or unit
     return (values * LENGTHS[unit], "m") if unit in LENGTHS else (values, unit or UNSTATED)
-
-
-def position_signal(
-    name: str,
-    stamps_ns: NDArray[np.int64],
-    values: ArrayLike,
-    unit: str,
-    options: ReadOptions,
-    *,
-    counts_frames: bool = False,
-) -> tuple[Signal, list[str]]:
-    """Build an object's position signal from the rows in which it was seen, and note repairs.
-
-    Args:
-        name: of the signal.
-        stamps_ns: shape (T,).
-        values: x, y, z in `unit`, z up where the file states the vertical; NaN where unseen,
-            shape (T, 3).
-        unit: one of `LENGTHS`, "px" or `UNSTATED`; see `in_metres`.
-        options: the user's.
-        counts_frames: see `Signal`.
-    """
-    rows = np.asarray(values, np.float64)
-    seen = np.isfinite(rows).all(axis=1)
-    keep, ordered, notes, left_out = sorted_stamps(stamps_ns[seen], (rows[seen],))
-    places, unit = in_metres(rows[seen][keep], unit, options)
-    signal = Signal(
-        name, ordered, places, ("x", "y", "z"), unit, counts_frames=counts_frames, left_out=left_out
-    )
-    return signal, [f"{name}: {note}" for note in notes]
 
 
 def export_episode(
@@ -206,14 +162,14 @@ def _type_of(columns: Sequence[str], unit: str, note: str = "") -> str:
 
 def unique_names(names: Iterable[str], form: str = "{} {}", longest: int = 60) -> list[str]:
     """Shorten names and make them unique: the second "a" is "a 2"."""
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     found: dict[str, None] = {}
     for name in names:
         short = " ".join("".join(filter(str.isprintable, name)).split())[:longest] or "unnamed"
         chosen = short
         while chosen in found:
-            counts[short] = counts.get(short, 1) + 1
-            chosen = form.format(short, counts[short])
+            counts[short] += 1
+            chosen = form.format(short, counts[short] + 1)
         found[chosen] = None
     return list(found)
 
@@ -257,10 +213,13 @@ class Group:
     # the column that says how sure the place is, and the least that counts as seen
     sure: tuple[int, float] | None = None
 
-    def seen(self, numbers: Mapping[int, NDArray[np.float64]]) -> NDArray[np.bool_]:
+    def seen(
+        self, numbers: Mapping[int, NDArray[np.float64]], *, in_part: bool = False
+    ) -> NDArray[np.bool_]:
         """Return which rows have a sample, by the numbers of columns: a place needs all axes."""
         finite = [np.isfinite(numbers[one.column]) for one in self.used]
-        return (np.logical_and if self.is_track else np.logical_or).reduce(finite)
+        needs_all = self.is_track and not in_part
+        return (np.logical_and if needs_all else np.logical_or).reduce(finite)
 
 
 @dataclass(frozen=True)
@@ -291,9 +250,8 @@ class ColumnPlan:
     def numbers(self) -> tuple[int, ...]:
         """Indices of the columns that hold values."""
         used = [one.column for group in self.groups for one in group.used]
-        return tuple(
-            dict.fromkeys((*used, *(group.sure[0] for group in self.groups if group.sure)))
-        )
+        sure = [group.sure[0] for group in self.groups if group.sure]
+        return tuple(dict.fromkeys((*used, *sure)))
 
     @property
     def needed(self) -> tuple[int, ...]:
@@ -329,10 +287,7 @@ def layout_of(
 ) -> ColumnPlan | None:
     """Say what columns are; None where no name is a time, and so they are no header.
 
-    Args:
-        names: of all columns.
-        reading: interpreter of the columns.
-        counts_rows: whether a row is a frame where no column is a time.
+    `counts_rows`: a row is a frame where no column is a time.
     """
     least = 2 if reading is by_name and not counts_rows else 1
     if not least <= len(names) <= MAX_COLUMNS:
@@ -356,7 +311,14 @@ def layout_of(
         part = {at: meanings[at] for at, (of, _) in enumerate(columns) if of == run}
         part = {at: meaning for at, meaning in part.items() if at not in taken}
         clocks = _clocks(plain, part)
-        clock = _arrival(clocks) or clock or _frames(plain, part) or (ROWS if counts_rows else None)
+        # The clock of the rows: the shortest name, arrival before header stamps; else frames.
+        arrivals = [one for is_header, one in clocks if not is_header] or [one for _, one in clocks]
+        frames = [at for at, one in part.items() if isinstance(one, FrameColumn)]
+        if arrivals:
+            clock = min(arrivals, key=lambda one: len(words_of(one.name, camel=True)))
+        elif clock is None and frames:
+            clock = Clock(plain[frames[0]], (frames[0],), 0, counts_frames=True)
+        clock = clock or (ROWS if counts_rows else None)
         if clock is None:
             continue
         stamps = [one for is_header, one in clocks if is_header]
@@ -400,12 +362,6 @@ def run_columns(meanings: Mapping[int, Meaning]) -> tuple[tuple[int, str], ...]:
 # ---- Clocks of a header.
 
 
-def _arrival(clocks: Sequence[tuple[bool, Clock]]) -> Clock | None:
-    """Return the clock of the rows: the shortest name, arrival before header stamps."""
-    arrivals = [one for is_header, one in clocks if not is_header] or [one for _, one in clocks]
-    return min(arrivals, key=lambda one: len(words_of(one.name, camel=True)), default=None)
-
-
 def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tuple[bool, Clock]]:
     """Return all clocks, and which are of acquisition; seconds and nanoseconds are one."""
     times = {at: meaning for at, meaning in meanings.items() if isinstance(meaning, TimeColumn)}
@@ -415,16 +371,17 @@ def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tupl
         if meaning.part == "nanosec"
     }
     dates = [at for at, meaning in meanings.items() if isinstance(meaning, DateColumn)]
-    clocks: list[tuple[bool, Clock]] = []
-    paired: set[int] = set()
+    pairs = {
+        at: rest
+        for at, meaning in times.items()
+        if meaning.part == "sec" and (rest := rests.get(plain_words(header[at])[:-1])) is not None
+    }
+    clocks = [
+        (times[at].is_header, Clock(header[at], (at, rest), 0, times[at].scope))
+        for at, rest in pairs.items()
+    ]
     for at, meaning in times.items():
-        rest = rests.get(plain_words(header[at])[:-1]) if meaning.part == "sec" else None
-        if rest is not None:
-            paired.update((at, rest))
-            clock = Clock(header[at], (at, rest), 0, meaning.scope)
-            clocks.append((meaning.is_header, clock))
-    for at, meaning in times.items():
-        if at not in paired:
+        if at not in pairs and at not in pairs.values():
             has_date = bool(dates) and meaning.power is None and not meaning.is_header
             indices = (dates[0], at) if has_date else (at,)
             clock = Clock(header[at], indices, meaning.power, meaning.scope, has_date=has_date)
@@ -439,18 +396,13 @@ def _clocks(header: Sequence[str], meanings: Mapping[int, Meaning]) -> list[tupl
     return clocks
 
 
-def _frames(header: Sequence[str], meanings: Mapping[int, Meaning]) -> Clock | None:
-    """Return the clock of a table that counts frames and has no other."""
-    at = next((at for at, one in meanings.items() if isinstance(one, FrameColumn)), None)
-    return None if at is None else Clock(header[at], (at,), 0, counts_frames=True)
-
-
 def _impact_group(clock: Clock) -> Group:
     return Group("impacts", ("impact",), "1", (), clock, is_impacts=True)
 
 
-def stamp_for(words: Words, stamps: Sequence[Clock]) -> Clock | None:
+def _stamp_for(name: str, stamps: Sequence[Clock]) -> Clock | None:
     """Return the stamp of the message that a column belongs to, by the longest common prefix."""
+    words = plain_words(name)
     fitting = [clock for clock in stamps if words[: len(clock.scope)] == clock.scope]
     return max(fitting, key=lambda clock: len(clock.scope), default=None)
 
@@ -495,7 +447,7 @@ def joints_of(
         if labels:
             rows = robots[robot]
             used = tuple(Used(at, rows[one], values[at].scale) for one, (at,) in labels.items())
-            stamp = stamp_for(plain_words(header[used[0].column]), stamps)
+            stamp = _stamp_for(header[used[0].column], stamps)
             name, unit = f"{robot}.{quantity}", JOINT_UNITS[quantity]
             groups.append(Group(name, tuple(rows), unit, used, clock, stamp, numbers=numbers))
     return groups
@@ -503,17 +455,14 @@ def joints_of(
 
 def _arms_of(fields: Sequence[JointField], clock: Clock, unused: dict[str, str]) -> list[Group]:
     """Group the measured fields of a controller, and say why the others are not used."""
-    choice = choose_fields(fields)
-    unused.update({one.title: why for one, why in choice.unused})
+    chosen, others, names = choose_fields(fields)
+    unused.update({one.title: why for one, why in others})
     groups: list[Group] = []
-    for one in choice.used:
-        numbers = sorted(one.columns)
-        used = tuple(
-            Used(one.columns[number], row, one.scale) for row, number in enumerate(numbers)
-        )
-        labels = tuple(choice.labels[number] for number in numbers)
-        name = f"{one.side or 'joints'}.{one.quantity}"
-        unit = JOINT_UNITS[one.quantity]
+    for one in chosen:
+        columns = sorted(one.columns.items())
+        used = tuple(Used(at, row, one.scale) for row, (_, at) in enumerate(columns))
+        labels = tuple(names[number] for number, _ in columns)
+        name, unit = f"{one.side or 'joints'}.{one.quantity}", JOINT_UNITS[one.quantity]
         groups.append(Group(name, labels, unit, used, clock, note=one.title))
     return groups
 
@@ -549,9 +498,9 @@ def _with_torques(path: Path, plan: ColumnPlan, options: ReadOptions) -> ColumnP
                 one._replace(scale=one.scale * constant)
                 for one, constant in zip(group.used, constants, strict=True)
             )
+            name, unit = f"{robot}.effort", JOINT_UNITS["effort"]
             note = "currents times --torque-constants"
-            unit = JOINT_UNITS["effort"]
-            groups.append(replace(group, name=f"{robot}.effort", unit=unit, used=used, note=note))
+            groups.append(replace(group, name=name, unit=unit, used=used, note=note))
         elif quantity == "current" and plan.kind:
             shown = ",".join(f"K{number}" for number in range(1, min(count, 3) + 1))
             shown += f",...,K{count}" if count > 3 else ""
@@ -566,8 +515,6 @@ def _with_torques(path: Path, plan: ColumnPlan, options: ReadOptions) -> ColumnP
 
 # ---- Tracks of a header: coordinates, by moving object.
 
-_ALONG_A_LINE = "a distance along one line, up or down"  # a motion sensor's one coordinate
-_DISTANCE = 3  # rank of a bare distance: beside x and y it is that from the start, and no z
 # Why a coordinate is not used where there is one of a better name.
 _INSTEAD = ("there is a column z", "there is a column of heights", "there is a column of positions")
 
@@ -619,8 +566,9 @@ def tracks_of(
         used = tuple(
             Used(at, one.axis, one.scale if one.unit else default) for at, one in chosen.items()
         )
-        stamp = stamp_for(plain_words(header[next(iter(chosen))]), stamps)
-        note = _ALONG_A_LINE if any(one.rank > 1 for one in chosen.values()) else ""
+        stamp = _stamp_for(header[next(iter(chosen))], stamps)
+        is_line = any(one.rank > 1 for one in chosen.values())  # a motion sensor's one coordinate
+        note = "a distance along one line, up or down" if is_line else ""
         xyz = ("x", "y", "z")
         groups.append(Group(thing, xyz, unit, used, clock, stamp, is_track=True, note=note))
     return groups
@@ -633,7 +581,7 @@ def _best(
     axes: dict[int, dict[int, CoordinateColumn]] = {}
     has_axes = {0, 1}.issubset(one.axis for one in places.values())
     for at, one in places.items():
-        if has_axes and one.rank == _DISTANCE:
+        if has_axes and one.rank == 3:  # a bare distance is then that from the start, and no z
             unused[header[at]] = "there are columns x and y"
         else:
             axes.setdefault(one.axis, {})[at] = one
@@ -658,17 +606,8 @@ def plan_columns(
 ) -> ColumnPlan:
     """Plan which columns to read of a file that may count its rows as frames.
 
-    Args:
-        path: of the file, for messages.
-        names: of the columns, as the file has them.
-        options: the user's.
-        meant: the names to interpret, where these differ from `names`.
-        left_out: what else the file holds, with the reason: for the refusal.
-        rate_hz: row rate stated by the file.
-
-    Raises:
-        LogError: there are too many, a column that was named is not there, the torque constants
-            fit no currents, or nothing is of use.
+    `meant` are the names to interpret, where these differ from `names`; `left_out` is what else the
+    file holds, with the reason, for the refusal; `rate_hz` its row rate.
     """
     if len(names) > MAX_COLUMNS:
         raise LogError(
@@ -683,7 +622,7 @@ def plan_columns(
     own = dict(zip(meant or names, names, strict=True))
     unused = _ranges({own.get(name, name): why for name, why in plan.unused.items()})
     groups = plan.groups
-    if not (options.rate_hz or rate_hz):  # a joint's rows are no frames of a film
+    if not (options.fps or rate_hz):  # a joint's rows are no frames of a film
         untimed = [one for one in groups if one.clock is ROWS and not one.is_track]
         why = "nothing says when; say --columns t=NAME or --fps RATE"
         unused.update({one.name: why for one in untimed})
@@ -700,11 +639,7 @@ def plan_columns(
 
 
 def said_by(options: ReadOptions, names: Sequence[str]) -> Reading:
-    """Return the interpreter of columns by the user's names, if there are any.
-
-    Raises:
-        ValueError: they contradict themselves, or name what is not there.
-    """
+    """Return the interpreter of columns by the user's names, if any; ValueError if one is none."""
     if not options.columns:
         return by_name
     if why := contradiction_of(options.columns):
@@ -747,29 +682,15 @@ def _ranges(reasons: Mapping[str, str]) -> dict[str, str]:
 
 # ---- Split stacked runs, by a column that numbers them or where the times restart.
 
-MAX_RUNS = 500  # of a table; each is a signal of its own
+_MAX_RUNS = 500  # of a table; each is a signal of its own
 MAX_TRACKS = 1000  # of a table of tracks, the longest; of cells there are many thousands
-_MAX_LENGTH = 40  # of a run's name
-_MAX_SHOWN = 4  # of the names of things in a message
 _MIN_ROWS = 5  # of a run that only its times show
-_ALTERNATING = 0.5  # share of rows of another object than the row before, where runs interleave
-_MAX_SHARED = 0.1  # share of rows with another's stamp and other values: some were sent twice
-_MIN_STAMPS = 0.2  # distinct stamps per row: with fewer, no motion shows
-_ALIKE = 0.5  # step of one object from stamp to stamp, per difference of rows with one stamp
-_RESTART_FRACTION = 0.8  # of a run's length: by more than that the next one's times must jump back
-# Local time is set by multiples of this, as at the end of summer time; the next row comes within
-# so many periods.
-_ZONE_NS, _ZONE_PERIODS = 900 * 10**9, 10
-_NEARBY = 128  # rows among which those of one run may have overtaken each other
+_ZONE_NS = 900 * 10**9  # local time is set by multiples of this, as at the end of summer time
 RowSet = NDArray[np.intp] | slice  # which rows
 
 
 class RunNames:
-    """Runs of a table in order of appearance.
-
-    Args:
-        kinds: kind of each column that identifies them: "run", "ball", ...
-    """
+    """Runs of a table in order of appearance, by columns of some kinds: "run", "ball", ..."""
 
     def __init__(self, kinds: Sequence[str]) -> None:
         self._kinds = kinds
@@ -789,12 +710,12 @@ class RunNames:
         names = self.names
         if len(names) < 2 or set(self._kinds) <= {"run"}:
             return ""
-        shown = ", ".join(names[:_MAX_SHOWN]) + (", ..." if len(names) > _MAX_SHOWN else "")
+        shown = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
         return f"rows are of {len(names)} things ({shown}): each is a signal; see --topic"
 
     def number(self, cells: Sequence[str]) -> int:
         """Return the index of a run in `names`, by the cells of its columns."""
-        texts = tuple(cell.strip()[:_MAX_LENGTH] for cell in cells)
+        texts = tuple(cell.strip()[:40] for cell in cells)
         if (number := self._numbers.get(texts)) is None:
             parts = tuple(map(_name_of, texts, self._kinds))
             number = self._numbers[texts] = self._by_name.setdefault(parts, len(self._by_name))
@@ -846,19 +767,12 @@ def rows_of_runs(
     """Return name and rows of each run or object; the name is "" where there is only one.
 
     A column of run numbers separates runs where times restart with another number, or where
-    numbers alternate: an object whose number changes once and for all is one object.
-
-    Args:
-        times_ns: of T rows [ns], shape (T,).
-        runs: their runs' indices in `names`, shape (T,); empty where the table numbers none.
-        names: of runs.
-
-    Raises:
-        ValueError: there are over `MAX_RUNS` runs.
+    numbers alternate: an object whose number changes once and for all is one object. `runs` are
+    indices in `names`, empty where the table numbers none; ValueError if they are too many.
     """
     changes = np.diff(runs) != 0
     backwards = np.flatnonzero(np.diff(times_ns) <= 0)
-    comes_and_goes = np.count_nonzero(changes) > max(_ALTERNATING * len(runs), len(names))
+    comes_and_goes = np.count_nonzero(changes) > max(0.5 * len(runs), len(names))
     if len(runs) and (comes_and_goes or np.any(changes[backwards])):
         numbers = np.unique(runs)
         if 2 * len(numbers) <= len(runs):  # else each row has a number of its own
@@ -873,8 +787,8 @@ def rows_of_runs(
 
 
 def _check_count(count: int) -> None:
-    if count > MAX_RUNS:
-        raise ValueError(f"holds {count} runs, over the limit of {MAX_RUNS}; split it")
+    if count > _MAX_RUNS:
+        raise ValueError(f"holds {count} runs, over the limit of {_MAX_RUNS}; split it")
 
 
 def _restarts(times_ns: NDArray[np.int64], backwards: NDArray[np.intp]) -> list[int]:
@@ -892,13 +806,13 @@ def _restarts(times_ns: NDArray[np.int64], backwards: NDArray[np.intp]) -> list[
         last, first = int(times_ns[at - 1]), int(times_ns[begin])
         back = last - int(times_ns[at])
         period_ns = (last - first) / (at - 1 - begin)
-        is_local = back > _ZONE_NS / 2 and -back % _ZONE_NS <= _ZONE_PERIODS * period_ns
+        is_local = back > _ZONE_NS / 2 and -back % _ZONE_NS <= 10 * period_ns
         if times_ns[at] < first and is_local:
             continue  # one run, whose clock was set
-        around = times_ns[begin : begin + max(2 * (at - begin), _NEARBY)]
+        around = times_ns[begin : begin + max(2 * (at - begin), 128)]
         if fill_holes(around, at - begin):
             continue  # one run, whose rows overtook each other
-        if back > _RESTART_FRACTION * (last - first) > 0 and ahead[-1] < last:
+        if back > 0.8 * (last - first) > 0 and ahead[-1] < last:
             starts.append(at)
     return starts
 
@@ -907,10 +821,7 @@ def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64], re
     """Refuse rows that are of several objects, or whose stamps are truncated.
 
     In stacked rows of several objects, the second row of each stamp is near the second row of the
-    next; of one object with coarse stamps, it is near the first of its own.
-
-    Raises:
-        ValueError: which of these it is, and the remedy.
+    next; of one object with coarse stamps, it is near the first of its own. Raises ValueError.
     """
     order = np.argsort(times_ns, kind="stable")
     times, rows = times_ns[order], values[order]
@@ -919,14 +830,15 @@ def check_one_thing(times_ns: NDArray[np.int64], values: NDArray[np.float64], re
         return
     steps = _steps(rows)
     shared = int(np.count_nonzero(is_same & ((steps > 0) | bool(remedy))))
-    if shared <= _MAX_SHARED * len(times):
+    if shared <= 0.1 * len(times):  # some messages are sent twice
         return
     firsts = np.flatnonzero(np.concatenate([[True], ~is_same]))
     rank = np.arange(len(times)) - np.repeat(firsts, np.diff(firsts, append=len(times)))
     by_rank = np.argsort(rank, kind="stable")
     alike = _steps(rows[by_rank])[np.diff(rank[by_rank]) == 0]
-    are_things = len(alike) > 0 and np.median(alike) < _ALIKE * np.median(steps[is_same])
-    if not are_things and len(firsts) > _MIN_STAMPS * len(times) and not remedy:
+    are_things = len(alike) > 0 and np.median(alike) < 0.5 * np.median(steps[is_same])
+    # With fewer stamps than one for five rows, no motion shows.
+    if not are_things and len(firsts) > 0.2 * len(times) and not remedy:
         return
     what = "the stamps have too few digits; write times with all their digits"
     if are_things:
@@ -987,23 +899,23 @@ def signals_of(
     rate_hz: float | None = None,
     encoding: str = "export",
 ) -> Made:
-    """Make the signals of a plan: one for each group, run and object.
-
-    Raises:
-        LogError: there are too many runs, impacts out of order, or times beyond all bounds.
-    """
+    """Make the signals of a plan: one for each group, run and object."""
     made = Made([], [], {}, [])
-    seen = {group.name: _seen(group, rows) for group in plan.groups}
-    unsure = 0
-    for group in (one for one in plan.groups if one.sure is not None):
-        column, least = group.sure or (0, 0.0)
-        is_seen, _ = seen[group.name]
-        unsure += int(np.count_nonzero(is_seen & (rows.numbers[column] < least)))
-        is_seen &= ~(rows.numbers[column] < least)
-    untimed = {}
-    starts = [0]
+    # Which rows have a sample of each group that is sure, and how many lack some coordinate.
+    seen: dict[str, tuple[NDArray[np.bool_], int]] = {}
+    untimed: dict[Clock, NDArray[np.bool_]] = {}
+    starts, unsure = [0], 0
     for group in plan.groups:
-        times, (is_seen, _) = rows.times[group.clock], seen[group.name]
+        times, incomplete = rows.times[group.clock], 0
+        is_seen = times.known if group.is_impacts else group.seen(rows.numbers)
+        if group.is_track:
+            some = group.seen(rows.numbers, in_part=True)
+            incomplete = int(np.count_nonzero(some & ~is_seen))
+        if group.sure is not None:
+            is_unsure = rows.numbers[group.sure[0]] < group.sure[1]
+            unsure += int(np.count_nonzero(is_seen & is_unsure))
+            is_seen &= ~is_unsure
+        seen[group.name] = is_seen, incomplete
         untimed[group.clock] = untimed.get(group.clock, False) | (is_seen & ~times.known)
         if (is_seen & times.known).any():
             starts.append(int(times.stamps_ns[is_seen & times.known].min()))
@@ -1012,41 +924,26 @@ def signals_of(
         for lost in untimed.values()
         if (count := int(np.count_nonzero(lost)))
     )
-    doubts = (doubt for times in rows.times.values() for doubt in times.doubts)
-    zone = [doubt for doubt in dict.fromkeys(doubts) if "time zone" in doubt]
-    made.notes.extend(zone)
+    doubts = dict.fromkeys(doubt for times in rows.times.values() for doubt in times.doubts)
+    made.notes.extend(doubt for doubt in doubts if "time zone" in doubt)
     if (first_ns := min(starts)) < 0:
-        text = f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0"
-        made.notes.append(text)
+        made.notes.append(f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0")
     named = 0
     for group in plan.groups:
-        is_seen, incomplete = seen[group.name]
         try:
-            count = _add(made, group, plan, rows, options, is_seen, incomplete, first_ns, rate_hz)
+            count = _add(
+                made, group, plan, rows, options, *seen[group.name], first_ns, rate_hz, encoding
+            )
         except ValueError as error:
             raise LogError(f"{path}: {error}") from error
         named += count > 1
     if named and rows.note and not plan.is_stacked:
         made.notes.append(rows.note)
-    others = (doubt for times in rows.times.values() for doubt in times.doubts)
-    made.notes.extend(doubt for doubt in dict.fromkeys(others) if doubt not in zone)
+    made.notes.extend(doubt for doubt in doubts if "time zone" not in doubt)
     if unsure:
         least = min(group.sure[1] for group in plan.groups if group.sure)
         made.notes.append(f"{unsure} places with a likelihood below {least} were left out")
-    made.channels[:] = [replace(one, encoding=encoding) for one in made.channels]
     return made
-
-
-def _seen(group: Group, rows: ColumnRows) -> tuple[NDArray[np.bool_], int]:
-    """Return which rows have a sample of a group, and how many lack some coordinate."""
-    if group.is_impacts:
-        return rows.times[group.clock].known, 0
-    is_seen = group.seen(rows.numbers)
-    incomplete = 0
-    if group.is_track:
-        some = replace(group, is_track=False).seen(rows.numbers)
-        incomplete = int(np.count_nonzero(some & ~is_seen))
-    return is_seen, incomplete
 
 
 def _add(
@@ -1059,6 +956,7 @@ def _add(
     incomplete: int,
     first_ns: int,
     rate_hz: float | None,
+    encoding: str,
 ) -> int:
     """Add the signals of one group, and return how many they are."""
     times = rows.times[group.clock]
@@ -1121,11 +1019,12 @@ def _add(
         )
         made.signals.append(signal)
         kind = _type_of(group.columns, unit, group.note)
-        made.channels.append(Channel(name, kind, "export", own))
+        made.channels.append(Channel(name, kind, encoding, own))
         made.notes.extend(f"{name}: {repair}" for repair in repairs)
     if incomplete:
-        lacking_words = f"{incomplete} samples without all coordinates were left out"
-        made.notes.append(f"{group.name}: {lacking_words}")
+        made.notes.append(
+            f"{group.name}: {incomplete} samples without all coordinates were left out"
+        )
     return len(parts)
 
 
@@ -1160,21 +1059,9 @@ def episode_of_rows(
 ) -> Episode:
     """Build the episode of a file's rows.
 
-    Args:
-        path: of the file.
-        what: kind of file, in words.
-        plan: meaning of its columns.
-        rows: the columns that the plan needs.
-        options: the user's.
-        rate_hz: row rate stated by the file; None where it is unstated.
-        unused: what else it holds, with the reason.
-        warnings: of reading it.
-        losses: damage found in it.
-        unread: number of rows that could not be read, and of those that could.
-        encoding: of its channels.
-
-    Raises:
-        LogError: no row has a time and a value, or see `signals_of`.
+    `rate_hz` is the row rate that the file states, `unused` what else it holds, with the reason,
+    `warnings` are of reading it, `losses` damage found in it, and `unread` the number of rows that
+    could not be read, and of those that could.
     """
     made = signals_of(path, plan, rows, options, rate_hz, encoding)
     signals = [one for one in made.signals if len(one.stamps_ns)]
@@ -1184,12 +1071,9 @@ def episode_of_rows(
             raise LogError(f"{path}: {why}", "label more frames, train and analyse again")
         named = ", ".join(group.name for group in plan.groups)
         raise LogError(f"{path}: no row has a time and a value of {named}", EXPORT_AGAIN)
-    if unread[0]:
-        signals = [
-            replace(one, left_out=added(one.left_out, {UNREADABLE: lost}))
-            for one in signals
-            for lost in [in_proportion(len(one.stamps_ns), *unread)]
-        ]
+    for at, one in enumerate(signals) if unread[0] else ():
+        lost = {UNREADABLE: in_proportion(len(one.stamps_ns), *unread)}
+        signals[at] = replace(one, left_out=added(one.left_out, lost))
     return export_episode(
         path,
         what,
@@ -1207,14 +1091,12 @@ def episode_of_rows(
 MAX_ARRAY_BYTES = 128 * 1024**2  # of all arrays of a file
 MAX_ROWS = 2_000_000  # of a file: an hour at 500 Hz
 MAX_PLACES = 500_000  # of a track: 8 minutes at 1 kHz; tuning takes over 512 bytes for each
-_MAX_VALUES = 16_000_000  # of all signals of a file
 MAX_WIDTH = 200  # columns of one array
 # Names of a scalar that is the rate of rows [Hz], or the time from row to row [s].
 _RATES = frozenset(("fps", "fs", "hz", "rate", "sampling_rate", "sample_rate", "frame_rate"))
 _PERIODS = frozenset(("dt", "ts", "timestep", "time_step", "sample_time", "period"))
 # Words behind a name that only say that there are many values.
 _LISTS = frozenset(("list", "arr", "array", "data", "vec", "hist", "history", "log", "values"))
-_PLURALS = {"ts": "t", "xs": "x", "ys": "y", "zs": "z"}  # what people call many of them
 Arrays = Mapping[str, NDArray[Any]]  # arrays by their names
 _NAME_THEM = "save a table of time and x, y, z, or say which is which with --columns t=..,z=.."
 
@@ -1227,21 +1109,16 @@ class Table:
     # numbers, texts or dates (datetime64), by name; of two dimensions with a row (or column) a
     # time. Those as long as the times are used
     columns: Arrays
-    # of columns, by name, where the file states them beside the names
-    units: Mapping[str, str] = field(default_factory=dict)
     # what else the file holds, with the reason
     unused: Mapping[str, str] = field(default_factory=dict)
     rate_hz: float | None = None  # row rate stated by the file; None where it is unstated
-    warnings: Sequence[str] = ()  # of reading it
-    losses: Sequence[str] = ()  # damage found in it
+    name: str = ""  # of the table, where there are several
+    names: Mapping[str, str] = field(default_factory=dict)  # of columns, by the file's full ones
+    loss: str = ""  # what was damaged; "" where nothing was
 
 
 def episode_of_table(path: Path, table: Table, options: ReadOptions) -> Episode:
-    """Build an episode of a file's named columns.
-
-    Raises:
-        LogError: it is too large, or nothing is of use.
-    """
+    """Build an episode of a file's named columns."""
     plain: dict[str, NDArray[Any]] = {}
     for name, array in table.columns.items():
         fields = array.dtype.names or ()  # of a structured array, each of which is a column
@@ -1259,13 +1136,14 @@ def episode_of_table(path: Path, table: Table, options: ReadOptions) -> Episode:
             if array.size > 1 or name not in (*_RATES, *_PERIODS):
                 left_out[name] = rows
             continue
-        bare, unit = _bare(name), table.units.get(name, "").strip()
-        bare += f" ({unit})" if unit else ""
         if rows.ndim == 2:
-            own, said = spread_names(name, rows.shape[1]), spread_names(bare, rows.shape[1])
-            names, meant, columns = names + own[0], meant + said[1], [*columns, *rows.T]
+            names += spread_names(name, rows.shape[1])[0]
+            meant += spread_names(_bare(name), rows.shape[1])[1]
+            columns.extend(rows.T)
         else:
-            names, meant, columns = [*names, name], [*meant, bare], [*columns, rows]
+            names.append(name)
+            meant.append(_bare(name))
+            columns.append(rows)
     if not columns:
         reasons = "; ".join(f"{name[:40]!r}: {why}" for name, why in list(left_out.items())[:4])
         raise LogError(
@@ -1284,8 +1162,7 @@ def episode_of_table(path: Path, table: Table, options: ReadOptions) -> Episode:
         options,
         rate_hz=rate,
         unused=left_out,
-        warnings=table.warnings,
-        losses=table.losses,
+        losses=[table.loss] if table.loss else [],
     )
 
 
@@ -1295,13 +1172,9 @@ def episode_of_columns(
     plan: ColumnPlan,
     columns: Mapping[int, NDArray[Any]],
     options: ReadOptions,
-    *,
-    rate_hz: float | None = None,
-    unused: Mapping[str, str] | None = None,
-    warnings: Sequence[str] = (),
-    losses: Sequence[str] = (),
+    **more: Any,
 ) -> Episode:
-    """Build an episode of the columns that a plan needs; see `episode_of_rows`."""
+    """Build an episode of the columns that a plan needs; `more` as in `episode_of_rows`."""
     count = max(map(len, columns.values()), default=0)
     check_rows(path, count, plan)
     try:
@@ -1312,40 +1185,27 @@ def episode_of_columns(
     told = zip(*(_texts(columns[at]) for at, _ in plan.runs), strict=True)
     numbers = np.array([runs.number(texts) for texts in told], np.int64)
     values = {at: floats(columns[at]) for at in plan.numbers}
-    if any(group.clock is ROWS for group in plan.groups) and not (options.rate_hz or rate_hz):
+    rate_hz = options.fps or more.get("rate_hz")
+    if any(group.clock is ROWS for group in plan.groups) and not rate_hz:
         counted = "nothing says when; rows were counted as frames (--fps, or --columns t=NAME)"
-        warnings = [*warnings, counted]
+        more["warnings"] = [*more.get("warnings", ()), counted]
     rows = ColumnRows(values, times, numbers, runs.names, runs.note)
-    return episode_of_rows(
-        path,
-        what,
-        plan,
-        rows,
-        options,
-        rate_hz=rate_hz,
-        unused=unused,
-        warnings=warnings,
-        losses=losses,
-    )
+    return episode_of_rows(path, what, plan, rows, options, **more)
 
 
 def check_rows(path: Path, count: int, plan: ColumnPlan) -> None:
     """Refuse a file of too many rows with a LogError."""
     width = sum(len(group.columns) for group in plan.groups)
     rows = MAX_PLACES if any(group.is_track for group in plan.groups) else MAX_ROWS
-    if count > rows or count * width > _MAX_VALUES:
-        most = min(rows, _MAX_VALUES // max(width, 1))
+    most = min(rows, 16_000_000 // max(width, 1))  # values of all signals
+    if count > most:
         raise LogError(f"{path}: has over {most} rows, the limit; split it")
 
 
 def column_times(
     clock: Clock, columns: Mapping[int, NDArray[Any]], count: int, plan: ColumnPlan
 ) -> Times:
-    """Convert a clock's columns to stamps, as exact as the file's own numbers are.
-
-    Raises:
-        ValueError: they have no unit that a log has.
-    """
+    """Convert a clock's columns to stamps, exact as the numbers; ValueError without a unit."""
     own = [columns[at] for at in clock.indices]
     if not own:
         return Times(np.arange(count) * 10**9, np.ones(count, np.bool_))
@@ -1377,13 +1237,13 @@ def _numeric_times(
         known &= np.abs(values.astype("M8[s]").astype(np.int64)) < MAX_NS // 10**9
         return Times(np.where(known, values.astype("M8[ns]").astype(np.int64), 0), known)
     first = values[:UNIT_ROWS].tolist()
-    unit = unit_of_times(clock.name, first, power, is_sampled=is_sampled)
-    doubts = [unit.doubt] if unit.doubt else []
+    unit_ns, doubt = unit_of_times(clock.name, first, power, is_sampled=is_sampled)
+    doubts = [doubt] if doubt else []
     if values.dtype.kind in "iub":
-        fits = np.abs(values.astype(np.float64)) * unit.ns < MAX_NS
-        return Times(np.where(fits, values, 0).astype(np.int64) * unit.ns, fits, doubts)
+        fits = np.abs(values.astype(np.float64)) * unit_ns < MAX_NS
+        return Times(np.where(fits, values, 0).astype(np.int64) * unit_ns, fits, doubts)
     with np.errstate(over="ignore", invalid="ignore"):
-        nanoseconds = np.round(values.astype(np.float64) * unit.ns)
+        nanoseconds = np.round(values.astype(np.float64) * unit_ns)
         fits = np.abs(nanoseconds) < MAX_NS  # NaN does not
     return Times(np.where(fits, nanoseconds, 0).astype(np.int64), fits, doubts)
 
@@ -1392,11 +1252,7 @@ def floats(values: NDArray[Any]) -> NDArray[np.float64]:
     """Return a column as floats, NaN where it is no number, shape (T,)."""
     if values.dtype.kind in "iufb":
         return values.astype(np.float64)
-    found = np.full(len(values), np.nan)
-    for row, value in enumerate(values.tolist()):
-        with suppress(TypeError, ValueError, OverflowError):
-            found[row] = float(value)
-    return found
+    return np.fromiter(map(number_of, values.tolist()), np.float64, len(values))
 
 
 def _texts(values: NDArray[Any]) -> list[str]:
@@ -1418,7 +1274,7 @@ def _bare(name: str) -> str:
     words = name.split("_")
     if len(words) > 1 and words[-1].lower() in _LISTS:
         name = "_".join(words[:-1])
-    return _PLURALS.get(name, name)
+    return name[0] if name in ("ts", "xs", "ys", "zs") else name
 
 
 def _length(arrays: Arrays, options: ReadOptions) -> int:
@@ -1474,11 +1330,7 @@ def _rate(arrays: Arrays) -> float | None:
 
 
 def number_names(array: NDArray[Any], path: Path, options: ReadOptions) -> dict[str, NDArray[Any]]:
-    """Return the columns of an unnamed array by their numbers from 1.
-
-    Raises:
-        LogError: the user names no columns, or it is no table.
-    """
+    """Return the columns of an unnamed array by their numbers from 1."""
     shape = " x ".join(map(str, array.shape)) or "one number"
     if array.ndim == 1 and array.size:
         array = array.reshape(-1, 1)

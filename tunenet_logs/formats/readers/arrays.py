@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import re
 import struct
 import warnings
@@ -16,10 +17,9 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from itertools import chain, islice
-from math import prod
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any, TextIO
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from tunenet_logs.episode import Episode
 from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.files import open_regular, open_regular_text
-from tunenet_logs.formats.columns.cells import MAX_COLUMNS, UNIT_ROWS, text_encoding
+from tunenet_logs.formats.columns.cells import MAX_COLUMNS, UNIT_ROWS, number_of, text_encoding
 from tunenet_logs.formats.columns.names import spread_names
 from tunenet_logs.formats.columns.table import (
     MAX_ARRAY_BYTES,
@@ -46,10 +46,7 @@ from tunenet_logs.formats.options import ReadOptions
 
 _CHUNK = 262_144  # characters read at a time
 _MAX_VALUE = 8 * 1024**2  # characters of one value: in memory it may take 50 times that
-
-
-class DamagedJsonError(ValueError):
-    """Invalid JSON, or a value over the size limit."""
+_BETWEEN = re.compile(r"[ \t\r\n,]*")  # values
 
 
 class NumberText(str):
@@ -58,98 +55,58 @@ class NumberText(str):
     __slots__ = ()
 
 
-def json_values(path: Path) -> Iterator[Any]:
+def _json_values(path: Path, losses: list[str]) -> Iterator[Any]:
     """Yield the values of a file: JSON lines, concatenated values, or the items of one array.
 
-    Numbers with decimals are `NumberText`.
-
-    Raises:
-        DamagedJsonError: invalid JSON from some place on, or a value that is too large.
-        OSError: it cannot be read.
+    Numbers with decimals are `NumberText`. The first damaged value ends them, as a loss.
     """
+    # Python and MATLAB write NaN and Infinity.
+    decoder = json.JSONDecoder(parse_float=NumberText, parse_constant=lambda _: math.nan)
+    count, was_on = 0, gc.isenabled()
     with open_regular_text(path, text_encoding(path), errors="replace") as file:
-        window = _Window(file)
-        is_array = window.next_mark(" \t\r\n\ufeff") == "["
-        if is_array:
-            window.at += 1
-        while mark := window.next_mark(" \t\r\n,"):
-            if is_array and mark == "]":
+        text = file.read(_CHUNK).lstrip(" \t\r\n\ufeff")
+        is_array = text.startswith("[")
+        at = int(is_array)
+        while True:
+            at = _BETWEEN.match(text, at).end()  # type: ignore[union-attr]
+            if at == len(text):
+                text, at = file.read(_CHUNK), 0
+                if text:
+                    continue
                 return
-            yield window.value()
-
-
-class _Window:
-    """Sliding window over a text file; `at` is the index of its next character."""
-
-    def __init__(self, file: TextIO) -> None:
-        self.at = 0
-        self._file = file
-        self._text = file.read(_CHUNK)
-        self._decoder = json.JSONDecoder(parse_float=NumberText, parse_constant=_no_number)
-        self._count = 0
-
-    def next_mark(self, skipped: str) -> str:
-        """Skip the given characters and return the next one; "" at the end."""
-        while True:
-            text, at = self._text, self.at
-            while at < len(text) and text[at] in skipped:
-                at += 1
-            self.at = at
-            if at < len(text) or not self._grow(_CHUNK):
-                return text[at : at + 1]
-
-    def value(self) -> Any:
-        """Decode the value that begins here and move behind it.
-
-        Raises:
-            DamagedJsonError: there is none, or it is too large.
-        """
-        self._count += 1
-        while True:
+            if is_array and text[at] == "]":
+                return
+            length, why = len(text) - at, ""
+            value, end = None, at
+            gc.disable()  # of millions of lists, its search for cycles takes most time
             try:
-                value, end = self._decoded()
-            except RecursionError as error:
-                raise DamagedJsonError(f"value {self._count} is nested too deeply") from error
+                value, end = decoder.raw_decode(text, at)
+            except RecursionError:
+                why = "is nested too deeply"
             except ValueError as error:
-                length = len(self._text) - self.at
-                if length > _MAX_VALUE or not self._grow(max(_CHUNK, length)):
-                    raise DamagedJsonError(self._why(error, length)) from error
-                continue
-            if end == len(self._text) and self._grow(_CHUNK):
-                continue  # a number may go on
-            self.at = end
-            return value
-
-    def _decoded(self) -> tuple[Any, int]:
-        """Decode the value that begins here; return it with its end.
-
-        Without garbage collection: of millions of lists, its search for cycles takes most time.
-        """
-        was_on = gc.isenabled()
-        gc.disable()
-        try:
-            return self._decoder.raw_decode(self._text, self.at)
-        finally:
-            if was_on:
-                gc.enable()
-
-    def _grow(self, count: int) -> bool:
-        """Read more of the file, dropping what is consumed."""
-        more = self._file.read(count)
-        self._text, self.at = self._text[self.at :] + more, 0
-        return bool(more)
-
-    def _why(self, error: ValueError, length: int) -> str:
-        if length > _MAX_VALUE:
-            return f"value {self._count} is larger than {_MAX_VALUE >> 20} MiB, or no JSON"
-        is_json = isinstance(error, json.JSONDecodeError)
-        what = error.msg.lower() if is_json else "a number of too many digits"
-        return f"value {self._count} is no JSON ({what})"
-
-
-def _no_number(_name: str) -> float:
-    """Return NaN for NaN and Infinity, which Python and MATLAB write."""
-    return float("nan")
+                is_json = isinstance(error, json.JSONDecodeError)
+                why = error.msg.lower() if is_json else "a number of too many digits"
+                why = f"is no JSON ({why})"
+                if length > _MAX_VALUE:
+                    why = f"is larger than {_MAX_VALUE >> 20} MiB, or no JSON"
+                elif more := file.read(max(_CHUNK, length)):
+                    text, at = text[at:] + more, 0
+                    continue
+            else:
+                if end == len(text) and (more := file.read(_CHUNK)):  # a number may go on
+                    text, at = text[at:] + more, 0
+                    continue
+            finally:
+                if was_on:
+                    gc.enable()
+            count += 1
+            if why and count == 1:
+                raise LogError(f"{path}: value {count} {why}", EXPORT_AGAIN)
+            if why:
+                losses.append(f"value {count} {why}: what follows it was left out")
+                return
+            yield value
+            at = end
 
 
 # ---- JSON records.
@@ -157,10 +114,8 @@ def _no_number(_name: str) -> float:
 _SUFFIXES = (".json", ".jsonl", ".ndjson")
 # Begins JSON under another name: no other text begins so.
 _JSON = re.compile(r'\s*(?:\{\s*"|\[\s*[\[{])')
-_MAX_JSON_BYTES = 256 * 1024**2  # its values are read one by one, in Python
 _MAX_DEPTH = 6  # of names within names
 _MAX_LIST = 64  # values of a list whose places are columns, such as an arm's joints
-_MIN_ROWS = 3  # of a list that is a column
 _Path = tuple[str | int, ...]  # keys and indices that lead to a value
 
 
@@ -175,33 +130,15 @@ def is_json_lines(start: Start) -> bool:
 
 
 def read_json_lines(path: Path, options: ReadOptions) -> Episode:
-    """Read records with a time and a position or joints; nested names are joined by dots.
-
-    Raises:
-        LogError: it is damaged, too large, or its names do not say what it holds.
-        OSError: it cannot be read.
-    """
-    if (size := path.stat().st_size) > _MAX_JSON_BYTES:
+    """Read records with a time and a position or joints; nested names are joined by dots."""
+    if (size := path.stat().st_size) > 256 * 1024**2:  # its values are read one by one, in Python
         raise LogError(f"{path}: has {size} bytes, over the limit of 256 MiB of JSON; split it")
     losses: list[str] = []
-    values = _until_damage(path, json_values(path), losses)
+    values = _json_values(path, losses)
     first = list(islice(values, UNIT_ROWS))
     if len(first) == 1 and isinstance(first[0], dict):
         return _read_document(path, first[0], options)
     return _read_records(path, chain(first, values), first, options, losses)
-
-
-def _until_damage(path: Path, values: Iterator[Any], losses: list[str]) -> Iterator[Any]:
-    """Yield values up to the first damaged one, which is recorded as a loss."""
-    count = 0
-    try:
-        for value in values:
-            count += 1
-            yield value
-    except DamagedJsonError as error:
-        if not count:
-            raise LogError(f"{path}: {error}", EXPORT_AGAIN) from error
-        losses.append(f"{error}: what follows it was left out")
 
 
 def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -> Episode:
@@ -212,7 +149,19 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
         (value for value in document.values() if _is_records(value)), key=len, default=None
     )
     if records is not None:
-        rows = _unrolled(records)
+        # Records that each hold a list of records are flattened, their lists numbered as runs.
+        inner = next((key for key, value in records[0].items() if _is_records(value)), None)
+        rows = (
+            records
+            if inner is None
+            else [
+                {**row, "run": number}
+                for number, record in enumerate(records, 1)
+                if isinstance(record, dict) and _is_records(record.get(inner))
+                for row in record[inner]
+                if isinstance(row, dict)
+            ]
+        )
         return _read_records(path, iter(rows), rows[:UNIT_ROWS], options, [])
     lists: dict[str, NDArray[Any]] = {}
     unused: dict[str, str] = {}
@@ -230,22 +179,8 @@ def _read_document(path: Path, document: dict[str, Any], options: ReadOptions) -
     return episode_of_table(path, Table("JSON", lists, unused=unused), options)
 
 
-def _unrolled(records: list[Any]) -> list[Any]:
-    """Flatten records that each hold a list of records, numbering the lists as runs."""
-    inner = next((key for key, value in records[0].items() if _is_records(value)), None)
-    if inner is None:
-        return records
-    return [
-        {**row, "run": number}
-        for number, record in enumerate(records, 1)
-        if isinstance(record, dict) and _is_records(record.get(inner))
-        for row in record[inner]
-        if isinstance(row, dict)
-    ]
-
-
 def _is_records(value: object) -> bool:
-    return isinstance(value, list) and len(value) >= _MIN_ROWS and isinstance(value[0], dict)
+    return isinstance(value, list) and len(value) >= 3 and isinstance(value[0], dict)
 
 
 def _columns_of(value: dict[str, Any], prefix: str, depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -263,32 +198,24 @@ def _columns_of(value: dict[str, Any], prefix: str, depth: int = 0) -> Iterator[
 def _as_array(value: object) -> NDArray[Any] | None:
     """Return a list as a 1-D or 2-D array; None where it is not of numbers or texts."""
     if isinstance(value, int | float | str) and not isinstance(value, bool):
-        return np.array(_number(value))
+        return np.array(number_of(value))
     if not isinstance(value, list) or not value:
         return None
     widths = {len(row) if isinstance(row, list) else 0 for row in value}
+    if widths == {0} and any(type(one) is str for one in value):  # a float loses a time's digits
+        return np.array([str(one)[:60] for one in value])
     if widths == {0}:
-        return _column(value)
+        whole = _whole(value)
+        return np.array([number_of(one) for one in value]) if whole is None else whole
     if len(widths) > 1 or max(widths) > _MAX_LIST:
         return None
-    return np.array([[_number(one) for one in row] for row in value], np.float64)
+    return np.array([[number_of(one) for one in row] for row in value], np.float64)
 
 
-def _column(values: list[Any]) -> NDArray[Any]:
-    """Return values as numbers, or as texts where a float would lose a time's digits."""
-    if any(type(one) is str for one in values):
-        return np.array([str(one)[:60] for one in values])
-    if all(type(one) is int and abs(one) < 2**62 for one in values):
-        return np.array(values, np.int64)
-    return np.array([_number(one) for one in values], np.float64)
-
-
-def _number(value: object) -> float:
-    """Return a value as a number, NaN where it is none."""
-    try:
-        return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        return float("nan")
+def _whole(values: list[Any]) -> NDArray[np.int64] | None:
+    """Return values as integers where all are, shape (T,)."""
+    are_whole = all(type(one) is int and abs(one) < 2**62 for one in values)
+    return np.array(values, np.int64) if are_whole else None
 
 
 def _read_records(
@@ -305,32 +232,23 @@ def _read_records(
     numbers = {at: array("d") for at in plan.needed if at not in exact}
     adders: list[tuple[_Path, Callable[[Any], None]]] = [
         *((paths[at], texts[at].append) for at in texts),
-        *((paths[at], _adder(numbers[at])) for at in numbers),
+        *(
+            (paths[at], lambda value, add=of.append: add(number_of(value)))
+            for at, of in numbers.items()
+        ),
     ]
     for count, record in enumerate(records, 1):
         if count > MAX_ROWS:
             check_rows(path, count, plan)
         for keys, add in adders:
             add(_at(record, keys))
-    arrays: dict[int, NDArray[Any]] = {at: _times(values) for at, values in texts.items()}
-    arrays |= {at: np.frombuffer(values, np.float64) for at, values in numbers.items()}
+    arrays: dict[int, NDArray[Any]] = {
+        at: np.frombuffer(values, np.float64) for at, values in numbers.items()
+    }
+    for at, values in texts.items():
+        whole = _whole(values)
+        arrays[at] = np.array([_cell(one) for one in values], object) if whole is None else whole
     return episode_of_columns(path, "JSON records", plan, arrays, options, losses=losses)
-
-
-def _adder(values: array[float]) -> Callable[[Any], None]:
-    def add(value: object) -> None:
-        values.append(_number(value))
-
-    return add
-
-
-def _times(values: list[Any]) -> NDArray[Any]:
-    """Return times as integers where all are, else as written."""
-    if all(type(one) is int and abs(one) < 2**62 for one in values):
-        return np.array(values, np.int64)
-    made = np.empty(len(values), object)
-    made[:] = list(map(_cell, values))
-    return made
 
 
 def _cell(value: object) -> str:
@@ -389,11 +307,7 @@ def _at(record: Any, keys: _Path) -> Any:
 
 _NPY = b"\x93NUMPY"
 _ZIP = b"PK\x03\x04"
-_MAX_FILE_BYTES = 1024**3  # of an .npz; its arrays may have less
 _MAX_ARRAYS = 5000  # in a file
-_MAX_DIRECTORY_BYTES = 1024**2  # of an .npz, which `zipfile` reads at once: some 10,000 members
-# The record at a zip file's end: signature, ..., bytes and place of the list of members, ...
-_END = struct.Struct("<4s4H2LH")
 # What NumPy and `zipfile` raise at damaged files.
 _DAMAGED = (ValueError, EOFError, KeyError, OverflowError, zlib.error, zipfile.BadZipFile)
 _DAMAGED += (struct.error, SyntaxError, TypeError, RuntimeError, NotImplementedError, MemoryError)
@@ -415,48 +329,37 @@ def is_numpy_file(start: Start) -> bool:
 
 
 def read_numpy_file(path: Path, options: ReadOptions) -> Episode:
-    """Read arrays named like columns: t, z, ball (T, 3), q and tau (T, J).
-
-    Raises:
-        LogError: it is damaged, too large, or its names do not say what it holds.
-        OSError: it cannot be read.
-    """
-    with open_regular(path) as file:
-        if file.read(len(_NPY)) == _NPY:
-            file.seek(0)
-            return _read_single(path, file, options)
+    """Read arrays named like columns: t, z, ball (T, 3), q and tau (T, J)."""
     unused: dict[str, str] = {}
     try:
-        arrays = _members(path, unused)
+        with open_regular(path) as file:
+            is_single = file.read(len(_NPY)) == _NPY
+            file.seek(0)
+            array = _array(file, path.stat().st_size, MAX_ARRAY_BYTES) if is_single else None
+        arrays = _members(path, unused) if array is None else {path.stem: array}
     except _DAMAGED as error:
-        raise _damaged(path, error) from error
-    return episode_of_table(path, Table("NumPy arrays", arrays, unused=unused), options)
-
-
-def _damaged(path: Path, error: Exception) -> LogError:
-    why = str(error).partition("\n")[0][:120]
-    if isinstance(error, _RefusedError):
-        return LogError(f"{path}: {why}", "save it again, as numbers alone")
-    return LogError(f"{path}: NumPy's file is damaged ({why}); save it again")
-
-
-def _read_single(path: Path, file: IO[bytes], options: ReadOptions) -> Episode:
-    try:
-        array = _array(file, path.stat().st_size, MAX_ARRAY_BYTES)
-    except _DAMAGED as error:
-        raise _damaged(path, error) from error
-    named = (
-        {path.stem: array} if array.dtype.names is not None else number_names(array, path, options)
-    )
-    return episode_of_table(path, Table("NumPy array", named), options)
+        why = str(error).partition("\n")[0][:120]
+        if isinstance(error, _RefusedError):
+            raise LogError(f"{path}: {why}", "save it again, as numbers alone") from error
+        raise LogError(f"{path}: NumPy's file is damaged ({why}); save it again") from error
+    if array is not None and array.dtype.names is None:
+        arrays = number_names(array, path, options)
+    what = "NumPy arrays" if array is None else "NumPy array"
+    return episode_of_table(path, Table(what, arrays, unused=unused), options)
 
 
 def _members(path: Path, unused: dict[str, str]) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz, adding refused ones to `unused`."""
-    _check_directory(path)
+    if (size := path.stat().st_size) > 1024**3:
+        raise _RefusedError(f"has {size} bytes, over the limit of 1 GiB; save fewer arrays")
     arrays: dict[str, NDArray[Any]] = {}
     left = MAX_ARRAY_BYTES
-    with open_regular(path) as packed, zipfile.ZipFile(packed) as archive:
+    with open_regular(path) as packed:
+        if (listed := directory_bytes(packed, size)) is None:
+            raise ValueError("its end is missing")
+        if listed > 1024**2:  # `zipfile` reads all at once: a MiB lists some 10,000 members
+            raise _RefusedError("holds more arrays than can be read; save fewer")
+        archive = zipfile.ZipFile(packed)
         members = [one for one in archive.infolist() if one.filename.endswith(".npy")]
         if len(members) > _MAX_ARRAYS:
             raise _RefusedError(f"holds {len(members)} arrays, over the limit of {_MAX_ARRAYS}")
@@ -475,20 +378,17 @@ def _members(path: Path, unused: dict[str, str]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _check_directory(path: Path) -> None:
-    """Refuse an archive whose directory is larger than arrays need, with a ValueError."""
-    size = path.stat().st_size
-    if size > _MAX_FILE_BYTES:
-        raise _RefusedError(f"has {size} bytes, over the limit of 1 GiB; save fewer arrays")
-    with open_regular(path) as file:
-        file.seek(max(0, size - 65536 - _END.size))
-        tail = file.read()
-    at = tail.rfind(b"PK\x05\x06")
-    if at < 0 or len(tail) < at + _END.size:
-        raise ValueError("its end is missing")
-    listed = _END.unpack_from(tail, at)[5]
-    if listed > _MAX_DIRECTORY_BYTES or b"PK\x06\x07" in tail[max(0, at - 20) : at]:
-        raise _RefusedError("holds more arrays than can be read; save fewer")
+def directory_bytes(file: IO[bytes], size: int) -> int | None:
+    """Return the size of a zip's list of files, as its end states it; None without an end."""
+    file.seek(max(0, size - 65_735))  # a comment of 65,535 bytes may end it
+    tail = file.read()
+    at, at64 = tail.rfind(b"PK\x05\x06"), tail.rfind(b"PK\x06\x06")
+    if at < 0 or at + 22 > len(tail):
+        return None
+    stated = int.from_bytes(tail[at + 12 : at + 16], "little")
+    if at64 >= 0:
+        stated = max(int.from_bytes(tail[at64 + 40 : at64 + 48], "little"), stated % 0xFFFFFFFF)
+    return stated
 
 
 def _array(file: IO[bytes], there: int, most: int) -> NDArray[Any]:
@@ -503,7 +403,7 @@ def _array(file: IO[bytes], there: int, most: int) -> NDArray[Any]:
         raise _RefusedError("Python objects, which are never unpickled; save numbers")
     if any(length < 0 for length in shape) or len(shape) > 8:
         raise ValueError(f"shape {shape}")
-    size = prod(shape) * dtype.itemsize
+    size = math.prod(shape) * dtype.itemsize
     if len(shape) > 2:
         raise _RefusedError(f"its shape {' x '.join(map(str, shape))} is no table's")
     if size > there:

@@ -32,20 +32,14 @@ from tunenet_logs.formats.readers.mocap import (
     unit_of,
 )
 
-WHAT = "C3D file"  # in messages
-BLOCK_BYTES = 512  # unit of positions in a file, which count from 1
-KEY = 0x50  # the second byte of a file, and of its parameters
+_WHAT = "a C3D file"
+_BLOCK_BYTES = 512  # unit of positions in a file, which count from 1
 _PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
-_HEADER_BYTES = 512 * BLOCK_BYTES  # read for header and parameters: at most 127 and 255 blocks
+_HEADER_BYTES = 512 * _BLOCK_BYTES  # read for header and parameters: at most 127 and 255 blocks
 _READ_BYTES = 8 * 1024**2  # of data, at once
-
-_MAX_PARAMETERS, _MAX_DIMENSIONS = 20_000, 7
-_TEXT = -1  # type of a parameter; the others are sizes of numbers
-_SIZES = {_TEXT: 1, 1: 1, 2: 2, 4: 4}
-
+_SIZES = {-1: 1, 1: 1, 2: 2, 4: 4}  # bytes of a parameter's items by its type; -1 is text
 # Parameters of POINT that name the points that are no positions.
 _MODEL_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
-_MAX_FRAMES = 65_535  # that the header can count: it states this where there are more
 _UNKNOWN_FRAMES = 2**31
 _MAX_ANALOGS = 100  # channels listed
 
@@ -72,11 +66,6 @@ class _Header:
     def order(self) -> str:
         """Byte order, as numpy and struct name it."""
         return ">" if self.processor == "mips" else "<"
-
-    @property
-    def frame_bytes(self) -> int:
-        """Size of a frame, its analog samples included."""
-        return (4 * self.points + self.analogs) * (4 if self.scale < 0 else 2)
 
     def words(self, data: bytes) -> NDArray[np.int16]:
         """Decode signed 16-bit integers."""
@@ -110,24 +99,30 @@ class _Header:
 def is_c3d(start: Start) -> bool:
     """Return whether a file is C3D, by its first bytes."""
     data = start.data
-    if len(data) < BLOCK_BYTES or data[0] == 0 or data[1] != KEY:
+    if len(data) < _BLOCK_BYTES or data[0] == 0 or data[1] != 0x50:
         return False
-    at = (data[0] - 1) * BLOCK_BYTES
+    at = (data[0] - 1) * _BLOCK_BYTES
     return data[at + 3 : at + 4] == b"" or data[at + 3] in _PROCESSORS
 
 
 def read_c3d(path: Path, options: ReadOptions) -> Episode:
-    """Read a C3D file, one signal per point.
-
-    Raises:
-        LogError: it has no point, no frame, or its header is damaged.
-        OSError: it cannot be read.
-    """
+    """Read a C3D file, one signal per point."""
     with open_regular(path) as file:
-        header = _header_of(path, file.read(_HEADER_BYTES))
+        data = file.read(_HEADER_BYTES)
+        at = (data[0] - 1) * _BLOCK_BYTES
+        if len(data) < at + 4 or data[at + 3] not in _PROCESSORS:
+            raise LogError(f"{path}: is {_WHAT} that ends before its parameters", EXPORT_AGAIN)
+        header = _Header(_PROCESSORS[data[at + 3]])
+        words = [int(one) & 0xFFFF for one in header.words(data[:24])]
+        scale, rate_hz = (float(header.floats(data[one : one + 4])[0]) for one in (12, 20))
+        parameters = _parameters(data, at, header)
+        points, analogs, first, last = words[1:5]
+        header = _Header(
+            header.processor, points, analogs, first, last, scale, words[8], rate_hz, parameters
+        )
         if not 0 < header.points <= MAX_COLUMNS // 3:
             raise LogError(
-                f"{path}: is a {WHAT} of {header.points} points (1 to {MAX_COLUMNS // 3} can be)",
+                f"{path}: is {_WHAT} of {header.points} points (1 to {MAX_COLUMNS // 3} can be)",
                 "export the ball's marker alone",
             )
         stated = _frames(header)
@@ -135,41 +130,34 @@ def read_c3d(path: Path, options: ReadOptions) -> Episode:
         rows = TrackRows(path, tracks)
         said = header.values("POINT", "DATA_START")
         block = header.data_block or int(said[0] if said and said[0] == said[0] else 0)
-        start = (max(2, block) - 1) * BLOCK_BYTES
-        frames = min(stated, max(0, file.seek(0, 2) - start) // header.frame_bytes)
+        start = (max(2, block) - 1) * _BLOCK_BYTES
+        width, is_float = 4 * header.points + header.analogs, scale < 0
+        frame_bytes = width * (4 if is_float else 2)  # its analog samples included
+        frames = min(stated, max(0, file.seek(0, 2) - start) // frame_bytes)
         file.seek(start)
-        columns = list(range(1 + 3 * len(used)))
-        at_once = max(1, _READ_BYTES // header.frame_bytes)
+        at_once = max(1, _READ_BYTES // frame_bytes)
         for first in range(0, frames, at_once):
-            count = min(at_once, frames - first)
-            xyz = _points(file.read(count * header.frame_bytes), header)[:, used]
+            data = file.read(min(at_once, frames - first) * frame_bytes)
+            data = data[: len(data) // frame_bytes * frame_bytes]
+            # Each point is x, y, z and a residual, which is negative where it was not seen.
+            cells = (header.floats(data) if is_float else header.words(data)).reshape(-1, width)
+            cells = cells[:, : 4 * header.points].reshape(-1, header.points, 4)
+            with np.errstate(invalid="ignore", over="ignore"):
+                xyz = cells[:, :, :3].astype(np.float64) * (1.0 if is_float else scale)
+                xyz[~(cells[:, :, 3] >= 0)] = np.nan
             numbers = header.first_frame + np.arange(first, first + len(xyz), dtype=np.float64)
-            rows.add(columns, np.column_stack([numbers, xyz.reshape(len(xyz), 3 * len(used))]))
+            places = xyz[:, used].reshape(len(xyz), 3 * len(used))
+            rows.add(range(1 + 3 * len(used)), np.column_stack([numbers, places]))
         return rows.episode(options)
-
-
-def _header_of(path: Path, data: bytes) -> _Header:
-    """Parse the header and parameters; raise LogError where it is truncated."""
-    at = (data[0] - 1) * BLOCK_BYTES
-    if len(data) < at + 4 or data[at + 3] not in _PROCESSORS:
-        raise LogError(f"{path}: is a {WHAT} that ends before its parameters", EXPORT_AGAIN)
-    numbers = _Header(_PROCESSORS[data[at + 3]])
-    words = [int(one) & 0xFFFF for one in numbers.words(data[:24])]
-    scale, rate_hz = (float(numbers.floats(data[one : one + 4])[0]) for one in (12, 20))
-    parameters = _parameters(data, at, numbers)
-    points, analogs, first, last = words[1:5]
-    return _Header(
-        numbers.processor, points, analogs, first, last, scale, words[8], rate_hz, parameters
-    )
 
 
 def _parameters(data: bytes, start: int, numbers: _Header) -> dict[tuple[str, str], Value]:
     """Return all parameters of the section by group and name."""
-    end = min(len(data), start + max(1, data[start + 2]) * BLOCK_BYTES)
+    end = min(len(data), start + max(1, data[start + 2]) * _BLOCK_BYTES)
     groups: dict[int, str] = {}
     found: list[tuple[int, str, Value]] = []
     at = start + 4
-    for _ in range(_MAX_PARAMETERS):
+    for _ in range(20_000):  # more than any file has
         if at + 2 > end:
             break
         length, group = struct.unpack_from("<bb", data, at)
@@ -191,14 +179,14 @@ def _parameters(data: bytes, start: int, numbers: _Header) -> dict[tuple[str, st
 def _value(data: bytes, numbers: _Header) -> Value | None:
     """Decode a parameter; None where it is truncated or of an unknown type."""
     kind, dimensions = struct.unpack_from("<bB", data) if len(data) > 1 else (0, 0)
-    if kind not in _SIZES or dimensions > _MAX_DIMENSIONS or len(data) < 2 + dimensions:
+    if kind not in _SIZES or dimensions > 7 or len(data) < 2 + dimensions:
         return None
     shape = tuple(data[2 : 2 + dimensions])
     count = math.prod(shape)
     body = data[2 + dimensions : 2 + dimensions + count * _SIZES[kind]]
     if len(body) < count * _SIZES[kind]:
         return None
-    if kind == _TEXT:
+    if kind == -1:
         width = shape[0] if len(shape) > 1 else count
         texts = [body[at : at + width] for at in range(0, count, width)] if width else []
         return tuple(text.decode("utf-8", "replace").rstrip(" \0") for text in texts)
@@ -229,11 +217,11 @@ def _tracks(header: _Header, frames: int) -> tuple[MarkerTracks, list[int]]:
     rate_hz = (header.values("POINT", "RATE") or [header.rate_hz])[0]
     unit = unit_of("".join(header.texts("POINT", "UNITS")[:1]))
     found = [
-        MarkerTrack(names[at], (first, first + 1, first + 2), unit, is_unlabeled(names[at]))
-        for at, first in zip(used, range(1, 3 * len(used) + 1, 3), strict=True)
+        MarkerTrack(names[at], 1 + 3 * place, unit, is_unlabeled(names[at]))
+        for place, at in enumerate(used)
     ]
     tracks = MarkerTracks(
-        WHAT,
+        _WHAT,
         found,
         frame=0,
         rate_hz=rate_of(str(rate_hz)),
@@ -259,17 +247,5 @@ def _frames(header: _Header) -> int:
         value = (header.values("POINT", name) or [0.0])[0]
         if math.isfinite(value) and by_header < value < _UNKNOWN_FRAMES:
             return int(value)
-    return by_header if header.last_frame < _MAX_FRAMES else _UNKNOWN_FRAMES
-
-
-def _points(data: bytes, header: _Header) -> NDArray[np.float64]:
-    """Decode the points of some frames, NaN where unseen, shape (T, points, 3)."""
-    data = data[: len(data) // header.frame_bytes * header.frame_bytes]
-    is_float = header.scale < 0
-    numbers = header.floats(data) if is_float else header.words(data)
-    width = 4 * header.points
-    cells = numbers.reshape(-1, width + header.analogs)[:, :width].reshape(-1, header.points, 4)
-    with np.errstate(invalid="ignore", over="ignore"):
-        xyz = cells[:, :, :3].astype(np.float64) * (1.0 if is_float else header.scale)
-        xyz[~(cells[:, :, 3] >= 0)] = np.nan
-    return xyz
+    # The header counts in 16 bits: it states the largest number where there are more.
+    return by_header if header.last_frame < 0xFFFF else _UNKNOWN_FRAMES

@@ -12,10 +12,11 @@ import io
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain, islice
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,10 +54,11 @@ from tunenet_logs.formats.columns.names import (
     CoordinateColumn,
     FrameColumn,
     JointColumn,
+    Meaning,
     Reading,
     TimeColumn,
     contradiction_of,
-    is_name,
+    index_of,
     length_in,
     meaning_of,
     places_of,
@@ -64,9 +66,8 @@ from tunenet_logs.formats.columns.names import (
     short_list,
     spread_names,
     unit_alone,
-    with_degrees,
-    with_lengths,
     with_row,
+    with_units,
 )
 from tunenet_logs.formats.columns.table import (
     MAX_ROWS,
@@ -86,7 +87,6 @@ from tunenet_logs.formats.options import AS_IT_SAYS, ReadOptions
 
 # ---- Suggest a line to type, where the names say too little.
 
-_MAX_OFFER_ROWS = 100_000  # read to describe columns without names
 _PLAIN = re.compile(r"[^\W\d][\w.\-/]*")  # a name that needs no quotes
 
 
@@ -94,7 +94,7 @@ def offer_by_number(first: str, rest: Iterable[str | None], separator: str | Non
     """Describe unnamed columns by their first and last values, with an example of `--columns`."""
     rows = [_values(first, separator)]
     last, increases = rows[0], True
-    for line in islice(rest, _MAX_OFFER_ROWS):
+    for line in islice(rest, 100_000):
         row = _values(line or "", separator)
         if len(row) == len(rows[0]) and row[0] is not None:
             increases = increases and last[0] is not None and row[0] > last[0]
@@ -214,33 +214,15 @@ def _parts(cell: str) -> list[str]:
 # ---- Find the header line and its units.
 
 _MAX_BEFORE = 200  # lines of a preamble
-_MAX_NAMES = 20_000  # of columns, in all lines of a preamble
-# Headers that are understood, for error messages.
-_EXAMPLE = "for example t,x,y,z or time_ms;height_mm or t,joint1_effort,joint1_position"
-_FEW_COLUMNS = 3  # a table of so few may hold impact times
 Separator = str | None  # between cells; None is white space
 Layout = tuple[ColumnPlan, Separator]
 Lines = Iterator[tuple[int, str | None]]  # with their numbers from 1; None for one too long
 
 
-@dataclass(frozen=True, eq=False)
-class OpenTable:
-    """A table read up to its first row."""
-
-    plan: ColumnPlan
-    separator: Separator
-    rows: Lines  # the lines behind the header and its units
-    what: str = ""  # kind of table; "" where it is unstated
-    said_rows: int | None = None  # number of rows stated; None where it is unstated
-
-
-def open_table(path: Path, text: Iterable[str | None], options: ReadOptions) -> OpenTable:
-    """Read a table up to its first row.
-
-    Raises:
-        LogError: it has no header with a clock and values, or is too large.
-        OSError: it cannot be read.
-    """
+def _open(
+    path: Path, text: Iterable[str | None], options: ReadOptions
+) -> tuple[ColumnPlan, Separator, Lines, _Before]:
+    """Read a table up to its first row; return its columns, rows and what stood before them."""
     said = options.columns
     if why := contradiction_of(said):
         raise LogError(f"{path}: {why}")
@@ -268,47 +250,54 @@ def open_table(path: Path, text: Iterable[str | None], options: ReadOptions) -> 
         raise LogError(f"{path}: {error}") from error
     if layout is None:
         rest = (line for _, line in islice(lines, 1, None))
-        why = before.known.refusal if before.known else before.refusal(first, rest)
+        known = before.known
+        why = f"is {known.what}; {known.remedy}" if known else before.refusal(first, rest)
         raise LogError(f"{path}: {why}")
-    table = _with_units(path, OpenTable(*layout, lines), before)
-    if before.known is not None:
-        rows = before.known.of_one(path, table.rows)
-        table = replace(table, rows=rows, what=before.known.what)
-    return table
+    # Add the units of a row below the header, and of the preamble, to the columns.
+    for number, line in lines:
+        is_comment = line is not None and line.startswith("#")
+        try:
+            found = line and _named_by(layout, line.removeprefix("#") if is_comment else line)
+        except ValueError as error:
+            raise LogError(f"{path}: line {number}: {error}") from error
+        if found:
+            layout = found
+            break
+        if line is None or (line.strip() and not is_comment):
+            lines = chain([(number, line)], lines)
+            break
+    plan, separator = layout
+    if before.length or before.says("indegrees") == "yes":
+        plan = _again(plan, with_units(plan.names, before.unit_of, plan.reading))
+    if not plan.groups:
+        raise LogError(f"{path}: {_unusable(plan)}")
+    return plan, separator, before.known.of_one(path, lines) if before.known else lines, before
 
 
 class _Before:
-    """Parser of the lines before the first row.
-
-    Attributes:
-        header: the columns; without groups where no better line is found.
-        commented: the same of a comment, as numpy.savetxt and rostopic write it.
-        length: the unit of lengths; "" where it is unstated.
-        known: format of the rows, where no line names their columns.
-    """
+    """Parser of the lines before the first row."""
 
     def __init__(self, options: ReadOptions) -> None:
-        self.header: Layout | None = None
+        self.header: Layout | None = None  # without groups where no better line is found
+        # the same of a comment, as numpy.savetxt and rostopic write it
         self.commented: Layout | None = None
-        self.length = ""
-        self.known: KnownRows | None = None
+        self.length = ""  # the unit of lengths; "" where it is unstated
+        self.known: KnownRows | None = None  # format of the rows, where no line names their columns
         self._options = options
         self._said = options.columns
-        self._counts_rows = options.rate_hz is not None
+        self._counts_rows = options.fps is not None
         self._texts: list[str] = []
-        self._names_left = _MAX_NAMES
+        self._names_left = 20_000  # of columns, in all lines
         self._too_large = ""
 
     def is_header(self, number: int, line: str | None) -> bool:
         """Parse a line; return whether it is the header. Raise ValueError for an unknown unit."""
         columns = 0 if line is None else max(len(cells) for _, cells in _readings(line))
         if line is None or columns > MAX_COLUMNS:
-            what = (
-                f"longer than {MAX_LINE >> 20} MiB, the limit of a line (a table may have "
-                f"{MAX_COLUMNS} columns)"
-                if line is None
-                else f"a header of {columns} columns, over the limit of {MAX_COLUMNS}"
-            )
+            what = f"a header of {columns} columns, over the limit of {MAX_COLUMNS}"
+            if line is None:
+                what = f"longer than {MAX_LINE >> 20} MiB, the limit of a line (a table may have "
+                what += f"{MAX_COLUMNS} columns)"
             self._too_large = self._too_large or f"line {number} is {what}"
             return False
         self._names_left -= columns
@@ -321,7 +310,8 @@ class _Before:
         if self._said:
             for separator, cells in _readings(text):
                 places, missing = places_of(self._said, cells)
-                if not missing and any(is_name(place, cells) for place in self._said.values()):
+                are_names = any(index_of(one, cells) is not None for one in self._said.values())
+                if not missing and are_names:
                     self.header = self._said_layout(said_reading(places), cells, separator)
                     return True
             self.length = length_in(text) or self.length
@@ -340,9 +330,7 @@ class _Before:
 
     def _said_layout(self, reading: Reading, names: Sequence[str], separator: Separator) -> Layout:
         """Lay out the columns that a user names; ValueError if none is a time."""
-        plan = layout_of(names, reading) or (
-            layout_of(names, reading, counts_rows=True) if self._counts_rows else None
-        )
+        plan = layout_of(names, reading, counts_rows=self._counts_rows)
         if plan is None:
             raise ValueError(
                 "none of its columns is known as a time; say it as well: t=COLUMN, or "
@@ -352,12 +340,7 @@ class _Before:
         return plan, separator
 
     def layout(self, row: str | None, ahead: Sequence[str]) -> Layout | None:
-        """Return the columns of the table; None where they cannot be determined.
-
-        Raises:
-            ValueError: the table lacks the user's columns, or its header says that it holds no
-                positions.
-        """
+        """Return the columns of the table; None where they cannot be determined."""
         first = self._texts[0].strip(" \t,;") if self._texts else ""
         if self.is_opensim and re.search("velocit|accelerat|speed", first, re.I):
             raise ValueError(
@@ -385,10 +368,9 @@ class _Before:
         if self.header is not None:
             raise ValueError(_unusable(self.header[0]))
         if row is None or not names:
-            place = next(iter(self._said.values()))
+            place = next(iter(self._said.values()))[:60]
             raise ValueError(
-                f"has no column {place[:60]!r} in its first {_MAX_BEFORE} lines; "
-                "name one that it has"
+                f"has no column {place!r} in its first {_MAX_BEFORE} lines; name one that it has"
             )
         known = names if any(names) else [f"column {at}" for at in range(1, len(names) + 1)]
         if self.known is not None:
@@ -425,6 +407,12 @@ class _Before:
         said = {one.strip().lower(): value.strip(" \t,;").lower() for one, _, value in lines}
         return said.get(key, "") if self.is_opensim else ""
 
+    def unit_of(self, meaning: Meaning) -> str:
+        """Return the unit of a column whose name states none; "" where these lines do neither."""
+        if isinstance(meaning, JointColumn) and self.says("indegrees") == "yes":
+            return {"position": "deg", "velocity": "deg/s"}.get(meaning.quantity, "")
+        return self.length if isinstance(meaning, CoordinateColumn) else ""
+
     def refusal(self, row: str | None, rest: Iterable[str | None]) -> str:
         """Return why there is no table below these lines, by first row and rest."""
         layout = self.header or self.commented
@@ -446,11 +434,10 @@ class _Before:
                 f"holds one column of numbers ({numbers[0][:20]} to {numbers[-1][:20]}); if they "
                 "are times of impacts [s], say so with --columns times=1"
             )
-        is_text = bool(self._texts)
-        what = (
-            "no line names a column of times" if is_text else "has no line that names its columns"
-        )
-        return f"{what}; put one on top, {_EXAMPLE}"
+        nothing = "no line names a column of times"
+        what = nothing if self._texts else "has no line that names its columns"
+        examples = "t,x,y,z or time_ms;height_mm or t,joint1_effort,joint1_position"
+        return f"{what}; put one on top, for example {examples}"
 
 
 def _unusable(plan: ColumnPlan) -> str:
@@ -458,41 +445,9 @@ def _unusable(plan: ColumnPlan) -> str:
     reasons = [f"{name[:60]!r}: {why}" for name, why in plan.unused.items() if name.strip()]
     listed = "; ".join(reasons[:4]) or "it has times alone"
     offer = f"; {offer_by_name(plan.names)}" if reasons or len(plan.names) == 1 else ""
-    if len(plan.names) <= _FEW_COLUMNS:
+    if len(plan.names) <= 3:
         offer += "; name times of impacts, if it has them: --columns times=..."
     return f"holds no track and no torques that can be used ({listed}){offer}"
-
-
-def _with_units(path: Path, table: OpenTable, before: _Before) -> OpenTable:
-    """Add the units of a row below the header, and of the preamble, to the columns."""
-    layout, rows = (table.plan, table.separator), table.rows
-    for number, line in rows:
-        is_comment = line is not None and line.startswith("#")
-        try:
-            found = line and _named_by(layout, line.removeprefix("#") if is_comment else line)
-        except ValueError as error:
-            raise LogError(f"{path}: line {number}: {error}") from error
-        if found:
-            layout = found
-            break
-        if line is None or (line.strip() and not is_comment):
-            rows = chain([(number, line)], rows)
-            break
-    plan = layout[0]
-    if before.length:
-        plan = _again(plan, with_lengths(plan.names, before.length, plan.reading))
-    if before.says("indegrees") == "yes":
-        plan = _again(plan, with_degrees(plan.names, plan.reading))
-    if not plan.groups:
-        raise LogError(f"{path}: {_unusable(plan)}")
-    said = before.says("nrows")
-    return OpenTable(
-        plan,
-        table.separator,
-        rows,
-        "of OpenSim" if before.is_opensim else "",
-        int(said) if said.isdecimal() and len(said) < 10 else None,
-    )
 
 
 def _named_by(layout: Layout, line: str) -> Layout | None:
@@ -546,29 +501,21 @@ def _is_number(cell: str, separator: Separator) -> bool:
 
 # ---- Read the rows.
 
-_CELLS_AT_ONCE = 30_000  # of some rows, before their texts are let go
-
 
 class TextRows:
     """Rows of text, read into the columns that a plan needs.
 
-    Attributes:
-        plan: its meaning, as the first rows show it.
-        count: number of rows.
-        failures: of these, those that cannot be read.
-        unlinked: of these, those of no object.
-
-    Args:
-        plan: meaning of the columns.
-        separator: of cells.
-        least: number of cells that a row needs; None where it needs as many as there are columns.
+    `least` is the number of cells that a row needs; None where it needs one for each column.
     """
 
-    def __init__(self, plan: ColumnPlan, separator: Separator, least: int | None = None) -> None:
-        self.plan = plan
-        self.count = 0
-        self.failures = Failures()
-        self.unlinked = 0
+    def __init__(
+        self, path: Path, plan: ColumnPlan, separator: Separator, least: int | None = None
+    ) -> None:
+        self.plan = plan  # its meaning, as the first rows show it
+        self.count = 0  # of rows
+        self.failures = Failures()  # of these, those that cannot be read
+        self.unlinked = 0  # of these, those of no object
+        self._path = path
         self._separator = separator
         self._least = least
         self._numbers = Numbers(separator)
@@ -581,23 +528,23 @@ class TextRows:
         self._passed = 0  # rows, and headings between them
         self._things: dict[str, int] = {}
 
-    def read(self, path: Path, lines: Lines) -> None:
-        """Read all rows, counting those that cannot be read.
-
-        Raises:
-            LogError: there are too many rows, or no unit fits their times.
-        """
+    def read(self, lines: Lines) -> None:
+        """Read all rows, counting those that cannot be read."""
         rows = self._cells(lines)
         first = list(islice(rows, UNIT_ROWS))
         try:
-            self._look([cells for _, cells in first if cells and self._fits(cells)])
+            self._look([cells for _, cells in first if cells and self._fault(cells) is None])
         except ValueError as error:
-            raise LogError(f"{path}: {error}") from error
-        every, at_once = chain(first, rows), max(64, _CELLS_AT_ONCE // max(len(self.plan.names), 1))
+            raise LogError(f"{self._path}: {error}") from error
+        every = chain(first, rows)
+        # Rows at once, of 30,000 cells, before their texts are let go.
+        at_once = max(64, 30_000 // max(len(self.plan.names), 1))
         while chunk := list(islice(every, at_once)):
             self._add(chunk)
             if self.count > MAX_ROWS:
-                raise LogError(f"{path}: is a table of over {MAX_ROWS} rows, the limit; split it")
+                raise LogError(
+                    f"{self._path}: is a table of over {MAX_ROWS} rows, the limit; split it"
+                )
 
     def _cells(self, lines: Lines) -> Iterator[tuple[int, list[str] | None]]:
         """Yield each row's line number and cells; None where the line is too long."""
@@ -614,10 +561,17 @@ class TextRows:
                 cells = cells[:width]
             yield number, cells
 
-    def _fits(self, cells: Sequence[str]) -> bool:
-        if self._least is not None:
-            return len(cells) >= self._least
-        return len(cells) == len(self.plan.names)
+    def _fault(self, cells: Sequence[str] | None) -> UnreadableError | None:
+        """Return what is wrong with the number of a row's cells."""
+        if cells is None:
+            return UnreadableError("it is longer than any table's", DAMAGED_REMEDY)
+        least = self._least or len(self.plan.names)
+        if len(cells) < least:
+            return UnreadableError(f"it has {len(cells)} of {least} cells", DAMAGED_REMEDY)
+        if len(cells) > least and self._least is None:
+            why = f"it has {len(cells)} cells, the header {least}"
+            return UnreadableError(why, CELLS_REMEDY)
+        return None
 
     def _look(self, whole: Sequence[Sequence[str]]) -> None:
         """Determine number format, time units, objects and joint names from the first rows."""
@@ -643,21 +597,8 @@ class TextRows:
 
     def _add(self, chunk: Sequence[tuple[int, list[str] | None]]) -> None:
         """Add some rows."""
-        plan, width = self.plan, len(self.plan.names)
-        bad: dict[int, UnreadableError] = {}
-        for at, (_, cells) in enumerate(chunk):
-            if cells is None:
-                bad[at] = UnreadableError("it is longer than any table's", DAMAGED_REMEDY)
-            elif not self._fits(cells):
-                least = self._least or width
-                few = len(cells) < least
-                bad[at] = (
-                    UnreadableError(f"it has {len(cells)} of {least} cells", DAMAGED_REMEDY)
-                    if few
-                    else UnreadableError(
-                        f"it has {len(cells)} cells, the header {width}", CELLS_REMEDY
-                    )
-                )
+        plan = self.plan
+        bad = {at: why for at, (_, cells) in enumerate(chunk) if (why := self._fault(cells))}
         whole = [at for at in range(len(chunk)) if at not in bad]
         rows = [cells for at in whole if (cells := chunk[at][1]) is not None]
         wrong: dict[int, UnreadableError] = {}  # by their place in `rows`
@@ -671,7 +612,7 @@ class TextRows:
                 is_seen = np.array([not is_missing(cells[at]) for cells in rows], np.bool_)
             else:
                 is_seen = group.seen(numbers)
-                some |= replace(group, is_track=False).seen(numbers)
+                some |= group.seen(numbers, in_part=True)
             some |= is_seen
             for clock in (group.clock, group.stamp):
                 if clock is not None:
@@ -692,10 +633,10 @@ class TextRows:
         bad |= {whole[at]: error for at, error in wrong.items()}
         for at, error in sorted(bad.items()):
             line, cells = chunk[at]
-            if not (cells and _is_heading(cells, header)):
+            if cells and _is_heading(cells, header):
+                self.count -= 1
+            else:
                 self.failures.add(line, error)
-                continue
-            self.count -= 1
         self.count += len(chunk)
         self._passed += len(chunk)
 
@@ -760,12 +701,8 @@ class TextRows:
                 wrong[row] = unreadable(clock.name, " ".join(texts), "is no time", TIME_REMEDY)
         return stamps, known
 
-    def rows(self, path: Path, what: str) -> ColumnRows:
-        """Return the columns of the rows of a file of some kind.
-
-        Raises:
-            LogError: no row, or too few of them, can be read, or their numbers are ambiguous.
-        """
+    def episode(self, what: str, options: ReadOptions, **more: Any) -> Episode:
+        """Build an episode of the rows; `more` as in `episode_of_rows`."""
         times = {
             clock: Times(
                 np.concatenate([stamps for stamps, _ in parts] or [np.zeros(0, np.int64)]),
@@ -774,34 +711,23 @@ class TextRows:
             )
             for clock, parts in self._times.items()
         }
-        if not any(one.known.any() for one in times.values()):
-            raise LogError(f"{path}: {what}{self.failures.nothing(self.count)}")
-        if why := self.failures.refusal(self.count):
-            raise LogError(f"{path}: {what}{why}")
+        failures, is_known = self.failures, any(one.known.any() for one in times.values())
+        if why := failures.refusal(self.count) if is_known else failures.nothing(self.count):
+            kind = "" if more.get("encoding") == "csv" else f"{what}: "
+            raise LogError(f"{self._path}: {kind}{why}")
         if why := self._thousands.doubt(self.plan.names):
-            raise LogError(f"{path}: {why}", NUMBER_REMEDY)
-        values = {at: np.concatenate(parts) for at, parts in self._values.items()}
-        runs = np.array(self._run_numbers, np.int64)
-        return ColumnRows(
-            values, times, runs, list(self._things) or self._runs.names, self._runs.note
+            raise LogError(f"{self._path}: {why}", NUMBER_REMEDY)
+        rows = ColumnRows(
+            {at: np.concatenate(parts) for at, parts in self._values.items()},
+            times,
+            np.array(self._run_numbers, np.int64),
+            list(self._things) or self._runs.names,
+            self._runs.note,
         )
-
-    def episode(self, path: Path, what: str, options: ReadOptions, **more: object) -> Episode:
-        """Build an episode of the rows; see `episode_of_rows`."""
-        failures = self.failures
-        rows = self.rows(path, "" if more.get("encoding") == "csv" else f"{what}: ")
         lost = [failures.lost(self.count)] if failures else []
-        lost += more.pop("losses", [])  # type: ignore[arg-type]
-        return episode_of_rows(
-            path,
-            what,
-            self.plan,
-            rows,
-            options,
-            losses=lost,
-            unread=(len(failures), self.count - len(failures)),
-            **more,  # type: ignore[arg-type]
-        )
+        more["losses"] = [*lost, *more.get("losses", ())]
+        more["unread"] = (len(failures), self.count - len(failures))
+        return episode_of_rows(self._path, what, self.plan, rows, options, **more)
 
 
 def _is_heading(cells: Sequence[str], header: Sequence[str]) -> bool:
@@ -814,11 +740,7 @@ def _is_heading(cells: Sequence[str], header: Sequence[str]) -> bool:
 
 
 def read_csv(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
-    """Read a table as an episode: one signal per tracked object and per joint quantity.
-
-    Raises:
-        LogError: no header that is understood, no readable row, or too many unreadable ones.
-    """
+    """Read a table as an episode: one signal per tracked object and per joint quantity."""
     try:
         return read_lines(path, lines_of(path), options)
     except OSError as error:
@@ -826,20 +748,17 @@ def read_csv(path: Path, options: ReadOptions = AS_IT_SAYS) -> Episode:
 
 
 def read_lines(path: Path, lines: Iterable[str | None], options: ReadOptions) -> Episode:
-    """Read lines of text as a table, be they of a file or of a sheet's tab-separated cells.
-
-    Raises:
-        LogError: see `read_csv`.
-    """
-    table = open_table(path, lines, options)
-    rows = TextRows(fitted(path, table.plan, options), table.separator)
-    rows.read(path, table.rows)
-    losses: list[str] = []
-    if table.said_rows is not None and rows.count < table.said_rows:
-        losses.append(f"it says that it has {table.said_rows} rows, and has {rows.count}")
-    what = table.plan.kind or "table"
-    episode = rows.episode(path, what, options, encoding="csv", losses=losses)
-    if not table.what:
+    """Read lines of text as a table, be they of a file or of a sheet's tab-separated cells."""
+    plan, separator, below, before = _open(path, lines, options)
+    rows = TextRows(path, fitted(path, plan, options), separator)
+    rows.read(below)
+    stated, losses = before.says("nrows"), list[str]()
+    if stated.isdecimal() and len(stated) < 10 and rows.count < int(stated):
+        losses.append(f"it says that it has {int(stated)} rows, and has {rows.count}")
+    what = plan.kind or "table"
+    episode = rows.episode(what, options, encoding="csv", losses=losses)
+    kind = before.known.what if before.known else "of OpenSim" if before.is_opensim else ""
+    if not kind:
         return episode
-    source = f"{what} {path.name}, {table.what}"
+    source = f"{what} {path.name}, {kind}"
     return replace(episode, info=replace(episode.info, source=source))

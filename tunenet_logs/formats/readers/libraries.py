@@ -1,28 +1,22 @@
 """Read files of arrays by their libraries, in the sandbox.
 
 MATLAB and Octave (.mat), HDF5, PyTorch (.pt), recordings for the Rerun viewer (.rrd) and logs of
-PX4 (.ulg). Each gives one table of named columns or several, which `tables_episode` joins.
+PX4 (.ulg). Each gives one table of named columns or several, which are joined.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunenet_logs.episode import Channel, Episode, EpisodeInfo, Signal
 from tunenet_logs.errors import LogError
-from tunenet_logs.formats.columns.table import (
-    Table,
-    episode_of_table,
-    name_of_run,
-    number_names,
-)
+from tunenet_logs.formats.columns.table import Table, episode_of_table, name_of_run, number_names
 from tunenet_logs.formats.kinds import Start, is_hdf5
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.formats.readers import sandboxed
@@ -31,21 +25,7 @@ from tunenet_logs.formats.sandbox import CPU_S, Sandbox, SandboxError
 if TYPE_CHECKING:
     from tunenet_logs.formats.sandbox import Function
 
-_MAX_FILE_BYTES = 512 * 1024**2
 _MAX_TABLES = 200  # of a file that are read
-
-
-@dataclass(frozen=True, eq=False)
-class StoredTable:
-    """Named columns of a file."""
-
-    name: str  # of the table, where there are several
-    arrays: Mapping[str, NDArray[Any]]  # one row a time
-    unused: Mapping[str, str]  # what else there is, with the reason
-    rate_hz: float | None = None  # of the rows, where the file says it
-    # of arrays, by their full ones in the file
-    names: Mapping[str, str] = field(default_factory=dict[str, str])
-    loss: str = ""  # what was damaged; "" where nothing was
 
 
 @dataclass(frozen=True)
@@ -58,19 +38,13 @@ class Library:
     tables: Function  # yields tables in the sandbox
     modules: tuple[str, ...]  # that it needs, the library's own first
     remedy: str  # where it is not read
-    most_bytes: int = _MAX_FILE_BYTES  # of a file
+    most_bytes: int = 512 * 1024**2  # of a file
     cpu_s: int = CPU_S  # of reading it
     extra: str = ""  # of this project that has the library; "" where it is always there
     knows_columns: bool = False  # whether it is told that the user names columns
 
     def read(self, path: Path, options: ReadOptions) -> Episode:
-        """Read a file's tables by the names of their columns.
-
-        Raises:
-            LogError: the library is not installed, the file is damaged or too large, or its names
-                do not say what it holds.
-            OSError: it cannot be read.
-        """
+        """Read a file's tables by the names of their columns."""
         name = self.modules[0].partition(".")[0]
         if find_spec(name) is None:
             raise LogError(
@@ -82,32 +56,28 @@ class Library:
                 f"{path}: has {size} bytes, over the limit of {self.most_bytes >> 20} MiB of "
                 f"{self.what}; save less in it"
             )
-        found: list[StoredTable] = []
+        found: list[Table] = []
         try:
             with Sandbox("numpy", *self.modules, cpu_s=self.cpu_s) as sandbox:
                 asked = (bool(options.columns),) if self.knows_columns else ()
                 for said, arrays in sandbox.answers(self.tables, str(path.absolute()), *asked):
-                    found.append(StoredTable(arrays=arrays, **{"name": "", "unused": {}, **said}))
+                    found.append(Table(self.source, arrays, **said))
                     # An autopilot has hundreds of topics, of which a few are places.
-                    if sum(bool(one.arrays) for one in found) > _MAX_TABLES:
+                    if sum(bool(one.columns) for one in found) > _MAX_TABLES:
                         raise LogError(f"{path}: has over {_MAX_TABLES} tables; split it")
         except SandboxError as error:
             remedy = error.remedy or self.remedy
             raise LogError(f"{path}: is {self.what} that is not read: {error}", remedy) from error
-        return tables_episode(path, self.source, found, options)
+        return _tables_episode(path, self.source, found, options)
 
 
-def tables_episode(
-    path: Path, what: str, tables: Iterable[StoredTable], options: ReadOptions
+def _tables_episode(
+    path: Path, what: str, tables: Iterable[Table], options: ReadOptions
 ) -> Episode:
-    """Build one episode of a file's tables; signals of several bear their table's name.
-
-    Raises:
-        LogError: nothing in any of them is of use.
-    """
-    tables = [table for table in tables if table.arrays or table.unused]
+    """Build one episode of a file's tables; signals of several bear their table's name."""
+    tables = [table for table in tables if table.columns or table.unused]
     if len(tables) == 1:
-        return _episode(path, what, tables[0], options)
+        return _episode(path, tables[0], options)
     if not tables:
         raise LogError(f"{path}: is {what} without any numbers", "name the log itself")
     signals: dict[str, Signal] = {}
@@ -116,7 +86,7 @@ def tables_episode(
     first: LogError | None = None
     for table in tables:
         try:
-            episode = _episode(path, what, table, options)
+            episode = _episode(path, table, options)
         except LogError as error:
             why = error.what.removeprefix(f"{path}: ")
             channels.append(
@@ -139,21 +109,16 @@ def tables_episode(
     return Episode(info, signals, tuple(channels), tuple(dict.fromkeys(warnings)), losses)
 
 
-def _episode(path: Path, what: str, table: StoredTable, options: ReadOptions) -> Episode:
-    arrays = table.arrays
+def _episode(path: Path, table: Table, options: ReadOptions) -> Episode:
     columns = dict(options.columns)
     for target, said in columns.items():  # a full name, also with slashes
         name, bracket, place = said.partition("[")
         if (full := name.replace("/", ".").strip(".")) in table.names:
             columns[target] = table.names[full] + bracket + place
     options = replace(options, columns=columns)
-    if set(arrays) == {""}:  # it has no name
-        arrays = number_names(arrays[""], path, options)
-    losses = tuple(filter(None, (table.loss,)))
-    named = Table(
-        what, arrays, unused=table.unused, rate_hz=table.rate_hz, warnings=losses, losses=losses
-    )
-    return episode_of_table(path, named, options)
+    if set(table.columns) == {""}:  # it has no name
+        table = replace(table, columns=number_names(table.columns[""], path, options))
+    return episode_of_table(path, table, options)
 
 
 # ---- Kinds of files. Of a table of pandas and a project of SLEAP, both HDF5, `kinds` tells.

@@ -9,22 +9,22 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tunenet_logs.episode import UNREADABLE, UNSTATED, Episode, added
+from tunenet_logs.episode import UNREADABLE, UNSTATED, Episode, Signal, added
 from tunenet_logs.errors import EXPORT_AGAIN, LogError
 from tunenet_logs.formats.columns.cells import (
     LineReader,
-    NumberFormat,
+    Numbers,
+    best_separator,
     format_of,
-    header_cells,
     numbers_of,
     open_lines,
-    separator_of,
     unended,
 )
 from tunenet_logs.formats.columns.names import LENGTHS
@@ -33,7 +33,7 @@ from tunenet_logs.formats.columns.table import (
     exact_seconds,
     export_episode,
     frame_stamps,
-    position_signal,
+    in_metres,
     time_stamps,
     unique_names,
 )
@@ -46,13 +46,12 @@ from tunenet_logs.timing.stamps import sorted_stamps
 _UNLABELED = re.compile(r"(?:.*:)?(?:\*\d+|unlabell?ed.*|unidentified.*|new ?\d+)", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
-class MarkerTrack:
-    """One body or marker."""
+class MarkerTrack(NamedTuple):
+    """One body or marker: its x, y and z stand side by side."""
 
     name: str  # as the file has it, made unique
-    columns: tuple[int, int, int]  # of x, y and z
-    unit: str  # of its coordinates, as in `position_signal`
+    first: int  # column of x
+    unit: str  # of its coordinates, as in `in_metres`
     is_unlabeled: bool = False  # whether its name was generated; a file may have hundreds of these
 
 
@@ -60,7 +59,7 @@ class MarkerTrack:
 class MarkerTracks:
     """Tracks of a file, as its header describes them."""
 
-    what: str  # kind of file: "OptiTrack Motive export",
+    what: str  # kind of file, with its article
     tracks: Sequence[MarkerTrack]  # in display order
     frame: int | None = None  # column of frame numbers; None: rows are counted
     time: int | None = None  # column of times [s]; None where there is none
@@ -73,16 +72,21 @@ class MarkerTracks:
     warnings: Sequence[str] = ()  # what is doubtful, in words
 
     @property
-    def named(self) -> str:
-        """Kind of file, with its article."""
-        return f"{'an' if self.what[:1] in 'AEIO' else 'a'} {self.what}"
+    def clocks(self) -> list[int]:
+        """Columns of frames and times."""
+        return [at for at in (self.frame, self.time, self.sub_frame) if at is not None]
 
     @property
     def columns(self) -> list[int]:
         """Sorted indices of the columns to read."""
-        clocks = (self.frame, self.time, self.sub_frame)
-        used = {index for track in self.tracks for index in track.columns}
-        return sorted(used | {index for index in clocks if index is not None})
+        places = (at for one in self.tracks for at in range(one.first, one.first + 3))
+        return sorted({*self.clocks, *places})
+
+
+def markers(names: Iterable[str], starts: Iterable[int], unit: str) -> list[MarkerTrack]:
+    """Make the tracks of markers by their names and the columns of x."""
+    pairs = zip(unique(names), starts, strict=False)
+    return [MarkerTrack(name, at, unit, is_unlabeled(name)) for name, at in pairs]
 
 
 def is_unlabeled(name: str) -> bool:
@@ -145,20 +149,15 @@ class TrackRows:
         )
 
     def add(self, columns: Sequence[int], values: NDArray[np.float64], wrong: int = 0) -> None:
-        """Add rows.
-
-        Raises:
-            LogError: there are too many rows or malformed cells.
-        """
+        """Add rows."""
         self.wrong += wrong
         place = {column: index for index, column in enumerate(columns)}
         layout = self.tracks
-        clocks = [one for one in (layout.frame, layout.time, layout.sub_frame) if one is not None]
         values = values[~np.isnan(values).all(axis=1)]
-        for clock in clocks:
+        for clock in layout.clocks:
             self._clocks.setdefault(clock, []).append(values[:, place[clock]].copy())
         for track, seen in zip(layout.tracks, self._seen, strict=True):
-            xyz = values[:, [place[column] for column in track.columns]]
+            xyz = values[:, place[track.first] : place[track.first] + 3]
             is_seen = np.isfinite(xyz).all(axis=1)
             if layout.zero_is_unseen:
                 is_seen &= (xyz != 0).any(axis=1)
@@ -169,29 +168,37 @@ class TrackRows:
         self.rows += len(values)
         if self._values > self._most_values or self.rows > MAX_PLACES:
             raise LogError(
-                f"{self.path}: is {self.tracks.named} with over "
-                f"{MAX_PLACES} rows or {self._most_values // 10**6} million numbers; "
+                f"{self.path}: is {layout.what} with over {MAX_PLACES} "
+                f"rows or {self._most_values // 10**6} million numbers; "
                 "export fewer markers or a part of the take"
             )
         if self.wrong > max(_MAX_WRONG, self.rows / 2):
             raise LogError(
-                f"{self.path}: is {self.tracks.named}, but {self.wrong} of its "
-                f"first {self.rows} rows hold cells that are no number",
+                f"{self.path}: is {layout.what}, but {self.wrong} of its first {self.rows} "
+                "rows hold cells that are no number",
                 EXPORT_AGAIN,
             )
 
     def episode(self, options: ReadOptions) -> Episode:
-        """Build an episode of the rows.
-
-        Raises:
-            LogError: there are none, or their times are invalid.
-        """
+        """Build an episode of the rows."""
         layout = self.tracks
         if not self.rows:
-            raise LogError(f"{self.path}: is {layout.named} without a row of numbers", EXPORT_AGAIN)
+            raise LogError(f"{self.path}: is {layout.what} without a row of numbers", EXPORT_AGAIN)
         stamps, keep, counts_frames, notes = self._stamps(options)
+        # Of the tracks that no one named, those that were seen most are used.
+        counts = {
+            index: sum(len(rows) for rows, _ in self._seen[index])
+            for index, track in enumerate(layout.tracks)
+            if track.is_unlabeled
+        }
+        drop = {
+            index: f"unlabeled, seen in {counts[index]} of {self.rows} frames; of "
+            f"{len(counts)} unlabeled markers, the {MAX_UNLABELED} seen most are used"
+            for index in sorted(counts, key=lambda index: counts[index])[
+                : max(0, len(counts) - MAX_UNLABELED)
+            ]
+        }
         signals, unused = [], {}
-        drop = self._left_out()
         for index, track in enumerate(layout.tracks):
             parts, self._seen[index] = self._seen[index], []
             if index in drop or not parts:
@@ -201,20 +208,25 @@ class TrackRows:
             xyz = np.concatenate([xyz for _, xyz in parts])
             del parts
             inside = keep[rows]
-            signal, _ = position_signal(
-                track.name,
-                stamps[rows][inside],
-                xyz[inside],
-                track.unit,
-                options,
-                counts_frames=counts_frames,
+            xyz = xyz[inside]
+            order, ordered, _, left_out = sorted_stamps(stamps[rows][inside], (xyz,))
+            places, unit = in_metres(xyz[order], track.unit, options)
+            left_out = added(left_out, {UNREADABLE: int(np.count_nonzero(~inside))})
+            signals.append(
+                Signal(
+                    track.name,
+                    ordered,
+                    places,
+                    ("x", "y", "z"),
+                    unit,
+                    counts_frames=counts_frames,
+                    left_out=left_out,
+                )
             )
-            untimed = {UNREADABLE: int(np.count_nonzero(~inside))}
-            signals.append(replace(signal, left_out=added(signal.left_out, untimed)))
         unused.update(layout.unused)
         return export_episode(
             self.path,
-            layout.what,
+            layout.what.partition(" ")[2],
             signals,
             unused=unused,
             warnings=(*layout.warnings, *notes),
@@ -233,14 +245,14 @@ class TrackRows:
         if parts is not None and np.nanmax(parts, initial=0) > 0:
             frames = frames + parts / (np.nanmax(parts) + 1)
         times = None if layout.time is None else clocks[layout.time]
-        keep = np.isfinite(frames if times is None or options.rate_hz else times)
+        keep = np.isfinite(frames if times is None or options.fps else times)
         if times is not None:
             keep &= np.isfinite(frames)
         if not keep.any():
             raise LogError(f"{self.path}: no row of it has a time or a frame", EXPORT_AGAIN)
         stamps = np.zeros(self.rows, np.int64)
         try:
-            if times is None or options.rate_hz:
+            if times is None or options.fps:
                 stamps[keep], counts_frames = frame_stamps(frames[keep], layout.rate_hz, options)
             else:
                 exact = exact_seconds(times[keep], frames[keep], layout.rate_hz)
@@ -255,21 +267,6 @@ class TrackRows:
             stamps -= first_ns
             notes.append(f"times begin at {first_ns / 1e9:.9g} s; they were moved to begin at 0")
         return stamps, keep, counts_frames, notes
-
-    def _left_out(self) -> dict[int, str]:
-        """Return the unlabeled tracks beyond the limit, by index, with the reason."""
-        layout = self.tracks
-        counts = {
-            index: sum(len(rows) for rows, _ in self._seen[index])
-            for index, track in enumerate(layout.tracks)
-            if track.is_unlabeled
-        }
-        least_first = sorted(counts, key=lambda index: counts[index])
-        return {
-            index: f"unlabeled, seen in {counts[index]} of {self.rows} frames; of "
-            f"{len(counts)} unlabeled markers, the {MAX_UNLABELED} seen most are used"
-            for index in least_first[: max(0, len(counts) - MAX_UNLABELED)]
-        }
 
     def _losses(self, keep: NDArray[np.bool_]) -> list[str]:
         losses = []
@@ -288,7 +285,6 @@ class TrackRows:
 
 
 def read_tracks(
-    path: Path,
     lines: LineReader,
     separator: str,
     tracks: MarkerTracks,
@@ -296,13 +292,9 @@ def read_tracks(
     first: str = "",
     until_words: bool = False,
 ) -> TrackRows:
-    """Read the rows below a header, and `first`, which was read before.
-
-    Raises:
-        LogError: there are too many rows or malformed cells.
-    """
-    found, columns = TrackRows(path, tracks), tracks.columns
-    form: NumberFormat | None = None
+    """Read the rows below a header, and `first`, which was read before."""
+    found, columns = TrackRows(lines.path, tracks), tracks.columns
+    form: Numbers | None = None
     block = (f"{first}\n" if first else "") + lines.block(until_words=until_words)
     while block:
         after = lines.block(until_words=until_words)
@@ -325,7 +317,7 @@ def read_tracks(
 # in later versions, parent, then `Rotation` or `Position`, then the axis. In early versions these
 # rows have no labels of their own. https://docs.optitrack.com/motive/data-export/data-export-csv
 
-_MOTIVE = "OptiTrack Motive export"
+_MOTIVE = "an OptiTrack Motive export"
 # One of them follows the format version in line 1.
 _KEYS = ("Take Name", "Capture Frame Rate", "Export Frame Rate", "Rotation Type", "Length Units")
 _MAX_HEADER_LINES = 40
@@ -335,8 +327,7 @@ _BONE = "a bone of a skeleton: computed from its markers, which are used"
 _LOCAL = "relative to its body or parent (Coordinate Space is Local); export it as Global"
 
 
-@dataclass(frozen=True)
-class _MotiveColumn:
+class _MotiveColumn(NamedTuple):
     """Header cells above a column."""
 
     kind: str
@@ -353,39 +344,30 @@ def is_motive(start: Start) -> bool:
 
 
 def read_motive(path: Path, options: ReadOptions) -> Episode:
-    """Read a take, one signal per rigid body's position, then per marker's.
-
-    Raises:
-        LogError: it has no column of positions, no row, or more than is read.
-        OSError: it cannot be read.
-    """
-    with open_lines(path) as lines:
+    """Read a take, one signal per rigid body's position, then per marker's."""
+    with open_lines(path, _MOTIVE) as lines:
         first = lines.line() or ""
-        separator = separator_of(first)
-        try:
-            said = header_cells(first, separator)
-            header = _header(lines, separator)
-        except ValueError as error:
-            raise LogError(f"{path}: is an {_MOTIVE} with {error}", EXPORT_AGAIN) from error
+        separator = best_separator(first) or "\t"
+        said = lines.cells(first, separator)
         pairs = dict(zip(said[::2], said[1::2], strict=False))
-        tracks = _motive_tracks(pairs, *header)
+        tracks = _motive_tracks(pairs, *_header(lines, separator))
         if not tracks.tracks:
             held = ", ".join(dict.fromkeys(tracks.unused.values())) or "nothing"
             raise LogError(
-                f"{path}: is an {_MOTIVE} without a position (it holds: {held}); export it "
+                f"{path}: is {_MOTIVE} without a position (it holds: {held}); export it "
                 "with markers or rigid bodies"
             )
-        return read_tracks(path, lines, separator, tracks).episode(options)
+        return read_tracks(lines, separator, tracks).episode(options)
 
 
 def _header(lines: LineReader, separator: str) -> tuple[list[str], list[_MotiveColumn]]:
-    """Return the row of axes and each column's header; raise ValueError without such a row."""
+    """Return the row of axes and each column's header."""
     above: list[list[str]] = []
     for _ in range(_MAX_HEADER_LINES):
         line = lines.line()
         if line is None:
             break
-        cells = header_cells(line, separator)
+        cells = lines.cells(line, separator)
         if cells and cells[0].lower() == "frame":
             by_label = {row[1].lower(): row for row in above if len(row) > 1 and row[1]}
             plain = [row for row in above if len(row) > 1 and not row[1]]
@@ -395,16 +377,12 @@ def _header(lines: LineReader, separator: str) -> tuple[list[str], list[_MotiveC
             else:
                 kinds = plain[0] if len(plain) > 1 else []
                 names = plain[1] if len(plain) > 2 else []
-            width = max([len(cells), len(quantities)])
-            return cells, [
-                _MotiveColumn(
-                    _cell(kinds, at), _cell(names, at), _cell(quantities, at), _cell(cells, at)
-                )
-                for at in range(width)
-            ]
+            rows = (kinds, names, quantities, cells)
+            width = max(len(cells), len(quantities))
+            return cells, [_MotiveColumn(*(_cell(row, at) for row in rows)) for at in range(width)]
         if cells:
             above.append(cells)
-    raise ValueError("no row that begins with Frame")
+    raise lines.refusal("no row that begins with Frame")
 
 
 def _motive_tracks(
@@ -416,12 +394,12 @@ def _motive_tracks(
     unit = unit_of(pairs.get("Length Units", ""))
     is_local = pairs.get("Coordinate Space", "").lower() == "local"
     bodies: list[MarkerTrack] = []
-    markers: list[MarkerTrack] = []
+    others: list[MarkerTrack] = []
     unused: dict[str, str] = {}
     at = 1 if time is None else time + 1
     while at < len(columns):
         here = columns[at]
-        run = [(one.kind, one.name, one.quantity) for one in columns[at : at + 3]]
+        run = [one._replace(axis="") for one in columns[at : at + 3]]
         is_position = here.quantity.lower() == "position" and len(set(run)) == 1
         if not (is_position and [one.axis for one in columns[at : at + 3]] == ["X", "Y", "Z"]):
             if here.quantity.lower() == "rotation":
@@ -432,27 +410,19 @@ def _motive_tracks(
             continue
         kind = here.kind.lower()
         is_body = "marker" not in kind or "markerset" in kind
-        if why := (
-            _BONE
-            if kind == "bone"
-            else (_LOCAL if is_local and kind not in ("rigid body", "marker", "") else "")
-        ):
-            unused[here.name or here.kind] = why
-        elif is_body:
-            bodies.append(MarkerTrack(here.name, (at, at + 1, at + 2), unit))
+        is_relative = is_local and kind not in ("rigid body", "marker", "")
+        if kind == "bone" or is_relative:
+            unused[here.name or here.kind] = _BONE if kind == "bone" else _LOCAL
         else:
-            markers.append(
-                MarkerTrack(here.name, (at, at + 1, at + 2), unit, is_unlabeled(here.name))
-            )
+            is_generated = not is_body and is_unlabeled(here.name)
+            found = bodies if is_body else others
+            found.append(MarkerTrack(here.name, at, unit, is_generated))
         at += 3
-    found = [*bodies, *markers]
+    found = [*bodies, *others]
     names = unique(track.name for track in found)
     return MarkerTracks(
         _MOTIVE,
-        [
-            MarkerTrack(name, track.columns, track.unit, track.is_unlabeled)
-            for name, track in zip(names, found, strict=True)
-        ],
+        [track._replace(name=name) for name, track in zip(names, found, strict=True)],
         frame=0,
         time=time,
         rate_hz=rate_of(pairs.get("Export Frame Rate") or pairs.get("Capture Frame Rate")),
@@ -471,7 +441,7 @@ def _cell(cells: Sequence[str], at: int) -> str:
 # rate `100,Hz`, the row of axes begins with `Field #`, and no unit is named.
 # https://help.vicon.com/space/Nexus216 (Export to ASCII)
 
-_NEXUS = "Vicon Nexus export"
+_NEXUS = "a Vicon Nexus export"
 _TITLES = ("trajectories", "model outputs", "devices", "joints", "segments", "events")
 # How names of what a model tells end; early versions write it among the trajectories.
 _MODEL = re.compile(r"(?:Angles?|Forces?|Moments?|Powers?)$")
@@ -481,8 +451,7 @@ _MAX_SECTIONS = 50
 _MAX_BETWEEN = 10_000  # lines between two sections
 
 
-@dataclass(frozen=True)
-class _Section:
+class _Section(NamedTuple):
     """Header of a section; `first` is its first row of numbers, where that was read already."""
 
     title: str
@@ -504,20 +473,12 @@ def is_nexus(start: Start) -> bool:
 
 
 def read_nexus(path: Path, options: ReadOptions) -> Episode:
-    """Read a take, one signal per marker's trajectory.
-
-    Raises:
-        LogError: it has no section of trajectories, no row, or more than is read.
-        OSError: it cannot be read.
-    """
+    """Read a take, one signal per marker's trajectory."""
     rows: TrackRows | None = None
     unused: dict[str, str] = {}
-    with open_lines(path) as lines:
+    with open_lines(path, _NEXUS) as lines:
         for _ in range(_MAX_SECTIONS):
-            try:
-                section, stray = _next_section(lines)
-            except ValueError as error:
-                raise LogError(f"{path}: is a {_NEXUS} with {error}", EXPORT_AGAIN) from error
+            section, stray = _next_section(lines)
             if rows is not None and stray:
                 rows.is_broken = True
             if section is None:
@@ -525,7 +486,7 @@ def read_nexus(path: Path, options: ReadOptions) -> Episode:
             if rows is None and section.title == "trajectories":
                 tracks = _tracks(section, unused)
                 rows = read_tracks(
-                    path, lines, section.separator, tracks, first=section.first, until_words=True
+                    lines, section.separator, tracks, first=section.first, until_words=True
                 )
                 continue
             for name in section.names:
@@ -536,7 +497,7 @@ def read_nexus(path: Path, options: ReadOptions) -> Episode:
     if rows is None or not rows.tracks.tracks:
         held = ", ".join(list(unused)[:3]) or "nothing"
         raise LogError(
-            f"{path}: is a {_NEXUS} without trajectories of markers (it holds {held}); export it "
+            f"{path}: is {_NEXUS} without trajectories of markers (it holds {held}); export it "
             "with Trajectories"
         )
     return rows.episode(options)
@@ -555,16 +516,16 @@ def _next_section(lines: LineReader) -> tuple[_Section | None, int]:
     else:
         return None, stray
     rate, names, axes = (lines.line() or "" for _ in range(3))
-    separator = separator_of(names)
+    separator = best_separator(names) or "\t"
     below = lines.line() or ""
     has_units = not re.match(r'[\s"]*[-+.\d]', below)
     section = _Section(
         title,
         separator,
         _rate(rate),
-        header_cells(names, separator),
-        header_cells(axes, separator),
-        header_cells(below, separator) if has_units else (),
+        lines.cells(names, separator),
+        lines.cells(axes, separator),
+        lines.cells(below, separator) if has_units else (),
         "" if has_units else below,
     )
     return section, stray
@@ -585,28 +546,20 @@ def _tracks(section: _Section, unused: dict[str, str]) -> MarkerTracks:
             _note(unused, section.names[at], "a model's output by its name")
         else:
             _note(unused, section.names[at], f"has no X, Y, Z but {', '.join(axes[at : at + 3])}")
-    warnings = []
-    if section.rate_hz is None:
-        warnings.append("its trajectories have no rate; say it with --fps")
-    names = unique(section.names[at] for at in found)
+    tracks: list[MarkerTrack] = []
+    for one in markers((section.names[at] for at in found), found, UNSTATED):
+        units = set(section.units[one.first : one.first + 3])
+        tracks.append(one._replace(unit=unit_of(units.pop()) if len(units) == 1 else UNSTATED))
     return MarkerTracks(
         _NEXUS,
-        [
-            MarkerTrack(name, (at, at + 1, at + 2), _unit(section.units, at), is_unlabeled(name))
-            for name, at in zip(names, found, strict=True)
-        ],
+        tracks,
         frame=frame,
         sub_frame=sub_frame,
         rate_hz=section.rate_hz,
         zero_is_unseen=True,
         unused=unused,
-        warnings=warnings,
+        warnings=() if section.rate_hz else ("its trajectories have no rate; say it with --fps",),
     )
-
-
-def _unit(units: Sequence[str], at: int) -> str:
-    named = set(units[at : at + 3])
-    return unit_of(named.pop()) if len(named) == 1 else UNSTATED
 
 
 def _note(unused: dict[str, str], name: str, why: str) -> None:
@@ -633,7 +586,7 @@ def _rate(line: str) -> float | None:
 # rows. QTM writes mm, but the file names no unit.
 # https://docs.qualisys.com/qtm/content/processing_measurement/motion_data_tsv.htm
 
-_QUALISYS = "Qualisys QTM export"
+_QUALISYS = "a Qualisys QTM export"
 _FIRST = ("FILE_VERSION", "NO_OF_FRAMES", "NO_OF_CAMERAS", "NO_OF_MARKERS", "FREQUENCY")
 _NAMES = ("MARKER_NAMES", "BODY_NAMES")
 _COUNTS = ("NO_OF_MARKERS", "NO_OF_BODIES")
@@ -651,47 +604,39 @@ def is_qualisys(start: Start) -> bool:
 
 
 def read_qualisys(path: Path, options: ReadOptions) -> Episode:
-    """Read a take, one signal per marker's trajectory or rigid body's position.
-
-    Raises:
-        LogError: it holds no marker and no body, no row, or more than is read.
-        OSError: it cannot be read.
-    """
-    with open_lines(path) as lines:
-        try:
-            keys, columns, first = _qualisys_header(lines)
-        except ValueError as error:
-            raise LogError(f"{path}: is a {_QUALISYS} with {error}", EXPORT_AGAIN) from error
+    """Read a take, one signal per marker's trajectory or rigid body's position."""
+    with open_lines(path, _QUALISYS) as lines:
+        keys, columns, first = _qualisys_header(lines)
         included = " ".join(keys.get("DATA_INCLUDED", ()))
         if included.startswith("2D"):
             raise LogError(
-                f"{path}: is a {_QUALISYS} of 2D data, what single cameras saw; export it as 3D"
+                f"{path}: is {_QUALISYS} of 2D data, what single cameras saw; export it as 3D"
             )
         tracks = _qualisys_tracks(keys, columns, first)
         if not tracks.tracks:
             raise LogError(
-                f"{path}: is a {_QUALISYS} of {included or 'data'} without a marker or a body; "
+                f"{path}: is {_QUALISYS} of {included or 'data'} without a marker or a body; "
                 "export it with labeled trajectories"
             )
-        return read_tracks(path, lines, "\t", tracks, first=first).episode(options)
+        return read_tracks(lines, "\t", tracks, first=first).episode(options)
 
 
 def _qualisys_header(lines: LineReader) -> tuple[dict[str, list[str]], list[str], str]:
-    """Return keys with values, column names (if any) and first row; ValueError if too long."""
+    """Return keys with values, column names (if any) and first row."""
     keys: dict[str, list[str]] = {}
     columns: list[str] = []
     for _ in range(_MAX_KEY_LINES):
         line = lines.line()
         if line is None:
             return keys, columns, ""
-        cells = header_cells(line, "\t")
+        cells = lines.cells(line, "\t")
         if not columns and cells and _KEY.fullmatch(cells[0]) and not _is_columns(cells):
             keys.setdefault(cells[0], cells[1:])
         elif not columns and _is_columns(cells):
             columns = cells
         elif cells:
             return keys, columns, line
-    raise ValueError(f"over {_MAX_KEY_LINES} lines of header")
+    raise lines.refusal(f"over {_MAX_KEY_LINES} lines of header")
 
 
 def _is_columns(cells: Sequence[str]) -> bool:
@@ -723,21 +668,15 @@ def _qualisys_tracks(
         starts = [lead + stride * at for at in range(min(count, cells))]
     kind = "body" if is_bodies else "marker"
     names = [*names, *(f"{kind} {at + 1}" for at in range(len(names), len(starts)))]
-    unused = {}
-    if is_bodies:
-        unused["rotations"] = "only positions are used"
     return MarkerTracks(
         _QUALISYS,
-        [
-            MarkerTrack(name, (at, at + 1, at + 2), UNSTATED, is_unlabeled(name))
-            for name, at in zip(unique(names), starts, strict=False)
-        ],
+        markers(names, starts, UNSTATED),
         frame=frame,
         time=time,
         rate_hz=rate_of(" ".join(keys.get("FREQUENCY", ()))),
         frames=count_of("".join(keys.get("NO_OF_FRAMES", ()))),
         zero_is_unseen=True,
-        unused=unused,
+        unused={"rotations": "only positions are used"} if is_bodies else {},
     )
 
 
@@ -753,7 +692,7 @@ def _axis(name: str) -> str:
 # and three cells for each marker. Names and axes may stand a cell further right than their numbers.
 # https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089972
 
-_TRC = "TRC file of markers"
+_TRC = "a TRC file of markers"
 _HEADER_LINES = 5
 
 
@@ -763,49 +702,31 @@ def is_trc(start: Start) -> bool:
 
 
 def read_trc(path: Path, options: ReadOptions) -> Episode:
-    """Read a TRC file, one signal per marker.
-
-    Raises:
-        LogError: it names no marker, has no row, or more than is read.
-        OSError: it cannot be read.
-    """
-    with open_lines(path) as lines:
+    """Read a TRC file, one signal per marker."""
+    with open_lines(path, _TRC) as lines:
         texts = [line for line in (lines.line() for _ in range(_HEADER_LINES)) if line is not None]
-        separator = separator_of("\n".join(texts))
-        try:
-            cells = [header_cells(text, separator) for text in texts]
-        except ValueError as error:
-            raise LogError(f"{path}: is a {_TRC} with {error}", EXPORT_AGAIN) from error
+        separator = best_separator("\n".join(texts)) or "\t"
+        cells = [lines.cells(text, separator) for text in texts]
         cells += [[] for _ in range(_HEADER_LINES - len(cells))]
         _, keys, values, names, axes = cells
         has_axes = any(map(_is_x, axes))
         first = texts[-1] if len(texts) == _HEADER_LINES and axes and not has_axes else ""
         said = dict(zip((key.lower() for key in keys), values, strict=False))
-        tracks = _trc_tracks(said, names, axes if has_axes else ())
-        if not tracks.tracks:
-            raise LogError(f"{path}: is a {_TRC} that names no marker", EXPORT_AGAIN)
-        return read_tracks(path, lines, separator, tracks, first=first).episode(options)
-
-
-def _trc_tracks(
-    said: Mapping[str, str], header: Sequence[str], axes: Sequence[str]
-) -> MarkerTracks:
-    names = [name for name in header[2:] if name]
-    count = len([axis for axis in axes if _is_x(axis)]) or len(names)
-    names = [*names[:count], *(f"marker {at + 1}" for at in range(len(names), count))]
-    unit = unit_of(said.get("units", ""))
-    return MarkerTracks(
-        _TRC,
-        [
-            MarkerTrack(name, (at, at + 1, at + 2), unit, is_unlabeled(name))
-            for name, at in zip(unique(names), range(2, 3 * count + 2, 3), strict=True)
-        ],
-        frame=0,
-        time=1,
-        rate_hz=rate_of(said.get("datarate", "")),
-        frames=count_of(said.get("numframes", "")),
-        zero_is_unseen=True,
-    )
+        names = [name for name in names[2:] if name]
+        count = len([axis for axis in axes if _is_x(axis)]) or len(names)
+        names = [*names[:count], *(f"marker {at + 1}" for at in range(len(names), count))]
+        tracks = MarkerTracks(
+            _TRC,
+            markers(names, range(2, 3 * count + 2, 3), unit_of(said.get("units", ""))),
+            frame=0,
+            time=1,
+            rate_hz=rate_of(said.get("datarate", "")),
+            frames=count_of(said.get("numframes", "")),
+            zero_is_unseen=True,
+        )
+        if not count:
+            raise LogError(f"{path}: is {_TRC} that names no marker", EXPORT_AGAIN)
+        return read_tracks(lines, separator, tracks, first=first).episode(options)
 
 
 def _is_x(cell: str) -> bool:

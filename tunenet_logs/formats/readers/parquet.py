@@ -6,7 +6,7 @@ The file is read in the sandbox. Here its columns are chosen by their names and 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -45,50 +45,22 @@ class ParquetColumn:
     width: int  # values in each row's list; 0 of a column of single values
 
 
-Choose = Callable[[Sequence[ParquetColumn]], Sequence[str]]  # which columns to read
-
-
-def parquet_columns(path: Path, choose: Choose) -> dict[str, NDArray[Any]]:
-    """Read the columns that `choose` selects, by name: shape (T,), or (T, width) for lists.
-
-    Raises:
-        LogError: `pyarrow` is not installed, or the file is damaged or too large; or `choose`
-            says so.
-    """
-    with _sandbox(path) as sandbox, _said(path):
-        found, _ = sandbox.ask(sandboxed.table_columns, str(path.absolute()))
-        columns = [ParquetColumn(name, one["kind"], one["width"]) for name, one in found.items()]
-        wanted = list(dict.fromkeys(choose(columns)))
-        width = sum(found[name]["width"] or 1 for name in wanted)
-        arrays: dict[str, NDArray[Any]] = {}
-        for _, one in sandbox.answers(sandboxed.table_arrays, str(path.absolute()), wanted, width):
-            arrays |= one
-    return arrays
-
-
 def parquet_rows(path: Path, most_cells: int) -> Iterator[list[dict[str, Any]]]:
-    """Yield rows, in batches, of a table whose columns are texts and numbers.
-
-    Raises:
-        LogError: `pyarrow` is not installed, or the file is damaged, too large or another table.
-    """
-    with _sandbox(path) as sandbox, _said(path):
+    """Yield rows, in batches, of a table whose columns are texts and numbers."""
+    with _opened(path) as sandbox:
         for said, _ in sandbox.answers(sandboxed.table_rows, str(path.absolute()), most_cells):
             yield [
                 dict(zip(said, cells, strict=True)) for cells in zip(*said.values(), strict=True)
             ]
 
 
-def _sandbox(path: Path) -> Sandbox:
+@contextmanager
+def _opened(path: Path) -> Iterator[Sandbox]:
     if find_spec("pyarrow") is None:
         raise LogError(f"{path}: {_kind(path)} needs pyarrow: pip install 'tunenet-logs[tables]'")
-    return Sandbox("numpy", "pyarrow.parquet")
-
-
-@contextmanager
-def _said(path: Path) -> Iterator[None]:
     try:
-        yield
+        with Sandbox("numpy", "pyarrow.parquet") as sandbox:
+            yield sandbox
     except SandboxError as error:
         remedy = "write it again" + (", in smaller files" if error.code else "")
         raise LogError(f"{path}: {_kind(path)} file that is not read: {error}", remedy) from error
@@ -101,8 +73,6 @@ def _kind(path: Path) -> str:
 
 # ---- LeRobot data sets (versions 2, 3): joint states, usually without torques.
 
-_MAX_INFO_BYTES = 1024**2  # of meta/info.json
-_MAX_SPEED_HZ = 10_000.0  # frame rate of any data set
 _MAX_LISTED = 1000  # chunks of a data set, and files of a chunk, that are looked at
 _COLUMNS = ("timestamp", "frame_index", "episode_index")  # of every data set, beside its features
 
@@ -122,12 +92,6 @@ def is_lerobot(columns: Sequence[ParquetColumn]) -> bool:
     """Return whether columns of a Parquet file are those of a LeRobot episode."""
     names = {column.name for column in columns}
     return names.issuperset(_COLUMNS) and bool(_features(columns))
-
-
-def lerobot_columns(columns: Sequence[ParquetColumn]) -> list[str]:
-    """Return the columns of an episode to read."""
-    states = [one.name for one in _features(columns) if one.name.startswith("observation.")]
-    return [*_COLUMNS, *states]
 
 
 def _features(columns: Sequence[ParquetColumn]) -> list[ParquetColumn]:
@@ -167,14 +131,14 @@ def data_set_of(path: Path) -> DataSet:
         if not real_path(info).is_relative_to(root) or not info.is_file():
             return DataSet(warning="no meta/info.json beside it: joints go by their numbers")
         with open_regular(info) as file:
-            said = json.loads(file.read(_MAX_INFO_BYTES))
+            said = json.loads(file.read(1024**2))
         features = dict(said["features"])
         labels = {str(name): _labels(one) for name, one in features.items()}
         rate = float(said["fps"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError, OverflowError):
         return DataSet(warning="meta/info.json is damaged: joints go by their numbers")
-    known = 0 < rate < _MAX_SPEED_HZ
-    return DataSet(str(said.get("robot_type", ""))[:60], rate if known else None, labels)
+    known = rate if 0 < rate < 10_000 else None
+    return DataSet(str(said.get("robot_type", ""))[:60], known, labels)
 
 
 def _labels(feature: Any) -> tuple[str, ...]:
@@ -193,11 +157,7 @@ def lerobot_episode(
     arrays: Mapping[str, NDArray[Any]],
     options: ReadOptions,
 ) -> Episode:
-    """Read the states of each episode in the file, in the data set's own units.
-
-    Raises:
-        LogError: no row has a time and a state.
-    """
+    """Read the states of each episode in the file, in the data set's own units."""
     known = data_set_of(path)
     times, frames = (arrays[one].astype(np.float64) for one in ("timestamp", "frame_index"))
     seconds = exact_seconds(times, frames, known.rate_hz) if len(times) else times
@@ -206,11 +166,11 @@ def lerobot_episode(
     clock = Clock("timestamp", (0,), 0)
     groups: list[Group] = []
     unused: dict[str, str] = {}
-    for feature in _features(columns):
+    features = _features(columns)
+    for feature in features:
         if feature.name == "action":
-            unused["action"] = (
-                "commanded, not measured; a LeRobot data set holds no torques as a rule"
-            )
+            why = "commanded, not measured; a LeRobot data set holds no torques as a rule"
+            unused["action"] = why
             continue
         labels = known.labels.get(feature.name, ())
         if len(labels) != feature.width or len(set(labels)) < len(labels):
@@ -219,11 +179,8 @@ def lerobot_episode(
         groups.append(Group(feature.name, labels, UNSTATED, used, clock))
         names += [f"{feature.name}[{at}]" for at in range(feature.width)]
         flat += list(arrays[feature.name].T)
-    unused |= {
-        one.name: "no state of the robot"
-        for one in columns
-        if one.name not in _COLUMNS and one not in _features(columns)
-    }
+    others = [one for one in columns if one.name not in _COLUMNS and one not in features]
+    unused |= {one.name: "no state of the robot" for one in others}
     plan = ColumnPlan(tuple(names), tuple(groups), ((1, "episode"),), unused)
     notes = [known.warning] if known.warning else []
     notes.append("the data set names no units of its states, which may be degrees or per cent")
@@ -242,60 +199,49 @@ def is_parquet(start: Start) -> bool:
 
 
 def read_parquet(path: Path, options: ReadOptions) -> Episode:
-    """Read a table by its column names, or the episodes of a LeRobot data set.
-
-    Raises:
-        LogError: it is damaged, too large, or its names do not say what it holds; or `pyarrow` is
-            not installed.
-    """
-    reading = _ParquetChoice(path, options)
-    arrays = parquet_columns(path, reading.choose)
-    if reading.plan is None:
-        return lerobot_episode(path, reading.columns, arrays, options)
+    """Read a table by its column names, or the episodes of a LeRobot data set."""
+    with _opened(path) as sandbox:
+        found, _ = sandbox.ask(sandboxed.table_columns, str(path.absolute()))
+        columns = [ParquetColumn(name, one["kind"], one["width"]) for name, one in found.items()]
+        plan: ColumnPlan | None = None
+        sources: list[tuple[str, int | None]] = []  # file column and list index of each column
+        if is_lerobot(columns) and not options.columns:
+            states = [one.name for one in _features(columns) if one.name != "action"]
+            wanted = [*_COLUMNS, *states]
+        else:
+            plan, sources = _plan(path, columns, options)
+            wanted = list(dict.fromkeys(sources[at][0] for at in plan.needed))
+        width = sum(found[name]["width"] or 1 for name in wanted)
+        arrays: dict[str, NDArray[Any]] = {}
+        for _, one in sandbox.answers(sandboxed.table_arrays, str(path.absolute()), wanted, width):
+            arrays |= one
+    if plan is None:
+        return lerobot_episode(path, columns, arrays, options)
     needed = {
         at: arrays[name] if place is None else arrays[name][:, place]
-        for at in reading.plan.needed
-        for name, place in [reading.sources[at]]
+        for at in plan.needed
+        for name, place in [sources[at]]
     }
-    return episode_of_columns(path, f"{_kind(path)} table", reading.plan, needed, options)
+    return episode_of_columns(path, f"{_kind(path)} table", plan, needed, options)
 
 
-class _ParquetChoice:
-    """Selection of a file's columns.
-
-    Attributes:
-        columns: all of the file's.
-        sources: file column and list index behind each of the plan's columns.
-        plan: their meaning; None for a LeRobot data set.
-    """
-
-    def __init__(self, path: Path, options: ReadOptions) -> None:
-        self._path = path
-        self._options = options
-        self.columns: Sequence[ParquetColumn] = ()
-        self.sources: list[tuple[str, int | None]] = []
-        self.plan: ColumnPlan | None = None
-
-    def choose(self, columns: Sequence[ParquetColumn]) -> list[str]:
-        """Select the columns to read; raise LogError if none is of use."""
-        self.columns = columns
-        if is_lerobot(columns) and not self._options.columns:
-            return lerobot_columns(columns)
-        names: list[str] = []
-        meant: list[str] = []
-        clocks = [one.name for one in columns if one.kind == "t"]
-        is_named = any(isinstance(meaning_of(one.name), TimeColumn) for one in columns)
-        for one in columns:
-            if not one.kind:
-                continue
-            if one.width:
-                own, said = spread_names(one.name, one.width)
-                names += own
-                meant += said
-                self.sources += [(one.name, place) for place in range(one.width)]
-                continue
+def _plan(
+    path: Path, columns: Sequence[ParquetColumn], options: ReadOptions
+) -> tuple[ColumnPlan, list[tuple[str, int | None]]]:
+    """Plan which columns to read, and return the file column and list index of each."""
+    names: list[str] = []
+    meant: list[str] = []
+    sources: list[tuple[str, int | None]] = []
+    clocks = [one.name for one in columns if one.kind == "t"]
+    is_named = any(isinstance(meaning_of(one.name), TimeColumn) for one in columns)
+    for one in columns:
+        if one.kind and one.width:
+            own, said = spread_names(one.name, one.width)
+            names += own
+            meant += said
+            sources += [(one.name, place) for place in range(one.width)]
+        elif one.kind:
             names.append(one.name)
             meant.append("time" if clocks == [one.name] and not is_named else one.name)
-            self.sources.append((one.name, None))
-        self.plan = plan_columns(self._path, names, self._options, meant)
-        return [self.sources[at][0] for at in self.plan.needed]
+            sources.append((one.name, None))
+    return plan_columns(path, names, options, meant), sources

@@ -15,7 +15,6 @@ import zlib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, pairwise
 from lzma import LZMAError
@@ -31,24 +30,16 @@ from tunenet_logs.errors import CHECK_DISK, COPY_AGAIN, LogError
 from tunenet_logs.files import open_regular
 from tunenet_logs.formats.kinds import UNPACK, Start, foreign_kind
 from tunenet_logs.formats.options import ReadOptions
+from tunenet_logs.formats.readers.arrays import directory_bytes
 from tunenet_logs.images import MAX_PIXELS, image_format, image_size
 
 MAX_BYTES = 120_000_000  # of one file: more than the largest image has, uncompressed
-_MAX_PIXELS = MAX_PIXELS // 2  # of an image decoded here: it may have 16 bits a sample
-_FORGED_PIXELS_A_BYTE = 2000  # of a file, as in `images`: what claims more is forged
-_DEPTHS = (8, 10, 12, 14, 16)  # bits a sample of cameras
-_TIFF_TAGS = (256, 257, 277, 322, 323)  # width, height, samples, width and height of tiles
-_MAX_TAGS = 1000  # of a TIFF's picture
 # How a PGM or PPM begins, to its width and height.
 _PNM = re.compile(rb"P[2356]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s")
 
 
 def _frame_of(stamp_ns: int, data: bytes, depth: int) -> Frame:
-    """Return one image as a frame: 8-bit JPEG, WebP and PNG as they are, all else as pixels.
-
-    Raises:
-        LogError: damaged, of an unsupported format, or of a size that no camera has.
-    """
+    """Return one image as a frame: 8-bit JPEG, WebP and PNG as they are, all else as pixels."""
     kind = image_format(data)
     if kind is not None and not _is_deep_png(data):
         return Frame(stamp_ns, kind, data)
@@ -67,7 +58,7 @@ def _depth_of(samples: Iterable[bytes]) -> int:
             return 8
         with suppress(LogError):
             brightest = max(brightest, int(_pixels(data).max()))
-    return next(depth for depth in _DEPTHS if brightest < 1 << depth)
+    return next(depth for depth in (8, 10, 12, 14, 16) if brightest < 1 << depth)
 
 
 def _is_deep_png(data: bytes) -> bool:
@@ -77,7 +68,8 @@ def _is_deep_png(data: bytes) -> bool:
 def _pixels(data: bytes) -> NDArray[Any]:
     """Decode RGB as uint8 or uint16, as stored, shape (H, W, 3); raises as `_frame_of` does."""
     width, height = _stated_size(data)
-    most = min(_MAX_PIXELS, _FORGED_PIXELS_A_BYTE * len(data))
+    # An image may have 16 bits a sample; what claims more pixels for its bytes is forged.
+    most = min(MAX_PIXELS // 2, 2000 * len(data))
     if not 0 < width * height <= most:
         raise LogError(f"a picture claims {width} x {height} px in {len(data)} bytes", COPY_AGAIN)
     import cv2
@@ -99,11 +91,7 @@ def _pixels(data: bytes) -> NDArray[Any]:
 
 
 def _stated_size(data: bytes) -> tuple[int, int]:
-    """Return (width, height) of a header; a TIFF's tiles and samples are checked as well.
-
-    Raises:
-        LogError: it is truncated, unsupported, or claims more than any camera's.
-    """
+    """Return (width, height) of a header; a TIFF's tiles and samples are checked as well."""
     try:
         if data[:2] == b"BM":
             width, height = struct.unpack_from("<ii", data, 18)
@@ -119,7 +107,7 @@ def _stated_size(data: bytes) -> tuple[int, int]:
         order = "<" if data[:2] == b"II" else ">"
         (at,) = struct.unpack_from(f"{order}I", data, 4)
         (count,) = struct.unpack_from(f"{order}H", data, at)
-        if count > _MAX_TAGS:
+        if count > 1000:
             raise LogError("a TIFF has too many tags", "save it again, as PNG")
         tags: dict[int, int] = {}
         for place in range(at + 2, at + 2 + 12 * count, 12):
@@ -128,7 +116,9 @@ def _stated_size(data: bytes) -> tuple[int, int]:
                 (tags[tag],) = struct.unpack_from(order + "HI"[kind - 3], data, place + 8)
     except struct.error as error:
         raise LogError("a picture is cut", COPY_AGAIN) from error
-    width, height, samples, tile_width, tile_height = (tags.get(tag, 0) for tag in _TIFF_TAGS)
+    width, height, samples, tile_width, tile_height = (
+        tags.get(tag, 0) for tag in (256, 257, 277, 322, 323)
+    )
     if tile_width * tile_height > MAX_PIXELS or samples > 4:
         raise LogError("a TIFF has tiles or samples beyond any camera's", "save it again, as PNG")
     return width, height
@@ -142,20 +132,13 @@ SUFFIXES = frozenset(
 
 MAX_PICTURES = 200_000  # of one folder or archive
 _NUMBER = re.compile(r"\d+")
-_MAX_NUMBER = 19  # digits of a counter or a time; a longer number is a digest
-_MAX_LEFT_OUT = 0.5  # share of missing numbers: with more, they do not count frames
-
 # A time since 1970 in a name, as data sets of cameras write it.
 _SECONDS = re.compile(r"(?<!\d)(\d{10})\.(\d{1,9})(?!\d)")
-
 # Unit of a time of this century [ns], by its number of digits.
 _TIME_DIGITS = {19: 1, 16: 1000, 13: 1_000_000}
 
-_TIMES_NS = (10**18, 4 * 10**18)  # from 2001 to 2096
 
-
-@dataclass(frozen=True)
-class _Series:
+class _Series(NamedTuple):
     """One image sequence."""
 
     name: str  # common part of the file names
@@ -164,17 +147,23 @@ class _Series:
     numbers: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _PictureTimes:
-    """Stamps of an image sequence, strictly increasing, the rate in words, and doubts.
-
-    Where they are no times they count frames, `FRAME_NS` each.
-    """
+class _PictureTimes(NamedTuple):
+    """Stamps of an image sequence, strictly increasing, the rate in words, and doubts."""
 
     stamps_ns: NDArray[np.int64]
     rate: str
-    is_timed: bool = True
-    warnings: tuple[str, ...] = ()
+    is_timed: bool = True  # else they count frames, `FRAME_NS` each
+    warnings: Sequence[str] = ()
+
+
+def _counted(
+    counts: NDArray[np.int64], options: ReadOptions, warnings: Sequence[str], remedy: str
+) -> _PictureTimes:
+    """Stamp counted frames by `--fps`, if it was said; `remedy` warns where it was not."""
+    if options.fps is None:
+        return _PictureTimes(counts * FRAME_NS, "unknown", False, [*warnings, remedy])
+    stamps_ns = np.round(counts * (1e9 / options.fps)).astype(np.int64)
+    return _PictureTimes(stamps_ns, f"{options.fps:g}, as said", True, warnings)
 
 
 def _series_of(names: Iterable[str]) -> list[_Series]:
@@ -184,12 +173,9 @@ def _series_of(names: Iterable[str]) -> list[_Series]:
         alike[_NUMBER.sub("#", name)].append(name)
     found = [one for group in alike.values() for one in _divided(group)]
     shared = Counter(one.name for one in found)
-    found = [
-        replace(one, name=one.name + PurePosixPath(one.files[0]).suffix)
-        if shared[one.name] > 1
-        else one
-        for one in found
-    ]
+    for at, one in enumerate(found):
+        if shared[one.name] > 1:
+            found[at] = one._replace(name=one.name + PurePosixPath(one.files[0]).suffix)
     return sorted(found, key=lambda one: (-len(one.files), one.name))
 
 
@@ -197,7 +183,8 @@ def _divided(names: list[str]) -> list[_Series]:
     """Split names that differ in numbers alone by all of these but the counter."""
     texts = {name: _NUMBER.findall(name) for name in names}
     columns = list(zip(*texts.values(), strict=True))
-    if not columns or max(len(text) for column in columns for text in column) > _MAX_NUMBER:
+    # A number that is longer than a counter or a time is a digest.
+    if not columns or max(len(text) for column in columns for text in column) > 19:
         return [_Series(name, (name,)) for name in names]
     kinds = [len(set(column)) for column in columns]
     counter = max(range(len(kinds)), key=lambda at: (kinds[at], at))
@@ -232,17 +219,11 @@ def _taken(series: _Series, options: ReadOptions) -> _PictureTimes:
     said_ns = [_time_ns(PurePosixPath(name).stem) for name in series.files]
     times_ns = np.array([0 if one is None else one for one in said_ns], np.int64)
     has_times = len(said_ns) > 1 and None not in said_ns and bool(np.all(np.diff(times_ns) > 0))
-    if options.rate_hz is None and has_times:
+    if options.fps is None and has_times:
         return _PictureTimes(times_ns, "by the times in the names")
     counts, warnings = (np.arange(len(series.files)), []) if has_times else _counts(series)
-    if options.rate_hz is not None:
-        stamps_ns = np.round(counts * (1e9 / options.rate_hz)).astype(np.int64)
-        rate = f"{options.rate_hz:g}, as said"
-        return _PictureTimes(stamps_ns, rate, warnings=tuple(warnings))
-    warnings.append(
-        f"{series.name}: nothing says how many pictures a second there are; say it with --fps"
-    )
-    return _PictureTimes(counts * FRAME_NS, "unknown", is_timed=False, warnings=tuple(warnings))
+    remedy = f"{series.name}: nothing says how many pictures a second there are; say it with --fps"
+    return _counted(counts, options, warnings, remedy)
 
 
 def _counts(series: _Series) -> tuple[NDArray[np.int64], list[str]]:
@@ -254,7 +235,7 @@ def _counts(series: _Series) -> tuple[NDArray[np.int64], list[str]]:
     unit = gcd(*steps)
     last = sum(steps) // unit
     missing = last - ranks[-1]
-    if missing > _MAX_LEFT_OUT * last:
+    if missing > 0.5 * last:
         return ranks, [f"{series.name}: their numbers leap; the pictures are counted instead"]
     counts = np.concatenate([[0], np.cumsum(np.array(steps, np.int64) // unit)])
     said = f"{series.name}: {missing} numbers between the first and the last have no picture"
@@ -267,17 +248,13 @@ def _time_ns(stem: str) -> int | None:
         return int(match[1]) * 10**9 + int(match[2].ljust(9, "0"))
     texts = [text for text in _NUMBER.findall(stem) if len(text) in _TIME_DIGITS]
     stamps_ns = [int(text) * _TIME_DIGITS[len(text)] for text in texts]
-    return next((one for one in stamps_ns if _TIMES_NS[0] <= one < _TIMES_NS[1]), None)
+    return next((one for one in stamps_ns if 10**18 <= one < 4 * 10**18), None)  # 2001 to 2096
 
 
 # ---- Animated WebP: frames, or patches of them, composited one over the other.
 # By https://developers.google.com/speed/webp/docs/riff_container. OpenCV reads them too, but holds
 # all pictures of a film at once, and none of one that is cut.
 
-TOPIC = "video"  # of the frames, as a video's
-_ANIMATED = 0x02
-# Bits of a patch's flags: it replaces what is below; it goes before the next one comes.
-_DO_NOT_BLEND, _DISPOSE = 0x02, 0x01
 _PATCH_HEADER = 16  # bytes
 # Pixels of all frames of a file: of any, and for each of its bytes.
 _FREE_PIXELS, _MAX_PIXELS_A_BYTE = 100_000_000, 50
@@ -300,16 +277,11 @@ def is_animated_webp(start: Start) -> bool:
     """Return whether a file is an animated WebP."""
     data = start.data
     is_webp = data[:4] == b"RIFF" and data[8:16] == b"WEBPVP8X"
-    return is_webp and len(data) > 30 and bool(data[20] & _ANIMATED)
+    return is_webp and len(data) > 30 and bool(data[20] & 0x02)
 
 
 def read_animated_webp(path: Path, options: ReadOptions) -> Episode:
-    """Read the images as an episode, stamped by their stated durations or by `--fps`.
-
-    Raises:
-        LogError: it is cut before the first picture, or claims what no camera makes.
-        OSError: it cannot be read.
-    """
+    """Read the images as an episode, stamped by their stated durations or by `--fps`."""
     canvas, patches, is_cut = _patches(path)
     if not patches:
         raise LogError(f"{path}: is an animated WebP without a picture; copy it again")
@@ -320,30 +292,25 @@ def read_animated_webp(path: Path, options: ReadOptions) -> Episode:
             "px, more than its size allows",
             COPY_AGAIN,
         )
-    warnings = ["is cut: its last pictures are missing"] if is_cut else []
-    losses = tuple(warnings)
+    losses = ["is cut: its last pictures are missing"] if is_cut else []
     lasts_ms = [patch.lasts_ms for patch in patches]
-    counts = np.arange(len(patches))
-    is_timed = options.rate_hz is not None or min(lasts_ms) > 0
-    if options.rate_hz is not None:
-        stamps_ns = np.round(counts * (1e9 / options.rate_hz)).astype(np.int64)
-        rate = f"{options.rate_hz:g}, as said"
-        warnings.append("the pictures' own times are not used: --fps was said")
-    elif is_timed:
+    if options.fps is None and min(lasts_ms) > 0:
         stamps_ns = np.concatenate([[0], np.cumsum(lasts_ms[:-1])]).astype(np.int64) * 1_000_000
         rate = f"stored {1000 / float(np.mean(lasts_ms)):.3f}"
+        times = _PictureTimes(stamps_ns, rate, True, losses)
     else:
-        stamps_ns, rate = counts * FRAME_NS, "unknown"
-        warnings.append("the pictures state no times; say how many there are a second with --fps")
-    notes = {"codec": "webp", "size_px": f"{canvas[0]}x{canvas[1]}", "rate_hz": rate}
+        said = ["the pictures' own times are not used: --fps was said"] if options.fps else []
+        remedy = "the pictures state no times; say how many there are a second with --fps"
+        times = _counted(np.arange(len(patches)), options, [*losses, *said], remedy)
+    notes = {"codec": "webp", "size_px": f"{canvas[0]}x{canvas[1]}", "rate_hz": times.rate}
     return Episode(
         EpisodeInfo(source=f"animated WebP {path.name}", notes=notes),
         {},
-        (Channel(TOPIC, "webp", "video", stamps_ns, pictures=True),),
-        tuple(warnings),
-        losses,
-        open_frames=partial(_webp_frames, path, canvas, patches, stamps_ns),
-        frames_untimed=not is_timed,
+        (Channel("video", "webp", "video", times.stamps_ns, pictures=True),),
+        tuple(times.warnings),
+        tuple(losses),
+        open_frames=partial(_webp_frames, path, canvas, patches, times.stamps_ns),
+        frames_untimed=not times.is_timed,
     )
 
 
@@ -393,13 +360,13 @@ def _webp_frames(
             above = _decoded(path, file.read(patch.size), patch)
             rows = slice(patch.top, patch.top + patch.height)
             below = picture[rows, patch.left : patch.left + patch.width]
-            if above.shape[2] == 3 or patch.flags & _DO_NOT_BLEND:
+            if above.shape[2] == 3 or patch.flags & 0x02:  # it replaces what is below
                 below[:] = above[:, :, :3]
             else:
                 share = above[:, :, 3:].astype(np.float32) / 255
                 below[:] = np.round(share * above[:, :, :3] + (1 - share) * below)
             yield Frame(stamp_ns, "rgb8", picture.tobytes(), canvas)
-            if patch.flags & _DISPOSE:
+            if patch.flags & 0x01:  # it goes before the next one comes
                 below[:] = 0
 
 
@@ -426,16 +393,13 @@ def _decoded(path: Path, chunks: bytes, patch: _Patch) -> NDArray[np.uint8]:
 
 MIN_COUNT = 3  # images of a sequence
 _MAX_FILMS = 16  # sequences of one folder or archive that are read
-# Pixels of a sequence: of any, and for each byte of its files; a camera's have 20.
-_FREE_FRAME_PIXELS, _FRAME_PIXELS_A_BYTE = 150_000_000, 50
+_FREE_FRAME_PIXELS = 150_000_000  # of any sequence, beside those that its bytes pay for
 
-_SAMPLES = 5  # images by which their bit depth is inferred
 # The bytes of a file of that name, bounded; LogError where it cannot be read.
 Read = Callable[[str], bytes]
 
 
-@dataclass(frozen=True, eq=False)
-class _Store:
+class _Store(NamedTuple):
     """Source of image files."""
 
     path: Path  # of the folder or archive
@@ -448,11 +412,7 @@ class _Store:
 
 
 def _film_of(store: _Store, names: Sequence[str], options: ReadOptions) -> Episode:
-    """Group named images into sequences, each a topic of one episode.
-
-    Raises:
-        LogError: there are too many images, or too few.
-    """
+    """Group named images into sequences, each a topic of one episode."""
     if len(names) > MAX_PICTURES:
         raise LogError(
             f"{store.path}: holds {len(names)} pictures, over the limit of {MAX_PICTURES}; leave "
@@ -469,16 +429,11 @@ def _film_of(store: _Store, names: Sequence[str], options: ReadOptions) -> Episo
     times = {name: _taken(one, options) for name, one in films.items()}
     with store.opened() as read:
         depths = {name: _depth_of(_samples(one, read)) for name, one in films.items()}
-    channels = [
-        Channel(
-            topic=name,
-            type_name=f"{store.what}, {one.files[0]} to {one.files[-1]}"[:200],
-            encoding="pictures",
-            log_ns=times[name].stamps_ns,
-            pictures=True,
-        )
-        for name, one in films.items()
-    ]
+    channels: list[Channel] = []
+    for name, one in films.items():
+        kind = f"{store.what}, {one.files[0]} to {one.files[-1]}"[:200]
+        stamps_ns = times[name].stamps_ns
+        channels.append(Channel(name, kind, "pictures", stamps_ns, pictures=True))
     why, none = "too few pictures for a film", np.empty(0, np.int64)
     rest = dict.fromkeys(one.name[:200] for one in found[len(films) :])
     channels += [Channel(name, "", "file", none, skipped=why) for name in islice(rest, _MAX_FILMS)]
@@ -494,8 +449,8 @@ def _film_of(store: _Store, names: Sequence[str], options: ReadOptions) -> Episo
 
 
 def _samples(series: _Series, read: Read) -> Iterator[bytes]:
-    """Yield the bytes of a few readable images, evenly spaced."""
-    for at in np.linspace(0, len(series.files) - 1, _SAMPLES).round().astype(int).tolist():
+    """Yield the bytes of five readable images, evenly spaced."""
+    for at in np.linspace(0, len(series.files) - 1, 5).round().astype(int).tolist():
         with suppress(LogError):
             yield read(series.files[at])
 
@@ -517,7 +472,7 @@ def _series_frames(
                 frame = _frame_of(stamp_ns, data, depths[topic])
                 work = frame.work_px()
                 pixels += work
-                paid += min(_FRAME_PIXELS_A_BYTE * len(data), work)
+                paid += min(50 * len(data), work)  # a camera's have 20 a byte
             except LogError:
                 frame = Frame(stamp_ns, "damaged", b"")
             most = _FREE_FRAME_PIXELS + paid if store.most_pixels is None else store.most_pixels
@@ -532,15 +487,7 @@ def _series_frames(
 # ---- Zips of images.
 
 _STARTS = (b"PK\x03\x04", b"PK\x05\x06")  # of a zip with files, and of one without
-_MAX_DIRECTORY_BYTES = 8_000_000  # of a zip: its list of files, with 100 bytes for each of 80,000
-_END, _END_BYTES, _END64 = b"PK\x05\x06", 22, b"PK\x06\x06"
-_MAX_COMMENT = 65_535
-
-# Unpacked bytes of a whole zip: of any, and for each of its bytes.
-_FREE_BYTES, _MAX_RATIO = 256_000_000, 100
-
-_KIND_BYTES = 65_536  # that hold the names which tell what else a zip is
-_ENCRYPTED = 0x1  # the bit of a zip's flags
+_MAX_RATIO = 100  # unpacked bytes of a zip for each of its own, beyond 256 MB
 # What `zipfile` raises of damaged and forged files.
 _UNREADABLE = (
     zipfile.BadZipFile,
@@ -561,12 +508,7 @@ def is_picture_archive(start: Start) -> bool:
 
 
 def read_picture_archive(path: Path, options: ReadOptions) -> Episode:
-    """Read the images of an archive as an episode. Nothing is unpacked to disk.
-
-    Raises:
-        LogError: no image sequence in it, damage, or a decompressed size over the limit.
-        OSError: it cannot be read.
-    """
+    """Read the images of an archive as an episode. Nothing is unpacked to disk."""
     with open_regular(path) as file:
         if not file.read(4).startswith(_STARTS):
             return read_animated_webp(path, options)
@@ -579,7 +521,15 @@ def read_picture_archive(path: Path, options: ReadOptions) -> Episode:
 
 def _pictures_in_zip(path: Path, size: int) -> list[str]:
     """Return the names of the images in a zip; raises as `read_picture_archive` does."""
-    _check_directory(path, size)
+    with open_regular(path) as file:
+        stated = directory_bytes(file, size)
+    if stated is None:
+        raise LogError(f"{path}: is a zip without an end; copy it again")
+    if stated > 8_000_000:  # 100 bytes for each of 80,000 files would fill the memory
+        raise LogError(
+            f"{path}: is a zip of too many files ({stated} bytes of names); unpack it, and name a "
+            "folder with the pictures of one drop"
+        )
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             named = [one for one in archive.infolist() if one.filename]
@@ -589,7 +539,7 @@ def _pictures_in_zip(path: Path, size: int) -> list[str]:
     found = [one for one in entries if _is_picture(one.filename)]
     if len(found) < MIN_COUNT:
         with open_regular(path) as file:
-            what, remedy = foreign_kind(file.read(_KIND_BYTES), path) or ("", "")
+            what, remedy = foreign_kind(file.read(65_536), path) or ("", "")
         if remedy != UNPACK:
             raise LogError(f"{path}: is {what}, which is not read as it is", remedy)
         shown = ", ".join(one.filename[:60] for one in entries[:2]) or "nothing"
@@ -597,10 +547,10 @@ def _pictures_in_zip(path: Path, size: int) -> list[str]:
             f"{path}: is a zip without pictures (it holds {shown}); unpack it, and name the log or "
             "video of the drop"
         )
-    if any(one.flag_bits & _ENCRYPTED for one in found):
+    if any(one.flag_bits & 0x1 for one in found):
         raise LogError(f"{path}: is a zip with a password; unpack it, and name the folder")
     total = sum(one.file_size for one in found)
-    if total > _FREE_BYTES + _MAX_RATIO * size:
+    if total > 256_000_000 + _MAX_RATIO * size:
         raise LogError(
             f"{path}: is a zip of {size} bytes that unpacks to {total}, over {_MAX_RATIO} times "
             "that; if its pictures are whole, unpack it, and name the folder"
@@ -613,24 +563,6 @@ def _is_picture(name: str) -> bool:
     parts = PurePosixPath(name)
     hidden = parts.name.startswith(".") or "__MACOSX" in parts.parts
     return parts.suffix.lower() in SUFFIXES and not hidden
-
-
-def _check_directory(path: Path, size: int) -> None:
-    """Refuse, with a LogError, a zip whose directory is missing or would fill the memory."""
-    with open_regular(path) as file:
-        file.seek(max(0, size - _MAX_COMMENT - 200))
-        tail = file.read(_MAX_COMMENT + 200)
-    at, at64 = tail.rfind(_END), tail.rfind(_END64)
-    if at < 0 or at + _END_BYTES > len(tail):
-        raise LogError(f"{path}: is a zip without an end; copy it again")
-    stated = int.from_bytes(tail[at + 12 : at + 16], "little")
-    if at64 >= 0:
-        stated = max(int.from_bytes(tail[at64 + 40 : at64 + 48], "little"), stated % 0xFFFFFFFF)
-    if stated > _MAX_DIRECTORY_BYTES:
-        raise LogError(
-            f"{path}: is a zip of too many files ({stated} bytes of names); unpack it, and name a "
-            "folder with the pictures of one drop"
-        )
 
 
 @contextmanager
@@ -661,27 +593,16 @@ _LOGS = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
 
 
 def is_picture_folder(path: Path) -> bool:
-    """Return whether a folder holds images, and no log.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Return whether a folder holds images, and no log."""
     names = _files(path)
-    return len(_pictures_among(names)) >= MIN_COUNT and not any(
-        one.endswith(_LOGS) for one in names
-    )
+    has_log = any(one.endswith(_LOGS) for one in names)
+    return len(_pictures_among(names)) >= MIN_COUNT and not has_log
 
 
 def read_picture_folder(path: Path, options: ReadOptions) -> Episode:
-    """Read a folder's images as an episode; no link is followed.
-
-    Raises:
-        LogError: there is no image sequence in it.
-        OSError: it cannot be read.
-    """
-    store = _Store(
-        path, "a folder of pictures", lambda: nullcontext(partial(_bytes_in_folder, path))
-    )
+    """Read a folder's images as an episode; no link is followed."""
+    read = partial(_bytes_in_folder, path)
+    store = _Store(path, "a folder of pictures", lambda: nullcontext(read))
     return _film_of(store, _pictures_among(_files(path)), options)
 
 

@@ -11,7 +11,6 @@ import json
 import math
 import re
 from contextlib import suppress
-from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -42,7 +41,7 @@ class _Arrays:
         """Read an array of numbers, times or short texts with at most two long sides."""
         if dtype.names is not None and not dtype.hasobject:
             for field in dtype.names:
-                self.add(f"{name}.{field}", dtype[field], shape, partial(_field, read, field))
+                self.add(f"{name}.{field}", dtype[field], shape, lambda one=field: read()[one])
             return
         if dtype.subdtype is not None:
             dtype, inner = dtype.subdtype
@@ -72,10 +71,6 @@ class _Arrays:
             self.unused[name[:200]] = why
 
 
-def _field(read: Callable[[], Any], field: str) -> Any:
-    return read()[field]
-
-
 # ---- Parquet and Arrow: columns, or rows of a table of texts and numbers.
 
 _MAX_ROWS = 2_000_000
@@ -84,9 +79,6 @@ _MAX_COLUMNS = 5000  # of a file, those within others counted
 _MAX_WIDTH = 200  # of a list
 _BATCH_ROWS = 16_384
 _MAX_TEXT = 60  # characters of a text's cell
-_LINE_CHARACTERS = 4_000_000  # of `_ROWS_AT_ONCE` rows
-_ROWS_AT_ONCE = 200
-_OF_ROWS = ("string", "large_string", "int64", "double")  # of a table that is read by rows
 
 
 def table_columns(path: str) -> Yields:
@@ -131,17 +123,17 @@ def table_rows(path: str, most_cells: int) -> Yields:
     if len(set(names)) < len(names):
         raise Refusal("two of its columns have one name")
     for field in schema:
-        if str(field.type) not in _OF_ROWS:
+        if str(field.type) not in ("string", "large_string", "int64", "double"):
             raise Refusal(f"column {field.name[:60]!r} holds neither text nor numbers")
     if rows * len(names) > most_cells:
         raise Refusal(f"claims {rows * len(names)} cells, over the limit of {most_cells}")
     cells = 0
-    for batch in batches(_ROWS_AT_ONCE, names):
+    for batch in batches(200, names):
         cells += batch.num_rows * len(names)
         if cells > most_cells:
             raise Refusal(f"has over {most_cells} cells")
         found = dict(zip(names, map(_cells, batch.columns), strict=True))
-        if len(json.dumps(found)) > _LINE_CHARACTERS:
+        if len(json.dumps(found)) > 4_000_000:
             raise Refusal("holds texts that are longer than any in such a table")
         yield found, {}
 
@@ -264,14 +256,9 @@ def _array(column: Any) -> Any:
 # ---- Workbooks, and archives of tables: the text of each sheet.
 
 _MAX_UNPACKED_BYTES = 384 * 1024**2
-_MAX_PARTS = 5000  # of a zip
 _MAX_SHEETS = 200
 _MAX_SHEETS_TEXT = 64 * 1024**2  # characters
 _MAX_CELL = 1000  # characters
-_ROW_COST = 40  # characters that a row counts for, beside its own
-_BLOCK_ROWS = 500
-_MAX_EMPTY = 10_000  # rows
-
 # What stands in a cell whose formula failed.
 _EXCEL_ERRORS = ("#N/A", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#NULL!")
 
@@ -284,8 +271,8 @@ def sheets(path: str, is_archive: bool) -> Yields:
             raise Refusal(f"holds over {_MAX_SHEETS} sheets", "save those of the log alone")
         yield name[:200], {}
         some = iter(rows)
-        while block := list(islice(some, _BLOCK_ROWS)):
-            room -= sum(map(len, block)) + _ROW_COST * len(block)
+        while block := list(islice(some, 500)):
+            room -= sum(map(len, block)) + 40 * len(block)  # what a row costs beside its text
             if room < 0:
                 raise Refusal(
                     f"holds over {_MAX_SHEETS_TEXT >> 20} MiB of text",
@@ -300,7 +287,7 @@ def _checked_zip(path: str) -> zipfile.ZipFile:
 
     archive = zipfile.ZipFile(path)
     parts = archive.infolist()
-    if len(parts) > _MAX_PARTS:
+    if len(parts) > 5000:
         raise Refusal(f"is a zip archive of {len(parts)} parts", "save the sheet alone")
     size = sum(part.file_size for part in parts)
     if size > _MAX_UNPACKED_BYTES:
@@ -334,7 +321,7 @@ def _rows(sheet: Any) -> Iterator[str]:
     for row in sheet.iter_rows():
         cells = [_text(cell) for cell in row]
         empty = 0 if any(cells) else empty + 1
-        if empty > _MAX_EMPTY:
+        if empty > 10_000:
             return
         yield "" if empty else "\t".join(cells)
 
@@ -345,21 +332,17 @@ def _text(cell: object) -> str:
         text = " ".join(cell[:_MAX_CELL].replace('"', "''").split())
         return "" if text in _EXCEL_ERRORS else text
     if isinstance(cell, dt.date):
-        return _date(cell)
+        is_whole = not isinstance(cell, dt.datetime)
+        when = dt.datetime(cell.year, cell.month, cell.day) if is_whole else cell
+        if when.year < 1901:  # a duration: what a time without a date counts from in some workbooks
+            return repr((when - dt.datetime(1899, 12, 30)).total_seconds())
+        return when.isoformat()
     if isinstance(cell, dt.timedelta):
         return repr(cell.total_seconds())
     if isinstance(cell, dt.time):
         seconds = cell.hour * 3600 + cell.minute * 60 + cell.second
         return repr(seconds + cell.microsecond * 1e-6)
     return "" if cell is None else repr(cell)[:_MAX_CELL].removesuffix(".0")
-
-
-def _date(cell: dt.date) -> str:
-    """Format a date in ISO 8601; in seconds where it is a duration that was taken for a date."""
-    when = cell if isinstance(cell, dt.datetime) else dt.datetime(cell.year, cell.month, cell.day)
-    if when.year < 1901:  # what a time without a date counts from in some workbooks
-        return repr((when - dt.datetime(1899, 12, 30)).total_seconds())
-    return when.isoformat()
 
 
 def _archive(path: str) -> Iterator[tuple[str, Iterable[str]]]:
@@ -385,8 +368,6 @@ def _lines(archive: zipfile.ZipFile, part: zipfile.ZipInfo) -> Iterator[str]:
 
 
 # ---- Variables of MATLAB and Octave, to version 7.
-
-_TABLE = "a table, timetable or timeseries, which only MATLAB can read; save its columns"
 
 
 def matlab(path: str) -> Yields:
@@ -431,7 +412,8 @@ def _variable(found: _Arrays, name: str, value: Any, depth: int) -> None:
 
     if isinstance(value, MatlabOpaque):
         name = name if name != "None" else bytes(value["s0"].flat[0]).decode("utf-8", "replace")
-        found.leave(name or "unnamed", _TABLE)
+        why = "a table, timetable or timeseries, which only MATLAB can read; save its columns"
+        found.leave(name or "unnamed", why)
     elif isinstance(value, MatlabFunction):
         found.leave(name, "a function")
     elif isinstance(value, MatlabObject):
@@ -457,8 +439,6 @@ def _variable(found: _Arrays, name: str, value: Any, depth: int) -> None:
 _FILTERS = (1, 2, 3, 4, 5, 6, 32000)  # deflate, shuffle, Fletcher, szip, nbit, scale-offset, LZF
 _RATES = ("fps", "rate", "sampling_rate", "sample_rate", "frame_rate", "control_freq")
 _DEMO = r"(?i:demo|episode|ep|traj|trajectory|rollout|run|trial|take)s?[_-]?\d+"
-
-
 _CONTAINERS = ("data", "obs", "observation", "observations", "states", "articulation", "robot")
 _JOINTS = {"qpos": "joint_position", "qvel": "joint_velocity", "effort": "joint_effort"}
 
@@ -629,7 +609,6 @@ _VALUES = {  # components that are read, and their columns
     "Ellipsoids3D:centers": 3,
     "Transform3D:translation": 3,
 }
-_OWN_CLOCKS = ("log_tick", "log_time")  # of logging; a user's timelines come first
 
 
 def rerun(path: str) -> Yields:
@@ -653,7 +632,8 @@ def rerun(path: str) -> Yields:
         component = next(filter(columns.get, _VALUES), None)
         if chunk.is_static or not chunk.timeline_names or component is None:
             continue
-        clock = min(chunk.timeline_names, key=lambda name: name in _OWN_CLOCKS)
+        # A user's timelines come before those of logging.
+        clock = min(chunk.timeline_names, key=lambda name: name in ("log_tick", "log_time"))
         flat, width = columns[component].flatten(), _VALUES[component]
         if len(flat) != batch.num_rows or columns[component].null_count:
             unused[entity] = "it has not one value at each time"
@@ -684,7 +664,6 @@ def rerun(path: str) -> Yields:
 
 
 # ---- Logs of a PX4 autopilot: a table for each topic.
-
 
 # Fields of PX4 that are a place [m], with those of older logs; no other topic's x, y, z are one.
 _PLACES = re.compile(r"(?!.*setpoint).*(_position|odometry|mocap)")

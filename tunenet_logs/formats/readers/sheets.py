@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from itertools import islice
@@ -55,7 +55,6 @@ from tunenet_logs.timing.stamps import sorted_stamps
 # Its own definitions of these experiments name the sheets and columns
 # (https://github.com/phyphox/phyphox-experiments).
 
-NAME = "impacts"  # of the signal
 _EVENTS = "event time (s)"
 _INTERVALS = "interval (s)"
 # Impacts side by side, one experiment a row.
@@ -76,17 +75,6 @@ class ImpactTimes:
     is_first_unknown: bool = False
     is_list: bool = False  # whether all impacts stand in one column, however many there were
 
-    def signals(self, sheet: str) -> tuple[list[Signal], list[str]]:
-        """Return one signal per run, and notes on repairs; `sheet` prefixes their names."""
-        signals: list[Signal] = []
-        notes: list[str] = []
-        for number, times in enumerate(self.runs, 1):
-            name = f"{sheet}{NAME}" + (f" {number}" if len(self.runs) > 1 else "")
-            _, stamps, repairs, _ = sorted_stamps(time_stamps(times))
-            signals.append(Signal(name, stamps, np.ones((len(stamps), 1)), ("impact",), "1"))
-            notes += [f"{name}: {repair}" for repair in repairs]
-        return signals, notes
-
 
 def names_impacts(line: str) -> bool:
     """Return whether a header line is that of a sheet of impact times."""
@@ -94,11 +82,7 @@ def names_impacts(line: str) -> bool:
 
 
 def impact_times(lines: Iterable[str]) -> ImpactTimes | None:
-    """Read a sheet's impact times; None where its first line names none.
-
-    Raises:
-        ValueError: a cell is no number.
-    """
+    """Read a sheet's impact times; None where its first line names none."""
     rows = (line for line in islice(lines, MAX_ROWS) if line.strip(" \t,;"))
     header = next(rows, "")
     names = _lower_names(header)
@@ -106,23 +90,27 @@ def impact_times(lines: Iterable[str]) -> ImpactTimes | None:
     if columns is None:
         return None
     separator = best_separator(header)
-    cells = [cells_of(line, separator) for line in rows]
-    cells = [row for row in cells if len(row) > max(columns)]
+    cells = [row for line in rows if len(row := cells_of(line, separator)) > max(columns)]
     numbers = Numbers(separator, decimal_of(row[at] for row in cells for at in columns))
     values = [[numbers.read(row[at]) for at in columns] for row in cells]
     kind = names[columns[0]]
-    unused = {
-        name: "phyphox reckons it from the times" for name in names if _BESIDE.fullmatch(name)
-    }
-    if kind == _EVENTS:
-        return ImpactTimes(_filled([_flat(values)]), unused, is_list=True)
-    if kind == _INTERVALS:
-        unused.pop(_INTERVALS, None)
-        return ImpactTimes(_filled([_summed(_flat(values))]), unused, is_first_unknown=True)
-    if _GAPS_IN_A_ROW.fullmatch(kind):
-        runs = [_summed(np.array(row)) for row in values]
-        return ImpactTimes(_filled(runs), unused, is_first_unknown=True)
-    return ImpactTimes(_filled([_rising(row) for row in values]), unused)
+    unused = dict.fromkeys(filter(_BESIDE.fullmatch, names), "phyphox reckons it from the times")
+    are_gaps = kind == _INTERVALS or _GAPS_IN_A_ROW.fullmatch(kind) is not None
+    if kind in (_EVENTS, _INTERVALS):  # one experiment, an impact a row
+        values = [[row[0] for row in values]]
+        unused.pop(kind, None)
+    runs: list[NDArray[np.float64]] = []
+    for row in values:
+        times = np.array(row)
+        if kind == _EVENTS:
+            times = times[np.isfinite(times)]
+        elif are_gaps:  # cumulated from 0; phyphox writes 0 where there was no more
+            times = np.concatenate(([0.0], np.cumsum(times[np.isfinite(times) & (times > 0)])))
+        else:  # up to the first missing impact: 0, empty or not later
+            times = times[np.logical_and.accumulate(np.diff(times, prepend=-1.0) > 0)]
+        runs.append(times)
+    filled = tuple(run for run in runs if len(run) > 1)
+    return ImpactTimes(filled, unused, is_first_unknown=are_gaps, is_list=kind == _EVENTS)
 
 
 def _lower_names(line: str) -> list[str]:
@@ -145,36 +133,10 @@ def _columns(names: Sequence[str]) -> list[int] | None:
     return [0] if list(names) == [_INTERVALS] else None
 
 
-def _flat(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    times = np.array([row[0] for row in values])
-    return times[np.isfinite(times)]
-
-
-def _summed(gaps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cumulate intervals to impact times from 0; phyphox writes 0 where there was no more."""
-    real = gaps[np.isfinite(gaps) & (gaps > 0)]
-    return np.concatenate(([0.0], np.cumsum(real)))
-
-
-def _rising(row: Sequence[float]) -> NDArray[np.float64]:
-    """Return a row's times up to the first missing impact: 0, empty or not later."""
-    times: list[float] = []
-    for time in row:
-        if not time > (times[-1] if times else -1.0):
-            break
-        times.append(time)
-    return np.array(times)
-
-
-def _filled(runs: Iterable[NDArray[np.float64]]) -> tuple[NDArray[np.float64], ...]:
-    return tuple(run for run in runs if len(run) > 1)
-
-
 # ---- Runs of a physics lab's sensors, side by side in one table, each with its own times.
 # PASCO Capstone names columns "Position (m) Run #1"; Vernier Logger Pro and Graphical Analysis name
 # them "Latest: Position (m)", "Run 1: Position (m)" or "Data Set 1:Position(m)".
 
-_MAX_BEFORE = 20  # lines before the names
 _MAX_COLUMNS = 200  # that are searched for a run's name
 
 
@@ -184,11 +146,7 @@ def is_sensor_runs(start: Start) -> bool:
 
 
 def read_sensor_runs(path: Path, options: ReadOptions) -> Episode:
-    """Read one signal per run and position.
-
-    Raises:
-        LogError: it holds no positions, or see `read_csv`.
-    """
+    """Read one signal per run and position."""
     names = [without_run(name) for name in _names_of_runs(start_of(path))]
     meanings = [meaning_of(name) for _, name in names]
     if not options.columns and not any(
@@ -208,7 +166,7 @@ def read_sensor_runs(path: Path, options: ReadOptions) -> Episode:
 
 def _names_of_runs(start: Start) -> Sequence[str]:
     """Return the column names, if a time column names its run; else nothing."""
-    for line in start.lines[:_MAX_BEFORE]:
+    for line in start.lines[:20]:
         for separator in SEPARATORS[:-1]:
             cells = cells_of(line, separator) if separator and separator in line else []
             marked = [without_run(cell.strip()) for cell in cells[:_MAX_COLUMNS]]
@@ -218,8 +176,6 @@ def _names_of_runs(start: Start) -> Sequence[str]:
 
 
 # ---- The sheets of a workbook or of an archive of tables, through a process of their own.
-
-_MAX_FILE_BYTES = 128 * 1024**2
 
 
 @dataclass(frozen=True)
@@ -232,20 +188,14 @@ class Sheet:
 
 
 def sheets_of(path: Path, what: str, *, is_archive: bool) -> list[Sheet]:
-    """Read all sheets of a file.
-
-    Raises:
-        LogError: it is too large, damaged, or python-calamine is missing.
-        OSError: it cannot be read.
-    """
+    """Read all sheets of a file."""
     if not is_archive and find_spec("python_calamine") is None:
         raise LogError(
             f"{path}: is a {what}, which needs python-calamine; pip install 'tunenet-logs[tables]'"
         )
-    if (size := path.stat().st_size) > _MAX_FILE_BYTES:
-        limit = _MAX_FILE_BYTES >> 20
+    if (size := path.stat().st_size) > 128 * 1024**2:
         raise LogError(
-            f"{path}: is a {what} of {size >> 20} MiB, over the limit of {limit} MiB; save the "
+            f"{path}: is a {what} of {size >> 20} MiB, over the limit of 128 MiB; save the "
             "sheet alone, as CSV"
         )
     found: list[Sheet] = []
@@ -271,8 +221,6 @@ _ZIP = b"PK\x03\x04"
 _IN_BOOKS = ("[Content_Types].xml", "_rels/", "xl/", "docProps/", "mimetype", "META-INF/")
 # Sheets in which phyphox describes the phone and the clock.
 _ABOUT = ("metadata device", "metadata time", "meta/device", "meta/time")
-_MAX_REASONS = 3  # sheets that are named where none is of use
-_MAX_REASON = 150  # characters about each
 
 
 def is_sheets(start: Start) -> bool:
@@ -288,12 +236,7 @@ def is_sheets(start: Start) -> bool:
 
 
 def read_sheets(path: Path, options: ReadOptions) -> Episode:
-    """Read each sheet that is a table, prefixing its signals' names with the sheet's.
-
-    Raises:
-        LogError: no sheet is a table, or the file is damaged or too large.
-        OSError: it cannot be read.
-    """
+    """Read each sheet that is a table, prefixing its signals' names with the sheet's."""
     start = start_of(path)
     if not start.data.startswith((_OLE2, _ZIP)):
         # Read a text table: of phyphox, or one misnamed as a workbook.
@@ -305,21 +248,18 @@ def read_sheets(path: Path, options: ReadOptions) -> Episode:
         if options.columns or not names_impacts(next(iter(start.lines), "")):
             return read_csv(path, options)
         sheet = Sheet("", [line or "" for line in islice(lines_of(path), MAX_ROWS)])
-        return _Sheets(path, "phyphox export", [sheet], options).episode()
+        return _joined(path, "phyphox export", [sheet], options)
     is_archive = start.data.startswith(_ZIP) and start.suffix not in _BOOKS and not _is_book(start)
     what = "zip archive of tables" if is_archive else "spreadsheet"
     if start.suffix not in _BOOKS and not is_archive:
         what = "file of an office program"
-    sheets = [
-        sheet
-        for sheet in sheets_of(path, what, is_archive=is_archive)
-        if any(line.strip() for line in sheet.lines)
-    ]
+    every = sheets_of(path, what, is_archive=is_archive)
+    sheets = [sheet for sheet in every if any(map(str.strip, sheet.lines))]
     if any(sheet.name.lower().endswith(_ABOUT) for sheet in sheets):
         what = "phyphox export"
     if not sheets:
         raise LogError(f"{path}: is a {what} without any cell that is filled; save it again")
-    return _Sheets(path, what, sheets, options).episode()
+    return _joined(path, what, sheets, options)
 
 
 def _names(start: Start) -> list[str]:
@@ -342,124 +282,105 @@ def _is_archive(start: Start) -> bool:
     return bool(names) and names[0].lower().endswith(".csv")
 
 
-class _Sheets:
-    """All sheets of a file, while they are read."""
-
-    def __init__(
-        self, path: Path, what: str, sheets: Sequence[Sheet], options: ReadOptions
-    ) -> None:
-        self._path = path
-        self._what = what
-        self._options = options
-        self._sheets = list(zip(unique_names(sheet.name for sheet in sheets), sheets, strict=True))
-        self._signals: dict[str, Signal] = {}
-        self._channels: list[Channel] = []
-        self._warnings: list[str] = []
-        self._losses: list[str] = []
-        self._notes: dict[str, str] = {}
-        self._skipped: dict[str, str] = {}
-        self._impacts: list[tuple[str, ImpactTimes]] = []
-
-    def episode(self) -> Episode:
-        """Combine the sheets into one episode; raise LogError if nothing is of use."""
-        for name, sheet in self._sheets:
+def _joined(path: Path, what: str, sheets: Sequence[Sheet], options: ReadOptions) -> Episode:
+    """Join the sheets of a file to one episode; signals of several bear their sheet's name."""
+    named = list(zip(unique_names(sheet.name for sheet in sheets), sheets, strict=True))
+    parts: list[tuple[str, Episode]] = []
+    impacts: list[tuple[str, ImpactTimes]] = []
+    skipped: dict[str, str] = {}
+    for name, sheet in named:
+        try:
             if name.lower().endswith(_ABOUT):
-                self._skipped[name] = "it tells of the phone, not of what was measured"
-                continue
-            try:
-                self._read(name, sheet)
-            except LogError as error:
-                self._skipped[name] = str(error).removeprefix(f"{self._path}: ")
-            except ValueError as error:
-                self._skipped[name] = f"its impact times cannot be read ({error})"
-        self._add_impacts()
-        if not self._signals:
-            raise LogError(f"{self._path}: {self._refusal()}")
-        rest = export_episode(self._path, self._what, [], unused=self._skipped)
-        info = EpisodeInfo(source=f"{self._what} {self._path.name}", notes=self._notes)
-        return Episode(
-            info,
-            self._signals,
-            (*self._channels, *rest.channels),
-            tuple(self._warnings),
-            tuple(self._losses),
-        )
+                skipped[name] = "it tells of the phone, not of what was measured"
+            elif not options.columns and (found := impact_times(sheet.lines)) is not None:
+                impacts.append((name, found))
+            else:
+                read = _reader(sheet, options)
+                parts.append((name, read(path, iter(sheet.lines), options)))
+        except LogError as error:
+            skipped[name] = str(error).removeprefix(f"{path}: ")
+        except ValueError as error:
+            skipped[name] = f"its impact times cannot be read ({error})"
+    parts += _impacts(path, what, impacts, skipped)
+    if not any(episode.signals for _, episode in parts):
+        raise LogError(f"{path}: is a {what} {_refusal(what, len(named), skipped)}")
+    signals: dict[str, Signal] = {}
+    channels: list[Channel] = []
+    warnings: list[str] = []
+    losses: list[str] = []
+    notes: dict[str, str] = {}
+    for name, episode in parts:
+        prefix, about = (f"{name}/", f"{name}: ") if len(named) > 1 else ("", "")
+        for key, signal in episode.signals.items():
+            signals[f"{prefix}{key}"] = replace(signal, name=f"{prefix}{key}")
+        channels += [replace(one, topic=f"{prefix}{one.topic}") for one in episode.channels]
+        warnings += [f"{about}{text}" for text in episode.warnings]
+        losses += [f"{about}{text}" for text in episode.losses]
+        notes |= episode.info.notes
+    channels += export_episode(path, what, [], unused=skipped).channels
+    info = EpisodeInfo(source=f"{what} {path.name}", notes=notes)
+    return Episode(info, signals, tuple(channels), tuple(warnings), tuple(losses))
 
-    def _prefix(self, name: str) -> str:
-        return f"{name}/" if len(self._sheets) > 1 else ""
 
-    def _read(self, name: str, sheet: Sheet) -> None:
-        found = None if self._options.columns else impact_times(sheet.lines)
-        if found is not None:
-            self._impacts.append((name, found))
-            return
-        episode = self._reader(sheet)(self._path, iter(sheet.lines), self._options)
-        prefix = self._prefix(name)
-        for signal in episode.signals.values():
-            renamed = replace(signal, name=f"{prefix}{signal.name}")
-            self._signals[renamed.name] = renamed
-        self._channels += [
-            replace(channel, topic=f"{prefix}{channel.topic}") for channel in episode.channels
-        ]
-        about = f"{name}: " if prefix else ""
-        self._warnings += [f"{about}{text}" for text in episode.warnings]
-        self._losses += [f"{about}{text}" for text in episode.losses]
-        self._notes.update(episode.info.notes)
+def _reader(
+    sheet: Sheet, options: ReadOptions
+) -> Callable[[Path, Iterable[str], ReadOptions], Episode]:
+    """Choose a sheet's reader: a tracking program's table may have been pasted there."""
+    if options.columns:
+        return read_lines
+    if names_masses(sheet.lines[:4]):
+        return read_masses
+    if is_mtrack2(sheet.lines[0]):
+        return read_mtrack2
+    return read_lines if spot_layout(sheet.lines[0]) is None else read_spots
 
-    def _reader(self, sheet: Sheet) -> Callable[[Path, Iterable[str], ReadOptions], Episode]:
-        """Choose a sheet's reader: a tracking program's table may have been pasted there."""
-        if self._options.columns:
-            return read_lines
-        if names_masses(sheet.lines[:4]):
-            return read_masses
-        if is_mtrack2(sheet.lines[0]):
-            return read_mtrack2
-        return read_lines if spot_layout(sheet.lines[0]) is None else read_spots
 
-    def _add_impacts(self) -> None:
-        """Add the impacts of the sheet with most, and of those that do not repeat them."""
-        kept: list[tuple[str, np.ndarray]] = []
-        order = sorted(
-            self._impacts,
-            key=lambda one: (-max(map(len, one[1].runs), default=0), not one[1].is_list),
-        )
-        for name, found in order:
-            prefix = self._prefix(name)
-            if not found.runs:
-                self._skipped[name or "impacts"] = "it holds fewer than two impacts"
-                continue
-            told = next((other for other, times in kept if _is_within(found, times)), None)
-            if told is not None:
-                self._skipped[name] = f"its impacts are in {told} as well"
-                continue
-            kept += [(name, run) for run in found.runs]
-            signals, notes = found.signals(prefix)
-            rest = {f"{prefix}{key}": why for key, why in found.unused.items()}
-            made = export_episode(self._path, self._what, signals, unused=rest)
-            self._signals.update(made.signals)
-            self._channels += made.channels
-            self._warnings += notes
+def _impacts(
+    path: Path, what: str, impacts: list[tuple[str, ImpactTimes]], skipped: dict[str, str]
+) -> Iterator[tuple[str, Episode]]:
+    """Yield the impacts of the sheet with most, and of those that do not repeat them, by sheet."""
+    kept: list[tuple[str, np.ndarray]] = []
+    most_first = sorted(
+        impacts, key=lambda one: (-max(map(len, one[1].runs), default=0), not one[1].is_list)
+    )
+    for name, found in most_first:
+        if not found.runs:
+            skipped[name or "impacts"] = "it holds fewer than two impacts"
+            continue
+        told = next((other for other, times in kept if _is_within(found, times)), None)
+        if told is not None:
+            skipped[name] = f"its impacts are in {told} as well"
+            continue
+        signals: list[Signal] = []
+        repairs: list[str] = []
+        for number, times in enumerate(found.runs, 1):
+            kept.append((name, times))
+            title = "impacts" + (f" {number}" if len(found.runs) > 1 else "")
+            _, stamps, repaired, _ = sorted_stamps(time_stamps(times))
+            signals.append(Signal(title, stamps, np.ones((len(stamps), 1)), ("impact",), "1"))
+            repairs += [f"{title}: {repair}" for repair in repaired]
+        yield name, export_episode(path, what, signals, unused=found.unused, warnings=repairs)
 
-    def _refusal(self) -> str:
-        """Return why nothing is of use."""
-        if len(self._sheets) == 1:
-            return f"is a {self._what} that {_clause(next(iter(self._skipped.values())))}"
-        reasons = [
-            f"{name!r}: {why}"
-            for name, why in self._skipped.items()
-            if not name.lower().endswith(_ABOUT)
-        ]
-        short = [reason.partition("; ")[0][:_MAX_REASON] for reason in reasons]
-        more = f" and {len(short) - _MAX_REASONS} more" if len(short) > _MAX_REASONS else ""
-        return (
-            f"is a {self._what} of {len(short)} sheets without a track, torques or impact times "
-            f"({'; '.join(short[:_MAX_REASONS])}{more}); {self._remedy()}"
-        )
 
-    def _remedy(self) -> str:
-        if self._what == "phyphox export":
-            return "record the drop with 'Acoustic Stopwatch' or '(In)elastic Collision'"
-        return "name the columns above the numbers, or say which they are with --columns"
+def _refusal(what: str, count: int, skipped: Mapping[str, str]) -> str:
+    """Return why nothing in a file's sheets is of use."""
+    if count == 1:
+        why = next(iter(skipped.values()))
+        is_clause = why.startswith(("holds", "has", "is "))
+        return f"that {why if is_clause else f'is of no use: {why}'}"
+    reasons = [
+        f"{name!r}: {why}".partition("; ")[0][:150]
+        for name, why in skipped.items()
+        if not name.lower().endswith(_ABOUT)
+    ]
+    more = f" and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+    remedy = "name the columns above the numbers, or say which they are with --columns"
+    if what == "phyphox export":
+        remedy = "record the drop with 'Acoustic Stopwatch' or '(In)elastic Collision'"
+    return (
+        f"of {len(reasons)} sheets without a track, torques or impact times "
+        f"({'; '.join(reasons[:3])}{more}); {remedy}"
+    )
 
 
 def _is_within(found: ImpactTimes, times: np.ndarray) -> bool:
@@ -469,7 +390,3 @@ def _is_within(found: ImpactTimes, times: np.ndarray) -> bool:
             np.isin(np.round(np.diff(found.runs[0]), 6), np.round(np.diff(times), 6)).all()
         )
     return all(np.isin(np.round(run, 6), np.round(times, 6)).all() for run in found.runs)
-
-
-def _clause(why: str) -> str:
-    return why if why.startswith(("holds", "has", "is ")) else f"is of no use: {why}"

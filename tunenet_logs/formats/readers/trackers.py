@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice, pairwise
 from math import dist, inf, isfinite
 from pathlib import Path
+from typing import Any, NamedTuple
 from xml.parsers import expat
 
 import numpy as np
@@ -49,7 +50,7 @@ from tunenet_logs.formats.kinds import Start, start_of
 from tunenet_logs.formats.options import ReadOptions
 from tunenet_logs.formats.readers.csv import TextRows, read_csv
 
-MAX_TEXT_BYTES = 256 * 1024**2  # an hour of images with a hundred objects in each is a tenth
+_MAX_TEXT_BYTES = 256 * 1024**2  # an hour of images with a hundred objects in each is a tenth
 _MAX_NAMES = 100_000  # of tracks
 _XYZ = ("x", "y", "z")
 
@@ -62,6 +63,14 @@ def _place(
     used = tuple(Used(at, axis, scale) for axis, at in enumerate(axes) if at is not None)
     least = None if sure is None else (sure, _MIN_LIKELIHOOD)
     return Group(name, _XYZ, unit, used, clock, is_track=True, sure=least)
+
+
+def _unit_of(text: str) -> str:
+    """Return a unit of length, "px" or `UNSTATED`, of what a program calls it."""
+    text = text.lower().replace("µ", "u").replace("μ", "u")
+    text = "um" if text.startswith("micron") else text
+    text = "px" if text.startswith(("pixel", "px")) else text
+    return text if text in LENGTHS or text == "px" else UNSTATED
 
 
 class Tracks:
@@ -87,18 +96,8 @@ class Tracks:
         self._frames.append(frame)
         self._places.extend(place)
 
-    def episode(
-        self,
-        what: str,
-        unit: str,
-        options: ReadOptions,
-        *,
-        rate_hz: float | None = None,
-        unused: Mapping[str, str] | None = None,
-        warnings: Sequence[str] = (),
-        losses: Sequence[str] = (),
-    ) -> Episode:
-        """Build an episode of all places; see `episode_of_rows`."""
+    def episode(self, what: str, unit: str, options: ReadOptions, **more: Any) -> Episode:
+        """Build an episode of all places; `more` as in `episode_of_rows`."""
         clock = Clock("frame", (0,), 0, counts_frames=True)
         group = _place("track", (1, 2, 3), unit, clock)
         plan = ColumnPlan(("frame", *_XYZ), (group,), is_stacked=True)
@@ -109,42 +108,22 @@ class Tracks:
         values = {axis + 1: np.ascontiguousarray(places[:, axis]) for axis in range(3)}
         things = np.frombuffer(self._things, np.int64)
         rows = ColumnRows(values, {clock: Times(stamps, known)}, things, list(self._names))
-        return episode_of_rows(
-            self._path,
-            what,
-            plan,
-            rows,
-            options,
-            rate_hz=rate_hz,
-            unused=unused,
-            warnings=warnings,
-            losses=losses,
-        )
+        return episode_of_rows(self._path, what, plan, rows, options, **more)
 
 
 # ---- Parse XML element by element: without entities, without a tree, and not too deep.
 
-_CHUNK_BYTES = 1024**2
-_MAX_DEPTH = 50
-# Takes the name and the attributes of an element that begins; a ValueError refuses it.
-Begin = Callable[[str, dict[str, str]], None]
 
-
-def read_elements(path: Path, what: str, begin: Begin) -> None:
-    """Call `begin` with each element of a file as it begins.
-
-    Raises:
-        LogError: it is no XML, declares entities, is nested too deep, or `begin` refuses it.
-        OSError: it cannot be read.
-    """
+def read_elements(path: Path, what: str, begin: Callable[[str, dict[str, str]], None]) -> None:
+    """Call `begin` with the name and the attributes of each element; a ValueError refuses it."""
     parser = expat.ParserCreate()
     depth = 0
 
     def enter(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth > _MAX_DEPTH:
-            raise ValueError(f"its elements are nested over {_MAX_DEPTH} deep")
+        if depth > 50:
+            raise ValueError("its elements are nested over 50 deep")
         begin(name, attributes)
 
     def leave(_: str) -> None:
@@ -160,7 +139,7 @@ def read_elements(path: Path, what: str, begin: Begin) -> None:
     parser.EntityDeclHandler = refuse
     try:
         with open_regular(path) as file:
-            while data := file.read(_CHUNK_BYTES):
+            while data := file.read(1024**2):
                 parser.Parse(data, False)
         parser.Parse(b"", True)
     except (expat.ExpatError, ValueError, LookupError) as error:  # an encoding that is none
@@ -174,7 +153,6 @@ def read_elements(path: Path, what: str, begin: Begin) -> None:
 # A part has `x`, `y` [px, y down] and `likelihood`; one that was triangulated has `x`, `y`, `z`.
 # https://deeplabcut.github.io/DeepLabCut/docs/standardDeepLabCut_UserGuide.html
 
-_WHAT = "DeepLabCut table"
 _MAX_HEADS = 4  # rows of the header
 _MIN_LIKELIHOOD = 0.6  # below it DeepLabCut itself takes a part as not seen (`pcutoff`)
 
@@ -186,12 +164,7 @@ def is_deeplabcut(start: Start) -> bool:
 
 
 def read_deeplabcut(path: Path, options: ReadOptions) -> Episode:
-    """Read each part of each body as a signal, without frames of low likelihood.
-
-    Raises:
-        LogError: it names no part, or its rows cannot be read.
-        OSError: it cannot be read.
-    """
+    """Read each part of each body as a signal, without frames of low likelihood."""
     lines = enumerate(lines_of(path), 1)
     heads: dict[str, list[str]] = {}
     for _, line in islice(lines, _MAX_HEADS):
@@ -207,7 +180,7 @@ def read_deeplabcut(path: Path, options: ReadOptions) -> Episode:
         found.setdefault(f"{body}.{part}" if body else part, {}).setdefault(axis, at + 1)
     there = {name: at for name, at in found.items() if {"x", "y"} <= at.keys()}
     if not there:
-        raise LogError(f"{path}: is a {_WHAT} that names no part's x and y", EXPORT_AGAIN)
+        raise LogError(f"{path}: is a DeepLabCut table that names no part's x and y", EXPORT_AGAIN)
     unit = "px" if all("z" not in at for at in there.values()) else UNSTATED
     clock = Clock("frame", (0,), 0, counts_frames=True)
     groups = tuple(
@@ -215,9 +188,9 @@ def read_deeplabcut(path: Path, options: ReadOptions) -> Episode:
         for name, at in zip(unique_names(there), there.values(), strict=True)
     )
     names = ("frame", *heads["coords"])
-    rows = TextRows(ColumnPlan(names, groups), ",", len(names))
-    rows.read(path, lines)
-    return rows.episode(path, _WHAT, options)
+    rows = TextRows(path, ColumnPlan(names, groups), ",", len(names))
+    rows.read(lines)
+    return rows.episode("DeepLabCut table", options)
 
 
 # ---- `Follower`: assign the points of blank-separated MTrack2 rows to tracks.
@@ -227,12 +200,9 @@ def read_deeplabcut(path: Path, options: ReadOptions) -> Episode:
 
 Point = tuple[float, float]
 _FARTHEST = 60.0  # of a track from where it was expected; a new track costs as much
-_MAX_WORK = 5_000_000  # of comparisons, in the whole file
-_MAX_POINTS = 80  # in a row: a block holds 75 tracks
 
 
-@dataclass(frozen=True)
-class _Seen:
+class _Seen(NamedTuple):
     """Last frame, place and velocity [per frame] of a track."""
 
     frame: float
@@ -256,16 +226,11 @@ class Follower:
         self._work = 0
 
     def named(self, frame: float, points: Sequence[Point]) -> list[int]:
-        """Return the track number of each point, by dynamic programming over the track order.
-
-        Raises:
-            ValueError: there are more points than a block's tracks.
-        """
+        """Return the track number of each point, by dynamic programming over the track order."""
         self._work += len(self._seen) * len(points)
-        if len(points) > _MAX_POINTS or self._work > _MAX_WORK:
+        # A block holds 75 tracks; the work is of comparisons in the whole file.
+        if len(points) > 80 or self._work > 5_000_000:
             raise ValueError("it holds more tracks than a block does")
-        # Assign points to tracks in order, by dynamic programming; None where a point begins a
-        # track.
         off = [[one.off(frame, point) for point in points] for one in self._seen]
         count = len(off[0]) if off else 0
         # costs[i][j]: of the first j points among the first i tracks
@@ -275,15 +240,13 @@ class Follower:
             costs.append([0.0] + [min(one, before + apart) for apart, (before, one) in pairs])
         whole = [cost + _FARTHEST * (count - j) for j, cost in enumerate(costs[-1])]
         j = min(range(count + 1), key=lambda at: (whole[at], -at))
-        found: list[int | None] = [None] * count
+        found: list[int | None] = [None] * len(points)  # None where a point begins a track
         for i in range(len(off), 0, -1):
             if j and costs[i][j] < costs[i - 1][j]:
                 j -= 1
                 found[j] = i - 1
-        matched = found
-        matched += [None] * (len(points) - len(matched))
         numbers: list[int] = []
-        for point, at in zip(points, matched, strict=True):
+        for point, at in zip(points, found, strict=True):
             if at is None:
                 numbers.append(self.first + len(self._seen))
                 self._seen.append(_Seen(frame, point, (0.0, 0.0)))
@@ -294,19 +257,6 @@ class Follower:
                 self._seen[at] = _Seen(frame, point, speed)
                 numbers.append(self.first + at)
         return numbers
-
-
-def points_of(cells: Sequence[str]) -> tuple[list[tuple[str, str]], list[bool]]:
-    """Pair the numbers behind a row's frame, and return which pairs carry a flag.
-
-    Raises:
-        ValueError: the numbers are not in pairs.
-    """
-    values = [at for at, cell in enumerate(cells) if cell != "*"]
-    if len(values) % 2 or any(cells[at - 1 : at] == ["*"] for at in values[1::2]):
-        raise ValueError("its numbers are no pairs")
-    pairs = [(cells[x], cells[y]) for x, y in zip(values[::2], values[1::2], strict=True)]
-    return pairs, [cells[y + 1 : y + 2] == ["*"] for y in values[1::2]]
 
 
 # ---- MTrack2: one row per frame, three columns per track, in blocks of tracks.
@@ -325,11 +275,7 @@ def is_mtrack2(line: str) -> bool:
 
 
 def read_mtrack2(path: Path, text: Iterable[str | None], options: ReadOptions) -> Episode:
-    """Read each track as a signal in an unstated unit, its stamps counting frames.
-
-    Raises:
-        LogError: no row can be read, or many cannot.
-    """
+    """Read each track as a signal in an unstated unit, its stamps counting frames."""
     lines = iter(text)
     found = _HEADER.match(next(lines, None) or "")
     if found is None:
@@ -339,32 +285,29 @@ def read_mtrack2(path: Path, text: Iterable[str | None], options: ReadOptions) -
     tracks, failures, flags = Tracks(path), Failures(), Counter[str]()
     follower, count = Follower(1), 0
     for number, line in enumerate(lines, 2):
-        if line is not None and (block := _BLOCK.match(line)):
+        if line is None:
+            count += 1
+            failures.add(number, UnreadableError("it is longer than any row", DAMAGED_REMEDY))
+            continue
+        if block := _BLOCK.match(line):
             follower = Follower(int(block[1]))
             continue
-        if line is not None and _SUMMARY.match(line):
+        if _SUMMARY.match(line):
             break
-        if line is not None and (not line.strip(" \t,;") or _HEADER.match(line)):
+        if not line.strip(" \t,;") or _HEADER.match(line):
             continue
         count += 1
         try:
-            if line is None:
-                raise UnreadableError("it is longer than any row", DAMAGED_REMEDY)
             read = _points_by_blanks if separator == " " else _points_by_cells
             frame, points = read(line, separator, numbers, follower)
-        except UnreadableError as error:
-            failures.add(number, error)
-            continue
         except ValueError:
-            text = (line or "")[:60]
-            failures.add(number, UnreadableError(f"{text!r} is no row", DAMAGED_REMEDY))
+            why = f"{line[:60]!r} is no row"
+            failures.add(number, UnreadableError(why, DAMAGED_REMEDY))
             continue
         for track, (x, y), is_doubtful in points:
             tracks.add(f"track{track}", frame, (x, y, 0.0))
             flags[f"track{track}"] += is_doubtful
-    if not len(tracks):
-        raise LogError(f"{path}: table of MTrack2: {failures.nothing(count)}")
-    if why := failures.refusal(count):
+    if why := failures.refusal(count) if len(tracks) else failures.nothing(count):
         raise LogError(f"{path}: table of MTrack2: {why}")
     notes = [
         f"{name}: MTrack2 was not sure of {number} of its places"
@@ -372,8 +315,7 @@ def read_mtrack2(path: Path, text: Iterable[str | None], options: ReadOptions) -
         if number
     ]
     lost = [failures.lost(count)] if failures else []
-    what = "MTrack2 table of ImageJ"
-    return tracks.episode(what, UNSTATED, options, warnings=notes, losses=lost)
+    return tracks.episode("MTrack2 table of ImageJ", UNSTATED, options, warnings=notes, losses=lost)
 
 
 _Points = list[tuple[int, Point, bool]]  # tracks, places, and whether MTrack2 was not sure
@@ -403,8 +345,13 @@ def _points_by_blanks(
     """Read a row whose unseen tracks leave only blanks; ValueError if it is none."""
     frame, *cells = line.split()
     when = numbers.read(frame)
-    pairs, flags = points_of(cells)
-    points = [(numbers.read(x), numbers.read(y)) for x, y in pairs]
+    # Numbers in pairs, each of which may carry a flag.
+    values = [at for at, cell in enumerate(cells) if cell != "*"]
+    if len(values) % 2 or any(cells[at - 1 : at] == ["*"] for at in values[1::2]):
+        raise ValueError("its numbers are no pairs")
+    read = [numbers.read(cells[at]) for at in values]
+    points = list(zip(read[::2], read[1::2], strict=True))
+    flags = [cells[y + 1 : y + 2] == ["*"] for y in values[1::2]]
     if not all(map(isfinite, (when, *chain(*points)))):
         raise ValueError("a number is missing")
     return when, list(zip(follower.named(when, points), points, flags, strict=True))
@@ -487,11 +434,7 @@ def spot_layout(line: str) -> SpotLayout | None:
 
 
 def read_spots(path: Path, text: Iterable[str | None], options: ReadOptions) -> Episode:
-    """Read each track of a spot table as a signal.
-
-    Raises:
-        LogError: no row can be read, many cannot, or nothing identifies the objects.
-    """
+    """Read each track of a spot table as a signal."""
     lines = iter(text)
     layout = spot_layout(next(lines, None) or "")
     if layout is None:
@@ -505,10 +448,7 @@ def read_spots(path: Path, text: Iterable[str | None], options: ReadOptions) -> 
     above = [row for row in cells[:4] if len(row) >= width and not _is_number(row[columns[x]])]
     whole = [row for row in cells[len(above) :] if len(row) >= width]
     clock = _clock_of(layout, above, whole, options)
-    length = layout.unit(columns[x], above)
-    length = "um" if length.startswith("micron") else length
-    length = "px" if length.startswith(("pixel", "px")) else length
-    unit = length if length in LENGTHS or length == "px" else UNSTATED
+    unit = _unit_of(layout.unit(columns[x], above))
     group = _place("track", (columns[x], columns[y], columns.get("z")), unit, clock)
     told = tuple((columns[one], one) for one in ("track", "cluster") if one in columns)
     told = told if "track" in columns else ()
@@ -516,16 +456,15 @@ def read_spots(path: Path, text: Iterable[str | None], options: ReadOptions) -> 
     if not told:
         remedy = "measure one thing alone, or link them with TrackMate or MTrack2"
         plan = replace(plan, remedy=f"nothing tells which thing is which; {remedy}")
-    rows = TextRows(plan, layout.separator, width)
-    rows.read(path, chain(first[len(above) :], every))
+    rows = TextRows(path, plan, layout.separator, width)
+    rows.read(chain(first[len(above) :], every))
     if rows.unlinked and rows.unlinked == rows.count - len(rows.failures):
         raise LogError(
             f"{path}: {layout.what}: none of the {rows.unlinked} places belongs to a track; "
             "link them to tracks first"
         )
-    unlinked = f"{rows.unlinked} places were not linked"
-    unused = {"places of no track": unlinked} if rows.unlinked else {}
-    return rows.episode(path, layout.what, options, unused=unused)
+    unlinked = {"places of no track": f"{rows.unlinked} places were not linked"}
+    return rows.episode(layout.what, options, unused=unlinked if rows.unlinked else {})
 
 
 def _clock_of(
@@ -542,7 +481,7 @@ def _clock_of(
     by_frame = ROWS
     if frame is not None:
         by_frame = Clock(layout.header[frame], (frame,), 0, counts_frames=True)
-    if at is None or (options.rate_hz and frame is not None):
+    if at is None or (options.fps and frame is not None):
         return by_frame
     unit, name = layout.unit(at, above), layout.header[at]
     if unit.startswith("frame"):
@@ -570,7 +509,6 @@ def _is_number(text: str) -> bool:
 # ---- TrackMate's XML: its exports, and whole sessions.
 
 _MAX_COUNT = 1_000_000  # of spots and of links between them, which come after all spots
-_NO_RATE_S = 1.0  # between frames: ImageJ states it where nobody set the rate
 Spot = tuple[float, float, float, float]  # a frame, and x, y, z there
 
 
@@ -578,23 +516,6 @@ def is_trackmate_xml(data: bytes) -> bool:
     """Return whether a file's first bytes are TrackMate XML of either kind."""
     start = data[:4096]
     return b"<Tracks " in start or b"<TrackMate" in start
-
-
-def read_trackmate_xml(path: Path, options: ReadOptions) -> Episode:
-    """Read each track as a signal.
-
-    Raises:
-        LogError: it is no such XML, or holds no track.
-        OSError: it cannot be read.
-    """
-    reading = _XmlReading()
-    read_elements(path, "tracks of TrackMate", reading.begin)
-    tracks, unused = reading.tracks(path)
-    if not len(tracks):
-        raise LogError(f"{path}: tracks of TrackMate: it holds none; track first, then export")
-    unit, rate_hz, doubts = reading.units()
-    what = "TrackMate tracks"
-    return tracks.episode(what, unit, options, rate_hz=rate_hz, unused=unused, warnings=doubts)
 
 
 class _XmlReading:
@@ -627,8 +548,8 @@ class _XmlReading:
             self._spots[attributes["ID"]] = _spot({**small, "T": attributes.get("FRAME", "")})
             self._counted()
         elif name == "Edge" and self._track in self._links:
-            for key in ("SPOT_SOURCE_ID", "SPOT_TARGET_ID"):
-                self._links[self._track][attributes.get(key, "")] = None
+            ends = (attributes.get(f"SPOT_{end}_ID", "") for end in ("SOURCE", "TARGET"))
+            self._links[self._track].update(dict.fromkeys(ends))
             self._counted()
         elif name == "TrackID":
             self._kept.add(f"track{attributes.get('TRACK_ID', '')[:40]}")
@@ -660,19 +581,16 @@ class _XmlReading:
 
     def units(self) -> tuple[str, float | None, list[str]]:
         """Return unit of length and frame rate that the file states, and doubts about them."""
-        length = self._first("spaceunits", "spatialunits", "spaceunit").lower()
-        length = length.replace("µ", "u").replace("μ", "u").replace("micron", "um")
-        length = "px" if length.startswith(("pixel", "px")) else length
-        length = length if length in LENGTHS or length == "px" else UNSTATED
+        length = _unit_of(self._first("spaceunits", "spatialunits", "spaceunit"))
         try:
             power = POWERS[self._first("timeunits", "timeunit").lower()]
             interval_s = float(self._first("frameinterval", "timeinterval")) * 10.0**power
         except (KeyError, ValueError):
             interval_s = 0.0
-        is_told = 0 < interval_s < float("inf") and interval_s != _NO_RATE_S
-        doubts = ["it says a frame a second, as ImageJ does where nobody told it; not used"]
-        rate_hz = 1 / interval_s if is_told else None
-        return length, rate_hz, doubts if interval_s == _NO_RATE_S else []
+        if interval_s == 1.0:
+            doubt = "it says a frame a second, as ImageJ does where nobody told it; not used"
+            return length, None, [doubt]
+        return length, 1 / interval_s if 0 < interval_s < inf else None, []
 
     def _first(self, *keys: str) -> str:
         return next((self._said[key] for key in keys if key in self._said), "")
@@ -690,6 +608,11 @@ def _spot(attributes: dict[str, str]) -> Spot:
 # ---- Choose the reader of an ImageJ file.
 
 
+def _check_size(path: Path, what: str) -> None:
+    if path.stat().st_size > _MAX_TEXT_BYTES:
+        raise LogError(f"{path}: is {what} of over {_MAX_TEXT_BYTES >> 20} MiB; split it")
+
+
 def is_imagej(start: Start) -> bool:
     """Return whether a file is an ImageJ table or TrackMate XML."""
     if is_trackmate_xml(start.data):
@@ -700,17 +623,18 @@ def is_imagej(start: Start) -> bool:
 
 
 def read_imagej(path: Path, options: ReadOptions) -> Episode:
-    """Read each track as a signal: usually in pixels, y down, by frames.
-
-    Raises:
-        LogError: it holds no track, or is damaged.
-        OSError: it cannot be read.
-    """
-    if path.stat().st_size > MAX_TEXT_BYTES:
-        raise LogError(f"{path}: is an ImageJ table of over {MAX_TEXT_BYTES >> 20} MiB; split it")
+    """Read each track as a signal: usually in pixels, y down, by frames."""
+    _check_size(path, "an ImageJ table")
     start = start_of(path)
     if is_trackmate_xml(start.data):
-        return read_trackmate_xml(path, options)
+        reading = _XmlReading()
+        read_elements(path, "tracks of TrackMate", reading.begin)
+        tracks, unused = reading.tracks(path)
+        if not len(tracks):
+            raise LogError(f"{path}: tracks of TrackMate: it holds none; track first, then export")
+        unit, rate_hz, doubts = reading.units()
+        more = {"rate_hz": rate_hz, "unused": unused, "warnings": doubts}
+        return tracks.episode("TrackMate tracks", unit, options, **more)
     first = next(iter(start.lines), "")
     if is_mtrack2(first):
         return read_mtrack2(path, lines_of(path), options)
@@ -737,29 +661,19 @@ def names_masses(lines: Sequence[str]) -> bool:
 
 
 def read_tracker(path: Path, options: ReadOptions) -> Episode:
-    """Read each mass as a signal, in metres or pixels as its user calibrated them.
-
-    Raises:
-        LogError: no row can be read, or many cannot.
-        OSError: the file cannot be read.
-    """
+    """Read each mass as a signal, in metres or pixels as its user calibrated them."""
     with open_regular(path) as file:
         if _PROJECT in file.read(4096):
             raise LogError(
                 f"{path}: is a project of Tracker, not its data; in Tracker, choose File > Export "
                 "> Data File"
             )
-    if path.stat().st_size > MAX_TEXT_BYTES:
-        raise LogError(f"{path}: is a Tracker export of over {MAX_TEXT_BYTES >> 20} MiB; split it")
+    _check_size(path, "a Tracker export")
     return read_masses(path, lines_of(path), options)
 
 
 def read_masses(path: Path, lines: Iterable[str | None], options: ReadOptions) -> Episode:
-    """Read the lines of a Tracker export, be they of a file or of a sheet.
-
-    Raises:
-        LogError: see `read_tracker`.
-    """
+    """Read the lines of a Tracker export, be they of a file or of a sheet."""
     numbered = enumerate(lines, 1)
     names, found = "", None
     for _, line in islice(numbered, 4):
@@ -770,9 +684,9 @@ def read_masses(path: Path, lines: Iterable[str | None], options: ReadOptions) -
     if found is None:
         raise LogError(f"{path}: is no Tracker export of x and y; export these columns too")
     plan, separator = found
-    rows = TextRows(plan, separator, max(plan.needed) + 1)
-    rows.read(path, numbered)
-    return rows.episode(path, "Tracker export", options)
+    rows = TextRows(path, plan, separator, max(plan.needed) + 1)
+    rows.read(numbered)
+    return rows.episode("Tracker export", options)
 
 
 def _masses_plan(names: str, line: str) -> tuple[ColumnPlan, str | None] | None:
@@ -788,10 +702,7 @@ def _masses_plan(names: str, line: str) -> tuple[ColumnPlan, str | None] | None:
         starts = list(zip(begins, found, strict=False)) if len(begins) == len(found) else []
     else:
         cells = [cell.strip() for cell in cells_of(names, separator)][: len(header)]
-        if not cells or cells[0]:
-            starts = []
-        else:
-            starts = [(at, cell) for at, cell in enumerate(cells) if cell]
+        starts = [(at, cell) for at, cell in enumerate(cells) if cell and not cells[0]]
     if not starts:
         return None
     whens = [at for at, name in enumerate(header) if _bare(name) in _FIRST]
@@ -805,7 +716,7 @@ def _masses_plan(names: str, line: str) -> tuple[ColumnPlan, str | None] | None:
     lengths: set[str] = set()
     for label, (begin, _), end in zip(labels, starts, ends, strict=True):
         columns = {_bare(header[at]): at for at in reversed(range(begin, end)) if header[at]}
-        axes = [next((columns[name] for name in names if name in columns), None) for names in _AXES]
+        axes = [next((columns[one] for one in named if one in columns), None) for named in _AXES]
         if axes[0] is None and axes[1] is None:
             unused[label] = "it has no column x or y"
             continue

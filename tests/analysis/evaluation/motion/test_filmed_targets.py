@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tests.engines import needs_pybullet
-from tunenet_logs.analysis.drop.bounce_model import best_map
 from tunenet_logs.analysis.drop.presets import PAPER_RESTITUTION, filled, paper_rows
 from tunenet_logs.analysis.estimators.base import Estimator, Evaluation, Problem, Step, Trace
 from tunenet_logs.analysis.estimators.methods import TuneNetThenLine
@@ -17,6 +16,7 @@ from tunenet_logs.analysis.evaluation.studies.drop_methods import EASY, DropTarg
 from tunenet_logs.analysis.evaluation.studies.motion import (
     FilmedProblems,
     as_seen,
+    best_map,
     filmed_pairs,
     places_in_view,
     train_ours_on_films,
